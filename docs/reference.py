@@ -26,11 +26,13 @@ PARTS = (
     "kinematics",
     "diagnosis",
     "gap",
+    "doctor",
     "envs",
     "registration",
     "evaluation",
     "instrument",
     "report",
+    "api",
 )
 """Parts of the package in the order in which data flow, without the command line and the thesis."""
 

@@ -1,11 +1,38 @@
 """Find the loose link in a robot arm, and learn to find it faster.
 
-Importing the package registers its environments with Gymnasium.
+Importing the package registers its environments with Gymnasium. `diagnose` and `explain_gap` load
+the rest of the package when they are first used:
+
+    import loose_env
+    found = loose_env.diagnose("session/recording")
+    print(found.headline)
 """
 
-from loose_env.registration import register
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["__version__", "register"]
-__version__ = "0.1.0"
+from loose_env.registration import register
+from loose_env.version import __version__
+
+if TYPE_CHECKING:
+    from loose_env.api import diagnose, explain_gap
+
+__all__ = ["__version__", "diagnose", "explain_gap", "register"]
+
+_LATER = frozenset({"diagnose", "explain_gap"})
+"""Names of `loose_env.api`, whose imports take a second."""
 
 register()
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name of `loose_env.api` when it is asked for."""
+    if name in _LATER:
+        from loose_env import api
+
+        return getattr(api, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Names of the package, those that are imported later among them."""
+    return sorted({*globals(), *_LATER})

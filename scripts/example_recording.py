@@ -1,15 +1,20 @@
-"""Make a recording to try `loose gap` on: an arm with a hidden fault, and the model of a sound one.
+"""Make a recording to try `loose gap` or `loose diagnose` on, of an arm with a hidden fault.
 
-A three-joint arm on position servos stands in for a machine. Its masses, dampings and servo gains
-are 1 to 3 % off the model that goes with the recording, its sensors are noisy, and the bearing of
-its second joint has run dry: 2 N·m of friction that the model does not have.
+For `loose gap` a three-joint arm on position servos stands in for a machine. Its masses, dampings
+and servo gains are 1 to 3 % off the model that goes with the recording, its sensors are noisy, and
+the bearing of its second joint has run dry: 2 N·m of friction that the model does not have.
+
+For `loose diagnose` a six-joint arm holds three poses while a joint is shaken. The parameters of
+its model are a few per cent off, and its forearm slides by 0.1 mm on its joint.
 
 Usage: python scripts/example_recording.py --out example
+       python scripts/example_recording.py --for diagnose --out example
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -17,8 +22,30 @@ import numpy as np
 from loose_agents.execution.script_errors import errors_in_one_line
 from numpy.typing import NDArray
 
+from loose_env.arms import DESK_ARM, Mismatch, arm_from_file
+from loose_env.excitation import Excitation
+from loose_env.faults import StructuralLooseness
+from loose_env.instrument import read_arm
 from loose_env.recording import Recording, Run, write_recording
+from loose_env.rig import SimulatedRig
 
+LOOSE = StructuralLooseness(
+    link=3,
+    direction=(0.3, -0.95, -0.06),
+    gap=1e-4,
+    stiffness=(1e7, 1e7),
+    damping=(900.0, 900.0),
+    friction=0.7,
+)
+"""The loose forearm: a clearance of 0.1 mm."""
+POSES = (
+    ((0.0, 23.0, -52.0, 17.0, 29.0, 0.0), "shoulder", 18.0),
+    ((29.0, -17.0, 63.0, -46.0, -23.0, 34.0), "shoulder", 18.0),
+    ((-23.0, 52.0, 29.0, 69.0, 40.0, -29.0), "elbow", 10.0),
+)
+"""Poses [degrees], the joint that is shaken in each and its rms torque [N·m]."""
+SHAKEN_S, BAND_HZ = 1.2, (30.0, 150.0)
+"""Length of such a run [s] and its band [Hz]."""
 FRICTION = 2.0
 """Torque of the dry bearing [N·m]."""
 STEP, SECONDS, RUNS = 0.001, 4.0, 4
@@ -122,18 +149,56 @@ def example(folder: Path, *, seed: int = 1) -> Recording:
     return write_recording(folder, model_xml=MODEL, runs=runs)
 
 
+def loose_arm(folder: Path, *, seed: int = 1) -> Recording:
+    """Record an arm with a loose forearm in a few poses and write the recording."""
+    rng = np.random.default_rng(seed)
+    arm, described = arm_from_file(DESK_ARM), read_arm(DESK_ARM).recording_model
+    rig = SimulatedRig(arm)
+    rig.mount(0, LOOSE, Mismatch().draw(arm, rng))
+    runs = []
+    for number, (pose, joint, torque) in enumerate(POSES, 1):
+        torques = tuple(torque if name == joint else 0.0 for name in arm.joints)
+        excitation = Excitation(torque_rms=torques, duration=SHAKEN_S, band=BAND_HZ)
+        seen = rig.measure(np.radians(pose), excitation, rng=rng)
+        angles = {name: seen.encoder[k, 1:-1] for k, name in enumerate(described.positions)}
+        runs.append(
+            Run(
+                name=f"run-{number:02d}.parquet",
+                time=np.arange(seen.tool.shape[1]) / seen.rate,
+                sensors={described.accelerometer: seen.tool.T, **angles},
+                torques={joint: seen.command[arm.joints.index(joint)]},
+                excited=(joint,),
+                pose=dict(zip(arm.joints, np.radians(pose).tolist(), strict=True)),
+            )
+        )
+    return write_recording(folder, model_xml=described.xml, runs=runs)
+
+
+MADE: dict[str, Callable[..., Recording]] = {"gap": example, "diagnose": loose_arm}
+"""Command -> what makes a recording for it."""
+
+
 def main() -> None:
     """Read the options and make it."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, default=Path("example"), help="folder; new or empty")
-    parser.add_argument("--seed", type=int, default=1, help="of figures, motions and noise")
+    parser.add_argument(
+        "--for",
+        dest="command",
+        choices=sorted(MADE),
+        default="gap",
+        help="command that reads it (default: gap)",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of parameters, motions and noise")
     options = parser.parse_args()
     with errors_in_one_line("example_recording"):
-        recording = example(options.out, seed=options.seed)
-        print(f"{recording.folder}: {len(recording.runs)} runs of {SECONDS:g} s. Now: ")
-        print(f"  loose gap {recording.folder} --out {recording.folder}-gap")
+        recording = MADE[options.command](options.out, seed=options.seed)
+        seconds = recording.runs[0].time[-1] - recording.runs[0].time[0]
+        print(f"{recording.folder}: {len(recording.runs)} runs of {seconds:.1f} s. Now:")
+        given, name = recording.folder, options.command
+        print(f"  loose {name} {given} --out {given}-{name}")
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ MOST_ENTRIES = 12
 # From the bottom up. A part imports itself and what stands above it in this list, never
 # what stands below it or beside it.
 ORDER = (
-    ("errors", "typing", "io"),
+    ("errors", "typing", "version", "io"),
     ("arms",),
     ("faults",),
     ("excitation",),
@@ -35,11 +35,13 @@ ORDER = (
     ("statistics",),
     ("kinematics",),
     ("diagnosis", "gap"),
+    ("doctor",),
     ("envs",),
     ("registration",),
     ("evaluation",),
     ("instrument",),
     ("report",),
+    ("api",),
     ("thesis",),
     ("cli",),
 )
@@ -71,11 +73,13 @@ HEAVY = {
 
 # Functions and classes that users begin with: each has an example that runs.
 ENTRY_POINTS = {
+    "api": ("diagnose", "explain_gap"),
     "arms": (
         "LinearArm", "arm_from_file", "describe_file", "planar", "scara", "servoed", "six_axis",
         "vera", "with_compliance",
     ),
     "diagnosis": ("FaultPosterior", "predict", "statistics_of"),
+    "doctor": ("DoctorSettings", "examine"),
     "envs": ("DiagnosisEnv", "DiagnosisSettings", "DiagnosisVectorEnv", "Difficulty"),
     "evaluation": ("paired_difference", "standings", "wilson"),
     "faults": ("hypotheses", "seated_spec"),

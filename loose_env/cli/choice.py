@@ -14,7 +14,7 @@ from loose_env.instrument import NextSettings, option_words, unlike
 
 def add_choice(parser: argparse.ArgumentParser) -> None:
     """Add the options of how the next measurement is chosen; one that is not given is None."""
-    add_kept(parser, NextSettings, title="how poses and excitation are chosen")
+    add_kept(parser, NextSettings, title="poses and excitation")
 
 
 def add_kept(

@@ -1,27 +1,37 @@
-"""Make a recording of what loggers wrote: MCAP files, tables in text, universal files.
+"""Make a recording from files of loggers: MCAP, tables in text, universal files (UFF 58).
 
 A mapping file says which channel of which file goes into which column of the recording, in which
-unit, and by which clock. `loose import --describe FILE...` lists what files hold, and what it
-prints is a mapping to fill in.
+unit, and by which clock. --describe lists the channels of files and prints a mapping to fill in.
 
     loose import --describe robot.mcap vibration.csv > mapping.toml
     loose import robot.mcap vibration.csv --mapping mapping.toml --out recording
 
-The recording is read back and checked before it takes its place: a folder that is there is whole.
-Exit codes: 0 done; 1 something given cannot be used, said in one line; 2 the command line makes no
-sense; 130 interrupted.
+The recording is read back and checked before it takes its final name: a folder of that name is
+always complete.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
+from typing import Any
 
 from loose_env.arms import compile_spec, load_spec
+from loose_env.cli.console import Console, Outcome
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.errors import InvalidSetting
-from loose_env.importing import ImportSettings, describe_sources, import_recording
+from loose_env.importing import (
+    FileList,
+    ImportSettings,
+    describe_sources,
+    import_recording,
+    list_sources,
+)
+from loose_env.io import json_text
+from loose_env.recording import Recording
+
+IMPORTED, DESCRIBED = "loose-import/1", "loose-sources/1"
+"""Formats of the JSON documents of an import, and of --describe."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -40,24 +50,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", type=Path, metavar="MODEL.xml", help="MJCF file in the place of the mapping's"
     )
-    parser.add_argument("--quiet", action="store_true", help="say nothing on the way")
+    parser.add_argument(
+        "--package-path",
+        type=Path,
+        metavar="DIR",
+        help="with --describe: folder of the package, or packages, of a URDF's meshes",
+    )
     parser.set_defaults(refuse=parser.error)
     add_settings(parser, ImportSettings)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace, console: Console) -> Outcome:
     """Import, or describe."""
     if options.describe:
-        if options.mapping is not None or options.out is not None:
-            options.refuse("--describe takes files alone, and --model")
-        model = None
-        if options.model is not None:
-            if not options.model.is_file():
-                raise InvalidSetting(f"there is no model {str(options.model)!r}")
-            file, _, spec = load_spec(options.model)
-            model = compile_spec(spec, file)
-        print(describe_sources(options.sources, model), end="")
-        return
+        return _described(options)
     if options.mapping is None or options.out is None:
         options.refuse("give --mapping MAP and --out RECORDING, or --describe to see channels")
     recording = import_recording(
@@ -66,14 +72,65 @@ def run(options: argparse.Namespace) -> None:
         options.out,
         settings_of(options, ImportSettings),
         model=options.model,
-        say=_silent if options.quiet else _said,
+        say=console.say,
     )
-    print(f"written: {options.out} ({len(recording.runs)} runs)")
+    return Outcome(
+        text=f"written: {options.out} ({len(recording.runs)} runs)",
+        json=lambda: json_text({"format": IMPORTED, **contents(recording)}),
+    )
 
 
-def _said(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+def _described(options: argparse.Namespace) -> Outcome:
+    """Channels of the files, as a mapping to fill in and as JSON."""
+    if options.mapping is not None or options.out is not None:
+        options.refuse("--describe takes files and --model only")
+    model = None
+    if options.model is not None:
+        if not options.model.is_file():
+            raise InvalidSetting(f"there is no model {str(options.model)!r}")
+        file, _, spec = load_spec(options.model, package=options.package_path)
+        model = compile_spec(spec, file)
+    sources = {name: listed(each) for name, each in list_sources(options.sources).items()}
+    return Outcome(
+        text=describe_sources(options.sources, model),
+        json=lambda: json_text({"format": DESCRIBED, "sources": sources}),
+    )
 
 
-def _silent(_: str) -> None:
-    pass
+def listed(source: FileList) -> dict[str, Any]:
+    """Streams and channels of a file; what its kind does not say is null."""
+    streams = [
+        {
+            "topic": stream.topic,
+            "samples": stream.samples or None,
+            "seconds": stream.seconds,
+            "rate_hz": stream.rate_hz,
+            "channels": [
+                {"channel": each.key.channel, "unit": each.unit, "first_values": each.first}
+                for each in stream.channels
+            ],
+        }
+        for stream in source.streams
+    ]
+    return {"file": source.name, "kind": source.kind, "streams": streams}
+
+
+def contents(recording: Recording) -> dict[str, Any]:
+    """Contents of a recording: its model, and every run with its columns, length and rate."""
+    runs = []
+    for run in recording.runs:
+        seconds = float(run.time[-1] - run.time[0])
+        runs.append(
+            {
+                "file": run.name,
+                "samples": len(run.time),
+                "seconds": seconds,
+                "rate_hz": (len(run.time) - 1) / seconds if seconds > 0 else None,
+                "condition": run.condition,
+                "excited": list(run.excited),
+                "controls": list(run.controls),
+                "sensors": list(run.sensors),
+                "torques": list(run.torques),
+            }
+        )
+    return {"recording": recording.folder, "model": recording.model_path, "runs": runs}

@@ -1,11 +1,13 @@
-"""Show what can be expected of a diagnosis of an arm, from its model alone.
+"""Predict from the model of an arm alone which faults a diagnosis could find.
 
-Reads an MJCF or URDF file and prints one screen: the joints with ranges, torque limits and drives,
-where the accelerometer is thought to sit, the modes of the held arm, a band and a level to shake
-each joint with, and for every fault whether it could be found and how small a gap would show.
+Reads an MJCF or URDF file and prints one screen: the joints with ranges, torque limits and drives;
+the assumed location of the accelerometer; the modes of the held arm; band and level to excite each
+joint with; for every fault whether it is detectable, and the smallest detectable free travel.
 
-Nothing is written unless --json names a file. Exit codes: 0 done; 1 something given cannot be
-used; 2 the command line makes no sense.
+Nothing is written unless --json names a file.
+
+    loose inspect arm.xml
+    loose inspect arm.urdf --tool flange --payload-kg 1.5 --json -
 """
 
 from __future__ import annotations
@@ -13,28 +15,21 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from loose_env.cli.console import Console, Outcome
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.instrument import ModelSettings, NextSettings, inspect_model, screen
-from loose_env.io import write_text
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     parser.add_argument("model", type=Path, metavar="MODEL", help="MJCF or URDF of the arm")
-    parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="file to write the same to, for programs"
-    )
-    add_settings(parser, ModelSettings, title="the arm as it stands")
-    add_settings(
-        parser, NextSettings, title="how poses and excitation are chosen", leave_out=("in-turn",)
-    )
+    add_settings(parser, ModelSettings, title="arm")
+    add_settings(parser, NextSettings, title="poses and excitation", leave_out=("in-turn",))
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace, console: Console) -> Outcome:
     """Inspect the model and print the result."""
     found = inspect_model(
         options.model, settings_of(options, NextSettings), settings_of(options, ModelSettings)
     )
-    if options.json is not None:
-        write_text(options.json, found.to_json())
-    print(screen(found))
+    return Outcome(text=screen(found), json=found.to_json)

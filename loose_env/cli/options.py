@@ -12,7 +12,8 @@ from loose_env.io import field_words
 
 T = TypeVar("T")
 
-_PLAIN = (int, float, str)
+_METAVARS: dict[Any, str] = {int: "INT", float: "FLOAT", str: "NAME"}
+"""Types that an option may have -> word for its value in the help."""
 
 
 def add_settings(
@@ -109,15 +110,15 @@ def _how(hint: Any, name: str) -> dict[str, Any]:
     if origin is Literal:
         return {"choices": list(inside)}
     if origin is tuple:
-        return {"type": inside[0], "nargs": "+", "metavar": inside[0].__name__.upper()}
-    if hint in _PLAIN:
-        return {"type": hint, "metavar": hint.__name__.upper()}
+        return {"type": inside[0], "nargs": "+", "metavar": _METAVARS[inside[0]]}
+    if hint in _METAVARS:
+        return {"type": hint, "metavar": _METAVARS[hint]}
     raise TypeError(f"no option can be made of the field {name!r} of type {hint}")
 
 
 def _help(words: str, each: Field[Any], default: Any) -> str:
     said = words.rstrip(".").replace("%", "%%")
-    if default is None or default is MISSING:
+    if default is None or default is MISSING or default == ():
         return said
     shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
     return f"{said} (default: {shown})"

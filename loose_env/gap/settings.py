@@ -194,27 +194,28 @@ class GapSettings:
     """
 
     tolerance: float = 0.03
-    """Within which nominal masses, inertias, dampings and gains are known, as a share."""
+    """Relative error within which nominal masses, inertias, dampings and gains are known [1]."""
     most_effects: int = 18
-    """Most effects that are named."""
+    """Largest number of effects that are identified."""
     kinds: tuple[str, ...] = ()
-    """Kinds of effect that are considered; all of the catalogue if none is given."""
+    """Kinds of effect that are considered, such as coulomb_friction; by default the whole
+    catalogue."""
     held_share: float = 0.25
-    """Share of the runs that is held out to judge by, in whole families of motions: runs whose
-    names begin with the same word."""
+    """Share of the runs held out from all fits [1], in whole families of motions: runs whose names
+    begin with the same word."""
     held_out: tuple[str, ...] = ()
-    """Files of the runs that are held out in place of those, or how their names begin."""
+    """Runs that are held out instead: their files, or the beginning of their names."""
     search_seconds: float = 90.0
-    """How much of the recording is fitted to while effects are sought, in all; of longer ones a
-    window of every run [s]."""
+    """Data that the search fits to, all runs together [s]; of longer recordings a window of every
+    run."""
     fit_seconds: float = 240.0
-    """How much of it the effects that were found are fitted to in the end [s]."""
+    """Data of the final fits, all runs together [s]."""
     held_seconds: float = 60.0
-    """How much of it judges while effects are sought; the result is of whole runs [s]."""
+    """Held-out data that the search is scored on [s]; the final score is of whole runs."""
     seed: int = 1
-    """Seed of the intervals' bootstrap."""
+    """Seed of the bootstrap of the intervals."""
     threads: int = 0
-    """Threads of the simulation; 0: all processors."""
+    """Threads of the simulation; 0 for all processors."""
 
     def __post_init__(self) -> None:
         """Check the values.

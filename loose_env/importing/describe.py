@@ -50,12 +50,7 @@ def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None
     ...     "elbow" in describe_sources([str(log)])
     True
     """
-    lists: dict[str, FileList] = {}
-    for given, path in given_files(sources).items():
-        name, count = _name(given), 2
-        while name in lists:  # run-01.mcap and run-01.csv
-            name, count = f"{_name(given)}-{count}", count + 1
-        lists[name] = list_file(path)
+    lists = list_sources(sources)
     lines = [f"format = {quoted(MAPPING_FORMAT)}", 'model = "model.xml"  # MJCF, beside this file']
     if model is not None:
         lines += ["", "# Columns that the model allows:"]
@@ -86,6 +81,33 @@ def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None
         "# rate_hz = 1000  # rows as the samples of the fastest channel without it",
     ]
     return "\n".join(lines) + "\n"
+
+
+def list_sources(sources: Sequence[str]) -> dict[str, FileList]:
+    """List the channels of files, by the names that a mapping may give the files.
+
+    Parameters
+    ----------
+    sources : sequence of str
+        Files, or ``NAME=PATH``.
+
+    Returns
+    -------
+    dict of str to FileList
+        Name of the source -> its streams and channels.
+
+    Raises
+    ------
+    InvalidData
+        If a file cannot be read.
+    """
+    lists: dict[str, FileList] = {}
+    for given, path in given_files(sources).items():
+        name, count = _name(given), 2
+        while name in lists:  # run-01.mcap and run-01.csv
+            name, count = f"{_name(given)}-{count}", count + 1
+        lists[name] = list_file(path)
+    return lists
 
 
 def _stream_lines(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +30,7 @@ from loose_env.instrument.inference.timing import (
 )
 from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.inference.verdict import verdict_of
-from loose_env.instrument.inference.warnings import warnings_of
+from loose_env.instrument.inference.warnings import model_warnings, warnings_of
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm, read_recorded_arm
 from loose_env.instrument.planning.plan import next_for
 from loose_env.instrument.result import (
@@ -36,10 +39,13 @@ from loose_env.instrument.result import (
     Fault,
     NextMeasurement,
     RecordSeen,
+    Severity,
     SlideDirection,
     Vector,
+    Verdict,
 )
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+from loose_env.instrument.trend.transmission import spectra_by_fit
 from loose_env.recording import Recording, Run
 
 __all__ = ["Workbench", "diagnose"]
@@ -135,18 +141,15 @@ class Workbench:
         say("following the probabilities from run to run")
         records = self._records(comparison)
         verdict = verdict_of(comparison, clocks, sure=self.settings.sure)
+        notes = [n for t in self._taken for n in t.notes]
+        servos = servo_timing(self.uncertain, lines)
+        warnings = warnings_of(self.arm, comparison, notes, travel, clocks=clocks, servos=servos)
         found = Diagnosis(
             fault=fault,
             probability=comparison.posterior[best],
             posterior=comparison.posterior,
-            warnings=warnings_of(
-                self.arm,
-                comparison,
-                [n for t in self._taken for n in t.notes],
-                travel,
-                clocks=clocks,
-                servos=servo_timing(self.uncertain, lines),
-            ),
+            warnings=warnings,
+            severities=_severities(warnings, model_warnings(comparison), notes),
             records=records,
             model=self.arm.path.name,
             settings=asdict(self.settings),
@@ -155,6 +158,9 @@ class Workbench:
             verdict=verdict.kind,
             open_because=verdict.reasons,
             misfit=comparison.misfit,
+            spectra=spectra_by_fit(self.uncertain, comparison, self._places()),
+            version=__version__,
+            model_hash=hashlib.sha256(self.arm.path.read_bytes()).hexdigest()[:16],
         )
         if plan and not found.settled:
             say("choosing the next measurement")
@@ -210,6 +216,11 @@ class Workbench:
                 replace(shifted(replace(one, beside=None), late(one.healthy)), beside=beside)
             )
         return made
+
+    def _places(self) -> dict[int, int]:
+        """Number of each run's lines -> its index among the records."""
+        used = enumerate(self._taken)
+        return {t.lines.number: k for k, t in used if t.lines is not None}
 
     def _whole(self) -> list[Lines]:
         """All lines of the runs under test, those that were not excited too."""
@@ -334,12 +345,39 @@ def diagnose(
             'one without "condition": "healthy" in recording.json'
         )
     try:
-        return bench.diagnosis(plan=plan, say=say)
+        found = bench.diagnosis(plan=plan, say=say)
+        return replace(found, date=_measured_at(recording))
     except np.linalg.LinAlgError as error:
         raise InvalidData(
             f"model and runs exceed the numeric range ({error}): are masses, gains and readings in "
             "SI units?"
         ) from None
+
+
+def _measured_at(recording: Recording) -> str:
+    """Time of the latest run's file, UTC (ISO 8601); "" where there is none on the disk."""
+    files = [recording.folder / run.name for run in recording.runs]
+    times = [file.stat().st_mtime for file in files if file.is_file()]
+    if not times:
+        return ""
+    return datetime.fromtimestamp(max(times), tz=UTC).isoformat(timespec="seconds")
+
+
+def _version() -> str:
+    try:
+        return version("loose-env")
+    except PackageNotFoundError:
+        return ""
+
+
+def _severities(
+    warnings: Sequence[str], of_model: Sequence[str], notes: Sequence[str]
+) -> tuple[Severity, ...]:
+    """Severity of each warning: those of the model invalidate a result, those on runs are notes."""
+    return tuple(
+        "critical" if words in of_model else "note" if words in notes else "warning"
+        for words in warnings
+    )
 
 
 def _directions(comparison: ModelComparison) -> dict[str, SlideDirection]:

@@ -135,7 +135,7 @@ def _tuple(inside: tuple[Any, ...], value: Any, place: str) -> tuple[Any, ...]:
 
 def _scalar(kind: Any, value: Any, place: str) -> Any:
     if kind is float and value is None:
-        return float("nan")  # JSON has no word for it
+        return math.nan  # JSON has no word for it; the one object, so that results compare equal
     wanted = {float: (int, float), int: (int,), str: (str,), bool: (bool,)}[kind]
     if not isinstance(value, wanted) or (kind is not bool and isinstance(value, bool)):
         raise InvalidData(f"{place}: {kind.__name__} is needed, not {value!r:.60}")
@@ -210,7 +210,8 @@ def read_result_file(path: str | Path, parse: Callable[[str], T], *, noun: str) 
     try:
         text = file.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise InvalidData(f"{file}: the {noun} cannot be read: {error}") from None
+        why = getattr(error, "strerror", None) or error
+        raise InvalidData(f"{file}: the {noun} cannot be read: {why}") from None
     try:
         return parse(text)
     except InvalidData as error:

@@ -14,6 +14,8 @@ from numbers import Integral, Real
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from loose_env.errors import InvalidSetting
 
 __all__ = [
@@ -180,5 +182,6 @@ def _unmet_entries(inside: Sequence[Any], value: Any) -> str:
 _PLAIN: dict[Any, tuple[str, Callable[[Any], bool]]] = {
     float: ("a finite number", is_finite),
     int: ("a whole number", is_whole),
+    bool: ("true or false", lambda value: isinstance(value, bool | np.bool_)),
     str: ("text", lambda value: isinstance(value, str)),
 }

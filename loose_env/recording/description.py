@@ -23,7 +23,7 @@ FORMAT = "loose-recording/1"
 
 _MOST_BYTES = 2**24
 _KEYS = ("format", "model", "runs")
-_RUN_KEYS = ("file", "excited", "pose", "condition")
+_RUN_KEYS = ("file", "excited", "pose", "condition", "planned")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +35,8 @@ class RunEntry:
     pose: Mapping[str, float] | None
     """Positions [rad or m]."""
     condition: Condition
+    planned: bool = False
+    """True for a run that is left out as long as its file is not there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,11 +102,15 @@ def _entry(place: str, run: Any) -> RunEntry:
         raise InvalidData(f"{place}.pose is an object of joints and positions, got {_is(pose)}")
     if pose is not None:
         pose = {joint: _number(f"{place}.pose[{joint!r}]", value) for joint, value in pose.items()}
+    planned = run.get("planned", False)
+    if not isinstance(planned, bool):
+        raise InvalidData(f"{place}.planned is true or false, got {_is(planned)}")
     return RunEntry(
         file=_string(f"{place}.file", run["file"]),
         excited=tuple(joints),
         pose=pose,
         condition=condition,
+        planned=planned,
     )
 
 

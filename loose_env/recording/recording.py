@@ -15,7 +15,7 @@ from loose_env.errors import InvalidData
 from loose_env.recording.columns import ModelColumns
 from loose_env.recording.csv_file import read_csv
 from loose_env.recording.description import DESCRIPTION, RunEntry, read_description
-from loose_env.recording.folder import existing_file
+from loose_env.recording.folder import existing_file, inside
 from loose_env.recording.parquet_file import read_parquet
 from loose_env.recording.run import Run
 from loose_env.recording.sensor_roles import JointSensors, check_comparison, joint_sensors
@@ -137,6 +137,8 @@ def read_recording(folder: str | Path, *, model: str | Path | None = None) -> Re
     found = []
     for i, entry in enumerate(description.runs):
         place = f"{DESCRIPTION}: runs[{i}]"
+        if entry.planned and not inside(home, entry.file, f"{place}.file").exists():
+            continue
         path = existing_file(home, entry.file, f"{place}.file")
         # By what lies on the disk: a link, or another way of writing the path, is the same run.
         state = path.stat()
@@ -146,6 +148,9 @@ def read_recording(folder: str | Path, *, model: str | Path | None = None) -> Re
             raise InvalidData(f"{place}.file: {entry.file!r} is the same file as {first!r}")
         files[state.st_dev, state.st_ino] = entry.file
         found.append((place, path, name, entry))
+    if not found:
+        names = ", ".join(entry.file for entry in description.runs)
+        raise InvalidData(f"{DESCRIPTION}: none of the planned runs has been measured: {names}")
     runs = tuple(_run(*arguments, columns) for arguments in found)
     return Recording(folder=home, model_path=model_path.resolve(), runs=runs)
 

@@ -1,15 +1,19 @@
 """Reports and figures.
 
-Data flow: pages -> comparison -> diagnosis -> gap -> studies.
+Data flow: pages -> comparison -> diagnosis -> plan -> gap -> studies.
 """
 
 from loose_env.envs import FAINT, INK, MUTED
 from loose_env.report.comparison.episode_timeline import episode_timeline
 from loose_env.report.comparison.report import write_comparison
 from loose_env.report.comparison.text import comparison_text
+from loose_env.report.diagnosis.hypotheses import diagnosis_html, diagnosis_text
 from loose_env.report.diagnosis.page import write_page
-from loose_env.report.diagnosis.plan_page import write_plan_page
-from loose_env.report.diagnosis.plan_text import summary
+from loose_env.report.diagnosis.text import headline as diagnosis_headline
+from loose_env.report.diagnosis.trend_page import trend_headline, write_trend_page
+from loose_env.report.diagnosis.write import write_diagnosis
+from loose_env.report.gap.notebook import gap_html, gap_text
+from loose_env.report.gap.text import headline as gap_headline
 from loose_env.report.gap.text import ranked_words, unsure
 from loose_env.report.gap.write import write_gap_report
 from loose_env.report.pages.figure_card import FigureCard
@@ -18,6 +22,9 @@ from loose_env.report.pages.palette import AGENTS
 from loose_env.report.pages.style import DARK, FONT, LIGHT
 from loose_env.report.pages.svg import standalone, to_svg
 from loose_env.report.pages.template import paragraphs, shown, template, write_whole
+from loose_env.report.plan.plan_page import write_plan_page
+from loose_env.report.plan.plan_text import summary
+from loose_env.report.plan.tool_plan_page import tool_summary, write_tool_page
 from loose_env.report.studies import (
     pyplot,
     read_study,
@@ -39,7 +46,13 @@ __all__ = [
     "WIDTH",
     "FigureCard",
     "comparison_text",
+    "diagnosis_headline",
+    "diagnosis_html",
+    "diagnosis_text",
     "episode_timeline",
+    "gap_headline",
+    "gap_html",
+    "gap_text",
     "new_figure",
     "paragraphs",
     "pyplot",
@@ -55,11 +68,16 @@ __all__ = [
     "summary",
     "template",
     "to_svg",
+    "tool_summary",
+    "trend_headline",
     "unsure",
     "write_comparison",
+    "write_diagnosis",
     "write_gap_report",
     "write_page",
     "write_plan_page",
     "write_study",
+    "write_tool_page",
+    "write_trend_page",
     "write_whole",
 ]

@@ -10,8 +10,8 @@ import pytest
 
 from tests.browser.chromium import Page, chromium, executable
 
-WIDTHS = (390, 1280)
-"""A phone, a desk [pixels]."""
+WIDTHS = (390, 768, 1280)
+"""A phone, a tablet, a desk [pixels]."""
 PAPER = 718
 """Width of an A4 sheet within its margins [pixels]."""
 

@@ -155,7 +155,7 @@ def test_errors_of_the_search_are_said_and_faults_of_the_program_keep_their_trac
 def test_a_command_line_that_makes_no_sense_is_argparses_affair(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    for command in ([], ["fly"], ["gap"], ["gap", "here", "--out", "there", "--tolerance", "x"]):
+    for command in (["fly"], ["gap"], ["gap", "here", "--out", "there", "--tolerance", "x"]):
         with pytest.raises(SystemExit) as ended:
             main(command)
         assert ended.value.code == 2

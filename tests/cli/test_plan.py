@@ -11,7 +11,7 @@ import pytest
 from loose_env.cli.main import main
 from loose_env.instrument import Diagnosis, Fault, NextSettings, next_for
 from loose_env.instrument.model.instrumented_arm import read_arm
-from tests.instrument.arms.plan_arms import MOTORS, written
+from tests.instrument.arms.plan_arms import MOTORS, SERVOED, URDF, written
 
 
 def test_inspect_prints_a_screen_and_writes_the_file_asked_for(
@@ -104,6 +104,53 @@ def test_a_plan_in_the_folder_of_an_earlier_one_keeps_its_limits(
     assert json.loads((out / "plan.json").read_text("utf-8"))["settings"]["most_tool"] == 4.0
 
 
+def test_limits_are_printed_with_their_sources_and_hold_for_the_session(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, out = written(tmp_path, SERVOED), tmp_path / "session"
+    command = ["plan", str(model), "--out", str(out), "--poses", "2", "--seconds", "1"]
+    limits = ["--max-speed-rad-s", "1", "2", "1.5", "--command-rate-hz", "500"]
+    assert main([*command, *limits, "--commands", "position", "--reference"]) == 0
+    said = capsys.readouterr().out
+    assert "speed: pan 1 rad/s (--max-speed-rad-s); lift 2 rad/s" in said
+    assert "jerk: no limit stated" in said
+    assert "peak speed of the command" in said
+    assert "transit.csv" in said or "is there already" in said
+    assert "reference-01.csv" in said and "repeat-01.csv" in said
+    header = (out / "signal.csv").read_text("utf-8").partition("\n")[0]
+    assert header == "time,position.pan,position.lift,position.elbow"
+    page = unescape((out / "plan.html").read_text("utf-8"))
+    for words in (
+        "Peaks and limits",
+        "--max-speed-rad-s 1 2 1.5",
+        "reference-01.csv",
+        "--reference",
+    ):
+        assert words in page
+    assert main(command) == 0
+    kept = capsys.readouterr().err
+    assert "as the earlier plan has it: --max-speed-rad-s 1 2 1.5" in kept
+    assert "--reference" in kept
+    whole = json.loads((out / "plan.json").read_text("utf-8"))
+    assert whole["settings"]["max_speed_rad_s"] == [1.0, 2.0, 1.5]
+    assert whole["limits"]["speed"]["pan"]["source"] == "--max-speed-rad-s"
+    assert main([*command, "--no-reference", "--repeat", "0"]) == 0
+    runs = json.loads((out / "plan.json").read_text("utf-8"))["runs"]
+    assert [run["kind"] for run in runs] == ["run"]
+    assert not (out / "first-signal.csv").exists()
+
+
+def test_the_plan_of_a_urdf_keeps_the_speeds_that_it_states(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, out = written(tmp_path, URDF, "arm.urdf"), tmp_path / "session"
+    command = ["plan", str(model), "--out", str(out), "--poses", "2", "--signal-format", "ros2"]
+    assert main(command) == 0
+    assert 'speed: all joints 2 rad/s (<limit velocity="2"> of arm.urdf)' in capsys.readouterr().out
+    assert (out / "signal.yaml").is_file()
+    assert not (out / "signal.csv").exists()
+
+
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
@@ -155,6 +202,14 @@ def test_settings_of_a_result_that_make_no_sense_are_refused_with_file_and_field
         (["{model}", "--out", "{dir}/o", "--known", "{model}"], "no JSON"),
         (["{model}", "--out", "{dir}/o", "--tool", "hammer"], "no site or body 'hammer'"),
         (["{model}", "--out", "{dir}/o", "--seconds", "-1"], "seconds is a length of 0.2 to 600 s"),
+        (["{model}", "--out", "{dir}/o", "--max-speed-rad-s", "-1"], "one positive number for all"),
+        (
+            ["{model}", "--out", "{dir}/o", "--max-jerk-rad-s3", "1", "2", "3"],
+            "of lift, elbow; got",
+        ),
+        (["{model}", "--out", "{dir}/o", "--signal-format", "mat"], "csv, parquet, ros2, got mat"),
+        (["{model}", "--out", "{dir}/o", "--repeat", "-1"], "repeat is a whole number from 0 to"),
+        (["{model}", "--out", "{dir}/o", "--command-bandwidth-hz", "1"], "followed up to 1 Hz"),
         (["{model}", "--out", "{dir}/o", "--pose-deg", "1", "2", "3"], "each of lift, elbow"),
     ],
 )

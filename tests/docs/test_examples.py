@@ -16,6 +16,7 @@ from loose_env.arms import DESK_ARM
 from loose_env.gap import GapSettings
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import NominalModel
+from scripts.example_recording import loose_arm
 from tests.docs.pages import PAGES, ROOT, blocks, python
 from tests.gap.cases.effect_arms import PLANAR
 
@@ -49,9 +50,16 @@ def some_arm(folder: Path) -> None:
     shutil.copy(UR5E if UR5E.is_file() else DESK_ARM, folder / "ur5e.xml")
 
 
+def a_shaken_arm(folder: Path) -> None:
+    """A model file, and the recording that pages diagnose."""
+    some_arm(folder)
+    loose_arm(folder / "session" / "recording")
+
+
 PREPARED: dict[str, Callable[[Path], None]] = {
+    "README.md": a_shaken_arm,
     "gap_closing.md": corrected_models,
-    "instrument.md": some_arm,
+    "instrument.md": a_shaken_arm,
 }
 """What has to be there before a page's examples run."""
 

@@ -366,8 +366,9 @@ def test_late_stamps_are_not_those_of_the_header(home: Path, mapping: Mapped) ->
     kind = {"/joint_states": ("sensor_msgs/msg/JointState", JOINT_STATE, rows)}
     bag = write_ros2(home / "robot.mcap", kind)
     channel = 'topic = "/joint_states", channel = "position[elbow]"'
-    text = one(channel, run='stop = "2024-05-01T10:00:00.2Z"')
+    stop = 'stop = "2024-05-01T10:00:00.2Z"'
+    text = one(channel, source='time = { stamp = "log" }', run=stop)
     assert "is not within" in refused(home, bag, mapping(text))
-    mapped = mapping(one(channel, source='time = { stamp = "header" }',
-                         run='stop = "2024-05-01T10:00:00.2Z"'))  # fmt: skip
-    assert import_recording([bag], mapped, home / "out").runs[0].samples == 21
+    for number, source in enumerate(('time = { stamp = "header" }', "")):  # preferred by default
+        mapped = mapping(one(channel, source=source, run=stop))
+        assert import_recording([bag], mapped, home / f"out{number}").runs[0].samples == 21

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,15 @@ import numpy as np
 from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar
 from loose_env.diagnosis import ToolFrames
 from loose_env.envs.rendering.correlation import Surface
-from loose_env.instrument import Diagnosis, Fault, Loop, NextMeasurement, RecordSeen
+from loose_env.instrument import (
+    Diagnosis,
+    Fault,
+    Loop,
+    NextMeasurement,
+    RecordSeen,
+    TransmissionSpectrum,
+    Verdict,
+)
 
 ANGLES = np.linspace(0.0, 180.0, 91)
 
@@ -21,6 +31,22 @@ def desk() -> Arm:
 
 def flat() -> Arm:
     return planar(3)
+
+
+LONG = "{}_of_the_left_arm_beside_the_conveyor_belt"
+"""Joints and links as people name them: 44 letters and more."""
+
+
+def lengthy() -> Arm:
+    """The desk arm with long names."""
+    text = Path(DESK_ARM).read_text(encoding="utf-8")
+    arm = desk()
+    for name in (*arm.joints, *arm.seat_bodies):
+        text = text.replace(f'"{name}"', f'"{LONG.format(name)}"')
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "long.xml")
+        file.write_text(text, encoding="utf-8")
+        return arm_from_file(file)
 
 
 def hypotheses(arm: Arm) -> list[str]:
@@ -70,6 +96,36 @@ def loops(arm: Arm, joint: str, lost: Any, rng: np.random.Generator) -> tuple[Lo
     return tuple(found)
 
 
+def spectra(
+    records: list[RecordSeen], best: str, rng: np.random.Generator
+) -> tuple[TransmissionSpectrum, ...]:
+    """Transmissions of the runs: the measured one is that of the best hypothesis."""
+    frequency = np.linspace(5.0, 120.0, 24)
+    found = []
+    for k, record in enumerate(records):
+        for axis in "xyz":
+            healthy = 1.0 / (1 + (frequency / rng.uniform(20, 60)) ** 2) + 0.05
+            loose = healthy * (1 - 0.6 * np.exp(-(((frequency - 50) / 25) ** 2)))
+            sound = best == "healthy" or record.condition == "healthy"
+            predicted = {"healthy": tuple(healthy.tolist())}
+            if best != "healthy":
+                predicted[best] = tuple(loose.tolist())
+            true = healthy if sound else loose
+            found.append(
+                TransmissionSpectrum(
+                    record=k,
+                    joint=record.excited[0],
+                    channel=f"tool_acc.{axis}",
+                    unit="m/s² per N·m",
+                    drive_rms=1.0,
+                    frequency_hz=tuple(frequency.tolist()),
+                    measured=tuple((true * np.exp(0.05 * rng.normal(size=24))).tolist()),
+                    predicted=predicted,
+                )
+            )
+    return tuple(found)
+
+
 def diagnosis(
     arm: Arm,
     *,
@@ -80,6 +136,7 @@ def diagnosis(
     known: bool = True,
     following: bool = False,
     seed: int = 4,
+    verdict: Verdict | None = None,
 ) -> Diagnosis:
     """A diagnosis whose best hypothesis became as probable as `course` says."""
     rng = np.random.default_rng(seed)
@@ -132,6 +189,8 @@ def diagnosis(
         )
     pose = dict(zip(arm.joints, arm.random_pose(rng).round(3).tolist(), strict=True))
     played = arm.joints[:2]
+    settled = len(course) > 1 and course[-1] > 0.98 and verdict is None
+    decided: Verdict = "healthy" if where is None else "faulty"
     return Diagnosis(
         fault=fault,
         probability=course[-1],
@@ -152,7 +211,15 @@ def diagnosis(
         warnings=("gravity keeps the seat of link 1 shut in 2 of 3 poses",) if following else (),
         records=tuple(records),
         settings={"seed": 7, "sure": 0.98},
-        settled=len(course) > 1 and course[-1] > 0.98,
+        settled=settled,
+        verdict=verdict or (decided if settled else "open"),
+        open_because=("one run alone makes the fault probable",) if verdict else (),
+        misfit=0.31 if verdict == "model_mismatch" else np.nan,
+        severities=("warning",) if following else (),
+        spectra=spectra(records, best, np.random.default_rng(seed)),
+        date="2026-03-18T14:05:00+00:00",
+        version="0.1.0",
+        model_hash="0123456789abcdef",
     )
 
 
@@ -168,5 +235,7 @@ CASES: dict[str, Any] = {
         diagnosis(flat(), course=(0.3, 0.8), following=True),
     ),
     "play in a joint": lambda: (desk(), diagnosis(desk(), kind="backlash", place=3)),
+    "another model": lambda: (flat(), diagnosis(flat(), verdict="model_mismatch")),
+    "long names": lambda: (lengthy(), diagnosis(lengthy(), place=4, following=True)),
     "healthy": lambda: (flat(), diagnosis(flat(), kind="healthy", course=(0.8, 0.99))),
 }

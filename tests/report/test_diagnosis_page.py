@@ -24,8 +24,10 @@ from loose_env.report.diagnosis.figures import (
     posterior_figure,
     shown_hypotheses,
 )
+from loose_env.report.diagnosis.hypotheses import data_words, hypothesis_table, travel_words
 from loose_env.report.diagnosis.page import page_of, write_page
-from loose_env.report.diagnosis.text import headline, percent, questions, steps
+from loose_env.report.diagnosis.spectra import transmission_figure
+from loose_env.report.diagnosis.text import headline, percent, short_name, steps, summary_words
 from loose_env.report.pages.svg import THEMED, to_svg
 from tests.report.diagnosis_case import CASES, desk, diagnosis, flat
 from tests.report.test_gap_page import Balanced
@@ -34,6 +36,7 @@ from tests.report.test_gap_page import Balanced
 def words(page: str) -> str:
     """The text of a page, without its pictures."""
     body = re.sub(r"<svg.*?</svg>", " ", page[page.index("<body>") :], flags=re.DOTALL)
+    body = body.replace("<wbr>", "")
     return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]+>", " ", body)))
 
 
@@ -54,16 +57,18 @@ def test_every_page_is_whole_and_loads_nothing_from_elsewhere(
     assert "@import" not in page and "<script" not in page and "<link" not in page
     assert "cell &lt;4&gt;" in page and "cell <4>" not in page
     assert not re.search(r"\b(nan|None|inf)\b", words(page))
-    assert page.index("Next steps") < page.index("<svg")
+    assert page.index("What to do next") < page.index("Hypotheses") < page.index("<svg")
+    joints = {s.joint for s in found.spectra if found.records[s.record].condition == "suspect"}
     drawn = 2 + (found.next is not None) + sum(bool(r.loops) for r in found.records)
+    drawn += min(2, len(joints))
     assert page.count("<svg") == page.count("<figure") == drawn
 
 
 def test_the_posterior_and_every_record_stand_in_numbers(case: tuple[Arm, Diagnosis, str]) -> None:
-    _, found, page = case
+    arm, found, page = case
     said = words(page)
     best = max(found.posterior, key=lambda name: found.posterior[name])
-    assert best in said and percent(found.probability) in said
+    assert short_name(arm, best) in said and percent(found.probability) in said
     for record in found.records:
         assert record.file in said
         for note in record.notes:
@@ -85,7 +90,7 @@ def test_the_page_is_the_same_every_time_and_written_whole(tmp_path: Path) -> No
         ((0.7, 0.985), True, "Link 2 is loose."),
         ((0.985,), False, "Probably link 2 is loose."),
         ((0.8,), False, "Probably link 2 is loose."),
-        ((0.45,), False, "Not decided yet. Most likely so far: link 2 is loose."),
+        ((0.45,), False, "Not decided. Most likely so far: link 2 is loose."),
     ],
 )
 def test_the_headline_is_no_surer_than_what_is_settled(
@@ -121,26 +126,74 @@ def test_an_undecided_diagnosis_sends_nobody_to_the_bolts() -> None:
     assert "further poses" in " ".join(steps(diagnosis(flat(), course=(0.5,)), flat()))
 
 
-def test_a_sound_arm_is_said_with_its_limit() -> None:
-    answers = dict(questions(diagnosis(flat(), kind="healthy", course=(0.99,)), flat()))
-    assert "kept shut" in answers["Fault"][0]
-    assert "Clearance" not in answers
+def test_a_healthy_arm_is_said_with_its_limit() -> None:
+    found = diagnosis(flat(), kind="healthy", course=(0.8, 0.99))
+    assert headline(found, flat()) == "Nothing is loose."
+    assert "kept shut" in summary_words(found, flat())[0]
+    assert hypothesis_table(found, flat())["rows"][0]["Free travel"] == "–"
 
 
 def test_travel_is_in_the_unit_of_what_moves() -> None:
-    slide = dict(questions(diagnosis(flat()), flat()))["Clearance"][0]
-    assert slide == "0.12 mm from stop to stop, 95 % between 0.08 and 0.21."
-    play = dict(questions(diagnosis(flat(), kind="backlash"), flat()))["Clearance"][0]
-    assert play.startswith("2.8 arc minutes")  # 0.8 mrad
-    unknown = diagnosis(flat(), known=False)
-    assert "do not identify" in dict(questions(unknown, flat()))["Clearance"][0]
+    assert travel_words(diagnosis(flat()), flat()) == "0.12 (0.08 to 0.21) mm"
+    play = travel_words(diagnosis(flat(), kind="backlash"), flat())
+    assert play == "2.8 arc minutes"  # 0.8 mrad
+    assert travel_words(diagnosis(flat(), known=False), flat()) == "not identified"
+
+
+def test_one_table_has_probability_direction_travel_and_runs_of_each_hypothesis() -> None:
+    found = diagnosis(flat())
+    first = hypothesis_table(found, flat())["rows"][0]
+    assert list(first) == ["Hypothesis", "Probability", "Direction", "Free travel", "Runs"]
+    assert first["Hypothesis"] == "Link 2 is loose" and first["Runs"] == "3 of 3"
+    assert first["Direction"].endswith("±6°")
+    assert "3 records in 3 poses" in data_words(found)
+
+
+def test_a_model_of_another_arm_is_sent_to_its_correction_with_commands() -> None:
+    found = diagnosis(flat(), verdict="model_mismatch")
+    assert headline(found, flat()) == "The model is not that of this arm: correct it first."
+    said = words(page_of(found, flat(), recording="cell-4", folder="runs/cell 4"))
+    assert "loose gap 'runs/cell 4' --out 'runs/cell 4-gap'" in said
+    assert "--model 'runs/cell 4-gap/model.xml'" in said
+    assert "bolts" not in said and "31 % of the record" in said
+    assert "One run alone makes the fault probable" in said
+
+
+def test_warnings_stand_by_severity_with_the_gravest_first() -> None:
+    found = replace(
+        diagnosis(flat()),
+        warnings=("a lost sample", "another model", "a short run"),
+        severities=("note", "critical"),
+    )
+    said = words(page_of(found, flat()))
+    order = [said.index(w) for w in ("Another model", "A short run", "A lost sample")]
+    assert order == sorted(order)
+    assert found.graded_warnings[1] == ("warning", "a short run")
+
+
+def test_date_version_and_hash_stand_at_the_end() -> None:
+    said = words(page_of(diagnosis(flat()), flat()))
+    assert "Measured 2026-03-18T14:05:00+00:00. Diagnosed by loose-env 0.1.0" in said
+    assert "SHA-256 0123456789abcdef" in said
+
+
+def test_the_transmission_is_drawn_as_measured_and_as_predicted() -> None:
+    found = diagnosis(flat())
+    own = [s for s in found.spectra if s.record == 1]
+    names = {"healthy": "nothing is loose", found.fault.hypothesis: "link 2 is loose"}
+    axes = transmission_figure(own, names).axes
+    assert len(axes) == 3
+    curves = [np.asarray(line.get_ydata()) for line in axes[0].lines]
+    assert any(np.allclose(y, own[0].measured) for y in curves)
+    assert any(np.allclose(y, own[0].predicted["healthy"]) for y in curves)
 
 
 def test_what_the_arm_does_not_have_is_refused_with_what_it_has() -> None:
     found = diagnosis(flat())
     with pytest.raises(InvalidData, match=r"link2.*it has column, upper_arm"):
         page_of(found, desk())
-    other = replace(found, fault=Fault(kind="healthy"), posterior={"healthy": 1.0})
+    healthy = Fault(kind="healthy")
+    other = replace(found, fault=healthy, posterior={"healthy": 1.0}, spectra=())
     with pytest.raises(InvalidData, match=r"joints .*joint1.*it has base, shoulder"):
         page_of(other, desk())
 

@@ -11,7 +11,8 @@ import mujoco
 import numpy as np
 
 from loose_env.arms.engine_warnings import quiet
-from loose_env.arms.files.safe_scan import scan
+from loose_env.arms.files.packages import package_root, urdf_spec
+from loose_env.arms.files.safe_scan import outermost, scan
 from loose_env.errors import InvalidData, InvalidSetting
 
 __all__ = [
@@ -66,8 +67,18 @@ class ModelFile:
     warnings: tuple[str, ...]
 
 
-def load_spec(path: str | Path) -> tuple[Path, str, mujoco.MjSpec]:
+def load_spec(
+    path: str | Path, *, package: str | Path | None = None
+) -> tuple[Path, str, mujoco.MjSpec]:
     """Look over a file and those it includes from its own folder, and read it.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    package : str or Path, optional
+        Folder of the ROS package, or packages, in which the meshes of a URDF lie. By default the
+        folder above the file that holds a ``package.xml``.
 
     Returns
     -------
@@ -99,7 +110,9 @@ def load_spec(path: str | Path) -> tuple[Path, str, mujoco.MjSpec]:
             f"there is no file {str(file)!r}{looked}; give the path of an MJCF or URDF"
         )
     file = file.resolve()
-    root = scan(file).tag
+    root = outermost(file)
+    whole = package_root(file, package) if root == "robot" else None
+    scan(file, whole)
     if root not in ("mujoco", "robot"):
         raise InvalidData(
             f"{file.name}: the outermost element is <{root}>; it is <mujoco> in an MJCF and "
@@ -107,7 +120,9 @@ def load_spec(path: str | Path) -> tuple[Path, str, mujoco.MjSpec]:
         )
     try:
         with quiet():
-            spec = mujoco.MjSpec.from_file(str(file))
+            spec = mujoco.MjSpec.from_file(str(file)) if whole is None else urdf_spec(file, whole)
+    except InvalidData:
+        raise
     except Exception as error:  # MuJoCo raises ValueError and mujoco.FatalError alike
         raise InvalidData(f"{file.name}: MuJoCo cannot read it: {_one_line(error)}") from error
     return file, root, spec
@@ -142,10 +157,11 @@ def compile_spec(spec: mujoco.MjSpec, file: Path) -> mujoco.MjModel:
         raise InvalidData(f"{file.name}: MuJoCo cannot build it: {message}{hint}") from error
 
 
-def read_model_file(path: str | Path) -> ModelFile:
+def read_model_file(path: str | Path, *, package: str | Path | None = None) -> ModelFile:
     """Read a file and everything it includes from its own folder.
 
-    Meshes are opened only where a body's inertia is to be found from them.
+    Meshes are opened only where a body's inertia is to be found from them. Those of a URDF may lie
+    in its ROS package, see `load_spec`.
 
     Raises
     ------
@@ -154,7 +170,7 @@ def read_model_file(path: str | Path) -> ModelFile:
     InvalidData
         If it is no MJCF or URDF, refers to anything outside its folder, or cannot be built.
     """
-    file, root, spec = load_spec(path)
+    file, root, spec = load_spec(path, package=package)
     return model_file(spec, file, "URDF" if root == "robot" else "MJCF")
 
 

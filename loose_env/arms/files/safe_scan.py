@@ -16,7 +16,7 @@ from pathlib import Path
 
 from loose_env.errors import InvalidData
 
-__all__ = ["MOST_BYTES", "check_counts", "check_expanded", "files_of", "scan"]
+__all__ = ["MOST_BYTES", "check_counts", "check_expanded", "files_of", "outermost", "scan"]
 
 
 MOST_BYTES = 2**26
@@ -162,17 +162,24 @@ _INCLUDED = ("include", "model")  # elements whose file is XML of its own
 _DIRECTORIES = ("assetdir", "meshdir", "texturedir")
 
 
-def scan(file: Path) -> ET.Element:
+def scan(file: Path, root: Path | None = None) -> ET.Element:
     """Parse a file and those it includes, and return its outermost element.
+
+    Files lie in the file's own folder, or in ``root`` where that is given.
 
     Raises
     ------
     InvalidData
         If one of them is not XML, is a xacro, declares entities, asks for more copies than any
-        arm needs, or refers to anything outside the folder of the first. The message names the
+        arm needs, or refers to anything outside that folder. The message names the
         first file, and the one in which it is.
     """
-    return _looked_over(file).parsed[file]
+    return _looked_over(file, root).parsed[file]
+
+
+def outermost(file: Path) -> str:
+    """Name of the outermost element of a file; raises as `scan`."""
+    return str(_parsed(file).tag)
 
 
 def files_of(file: Path) -> set[Path]:
@@ -188,7 +195,8 @@ def files_of(file: Path) -> set[Path]:
 class _Found:
     """Files to which a file and its includes refer."""
 
-    folder: Path
+    folders: tuple[Path, ...]
+    """Folders in which every file has to lie."""
     parsed: dict[Path, ET.Element] = field(default_factory=dict)
     places: list[Path] = field(default_factory=list)
     """Folders in which assets are looked for: a directory that one file names holds for all."""
@@ -197,17 +205,18 @@ class _Found:
     assets: set[Path] = field(default_factory=set)
 
 
-def _looked_over(file: Path) -> _Found:
+def _looked_over(file: Path, root: Path | None = None) -> _Found:
     try:
-        return _followed(file)
+        return _followed(file, root)
     except InvalidData as error:
         if str(error).startswith(f"{file.name}:"):
             raise
         raise InvalidData(f"{file.name}: it includes {error}") from None
 
 
-def _followed(file: Path) -> _Found:
-    found = _Found(folder=file.parent, places=[file.parent])
+def _followed(file: Path, package: Path | None) -> _Found:
+    folders = (file.parent,) if package is None else (file.parent, package)
+    found = _Found(folders=folders, places=[file.parent])
     waiting = [file]
     while waiting:
         while waiting:
@@ -250,8 +259,8 @@ def _directories(file: Path, found: _Found) -> list[Path]:
             for key in _DIRECTORIES:
                 given = element.get(key)
                 if given:
-                    at = (found.folder, file.parent)
-                    places += [_inside(given, p, found.folder, file, "compiler", key) for p in at]
+                    at = (found.places[0], file.parent)
+                    places += [_inside(given, p, found.folders, file, "compiler", key) for p in at]
     return [place for place in dict.fromkeys(places) if place not in found.places]
 
 
@@ -264,9 +273,9 @@ def _references(file: Path, root: ET.Element, found: _Found) -> list[Path]:
             if not key.startswith("file") or not given:
                 continue
             for place in dict.fromkeys((*found.places, file.parent)):
-                named = _inside(given, place, found.folder, file, tag, key)
+                named = _inside(given, place, found.folders, file, tag, key)
                 # URDF and the option strippath take the last part of a path alone.
-                alone = _inside(named.name, place, found.folder, file, tag, key)
+                alone = _inside(named.name, place, found.folders, file, tag, key)
                 there = {f for f in (named, alone) if _is_file(f, file, tag, key, given)}
                 found.assets |= there
                 if tag in _INCLUDED and named in there:
@@ -303,7 +312,9 @@ def _is_file(path: Path, file: Path, tag: str, key: str, given: str) -> bool:
     return False
 
 
-def _inside(given: str, place: Path, folder: Path, file: Path, tag: str, key: str) -> Path:
+def _inside(
+    given: str, place: Path, folders: tuple[Path, ...], file: Path, tag: str, key: str
+) -> Path:
     # Packages are not looked up: MuJoCo takes their file's name alone. It also takes a
     # backslash for a slash, on every system.
     local = given.replace("\\", "/").removeprefix("file://").removeprefix("package://")
@@ -313,10 +324,11 @@ def _inside(given: str, place: Path, folder: Path, file: Path, tag: str, key: st
         found.exists()
     except (OSError, RuntimeError, ValueError) as error:
         raise InvalidData(f"{words} leads nowhere: {_reason(error)}") from None
-    if "://" in local or not found.is_relative_to(folder):
+    if "://" in local or not any(found.is_relative_to(folder) for folder in folders):
         raise InvalidData(
             f"{words} lies outside the file's folder and is not "
-            "read; copy what it needs beside the file, or remove the element"
+            "read; copy what it needs beside the file, remove the element or, for meshes of a "
+            "URDF's package, name the package's folder with --package-path"
         )
     return found
 

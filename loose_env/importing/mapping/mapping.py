@@ -29,9 +29,11 @@ class TimeSource:
     unit: str = "s"
     """Unit of a time given as a number."""
     date_format: str = ""
-    """CSV: "iso", or a format of Python's ``strptime``, where the column holds dates."""
-    stamp: str = "log"
-    """MCAP: "log", "publish", "header", or the field of the message that holds the time."""
+    """CSV: "iso", or a format of Python's ``strptime``, where the column holds dates; recognised
+    from the column by default."""
+    stamp: str = "auto"
+    """MCAP: "auto", the stamp of the header where messages have one that is set, else the log time;
+    or "log", "publish", "header", or the field of the message that holds the time."""
     rate_hz: float | None = field(default=None, metadata=within(1e-6, 1e9))
     """Sampling rate, in the place of any stamps [Hz]."""
     even: bool = False

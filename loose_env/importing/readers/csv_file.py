@@ -16,7 +16,7 @@ from loose_env.importing.mapping.mapping import CsvLayout, TimeSource
 from loose_env.importing.mapping.units import unit_named
 from loose_env.importing.readers.csv_lines import cells, header_of, open_text
 from loose_env.importing.samples import ChannelKey, Samples, checked
-from loose_env.importing.timing.dates import date_ns
+from loose_env.importing.timing.dates import date_format_of, date_ns, looks_like_a_date
 from loose_env.recording import nearest
 
 _MOST_VALUES = 100_000_000
@@ -55,8 +55,9 @@ def read_csv_logger(
             raise InvalidData(f"{name}: a table has no topics; leave out topic = {key.topic!r}")
     if not time.column and time.rate_hz is None:
         raise InvalidData(
-            f"{name}: say where its time comes from: time.column, or time.rate_hz where the "
-            "samples are evenly spaced"
+            f"{name}: its time is not known. Name its column, time = {{ column = 'Time' }}, or "
+            "give the recorder's sampling rate where the samples are evenly spaced, "
+            "time = { rate_hz = ... } [Hz]; no rate is assumed"
         )
     wanted = list(dict.fromkeys(key.channel for key in keys))
     values: list[array[float]] = [array("d") for _ in wanted]
@@ -73,7 +74,7 @@ def read_csv_logger(
         time_index = -1
         if time.rate_hz is None:
             time_index = column_index(name, header, time.column)
-            stamp_of = _stamps(name, layout, time)
+            stamp_of = _stamps(path, name, layout, time, time_index)
         for _ in range(layout.skip_after_header):
             next(rows, None)
         if not layout.header:
@@ -155,11 +156,17 @@ def number_of(cell: str, layout: CsvLayout, name: str, column: str, line: int) -
 
 
 def _stamps(
-    name: str, layout: CsvLayout, time: TimeSource
+    path: Path, name: str, layout: CsvLayout, time: TimeSource, index: int
 ) -> Callable[[str, str], tuple[int, float]]:
     """Parser of a cell of time: whole nanoseconds, and the rest in seconds."""
-    if time.date_format:
-        return lambda cell, place: (date_ns(cell, time.date_format, place), 0.0)
+    date_format = time.date_format
+    if not date_format:
+        column = time_cells(path, name, layout, index)
+        first = next(column, "")
+        if looks_like_a_date(first):
+            date_format = date_format_of(chain([first], column), f"{name}: column {time.column!r}")
+    if date_format:
+        return lambda cell, place: (date_ns(cell, date_format, place), 0.0)
     nanos = round(unit_named(time.unit, f"{name}: time.unit").factor * 1e9)
 
     def number(cell: str, place: str) -> tuple[int, float]:
@@ -174,6 +181,16 @@ def _stamps(
         return whole, float(value - whole) * 1e-9
 
     return number
+
+
+def time_cells(path: Path, name: str, layout: CsvLayout, index: int) -> Iterator[str]:
+    """Cells of one column of a table, top down."""
+    with open_text(path, name, layout.encoding) as file:
+        rows = cells(file, name, layout)
+        for _ in range(layout.skip_after_header + (1 if layout.header else 0)):
+            next(rows, None)
+        for _, row in rows:
+            yield _cell(row, index)
 
 
 def _cell(row: list[str], index: int) -> str:

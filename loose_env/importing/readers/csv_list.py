@@ -14,7 +14,7 @@ from loose_env.importing.mapping.units import UNITS, unit_named
 from loose_env.importing.readers.csv_file import number_of
 from loose_env.importing.readers.csv_lines import cells, header_of, open_text
 from loose_env.importing.samples import Channel, ChannelKey, FileList, Stream
-from loose_env.importing.timing.dates import date_ns
+from loose_env.importing.timing.dates import date_format_of, looks_like_a_date
 
 _LOOKED_AT = 200  # lines
 _PREAMBLE = 40  # lines above a table, at most
@@ -147,12 +147,18 @@ def _time_line(names: list[str], rows: list[list[str]], layout: CsvLayout) -> st
             if bare in _TIME_NAMES or known or "time" in bare:
                 return f'time = {{ column = {quoted(each)}, unit = "{unit if known else "s"}" }}'
             continue
-        try:
-            date_ns(cell, "iso", "")
-            return f'time = {{ column = {quoted(each)}, date_format = "iso" }}'
-        except InvalidData:
+        if not looks_like_a_date(cell):
             continue
-    return "time = { rate_hz = 1000 }  # no column of time was found: say the rate"
+        column = f"time = {{ column = {quoted(each)}"
+        try:
+            found = date_format_of((row[i] for row in rows if i < len(row)), "")
+        except InvalidData as error:
+            return f"{column} }}  # {str(error).removeprefix(': ')}"
+        return f"{column}, date_format = {quoted(found)} }}"
+    return (
+        "# no column of time was found; name it, or give the recorder's rate: "
+        "time = { rate_hz = ... } [Hz]"
+    )
 
 
 def _options(layout: CsvLayout) -> list[str]:

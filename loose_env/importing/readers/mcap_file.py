@@ -24,7 +24,7 @@ _MOST_SAMPLES = 100_000_000
 _MOST_LISTED = 200
 """Channels listed of one topic."""
 _LATEST_NS = 2**63 - 1
-_CLOCKS = ("log", "publish", "header")
+_CLOCKS = ("auto", "log", "publish", "header")
 
 
 def read_mcap(
@@ -93,10 +93,11 @@ class _Topic:
         self.kept: dict[ChannelKey, _Kept] = {}
         self.decoders: dict[int, Decoder] = {}
         self.count = 0
-        self.stamp_path = None
+        self.stamp = time.stamp
+        self.stamp_path: FieldPath | None = None
         if time.stamp not in _CLOCKS:
             self.stamp_path = FieldPath.parse(time.stamp, f"{place}: time.stamp")
-        elif time.stamp == "header":
+        elif time.stamp in ("auto", "header"):
             self.stamp_path = FieldPath.parse("header.stamp", place)
 
     def add(self, key: ChannelKey) -> None:
@@ -145,9 +146,11 @@ class _Topic:
         return checked(place, time, values, origin_ns=origin, rows=rows, row_word="message")
 
     def _stamp(self, message: Message, decoded: Any) -> int:
-        if self.time.stamp == "log":
+        if self.stamp == "auto":  # the first message decides for its topic
+            self.stamp = "header" if _header_ns(decoded, self.place) else "log"
+        if self.stamp == "log":
             found = message.log_ns
-        elif self.time.stamp == "publish":
+        elif self.stamp == "publish":
             found = message.publish_ns
         else:
             assert self.stamp_path is not None
@@ -248,10 +251,16 @@ def _first(message: Message, place: str) -> tuple[tuple[Channel, ...], str]:
     note = ""
     if len(found) > _MOST_LISTED:
         note = f"more than {_MOST_LISTED} numbers a message; the first are listed"
+    if _header_ns(decoded, place):
+        words = "times by header.stamp; stamp = 'log' takes the recorder's"
+        note = "; ".join(filter(None, (note, words)))
+    return tuple(found[:_MOST_LISTED]), note
+
+
+def _header_ns(decoded: Any, place: str) -> int | None:
+    """Stamp of a message's header [ns]; None where it has none, or 0 where it was not set."""
     try:
         stamp = FieldPath.parse("header.stamp", place).find(decoded)
     except KeyError:
-        stamp = None
-    if stamp is not None and stamp_ns(stamp) is not None:
-        note = "; ".join(filter(None, (note, "has header.stamp")))
-    return tuple(found[:_MOST_LISTED]), note
+        return None
+    return None if stamp is None else stamp_ns(stamp)

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import datetime
 import re
+from collections.abc import Iterable
 
 from loose_env.errors import InvalidData
 
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
 _FRACTION = re.compile(r"(?<=:\d\d)[.,](\d{1,9})\d*")
+_NUMERIC = re.compile(
+    r"(?P<a>\d{1,4})(?P<by>[./-])(?P<b>\d{1,2})(?P=by)(?P<c>\d{4}|\d{2})(?P<gap>[T ]\s*|, ?)"
+    r"(?P<clock>\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?)(?P<half>\s*[AaPp][Mm])?",
+    re.ASCII,
+)
+_CLOCK = re.compile(r"\d{1,2}:\d{2}:\d{2}([.,]\d+)?", re.ASCII)
 
 
 def date_ns(words: str, date_format: str, place: str) -> int:
@@ -51,6 +58,12 @@ def date_ns(words: str, date_format: str, place: str) -> int:
                 given = given[: found.start()] + given[found.end() :]
             date = datetime.datetime.fromisoformat(given)
         else:
+            fraction = next((end for end in (".%f", ",%f") if end in date_format), None)
+            found = _FRACTION.search(given) if fraction else None
+            if fraction:  # strptime ends at the microsecond, and whole seconds may lack the rest
+                nanos = 0 if found is None else int(found.group(1).ljust(9, "0"))
+                given = given if found is None else given[: found.start()] + given[found.end() :]
+                date_format = date_format.replace(fraction, "")
             date = datetime.datetime.strptime(given, date_format)
         if date.tzinfo is None:
             date = date.replace(tzinfo=datetime.UTC)
@@ -61,3 +74,115 @@ def date_ns(words: str, date_format: str, place: str) -> int:
             f"{'2024-05-01T10:00:03.5Z (ISO 8601)' if date_format == 'iso' else date_format!r}"
         ) from None
     return (since.days * 86400 + since.seconds) * 10**9 + since.microseconds * 1000 + nanos
+
+
+def looks_like_a_date(words: str) -> bool:
+    """Return whether a cell holds a date or a time of day rather than a number.
+
+    Examples
+    --------
+    >>> looks_like_a_date("04.03.2025 10:11:12.345"), looks_like_a_date("12.5")
+    (True, False)
+    """
+    given = words.strip()
+    if _NUMERIC.fullmatch(given) or _CLOCK.fullmatch(given):
+        return True
+    try:
+        date_ns(given, "iso", "")
+    except InvalidData:
+        return False
+    return not given.isdigit()  # 20240501 is a number too
+
+
+def date_format_of(cells: Iterable[str], place: str) -> str:
+    """Recognise the format of a column of dates by all of its cells.
+
+    The order of day and month follows from a number above 12, or from dots, which stand in
+    dates with the day first. Dates that advance by days within the file tell it too.
+
+    Parameters
+    ----------
+    cells : iterable of str
+        The column's cells; empty ones are passed over.
+    place : str
+        File and column, for errors.
+
+    Returns
+    -------
+    str
+        "iso", or a format of ``strptime``.
+
+    Raises
+    ------
+    InvalidData
+        If the format is not known, or day and month cannot be told apart.
+
+    Examples
+    --------
+    >>> date_format_of(["04.03.2025 10:11:12.345"], "log.csv")
+    '%d.%m.%Y %H:%M:%S.%f'
+    >>> date_format_of(["02/13/2025 10:11:12"], "log.csv")
+    '%m/%d/%Y %H:%M:%S'
+    >>> date_format_of(["04/03/2025 10:11:12"], "log.csv")
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidData: log.csv: '04/03/2025 10:11:12' may be day 4 of month 3 or ...
+    """
+    found: re.Match[str] | None = None
+    example, first, second = "", set[int](), set[int]()
+    fraction, seconds = "", False
+    for cell in cells:
+        given = cell.strip()
+        if not given:
+            continue
+        match = _NUMERIC.fullmatch(given)
+        example = example or given
+        if match is None:
+            if found is None:
+                return _plain_format(given, place)
+            raise InvalidData(
+                f"{place}: {given[:60]!r} is no date of the form of {example!r}; give date_format"
+            )
+        found = found or match
+        first.add(int(match["a"]))
+        second.add(int(match["b"]))
+        clock = match["clock"]
+        seconds |= clock.count(":") == 2
+        fraction = fraction or next((f"{c}%f" for c in ".," if c in clock), "")
+    if found is None:
+        raise InvalidData(f"{place}: the column of the time is empty")
+    by = found["by"]
+    hour = "%I" if found["half"] else "%H"
+    tail = f"{found['gap']}{hour}:%M{':%S' if seconds else ''}{fraction}"
+    tail += "".join([" " if found["half"].startswith(" ") else "", "%p"]) if found["half"] else ""
+    if len(found["a"]) == 4:
+        return by.join(("%Y", "%m", "%d")) + tail
+    year = "%Y" if len(found["c"]) == 4 else "%y"
+    day_first = by.join(("%d", "%m", year)) + tail
+    month_first = by.join(("%m", "%d", year)) + tail
+    if max(first) > 12 or (len(first) > 1 and len(second) == 1):
+        return day_first
+    if max(second) > 12 or (len(second) > 1 and len(first) == 1):
+        return month_first
+    if by == ".":
+        return day_first
+    raise InvalidData(
+        f"{place}: {example!r} may be day {min(first)} of month {min(second)} or day "
+        f"{min(second)} of month {min(first)}; give date_format = {day_first!r} or "
+        f"{month_first!r} in the source's time"
+    )
+
+
+def _plain_format(given: str, place: str) -> str:
+    """Format of a date that is ISO 8601, or of a time of day."""
+    if _CLOCK.fullmatch(given):
+        fraction = next((f"{c}%f" for c in ".," if c in given), ".%f")
+        return f"%H:%M:%S{fraction}"
+    try:
+        date_ns(given, "iso", place)
+    except InvalidData:
+        raise InvalidData(
+            f"{place}: {given[:60]!r} is no number and no date that is recognised; give "
+            "date_format, such as '%d.%m.%Y %H:%M:%S.%f', or unit where it is a number"
+        ) from None
+    return "iso"

@@ -15,7 +15,7 @@ from loose_env.instrument.settings.thresholds import EXCITED_SHARE, POSE_OFFSET,
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["RunSetup", "run_setup"]
+__all__ = ["RunSetup", "run_setup", "tool_force_in"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,11 +91,16 @@ def run_setup(arm: InstrumentedArm, run: Run) -> RunSetup:
             f"{run.name}: excited are {list(run.excited)}, none of which lies between base and "
             f"tool; those are {list(arm.joints)}"
         )
-    if not known:
+    if not known and not tool_force_in(arm, run):
         known = _shaken(arm, run)
         notes.append(f"{run.name}: no 'excited' is noted; taken from the commands: {known}")
     excited = np.array(sorted(arm.joints.index(joint) for joint in known), dtype=np.intp)
     return RunSetup(pose=pose, excited=excited, notes=tuple(notes))
+
+
+def tool_force_in(arm: InstrumentedArm, run: Run) -> bool:
+    """True if the force on the tool was measured: nothing else has to excite the arm."""
+    return arm.tool_force is not None and arm.tool_force in run.sensors
 
 
 def _positions(arm: InstrumentedArm, run: Run) -> list[Array | None]:

@@ -40,7 +40,7 @@ def readings_in(arm: InstrumentedArm, run: Run) -> tuple[tuple[Reading, ...], tu
             notes.append(f"{run.name}: sensor {reading.sensor} is not used: {why}")
         else:
             used.append(reading)
-    known = {reading.sensor for reading in arm.readings}
+    known = {reading.sensor for reading in arm.readings} | {arm.tool_force}
     others = [name for name in run.sensors if name not in known]
     if others:
         notes.append(

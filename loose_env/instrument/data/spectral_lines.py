@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from loose_env.errors import InvalidData
+from loose_env.instrument.data.held_pose import tool_force_in
 from loose_env.instrument.data.sensor_noise import quantum, sensor_noise
 from loose_env.instrument.data.sensor_selection import readings_in
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
@@ -64,6 +65,10 @@ class Lines:
     lean: tuple[ComplexArray, ComplexArray]
     """Commands (K, A) and forces (K, n) that the taper leaks in from the next lines: what they do
     goes with the difference between the arm's answers there and here."""
+    tool_force: ComplexArray
+    """Measured force on the tool in its axes (K, 3); zero where none was."""
+    tool_lean: ComplexArray
+    """The same as `lean` (K, 3)."""
     leaked: ComplexArray
     """Readings that this makes (K, c); zero until
     `loose_env.instrument.inference.frequency_response.with_leakage`."""
@@ -105,7 +110,10 @@ class Lines:
 
     def at_lines(self, kept: NDArray[np.intp]) -> Lines:
         """Subset of the lines."""
-        names = ("frequency", "command", "force", "leaked", "readings", "noise", "read", "power")
+        names = (
+            "frequency", "command", "force", "tool_force", "tool_lean", "leaked", "readings",
+            "noise", "read", "power",
+        )  # fmt: skip
         fewer = {name: getattr(self, name)[kept] for name in names}
         lean = self.lean[0][kept], self.lean[1][kept]
         beside = None if self.beside is None else self.beside.at_lines(kept)
@@ -216,7 +224,10 @@ def lines_of(
     commands = [run.controls.get(a, np.zeros(run.samples)) for a in drives.names]
     forces = [run.torques.get(j, np.zeros(run.samples)) for j in arm.joints]
     quanta = np.array([quantum(column) for column in columns])
-    rate, even = uniform(run.time, np.stack([*columns, *commands, *forces], axis=1))
+    pushes = [np.zeros(run.samples)] * 3
+    if tool_force_in(arm, run):
+        pushes = list(run.sensors[str(arm.tool_force)].T)
+    rate, even = uniform(run.time, np.stack([*columns, *commands, *forces, *pushes], axis=1))
     c, a = len(rows), len(commands)
     if not np.abs(even[:, c:]).max(initial=0.0) < LARGEST_COMMAND:
         raise InvalidData(
@@ -256,6 +267,9 @@ def _lines(
     whole: bool,
 ) -> Lines:
     count, c = len(even), len(rows)
+    # A force on the tool moves servos at their own modes too, whose gains are the least known.
+    struck = bool(np.abs(even[:, -3:]).max(initial=0.0) > 0)
+    lowest = max(LOWEST_HZ, arm.nominal.band[0]) if struck else LOWEST_HZ
     taper = signal.windows.hann(count, sym=False)
     taper /= np.sqrt(np.mean(taper**2))
     even = signal.detrend(even, axis=0)
@@ -268,9 +282,9 @@ def _lines(
         inputs = np.abs(spectrum[:, :3]) ** 2
     width = max(1, round(_SMOOTH * count / rate))
     total = _smoothed(inputs, width).sum(axis=1)
-    inside = (frequency >= LOWEST_HZ) & (frequency <= HIGHEST_LINE * rate)
+    inside = (frequency >= lowest) & (frequency <= HIGHEST_LINE * rate)
     if not inside.any() or total[inside].max() <= 0:
-        raise InvalidData(f"{run.name}: nothing moves between {LOWEST_HZ:g} Hz and half the rate")
+        raise InvalidData(f"{run.name}: nothing moves between {lowest:g} Hz and half the rate")
     kept = np.flatnonzero(inside & (total > LEAST_LINE_POWER * total[inside].max()))
     if len(kept) < 8:
         raise InvalidData(
@@ -280,7 +294,7 @@ def _lines(
     power = _power(spectrum[:, :c], rows, width)
     noise, read = sensor_noise(
         np.abs(spectrum[:, :c]) ** 2, power, rows, frequency, kept,
-        lowest=LOWEST_HZ, highest=HIGHEST_LINE * rate,
+        lowest=lowest, highest=HIGHEST_LINE * rate,
     )  # fmt: skip
     noise = np.maximum(noise, count * quanta**2 / 12)
     if whole:  # slower still, errors of gravity and servos look like a drift of the seat
@@ -289,7 +303,7 @@ def _lines(
         kept = kept[np.linspace(0, len(kept) - 1, _MOST).round().astype(int)]
     readings = spectrum[kept, :c]
     noise, read, power = noise[kept], read[kept], power[kept]
-    measured_force = np.where(measured, spectrum[kept, c + a :], 0.0)
+    measured_force = np.where(measured, spectrum[kept, c + a : -3], 0.0)
     told = _telling(rows, frequency[kept], noise)
     rows = tuple(rows[k] for k in told)
     readings, power = readings[:, told], power[:, told]
@@ -303,7 +317,9 @@ def _lines(
         frequency=frequency[kept],
         command=spectrum[kept, c : c + a],
         force=measured_force,
-        lean=(lean[kept, :a], np.where(measured, lean[kept, a:], 0.0)),
+        lean=(lean[kept, :a], np.where(measured, lean[kept, a:-3], 0.0)),
+        tool_force=spectrum[kept, -3:],
+        tool_lean=lean[kept, -3:],
         leaked=np.zeros_like(readings),
         measured=measured,
         blind=blind,

@@ -34,6 +34,8 @@ class Response:
     """Displacement per acceleration of each seat (K, m, s)."""
     force: ComplexArray
     """Force of the commands on the moving coordinates (K, m)."""
+    pushed: ComplexArray
+    """Force on them that was measured at the tool, within `force` (K, m)."""
     motion: ComplexArray
     """Displacement that it makes (K, m)."""
     jump: ComplexArray
@@ -63,7 +65,7 @@ class Response:
         s = 2j * np.pi * self.lines.frequency[:, None]
         drives = self.at.of.arm.actuators
         servo = drives.stiffness + s * drives.damping
-        return np.asarray(self.force[:, :n] - servo * self.motion[:, :n])
+        return np.asarray(self.force[:, :n] - self.pushed[:, :n] - servo * self.motion[:, :n])
 
     def floating(self, seats: NDArray[np.intp], axes: Array) -> Array:
         """Acceleration of a frictionless seat, by axis (U, K) [m/s² or rad/s²]."""
@@ -80,10 +82,11 @@ class Response:
     def across_seat(self, seats: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:
         """Force across a closed seat (K, s'), and apparent mass behind it (K, s', s')."""
         m = self.at.size
-        inertia, _ = self.at.parts(self.errors)
+        inertia, jacobian = self.at.parts(self.errors)
         omega2 = ((2 * np.pi * self.lines.frequency) ** 2)[:, None]
         coupling = inertia[m:, :m][seats]
         force = -omega2 * self.motion @ coupling.T
+        force = force - self.lines.tool_force @ jacobian[0, :, m:][:, seats]
         own = inertia[m:, m:][np.ix_(seats, seats)]
         moved = -omega2[:, :, None] * (coupling @ self.by_seat[:, :, seats])
         return force, own + moved
@@ -131,13 +134,14 @@ class Response:
                 own = sensing.get(reading.sensor, np.eye(3))[axis] @ jacobian[reading.at, :, :m]
                 slopes[:, k, of.bodies] += stepped @ own
         drives = arm.actuators
+        driving = self.force[:, :n] - self.pushed[:, :n]
         of_drive = ~(lines.measured | lines.blind)
         kept = [
             -s[:, None] * _own_damping(at, n) * motion[:, :n] * t.damping,
             -drives.stiffness * of_drive * motion[:, :n] * t.figures
-            + np.where((drives.stiffness > 0) & of_drive, t.figures, 0.0) * self.force[:, :n],
+            + np.where((drives.stiffness > 0) & of_drive, t.figures, 0.0) * driving,
             -s[:, None] * drives.damping * of_drive * motion[:, :n] * t.figures,
-            self.force[:, :n] * _gain_error(at),
+            driving * _gain_error(at),
         ]
         for j in range(n):
             for part, values in enumerate(kept):
@@ -147,7 +151,7 @@ class Response:
         per_force = _stepping(self, jacobian, sensing, ease)
         hold = _held(omega, lines.period)
         noted = lines.force * _late(self.at, lines, self.errors)[0][:, None]
-        unheld = sampled * (self.force[:, :n] - noted) * (1 / hold - 1)[:, None]
+        unheld = sampled * (driving - noted) * (1 / hold - 1)[:, None]
         unheld[:, ~of_drive] = 0.0
         for part, size in (
             (1, np.where((drives.stiffness > 0) & of_drive, t.figures, 0.0)),
@@ -205,6 +209,10 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
         1 + _gain_error(at) * errors[of.gains]
     )
     force[:, :n] = np.where(free, 0.0, factor * (command @ drives.force.T)) + noted
+    jump = np.zeros_like(force)
+    jump[:, :n] = np.where(free, 0.0, force[:, :n] - noted) * (1 / hold - 1)[:, None]
+    pushed = (lines.tool_force * late[:, None]) @ jacobian[0, :, :m]
+    force = force + pushed
     coupling = inertia[:m, m:] - at.weight[m:].T / (omega**2)[:, None, None]
     by_seat = np.asarray(-compliance @ coupling, dtype=complex)
     motion = np.asarray((compliance @ force[:, :, None])[:, :, 0], dtype=complex)
@@ -212,7 +220,7 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     made = Response(
         at=at, lines=lines, errors=errors, compliance=compliance, rows=rows, columns=own,
         sudden=np.zeros(own.shape[1:]),
-        by_seat=by_seat, force=force, motion=motion,
+        by_seat=by_seat, force=force, pushed=pushed, motion=motion,
         jump=force, step=np.zeros_like(lines.readings), mean=np.zeros_like(lines.readings),
     )  # fmt: skip
     sensing = _sensing(made)
@@ -221,8 +229,6 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
         rows[:, k] = late_site[:, None, None] * (matrix @ rows[:, k])
         own[:, k] = late_site[:, None, None] * (matrix @ own[:, k])
     columns = own + rows @ by_seat
-    jump = np.zeros_like(force)
-    jump[:, :n] = np.where(free, 0.0, force[:, :n] - noted) * (1 / hold - 1)[:, None]
     jump = np.asarray(np.linalg.solve(inertia[:m, :m], jump.T).T, dtype=complex)
     step = _stepped(at, lines, jacobian, jump, motion)
     for sensor, matrix in sensing.items():
@@ -232,7 +238,7 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     return Response(
         at=at, lines=lines, errors=errors, compliance=compliance, rows=rows, columns=columns,
         sudden=_sudden(made, inertia, jacobian, sensing),
-        by_seat=by_seat, force=force, motion=motion, jump=jump, step=step, mean=mean,
+        by_seat=by_seat, force=force, pushed=pushed, motion=motion, jump=jump, step=step, mean=mean,
     )  # fmt: skip
 
 
@@ -260,7 +266,10 @@ def with_leakage(at: PoseModel, lines: Lines) -> Lines:
     """
     none = np.zeros(len(at.of.names))
     command, force = lines.lean
-    here = replace(lines, command=command, force=force, leaked=np.zeros_like(lines.readings))
+    here = replace(
+        lines, command=command, force=force, tool_force=lines.tool_lean,
+        leaked=np.zeros_like(lines.readings),
+    )  # fmt: skip
     there = replace(here, frequency=lines.frequency + lines.next)
     leaked = respond(at, there, none).mean - respond(at, here, none).mean
     return replace(lines, leaked=leaked)

@@ -29,7 +29,7 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.statistics import axes_grid
 
-__all__ = ["warnings_of"]
+__all__ = ["model_warnings", "warnings_of"]
 
 
 def warnings_of(
@@ -44,7 +44,7 @@ def warnings_of(
     """Collect the warnings, most severe first."""
     said: list[str] = []
     suspect = [one for one in comparison.evidence.lines if not one.healthy]
-    said += _of_model(comparison)
+    said += model_warnings(comparison)
     said += _of_timing(clocks, servos)
     said += _of_seats(arm, comparison, suspect)
     if travel is not None and travel.linear:
@@ -71,7 +71,8 @@ def warnings_of(
     return tuple(dict.fromkeys(said))
 
 
-def _of_model(comparison: ModelComparison) -> list[str]:
+def model_warnings(comparison: ModelComparison) -> list[str]:
+    """Warnings that the model is not that of the arm: they invalidate a result."""
     fit = comparison.fits[comparison.best]
     strain = float(np.sqrt(np.mean(fit.errors**2))) if len(fit.errors) else 0.0
     misfit = float(np.sqrt(comparison.misfit))

@@ -35,7 +35,11 @@ from loose_env.instrument.model.actuators import (
 )
 from loose_env.instrument.model.clearance import Collisions
 from loose_env.instrument.model.readings import Reading, readings_of, with_probes
-from loose_env.instrument.model.recording_model import RecordingModel, recording_model
+from loose_env.instrument.model.recording_model import (
+    RecordingModel,
+    recording_model,
+    tool_force_of,
+)
 from loose_env.instrument.model.tool_site import body_beyond, sensed_sites, tool_site
 from loose_env.instrument.result import HEALTHY, hypothesis_of
 from loose_env.instrument.settings.arm_and_plan import Hold, ModelSettings
@@ -101,6 +105,11 @@ class InstrumentedArm:
     def readings(self) -> tuple[Reading, ...]:
         """Usable sensors of the model, accelerometers first."""
         return readings_of(self.recording_model.model, self.sites, self.joints)
+
+    @cached_property
+    def tool_force(self) -> str | None:
+        """Sensor of the measured force on the tool, in its axes; None where there is none."""
+        return tool_force_of(self.recording_model.model, self.recording_model.site)
 
     @cached_property
     def actuators(self) -> ActuatorForces:
@@ -208,7 +217,8 @@ def read_arm(path: str | Path, settings: ModelSettings | None = None) -> Instrum
     >>> desk.joints[:2], desk.drives[0].actuator
     (('base', 'shoulder'), 'actuator1')
     """
-    return _instrumented(read_model_file(path), settings or ModelSettings())
+    settings = settings or ModelSettings()
+    return _instrumented(read_model_file(path, package=settings.package_path), settings)
 
 
 def read_recorded_arm(path: Path) -> InstrumentedArm:
@@ -234,7 +244,11 @@ def read_recorded_arm(path: Path) -> InstrumentedArm:
 def _instrumented(file: ModelFile, settings: ModelSettings) -> InstrumentedArm:
     chain, notes = _chain_to_tool(file, settings.tool)
     made = recording_model(
-        file, chain, payload_kg=settings.payload_kg, payload_at_m=settings.payload_at_m
+        file,
+        chain,
+        payload_kg=settings.payload_kg,
+        payload_at_m=settings.payload_at_m,
+        tool_force=settings.excitation != "joint",
     )
     found = report(file, chain)
     if settings.tool is None and tool_site(file.spec) is not None:

@@ -11,10 +11,12 @@ import numpy as np
 from loose_env.arms import Chain, ModelFile, compile_spec
 from loose_env.instrument.model.tool_site import mark_tool
 
-__all__ = ["ACCELEROMETER", "RecordingModel", "recording_model"]
+__all__ = ["ACCELEROMETER", "TOOL_FORCE", "RecordingModel", "recording_model", "tool_force_of"]
 
 ACCELEROMETER = "tool_accelerometer"
 """Name of the accelerometer that is added where the model has none at its tool."""
+TOOL_FORCE = "tool_force"
+"""Sensor that is added for the measured force on the tool, in the axes of its site [N]."""
 _TOOL = "tool"
 
 
@@ -42,6 +44,7 @@ def recording_model(
     *,
     payload_kg: float = 0.0,
     payload_at_m: tuple[float, ...] = (0.0, 0.0, 0.0),
+    tool_force: bool = False,
 ) -> RecordingModel:
     """Make a self-contained model that recordings can be validated against.
 
@@ -57,6 +60,8 @@ def recording_model(
         Its driven joints and its tool.
     payload_kg, payload_at_m
         Mass added at the tool [kg], and its centre in the tool frame [m].
+    tool_force : bool
+        True to add a sensor for the measured force of a hammer or shaker on the tool.
 
     Raises
     ------
@@ -74,6 +79,8 @@ def recording_model(
         _load(spec, m, chain, payload_kg, payload_at_m)
         notes.append(f"a payload of {payload_kg:g} kg is added at the tool")
     accelerometer = _accelerometer(spec, site, notes)
+    if tool_force:
+        _tool_force(spec, site)
     mark_tool(spec, site)
     joints = [m.joint(j).name for j in chain.joints]
     positions = _positions(spec, joints, notes)
@@ -178,6 +185,37 @@ def _accelerometer(spec: mujoco.MjSpec, site: str, notes: list[str]) -> str:
     spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
     notes.append(f"the model has no accelerometer at its tool: {name!r} is added at site {site!r}")
     return name
+
+
+def tool_force_of(model: mujoco.MjModel, site: str) -> str | None:
+    """Sensor for the measured force on the tool; None where the model has none.
+
+    It is a ``user`` sensor of three values at the tool's site: MuJoCo's own force sensors read the
+    force within the arm there, not what acts on it from outside.
+    """
+    kind, sites = int(mujoco.mjtSensor.mjSENS_USER), int(mujoco.mjtObj.mjOBJ_SITE)
+    at = model.site(site).id
+    for s in range(model.nsensor):
+        own = int(model.sensor_objtype[s]) == sites and int(model.sensor_objid[s]) == at
+        if own and int(model.sensor_type[s]) == kind and int(model.sensor_dim[s]) == 3:
+            return str(model.sensor(s).name)
+    return None
+
+
+def _tool_force(spec: mujoco.MjSpec, site: str) -> None:
+    kind = mujoco.mjtSensor.mjSENS_USER
+    there = [s for s in spec.sensors if s.type == kind and s.objname == site]
+    if any(int(s.dim) == 3 for s in there):
+        return
+    sensor = spec.add_sensor(
+        name=_free(TOOL_FORCE, (s.name for s in spec.sensors)),
+        type=kind,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        objname=site,
+    )
+    sensor.dim = 3
+    sensor.datatype = mujoco.mjtDataType.mjDATATYPE_REAL
+    sensor.needstage = mujoco.mjtStage.mjSTAGE_ACC
 
 
 def _positions(spec: mujoco.MjSpec, joints: list[str], notes: list[str]) -> tuple[str, ...]:

@@ -57,6 +57,7 @@ def next_measurement(
     shakable: Collection[str] | None = None,
     only: str | None = None,
     pose: ArrayLike | None = None,
+    cap: Callable[[Array, int, tuple[float, float]], float] | None = None,
 ) -> NextMeasurement:
     """Choose what to measure next.
 
@@ -85,6 +86,9 @@ def next_measurement(
         The one of them that shall be.
     pose : array_like (n,), optional
         Pose that shall be taken.
+    cap : callable, optional
+        Largest rms torque of a joint, from 0, in a pose and a band [N·m, N], where a controller
+        has limits of its own.
 
     Returns
     -------
@@ -163,7 +167,7 @@ def next_measurement(
             continue
         proposal = proposed(arm, q, rules)
         for j in wanted:
-            torque = torque_of(proposal, j, rules)
+            torque = _capped(proposal, q, j, rules, cap)
             if not torque.any() or _taken(so_far, q, joints[j]):
                 continue
             found = information.of(faults, q, torque, rules.seconds).information
@@ -180,9 +184,11 @@ def next_measurement(
     chosen = min(good, key=lambda one: (round(one[1], 6), -one[0]))
     there = sorted((one for one in best if one[3] is chosen[3]), key=lambda one: -one[0])
     played = [chosen[2], *(one[2] for one in there if one[2] != chosen[2])][: rules.in_turn]
+    torques = [float(torque_of(chosen[4], j, rules)[j]) for j in played]  # signals are limited
     return _written(
-        arm, linear, so_far, chosen[3], chosen[4], played, chosen[0], rules, links, joints, here
-    )
+        arm, linear, so_far, chosen[3], chosen[4], played, torques, chosen[0], rules, links,
+        joints, here,
+    )  # fmt: skip
 
 
 def seat_features(
@@ -214,6 +220,20 @@ def _rough(
     return top
 
 
+def _capped(
+    proposal: Proposal,
+    pose: Array,
+    joint: int,
+    rules: NextSettings,
+    cap: Callable[[Array, int, tuple[float, float]], float] | None,
+) -> Array:
+    """Torque of the proposed level (n,), within what a controller allows."""
+    torque = torque_of(proposal, joint, rules)
+    if cap is None or not torque[joint] > 0:
+        return torque
+    return torque * min(1.0, cap(pose, joint, proposal.band) / float(torque[joint]))
+
+
 def _taken(known: Known, pose: Array, joint: str) -> bool:
     """True if a joint was excited in a pose before: repeating it is uninformative."""
     return any(
@@ -240,21 +260,20 @@ def _written(
     pose: Array,
     proposal: Proposal,
     played: Sequence[int],
+    torques: Sequence[float],
     nats: float,
     rules: NextSettings,
     links: Sequence[str],
     joints: Sequence[str],
     here: Array | None,
 ) -> NextMeasurement:
-    levels, torques = [], []
+    levels = []
     inner = (
         linear if proposal.band == arm.band else linear.variant(replace(arm, band=proposal.band))
     )
-    for j in played:
-        torque = float(torque_of(proposal, j, rules)[j])
+    for j, torque in zip(played, torques, strict=True):
         answer = inner.at(pose).response(np.arange(arm.n) == j).joint[:, j, 0]
         levels.append(torque * float(np.sqrt(np.mean(np.abs(answer) ** 2))))
-        torques.append(torque)
     return NextMeasurement(
         pose={name: float(q) for name, q in zip(joints, pose, strict=True)},
         joints=tuple(joints[j] for j in played),

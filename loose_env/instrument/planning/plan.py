@@ -14,22 +14,25 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.diagnosis import propose_excitation
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.model.clearance import Ground
 from loose_env.instrument.model.holding_commands import why_not_held
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm, read_arm
-from loose_env.instrument.planning.candidate_poses import pose_range
+from loose_env.instrument.model.motion_limits import MotionLimits, motion_limits
 from loose_env.instrument.planning.expected_observations import Expected, expected_of
 from loose_env.instrument.planning.next_measurement import next_measurement
+from loose_env.instrument.planning.plan_warnings import plan_warnings, shown_position
 from loose_env.instrument.planning.prior_knowledge import Known, known_of
 from loose_env.instrument.planning.rationale import other_settings, why_not_reached
-from loose_env.instrument.planning.signals import Signal, make_signal
+from loose_env.instrument.planning.signals.band_choice import best_band, level_cap, within_bandwidth
+from loose_env.instrument.planning.signals.signal import Signal, make_signal
+from loose_env.instrument.planning.signals.transit import Transit, transit
 from loose_env.instrument.result import Diagnosis, NextMeasurement
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
 from loose_env.instrument.settings.command_line import unlike
 from loose_env.instrument.settings.measurement import NextSettings
-from loose_env.instrument.settings.thresholds import NOTED_SAG_DEG, NOTED_SAG_M, SCALED_LEVEL
+from loose_env.instrument.settings.motion import MotionSettings
+from loose_env.instrument.settings.thresholds import DETECTABLE_Z, LEAST_LEVEL
 from loose_env.typing import Array
 
 __all__ = ["Plan", "next_for", "plan"]
@@ -53,6 +56,12 @@ class Plan:
     """Expected observation of the first record under each hypothesis."""
     warnings: tuple[str, ...]
     """Warnings, in sentences."""
+    limits: MotionLimits
+    """Limits of the controller, with their sources."""
+    transit: Transit
+    """Move from the present pose to that of the runs."""
+    start_origin: str
+    """Origin of the present pose."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Everything that the plan depends on besides the model and the diagnosis."""
     again: Mapping[str, Any] = field(default_factory=dict)
@@ -69,6 +78,7 @@ def next_for(
     known: Diagnosis | Known | None = None,
     settings: NextSettings | None = None,
     own: PlanSettings | None = None,
+    motion: MotionSettings | None = None,
 ) -> NextMeasurement:
     """Choose the next measurement, clear of collisions and of the ground.
 
@@ -84,6 +94,8 @@ def next_for(
         Settings of the choice.
     own : PlanSettings, optional
         Choices that the user fixes.
+    motion : MotionSettings, optional
+        Limits of the controller and its commands; none by default.
 
     Returns
     -------
@@ -120,9 +132,11 @@ def next_for(
             return False
         return not stays_above or ground.clear_between(here, pose)
 
-    start = _typed(arm, "from_deg", own.from_deg)
-    if start is None and not (so_far and so_far.records):
-        start = arm.home
+    cap = None
+    if motion is not None:
+        limits = motion_limits(arm, motion)
+        rules = within_bandwidth(rules, nominal.band, limits)
+        cap = level_cap(arm, arm.linear, limits, motion.commands)
     return next_measurement(
         nominal,
         arm.linear,
@@ -132,10 +146,11 @@ def next_for(
         joints=arm.joints,
         allowed=allowed,
         reachable=reachable,
-        start=start,
+        start=_start(arm, so_far, own)[0],
         shakable=[d.joint for d in arm.drives if d is not None],
         only=own.joint,
         pose=_typed(arm, "pose_deg", own.pose_deg),
+        cap=cap,
     )
 
 
@@ -146,6 +161,7 @@ def plan(
     arm: ModelSettings | None = None,
     choice: NextSettings | None = None,
     own: PlanSettings | None = None,
+    motion: MotionSettings | None = None,
 ) -> Plan:
     """Plan the next step of a session.
 
@@ -162,6 +178,8 @@ def plan(
         the diagnosis; with others the measurement is chosen anew.
     own : PlanSettings, optional
         Layout of the signal, and choices that the user fixes.
+    motion : MotionSettings, optional
+        Limits of the controller, kind of commands and files.
 
     Returns
     -------
@@ -185,55 +203,132 @@ def plan(
     own = PlanSettings() if own is None else own
     instrumented = read_arm(model, arm)
     so_far = None if known is None else known_of(known, instrumented.links, instrumented.joints)
+    motion = MotionSettings() if motion is None else motion
+    limits = motion_limits(instrumented, motion)
+    rules = within_bandwidth(choice, instrumented.nominal.band, limits)
     asked = None if known is None else known.next
     chosen, anew = asked, ""
     if asked is not None:
-        anew = _why_anew(instrumented, so_far, asked, choice, own)
+        anew = _why_anew(instrumented, so_far, asked, rules, own)
+        anew = anew or _too_limited(instrumented, asked, limits, motion)
     if chosen is None or anew:
-        chosen = next_for(instrumented, so_far, choice, own)
-    linear = instrumented.linear
+        chosen = next_for(instrumented, so_far, choice, own, motion)
+    wanted = chosen.band_hz
+    chosen, signals = _signals(instrumented, so_far, chosen, rules, own, motion, limits)
+    expected = expected_of(instrumented, instrumented.linear, so_far, chosen, rules)
+    start, origin = _start(instrumented, so_far, own)
     pose = np.array([chosen.pose[name] for name in instrumented.joints])
-    seed = np.random.SeedSequence([choice.seed, 0 if so_far is None else len(so_far.records), 1])
-    signals = tuple(
-        make_signal(
-            instrumented,
-            linear,
-            pose,
-            joint,
-            torque_rms=torque,
-            band=chosen.band_hz,
-            seconds=chosen.seconds,
-            rate=chosen.rate_hz,
-            ramp=own.ramp_s,
-            hold=own.hold_s,
-            rng=np.random.default_rng(child),
-            torque_share=choice.torque_share,
-        )
-        for joint, torque, child in zip(
-            chosen.joints, chosen.torques, seed.spawn(len(chosen.joints)), strict=True
-        )
-    )
-    chosen = replace(
-        chosen,
-        levels=tuple(signal.joint_rms for signal in signals),
-        torques=tuple(signal.torque_rms for signal in signals),
-    )
+    usual = (ModelSettings(), NextSettings(), PlanSettings(), MotionSettings())
+    given = (arm or ModelSettings(), choice, own, motion)
+    again = {
+        k: v for one, two in zip(given, usual, strict=True) for k, v in unlike(one, two).items()
+    }
     return Plan(
         arm=instrumented,
         next=chosen,
         signals=signals,
-        expected=expected_of(instrumented, linear, so_far, chosen, choice),
+        expected=expected,
         warnings=(
             *([f"not what the diagnosis asks for next: {anew}"] if anew else ()),
-            *_warnings(instrumented, known, chosen, signals, choice),
+            *_narrower(wanted, chosen.band_hz, signals[0]),
+            *plan_warnings(instrumented, known, chosen, signals, choice, expected),
         ),
-        settings={**asdict(arm or ModelSettings()), **asdict(choice), **asdict(own)},
-        again={
-            **unlike(arm or ModelSettings(), ModelSettings()),
-            **unlike(choice, NextSettings()),
-            **{k: v for k, v in unlike(own, PlanSettings()).items() if k not in _ONCE},
-        },
+        limits=limits,
+        transit=transit(instrumented, start, pose, limits, signals[0].rate_hz),
+        start_origin=origin,
+        settings={name: value for one in given for name, value in asdict(one).items()},
+        again={name: value for name, value in again.items() if name not in _ONCE},
     )
+
+
+def _signals(
+    arm: InstrumentedArm,
+    so_far: Known | None,
+    chosen: NextMeasurement,
+    choice: NextSettings,
+    own: PlanSettings,
+    motion: MotionSettings,
+    limits: MotionLimits,
+) -> tuple[NextMeasurement, tuple[Signal, ...]]:
+    """Signals of a measurement, and the measurement with the band and levels that they have."""
+    pose = np.array([chosen.pose[name] for name in arm.joints])
+    seed = np.random.SeedSequence([choice.seed, 0 if so_far is None else len(so_far.records), 1])
+    children = seed.spawn(len(chosen.joints))
+    weights = {} if so_far is None else so_far.probabilities
+
+    def made(number: int, band: tuple[float, float], torque: float) -> Signal:
+        return make_signal(
+            arm,
+            arm.linear,
+            pose,
+            chosen.joints[number],
+            torque_rms=torque,
+            band=band,
+            seconds=chosen.seconds,
+            rate=limits.command_rate_hz or chosen.rate_hz,
+            ramp=own.ramp_s,
+            hold=own.hold_s,
+            rng=np.random.default_rng(children[number]),
+            torque_share=choice.torque_share,
+            limits=limits,
+            kind=motion.commands,
+        )
+
+    def judged(signal: Signal, band: tuple[float, float]) -> float:
+        one = replace(
+            chosen,
+            band_hz=band,
+            joints=(signal.joint,),
+            levels=(signal.joint_rms,),
+            torques=(signal.torque_rms,),
+        )
+        seen = expected_of(arm, arm.linear, so_far, one, choice)
+        return float(
+            sum(
+                weights.get(name, 1.0) * min(each.deviations / DETECTABLE_Z, 1.0)
+                for name, each in seen.items()
+            )
+        )
+
+    first, band = best_band(
+        lambda band, torque: made(0, band, torque),
+        judged,
+        chosen.band_hz,
+        chosen.torques[0],
+        seconds=chosen.seconds,
+        most_tool=choice.most_tool,
+    )
+    others = (made(k, band, chosen.torques[k]) for k in range(1, len(chosen.joints)))
+    signals = (first, *others)
+    chosen = replace(
+        chosen,
+        band_hz=band,
+        levels=tuple(signal.joint_rms for signal in signals),
+        torques=tuple(signal.torque_rms for signal in signals),
+    )
+    return chosen, signals
+
+
+def _narrower(
+    wanted: tuple[float, float], played: tuple[float, float], signal: Signal
+) -> tuple[str, ...]:
+    """Warning about a band that limits have made narrower."""
+    if played == wanted:
+        return ()
+    return (
+        f"the band ends at {played[1]:.4g} Hz instead of {wanted[1]:.4g} Hz: {signal.limited_by}, "
+        "and at lower frequencies more torque keeps within that",
+    )
+
+
+def _start(arm: InstrumentedArm, so_far: Known | None, own: PlanSettings) -> tuple[Array, str]:
+    """Present pose (n,) [rad or m], and where it is known from."""
+    given = _typed(arm, "from_deg", own.from_deg)
+    if given is not None:
+        return given, "as given"
+    if so_far is not None and so_far.records:
+        return so_far.records[-1].pose, "the pose of the last run"
+    return arm.home, "the model's first keyframe or reference, for none is given with --from-deg"
 
 
 def _why_anew(
@@ -254,6 +349,19 @@ def _why_anew(
     return f"its pose is not taken, {blocked}" if blocked else ""
 
 
+def _too_limited(
+    arm: InstrumentedArm, asked: NextMeasurement, limits: MotionLimits, motion: MotionSettings
+) -> str:
+    """Reason why the controller's limits forbid the diagnosis's proposal; "" if they do not."""
+    cap = level_cap(arm, arm.linear, limits, motion.commands)
+    pose = arm.pose_of(asked.pose)
+    for joint, torque in zip(asked.joints, asked.torques, strict=True):
+        share = cap(pose, arm.joints.index(joint), asked.band_hz) / max(torque, 1e-12)
+        if share < LEAST_LEVEL:
+            return f"the controller's limits leave {share:.0%} of the level that it asks for"
+    return ""
+
+
 def _typed(arm: InstrumentedArm, name: str, given: tuple[float, ...]) -> Array | None:
     """A pose as it was typed in: degrees, and millimetres where a joint slides."""
     if not given:
@@ -271,79 +379,7 @@ def _typed(arm: InstrumentedArm, name: str, given: tuple[float, ...]) -> Array |
         assert allowed is not None
         raise InvalidSetting(
             f"{name}: joint {arm.joints[j]} at {given[j]:g} is outside its range "
-            f"{_shown(nominal.sliding[j], allowed[0])} to {_shown(nominal.sliding[j], allowed[1])}"
+            f"{shown_position(nominal.sliding[j], allowed[0])} to "
+            f"{shown_position(nominal.sliding[j], allowed[1])}"
         )
     return np.asarray(pose)
-
-
-def _sags(arm: InstrumentedArm, signal: Signal) -> list[str]:
-    """Warnings about servos that sag under the weight of the arm."""
-    sliding = arm.nominal.sliding
-    noted = np.where(sliding, NOTED_SAG_M, np.radians(NOTED_SAG_DEG))
-    far = [
-        f"{arm.joints[j]} by {_shown(sliding[j], abs(float(signal.sags[j])))}"
-        for j in np.flatnonzero(np.abs(signal.sags) > noted)
-    ]
-    if not far:
-        return []
-    return [
-        f"servos sag under the arm's weight: {', '.join(far)}. The signal begins with the "
-        "pose as its command, makes up for that before the noise and goes back after it; a "
-        "controller that holds joints exactly where it is told would move the arm by so much"
-    ]
-
-
-def _shown(slides: np.bool_, value: float) -> str:
-    return f"{value * 1e3:.4g} mm" if slides else f"{np.degrees(value):.4g} degrees"
-
-
-def _warnings(
-    arm: InstrumentedArm,
-    known: Diagnosis | None,
-    chosen: NextMeasurement,
-    signals: tuple[Signal, ...],
-    choice: NextSettings,
-) -> tuple[str, ...]:
-    said: list[str] = []
-    pose = np.array([chosen.pose[name] for name in arm.joints])
-    if known is not None and known.settled:
-        said.append(
-            f"the diagnosis is settled: {known.fault.hypothesis} with {known.probability:.1%}; "
-            "this measurement would only confirm it"
-        )
-    unseen = arm.collisions.unseen
-    if unseen:
-        said.append(
-            f"the model has no shapes of {', '.join(unseen)}: what they touch is not known; look "
-            "before the arm moves"
-        )
-    if not arm.collisions.known:
-        said.append(
-            "the model has no shapes that collide: nothing is known about collisions; look before "
-            "the arm moves, and take another pose with --pose-deg if it would touch anything"
-        )
-    touching = arm.collisions.touch(pose)
-    if touching:
-        said.append(f"in this pose the model's bodies touch: {', '.join(touching)}")
-    if not Ground.of(arm.nominal, choice.ground_m).clear(pose):
-        said.append("in this pose a part of the arm is below its base or the ground given")
-    low, high = pose_range(arm.nominal, 0.0)
-    for j in np.flatnonzero((pose < low + 1e-3) | (pose > high - 1e-3)):
-        said.append(f"joint {arm.joints[j]} is at the end of its range")
-    said += _sags(arm, signals[0])
-    for signal in signals:
-        if signal.scale < SCALED_LEVEL:
-            said.append(
-                f"{signal.joint} is shaken at {signal.scale:.0%} of the level: {signal.limited_by}"
-            )
-    said += [
-        note
-        for note in arm.with_joint_names(propose_excitation(arm.nominal, pose).warnings)
-        if not note.startswith("the lowest holding mode")  # above its modes an arm is free
-    ]
-    if arm.hold != "model":
-        said.append(
-            f"joints are taken to be held by {arm.held_by}; 'loose diagnose' assumes what "
-            "the model's actuators do, so put such springs into the model"
-        )
-    return tuple(dict.fromkeys((*said, *arm.notes)))

@@ -8,10 +8,15 @@ from typing import Literal
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.settings.validation import check_types
 
-__all__ = ["Hold", "ModelSettings", "PlanSettings"]
+__all__ = ["ExcitationKind", "Hold", "ModelSettings", "PlanSettings"]
 
+_MOST_REPEATS = 20
+_MOST_FORCE_N = 1e6
 Hold = Literal["model", "brake", "servo", "compliant"]
 """Holding of joints: by the model's actuators, or one of `loose_env.arms.HoldKind`."""
+
+ExcitationKind = Literal["joint", "hammer", "shaker"]
+"""Excitation by a joint's drive, or of the tool by a hammer or shaker with a force sensor."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,10 +30,16 @@ class ModelSettings:
     """Holding of the joints: 'model', the model's own position servos, and a slow controller for
     joints with torque motors, as 'loose diagnose' assumes; or 'brake', 'servo',
     'compliant' for brakes, servos of 25 Hz, or brakes behind elastic gears."""
+    package_path: str | None = None
+    """Folder of the ROS package, or of several, in which the meshes of a URDF lie (package://name/
+    and paths with ../); by default the folder above the URDF that holds a package.xml."""
     payload_kg: float = 0.0
     """Mass at the tool that the model lacks [kg]."""
     payload_at_m: tuple[float, ...] = (0.0, 0.0, 0.0)
     """Its centre in the tool frame, x y z [m]."""
+    excitation: ExcitationKind = "joint"
+    """Excitation: 'joint', by the drive of a joint; 'hammer' or 'shaker', of the tool, with its
+    measured force, where a controller cannot shake."""
 
     def __post_init__(self) -> None:
         """Check.
@@ -66,6 +77,14 @@ class PlanSettings:
     hold_s: float = 0.5
     """Time before and after [s]: commands go from the pose to what holds the arm's weight in it,
     and the arm stands still."""
+    repeat: int = 1
+    """Number of times that the session's first run is repeated at the end: its drift and scatter
+    are those of machine and sensors; 0 for none."""
+    reference: bool = False
+    """Plan the same runs for the healthy machine too: with them faults are found by the difference
+    of two measurements, without the errors of the model."""
+    force_n: float = 20.0
+    """Rms force of a hammer or shaker on the tool while it acts [N]."""
 
     def __post_init__(self) -> None:
         """Check.
@@ -80,3 +99,11 @@ class PlanSettings:
             value = getattr(self, name)
             if not 0 <= value <= 60:
                 raise InvalidSetting(f"{name} is 0 to 60 s, got {value!r}")
+        if not 0 < self.force_n <= _MOST_FORCE_N:
+            raise InvalidSetting(
+                f"force_n is above 0 and at most {_MOST_FORCE_N:g} N, got {self.force_n!r}"
+            )
+        if not 0 <= self.repeat <= _MOST_REPEATS:
+            raise InvalidSetting(
+                f"repeat is a whole number from 0 to {_MOST_REPEATS}, got {self.repeat}"
+            )

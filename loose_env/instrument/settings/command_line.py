@@ -18,10 +18,16 @@ def option_words(settings: Mapping[str, Any]) -> str:
     --------
     >>> option_words({"most_tool": 2.0, "payload_at_m": (0.0, 0.1, 0.0), "tool": "my site"})
     " --most-tool 2 --payload-at-m 0 0.1 0 --tool 'my site'"
+    >>> option_words({"reference": True})
+    ' --reference'
     """
     words = []
     for name, value in settings.items():
-        words.append(f"--{name.replace('_', '-')}")
+        option = name.replace("_", "-")
+        if isinstance(value, bool):
+            words.append(f"--{option}" if value else f"--no-{option}")
+            continue
+        words.append(f"--{option}")
         for one in value if isinstance(value, tuple | list) else [value]:
             words.append(f"{one:.12g}" if isinstance(one, float) else shlex.quote(str(one)))
     return "".join(f" {word}" for word in words)

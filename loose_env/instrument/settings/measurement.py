@@ -61,7 +61,7 @@ class NextSettings:
     margin: float = 0.05
     """Share of each joint's range that is kept free at either end [1]."""
     seed: int = 0
-    """Of everything that is drawn."""
+    """Seed of all random numbers."""
 
     def __post_init__(self) -> None:
         """Check.

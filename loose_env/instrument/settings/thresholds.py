@@ -163,6 +163,22 @@ RATE_SHARE = 0.98
 """Share of the wanted sampling rate, below which the next run is planned for the recorder's own
 rate."""
 
+# Change since earlier sessions
+LEAST_SESSIONS = 2
+"""Earlier sessions before a series has a scatter."""
+SAME_POSE = 0.02
+"""Distance of each joint's position, up to which two runs are of one pose [rad or m]."""
+SAME_DRIVE = 1.25
+"""Ratio of the rms driving forces, up to which two runs are of one signal: friction and stops
+depend on the level."""
+SAME_BAND = 0.1
+"""Relative distance of the ends of the excited bands, up to which two runs are of one signal."""
+TREND_BANDS = 4
+"""Bands in which a transmission is followed: a changed mode raises one and lowers the next."""
+ODDS_SCATTER = 2.0
+"""Smallest standard deviation of the log odds of a fault on a healthy arm: the probability of a
+settled case varies by a factor of seven with the model's errors."""
+
 # Planning
 DETECTABLE_Z = 4.0
 """z-score from which a change of a record counts as detectable."""
@@ -194,6 +210,20 @@ NOTED_SAG_DEG = 0.1
 """Sag of a revolute joint under the arm's weight, above which the reader is told [deg]."""
 NOTED_SAG_M = 0.0001
 """The same of a prismatic joint [m]."""
+ASSUMED_SPEED = 3.14
+"""Speed limit of a revolute joint of which none is stated [rad/s]: half a turn a second, common for
+arms of up to 10 kg; few are slower."""
+ASSUMED_SLIDE_SPEED = 1.0
+"""The same of a prismatic joint [m/s]."""
+TRANSIT_SHARE = 0.3
+"""Share of the limits that the move to a pose takes: nobody has seen this path yet."""
+TRANSIT_RISE_S = 1.0
+"""Time over which the move's speed rises where no acceleration limit is known [s]."""
+LEAST_LEVEL = 0.5
+"""Share of the level of a diagnosis's proposal that limits have to leave for it to be planned: at
+less another pose or joint may tell more."""
+BAND_GAIN = 1.1
+"""Factor by which a narrower band has to improve the mean detectability to replace the arm's."""
 ALWAYS_TOUCHING = 0.9
 """Share of random poses in which two shapes touch, from which they do so by construction."""
 GROUND_TOLERANCE_M = 0.005

@@ -1,4 +1,5 @@
-"""Reports of a diagnosis and of a plan.
+"""Reports of a diagnosis and of a trend.
 
-Data flow: arm_figure -> figures -> text -> page -> plan_text -> plan_page.
+Data flow: arm_figure -> figures -> text -> spectra -> hypotheses -> page -> trend_figure
+-> trend_page -> write.
 """

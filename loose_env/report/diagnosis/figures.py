@@ -10,6 +10,7 @@ import numpy as np
 from loose_env.envs import FAINT, INK, MEASURED, MUTED, PAPER, TRUTH
 from loose_env.instrument import HEALTHY, Loop, RecordSeen
 from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.report.pages.legend import LETTERS, legend_rows, shortened
 from loose_env.report.pages.palette import is_light
 
 if TYPE_CHECKING:
@@ -81,14 +82,14 @@ def posterior_figure(
     entries = [*names, None]
     if all(sum(step.get(n, 0.0) for n in names) > 0.995 for step in steps):
         entries.pop()
-    rows = _rows_of([names[n] if n is not None else "all others" for n in entries])
+    texts = [shortened(names[n], LETTERS) if n is not None else "all others" for n in entries]
+    rows = legend_rows(texts)
     above, each, below = 0.22 + _LINE * (rows[-1][0] + 1), 0.36, 0.42
     height = above + each * len(steps) + below
     figure = new_figure(height)
-    for (row, x), name in zip(rows, entries, strict=True):
+    for (row, x), name, words in zip(rows, entries, texts, strict=True):
         y = 1 - (0.16 + _LINE * row) / height
         colour = _REST if name is None else colours[name]
-        words = "all others" if name is None else names[name]
         figure.text(x, y, "■", color=colour, fontsize=12, ha="left", va="center")
         figure.text(x + 0.037, y, words, color=INK, fontsize=10, ha="left", va="center")
     letters = max(map(len, labels), default=1)
@@ -121,18 +122,6 @@ def posterior_figure(
 def _whole(share: float) -> str:
     """A share in whole per cent, never rounded to all."""
     return "over 99" if share > 0.995 else f"{100 * share:.0f}"
-
-
-def _rows_of(words: Sequence[str]) -> list[tuple[int, float]]:
-    """Row and left end of each entry of a legend; rows break where the figure ends."""
-    found, row, x = [], 0, 0.03
-    for text in words:
-        wide = 0.075 + 0.0145 * len(text)
-        if x + wide > 1.0 and x > 0.03:
-            row, x = row + 1, 0.03
-        found.append((row, x))
-        x += wide
-    return found
 
 
 def loop_figure(record: RecordSeen) -> Figure:
@@ -183,7 +172,16 @@ def _loop(axes: Axes, loop: Loop, record: RecordSeen, *, named: bool) -> None:
             ha="center", va="center",
         )  # fmt: skip
     if named:
-        axes.text(-1.3, 1.3, loop.joint, color=MUTED, fontsize=9, ha="left", va="top")
+        axes.text(
+            -1.3,
+            1.3,
+            shortened(loop.joint, 22),
+            parse_math=False,
+            color=MUTED,
+            fontsize=9,
+            ha="left",
+            va="top",
+        )
     # Half a turn further the correlation has the other sign, and the point is the same: closed.
     angle = np.radians(np.asarray([*loop.angle_deg, *loop.angle_deg[:1]]))
     way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -233,7 +231,7 @@ def _loop_legend(figure: Figure, height: float, *, direction: bool) -> None:
     if direction:
         entries.append(("↔", TRUTH, "motion lost along"))
     for (row, x), (mark, colour, words) in zip(
-        _rows_of([words for *_, words in entries]), entries, strict=True
+        legend_rows([words for *_, words in entries]), entries, strict=True
     ):
         y = 1 - (0.16 + _LINE * row) / height
         figure.text(x, y, mark, color=colour, fontsize=10, ha="left", va="center")

@@ -11,16 +11,20 @@ from loose_env.instrument import HEALTHY, Diagnosis, NextMeasurement, RecordSeen
 from loose_env.io import sentence
 from loose_env.report.diagnosis.arm_figure import arm_figure
 from loose_env.report.diagnosis.figures import loop_figure, posterior_figure, shown_hypotheses
+from loose_env.report.diagnosis.hypotheses import hypothesis_table
+from loose_env.report.diagnosis.spectra import spectra_cards
 from loose_env.report.diagnosis.text import (
+    correction_commands,
     headline,
     joint_words,
     percent,
     position_text,
-    questions,
     short_name,
+    steps,
+    summary_words,
 )
 from loose_env.report.pages.figure_card import FigureCard
-from loose_env.report.pages.sections import group
+from loose_env.report.pages.sections import graded, group
 from loose_env.report.pages.template import template, write_whole
 
 __all__ = ["page_of", "write_page"]
@@ -29,12 +33,15 @@ _LOOPS = 12
 """Records whose loops are drawn."""
 _BARS = 24
 """Bars of the posterior."""
-_LISTED, _RANKED = 1e-3, 8
-"""Probability from which an explanation stands in the table, and its lines at most."""
 
 
 def write_page(
-    path: str | os.PathLike[str], diagnosis: Diagnosis, arm: Arm, *, recording: str = ""
+    path: str | os.PathLike[str],
+    diagnosis: Diagnosis,
+    arm: Arm,
+    *,
+    recording: str = "",
+    folder: str = "",
 ) -> Path:
     """Write the page, beside its final name first.
 
@@ -48,6 +55,8 @@ def write_page(
         The nominal arm that it was found with.
     recording : str
         Name of the recording, for the head of the page.
+    folder : str
+        Path of the recording, for commands to be typed.
 
     Returns
     -------
@@ -61,33 +70,51 @@ def write_page(
     MissingExtra
         If jinja2 or matplotlib is not installed.
     """
-    return write_whole(path, page_of(diagnosis, arm, recording=recording))
+    return write_whole(path, page_of(diagnosis, arm, recording=recording, folder=folder))
 
 
-def page_of(diagnosis: Diagnosis, arm: Arm, *, recording: str = "") -> str:
+def page_of(diagnosis: Diagnosis, arm: Arm, *, recording: str = "", folder: str = "") -> str:
     """Return the page that `write_page` writes."""
+    first = [
+        _to_do_group(diagnosis, arm, folder or recording or "RECORDING"),
+        group("Hypotheses", "", tables=[hypothesis_table(diagnosis, arm)]),
+        group("Measured and predicted transmission", "", cards=spectra_cards(diagnosis, arm)),
+    ]
     groups = [
         _found_group(diagnosis, arm),
         _next_group(diagnosis, arm),
-        _explanations_group(diagnosis, arm),
         _loops_group(diagnosis, arm),
         _records_group(diagnosis, arm),
     ]
     page: str = template("loose_env.report/diagnosis_page.html").render(
         title=headline(diagnosis, arm),
-        kicker=" · ".join(filter(None, [recording, "diagnosis of a loose link or joint"])),
-        questions=questions(diagnosis, arm),
-        warnings=[sentence(warning) for warning in diagnosis.warnings],
+        kicker=" · ".join(
+            filter(None, [recording, "diagnosis of a loose link or joint", diagnosis.date[:10]])
+        ),
+        summary=summary_words(diagnosis, arm),
+        questions=[],
+        first=[each for each in first if each],
+        warnings=graded([(s, sentence(w)) for s, w in diagnosis.graded_warnings]),
         groups=[each for each in groups if each],
         notes=_notes(diagnosis, arm),
     )
     return page
 
 
+def _to_do_group(diagnosis: Diagnosis, arm: Arm, folder: str) -> dict[str, Any]:
+    """Section of the next steps, with the commands where the model has to be corrected."""
+    return group(
+        "What to do next",
+        "",
+        points=steps(diagnosis, arm),
+        code=correction_commands(folder) if diagnosis.verdict == "model_mismatch" else "",
+    )
+
+
 def _found_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
     """Section of the result: the arm in its last pose, and the probabilities by record."""
     return group(
-        "Result",
+        "Arm and probabilities",
         "",
         cards=[_arm_card(diagnosis, arm), *_posterior_cards(diagnosis, arm)],
     )
@@ -205,27 +232,6 @@ def _posterior_cards(diagnosis: Diagnosis, arm: Arm) -> list[FigureCard]:
     ]
 
 
-def _explanations_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
-    """Section of the posterior probabilities."""
-    ranked = sorted(diagnosis.posterior.items(), key=lambda item: -item[1])
-    kept = [item for k, item in enumerate(ranked) if item[1] >= _LISTED or k == 0][:_RANKED]
-    rows = [
-        {"Explanation": short_name(arm, name), "Probability": percent(p), "In result.json": name}
-        for name, p in kept
-    ]
-    left = ranked[len(kept) :]
-    note = (
-        f"The other {len(left)} have {percent(sum(p for _, p in left))} together."
-        if len(left) > 1
-        else ""
-    )
-    return group(
-        "Explanations, the most probable first",
-        "",
-        tables=[{"title": "", "rows": rows, "note": note}],
-    )
-
-
 def _loops_group(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
     drawn = [(k, r) for k, r in enumerate(diagnosis.records, 1) if r.loops]
     dropped = len(drawn) - _LOOPS
@@ -298,7 +304,11 @@ def _notes(diagnosis: Diagnosis, arm: Arm) -> list[str]:
         for name, value in diagnosis.settings.items()
         if not isinstance(value, dict)
     )
+    by = " ".join(filter(None, ["loose-env", diagnosis.version]))
+    hashed = f" (SHA-256 {diagnosis.model_hash})" if diagnosis.model_hash else ""
+    measured = f"Measured {diagnosis.date}. " if diagnosis.date else ""
     return [
-        f"Model: {diagnosis.model}, {arm.n} joints. All numbers stand in result.json.",
+        f"{measured}Diagnosed by {by}. Model: {diagnosis.model}{hashed}, {arm.n} joints. All "
+        "numbers stand in result.json.",
         *([f"Settings: {settings}."] if settings else []),
     ]

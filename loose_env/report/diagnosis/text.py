@@ -1,31 +1,33 @@
-"""Text of a diagnosis: fault, probability, next steps."""
+"""Text of a diagnosis: headline, outcome, next steps."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from loose_env.arms import Arm
 from loose_env.errors import InvalidData
-from loose_env.instrument import HEALTHY, PROBABLE, Diagnosis, NextMeasurement
+from loose_env.instrument import HEALTHY, PROBABLE, Diagnosis, NextMeasurement, path_word
 from loose_env.io import begun, sentence
 
 __all__ = [
+    "correction_commands",
     "headline",
     "joint_words",
     "link_words",
     "percent",
     "position_text",
-    "probability_words",
-    "questions",
     "short_name",
     "steps",
+    "summary_words",
     "with_plain_names",
 ]
 
-_RIVAL = 0.01
-"""Probability from which the next best explanation is worth a word."""
+
+_HEADLINE = 44
+"""Letters of a hypothesis in the headline, at most."""
 
 
 def joint_words(arm: Arm, joint: str) -> str:
@@ -84,33 +86,6 @@ def short_name(arm: Arm, hypothesis: str) -> str:
     return f"{link_words(arm, where)} is loose"
 
 
-def headline(diagnosis: Diagnosis, arm: Arm) -> str:
-    """Outcome in one sentence, worded by its probability."""
-    said = short_name(arm, diagnosis.fault.hypothesis)
-    if diagnosis.settled:
-        return f"{begun(said)}."
-    if diagnosis.probability >= PROBABLE:
-        return f"Probably {said}."
-    return f"Not decided yet. Most likely so far: {said}."
-
-
-def probability_words(diagnosis: Diagnosis, arm: Arm) -> list[str]:
-    """Probability of the outcome, and the next most probable explanation."""
-    own = diagnosis.fault.hypothesis
-    others = sorted(
-        ((p, name) for name, p in diagnosis.posterior.items() if name != own), reverse=True
-    )
-    found = [f"{percent(diagnosis.probability)}."]
-    rivals = [f"{short_name(arm, name)} ({percent(p)})" for p, name in others[:2] if p >= _RIVAL]
-    if rivals:
-        found.append(f"Next most probable: {', or '.join(rivals)}.")
-    found.append(
-        f"Considered were {len(diagnosis.posterior)} possibilities: a healthy arm, one loose link, "
-        "or play in one joint. Two faults at once, or one of another kind, are not among them."
-    )
-    return found
-
-
 def percent(p: float) -> str:
     """A probability in per cent, never rounded to certainty.
 
@@ -141,73 +116,6 @@ def position_text(arm: Arm, joint: str, value: float) -> str:
     return shown.replace("-0.0", "0.0").replace("-", "−")
 
 
-def questions(diagnosis: Diagnosis, arm: Arm) -> list[tuple[str, list[str]]]:
-    """Questions of a first reader, with their answers."""
-    found = [
-        ("Fault", _what(diagnosis, arm)),
-        ("Probability", probability_words(diagnosis, arm)),
-    ]
-    if diagnosis.fault.kind != HEALTHY:
-        found.append(("Clearance", [_travel(diagnosis, arm)]))
-    found.append(("Next steps", steps(diagnosis, arm)))
-    found.append(("Data", [_looked(diagnosis)]))
-    return found
-
-
-def _what(diagnosis: Diagnosis, arm: Arm) -> list[str]:
-    fault = diagnosis.fault
-    if fault.where is None:
-        return [
-            "All motion is transmitted as in the model of the healthy arm. A seat that friction or "
-            "weight kept shut cannot be told from a healthy one."
-        ]
-    if fault.kind == "backlash":
-        return [
-            f"{begun(joint_words(arm, fault.where))}: its motor and its link are not tightly "
-            "connected."
-        ]
-    joint = arm.joints[arm.seat_bodies.index(fault.where)] if fault.where in arm.seat_bodies else ""
-    link = link_words(arm, fault.where)
-    said = f"{begun(link)}: it slides where it is fastened to {joint_words(arm, joint)}."
-    if fault.direction is None:
-        return [said, "The data do not identify the direction."]
-    axis = ", ".join(f"{x:.2f}".replace("-", "−") for x in fault.direction)
-    within = (
-        ""
-        if fault.direction_half_angle_deg is None
-        else f", within {fault.direction_half_angle_deg:.0f}° (95 %)"
-    )
-    return [said, f"It slides along ({axis}) of its own frame{within}."]
-
-
-def _travel(diagnosis: Diagnosis, arm: Arm) -> str:
-    fault = diagnosis.fault
-    if fault.gap_m is None:
-        return "The data do not identify the clearance."
-    turns = fault.kind == "backlash" and not (
-        fault.where in arm.joints and bool(arm.sliding[arm.joints.index(fault.where)])
-    )
-    scale, unit = (60 * 180 / np.pi, "arc minutes") if turns else (1e3, "mm")
-    ends = fault.gap_interval_m
-    between = (
-        "" if ends is None else f", 95 % between {scale * ends[0]:.2g} and {scale * ends[1]:.2g}"
-    )
-    return f"{scale * fault.gap_m:.2g} {unit} from stop to stop{between}."
-
-
-def _looked(diagnosis: Diagnosis) -> str:
-    suspect = [r for r in diagnosis.records if r.condition != HEALTHY]
-    poses = {tuple(round(v, 3) for v in r.pose.values()) for r in suspect}
-    healthy = len(diagnosis.records) - len(suspect)
-    said = begun(f"{_count(len(suspect), 'record')} in {_count(len(poses), 'pose')}")
-    unused = sum(not r.probabilities for r in suspect)
-    if unused:
-        said += f", {unused} of which could not be used"
-    if healthy:
-        return f"{said}, beside {_count(healthy, 'record')} of the healthy arm."
-    return f"{said}. There is no record of the healthy arm: the model stands in its place."
-
-
 def with_plain_names(words: str, names: Mapping[str, str]) -> str:
     """Text with the hypotheses in plain words.
 
@@ -229,26 +137,106 @@ def with_plain_names(words: str, names: Mapping[str, str]) -> str:
     return words
 
 
-def _count(number: int, noun: str) -> str:
-    return f"one {noun}" if number == 1 else f"{number} {noun}s"
+def headline(diagnosis: Diagnosis, arm: Arm) -> str:
+    """Outcome in one line, worded by the verdict and its probability.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.instrument import Fault
+    >>> found = Diagnosis(
+    ...     fault=Fault(kind="healthy"),
+    ...     probability=1.0,
+    ...     posterior={"healthy": 1.0},
+    ...     verdict="model_mismatch",
+    ... )
+    >>> headline(found, planar(2))
+    'The model is not that of this arm: correct it first.'
+    """
+    said = short_name(arm, diagnosis.fault.hypothesis)
+    if len(said) > _HEADLINE:  # the number alone: the name stands below the headline
+        said = re.sub(r" \([^()]*\)", "", said)
+    if diagnosis.verdict == "model_mismatch":
+        return "The model is not that of this arm: correct it first."
+    if diagnosis.verdict != "open":
+        return f"{begun(said)}."
+    if diagnosis.probability >= PROBABLE:
+        return f"Probably {said}."
+    return f"Not decided. Most likely so far: {said}."
+
+
+def summary_words(diagnosis: Diagnosis, arm: Arm) -> list[str]:
+    """Probability and meaning of the outcome, and reasons why it is open."""
+    said = begun(short_name(arm, diagnosis.fault.hypothesis))
+    found = []
+    if diagnosis.verdict == "model_mismatch":
+        share = ""
+        if np.isfinite(diagnosis.misfit):
+            share = f" The best model leaves {100 * diagnosis.misfit:.0f} % of the record "
+            share += "unexplained."
+        found.append(
+            "Model and record differ by more than the model's tolerances and any single fault "
+            f"explain: no fault is named.{share}"
+        )
+    else:
+        found.append(f"{said}: {percent(diagnosis.probability)}. {_meaning(diagnosis, arm)}")
+    if diagnosis.verdict in ("open", "model_mismatch"):
+        found += [begun(sentence(reason)) for reason in diagnosis.open_because]
+    return found
+
+
+def _meaning(diagnosis: Diagnosis, arm: Arm) -> str:
+    fault = diagnosis.fault
+    if fault.where is None:
+        return (
+            "All motion is transmitted as in the healthy arm. A seat that friction or weight kept "
+            "shut cannot be told from a healthy one."
+        )
+    if fault.kind == "backlash":
+        return "Its motor and its link are not tightly connected."
+    joint = arm.joints[arm.seat_bodies.index(fault.where)] if fault.where in arm.seat_bodies else ""
+    return f"It slides where it is fastened to {joint_words(arm, joint)}."
+
+
+def correction_commands(folder: str) -> str:
+    """Commands that correct the model of a recording and diagnose with the corrected one.
+
+    Examples
+    --------
+    >>> print(correction_commands("cell 4"))
+    loose gap 'cell 4' --out 'cell 4-gap'
+    loose diagnose 'cell 4' --model 'cell 4-gap/model.xml' --out 'cell 4-corrected'
+    """
+    recording, gap, out = (path_word(f"{folder}{end}") for end in ("", "-gap", "-corrected"))
+    model = path_word(f"{folder}-gap/model.xml")
+    return (
+        f"loose gap {recording} --out {gap}\nloose diagnose {recording} --model {model} --out {out}"
+    )
 
 
 def steps(diagnosis: Diagnosis, arm: Arm) -> list[str]:
     """Next steps, in order."""
+    if diagnosis.verdict == "model_mismatch":
+        return [
+            "Correct the model by the same recording (first command below). Record free motions "
+            "too, slow and fast, where it finds too little.",
+            "Diagnose again with the corrected model (second command).",
+        ]
     found = []
     fault = diagnosis.fault
     if diagnosis.next is not None:
         found.append(_measure(diagnosis.next, arm, diagnosis.posterior))
-    if not diagnosis.settled:
+    if diagnosis.verdict == "open":
         if diagnosis.next is None:
             found.append(
                 "Measure in further poses, each far from those before, or louder: what is at hand "
                 "does not decide it."
             )
+        found.append("Take nothing apart yet: the case is open.")
         return found
     if fault.kind == HEALTHY:
         found.append(
-            "Keep this recording: it is the reference of the healthy arm for the next time."
+            "Nothing needs to be done. Keep this recording: it is the reference of the healthy arm."
         )
     elif fault.kind == "backlash" and fault.where is not None:
         found.append(
@@ -261,8 +249,8 @@ def steps(diagnosis: Diagnosis, arm: Arm) -> list[str]:
         )
     if fault.kind != HEALTHY:
         found.append(
-            "Measure once more in the same poses after the repair: the correlations should lie on "
-            "the dashed lines again."
+            "Measure once more in the same poses after the repair: the transmission should be that "
+            "of the healthy arm again."
         )
     return found
 

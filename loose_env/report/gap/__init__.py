@@ -1,4 +1,4 @@
 """Report of a model-error analysis.
 
-Data flow: figures -> spectra -> text -> page -> write.
+Data flow: figures -> spectra -> overlay -> text -> notebook -> parameters -> page -> write.
 """

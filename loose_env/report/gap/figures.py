@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.gap import binned
-from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.report.pages.figures import WIDTH, new_figure, plain_log_ticks
+from loose_env.report.pages.legend import draw_legend, legend_height, shortened
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["channel_bars", "horizon_curves", "residual_panels", "spectrum_curves"]
+__all__ = [
+    "Overlay",
+    "channel_bars",
+    "horizon_curves",
+    "overlay_figure",
+    "residual_panels",
+    "spectrum_curves",
+]
 
 
 BEFORE, AFTER = TRUTH, MEASURED
 """Colours of the nominal and of the corrected model."""
+_RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _DOTS = 300
 """Dots of a panel."""
 _NAMES = 26
@@ -57,17 +67,72 @@ def channel_bars(pairs: Mapping[str, tuple[float, float]]) -> Figure:
             "color": INK, "fontsize": 9, "va": "center", "transform": axes.get_yaxis_transform(),
             "parse_math": False,
         }  # fmt: skip
-        shown = name if len(name) <= letters else f"{name[: letters - 1]}…"
+        shown = shortened(name, letters)
         axes.text(-0.03, y, shown, ha="right", **beside)
         axes.text(1.03, y, f"{before:.3g} → {after:.3g}", ha="left", **beside)
     _floor(axes, "x")
     axes.set_xscale("log")
     axes.set(xlim=(0.85 * least, 1.3 * max(most, 2.0)), ylim=(0.45 - len(rows), 0.55))
     axes.set_yticks([])
-    _plain_log(axes, "x")
+    plain_log_ticks(axes, "x")
     _plain(axes, grid="x", spines=())
     axes.set_xlabel("residual over the noise floor", color=MUTED, fontsize=9)
     _legend(figure, height)
+    return figure
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Overlay:
+    """One channel over time, measured and by both models."""
+
+    time: Array
+    """Times [s] (N,)."""
+    measured: Array
+    """Readings (N,); NaN where one is missing."""
+    nominal: Array
+    """By the nominal model (N,)."""
+    corrected: Array
+    """By the corrected model (N,)."""
+    channel: str
+    """Name of the channel."""
+    unit: str
+    """Its unit."""
+
+
+def overlay_figure(overlay: Overlay) -> Figure:
+    """Measured, nominal and corrected readings over time, and what each model leaves of them."""
+    entries = [
+        ("●", MUTED, "measured"), ("- -", BEFORE, "nominal model"), ("—", AFTER, "corrected model"),
+    ]  # fmt: skip
+    above = legend_height(entries) + 0.26
+    height = above + 1.75 + 0.3 + 0.95 + 0.5
+    figure = new_figure(height)
+    draw_legend(figure, entries, height)
+    left = 0.68 / WIDTH
+    top = figure.add_axes((left, (height - above - 1.75) / height, 0.97 - left, 1.75 / height))
+    low = figure.add_axes((left, 0.5 / height, 0.97 - left, 0.95 / height))
+    x = overlay.time
+    top.plot(x, overlay.measured, ".", color=MUTED, markersize=3.2, zorder=2)
+    top.plot(x, overlay.nominal, color=BEFORE, linewidth=1.5, linestyle=(0, (4, 2)), zorder=3)
+    top.plot(x, overlay.corrected, color=AFTER, linewidth=1.4, zorder=4)
+    left_by = [overlay.measured - overlay.nominal, overlay.measured - overlay.corrected]
+    largest = max((float(np.nanmax(np.abs(v), initial=0.0)) for v in left_by), default=0.0)
+    power = 3 * int(np.floor(np.log10(largest) / 3)) if largest > 0 else 0
+    for values, colour in zip(left_by, (BEFORE, AFTER), strict=True):
+        low.plot(x, values / 10.0**power, color=colour, linewidth=1.2, zorder=3)
+    small = f"10{str(power).translate(_RAISED)} " if power else ""
+    for axes, words, y in (
+        (top, f"{shortened(overlay.channel, 50)} [{overlay.unit}]", height - above + 0.06),
+        (low, f"measured less predicted [{small}{overlay.unit}]", 0.5 + 0.95 + 0.06),
+    ):
+        _plain(axes, grid="y", spines=())
+        axes.set_xlim(x[0], x[-1])
+        figure.text(
+            0.03, y / height, words, color=MUTED, fontsize=9, ha="left", va="bottom",
+            parse_math=False,
+        )  # fmt: skip
+    top.tick_params(labelbottom=False)
+    low.set_xlabel("time [s]", color=MUTED, fontsize=9)
     return figure
 
 
@@ -88,7 +153,7 @@ def spectrum_curves(before: tuple[Array, Array], after: tuple[Array, Array]) -> 
     axes.set(xscale="log", yscale="log")
     axes.set_ylim(bottom=min(0.3, axes.get_ylim()[0]))
     _plain(axes, grid="both", spines=())
-    _plain_log(axes, "x")
+    plain_log_ticks(axes, "x")
     axes.set_xlabel("frequency [Hz]", color=MUTED, fontsize=9)
     _legend(figure, 3.1, "power over that of the noise")
     return figure
@@ -113,7 +178,7 @@ def horizon_curves(
     axes.set(xlim=(horizons[0] / 1.6, horizons[-1] * 1.6), ylim=(0.6 * low, 2.0 * high))
     axes.set_xticks(list(horizons), [f"{h:g} s" for h in horizons])
     axes.set_xticks([], minor=True)
-    _plain_log(axes, "y")
+    plain_log_ticks(axes, "y")
     _plain(axes, grid="y", spines=())
     axes.set_xlabel("how long the simulation runs on its own", color=MUTED, fontsize=9)
     _legend(figure, 2.9, "error over the noise floor")
@@ -157,7 +222,7 @@ def residual_panels(
                 _against(axes, values, residual, colour, dots=dots)
         axes.set_ylim(-reach, reach)
         _plain(axes, grid="y", spines=())
-        axes.set_xlabel(name, color=MUTED, fontsize=9, parse_math=False)
+        axes.set_xlabel(shortened(name, 60), color=MUTED, fontsize=9, parse_math=False)
         if k == 0:
             _legend(figure, height, label, after=after is not None, band=True)
     return figure
@@ -203,18 +268,6 @@ def _legend(
         figure.text(x, y, mark, color=colour, fontsize=9, ha="left", va="center")
         figure.text(x + 0.17 / WIDTH, y, name, color=INK, fontsize=9, ha="left", va="center")
         x += 0.64 / WIDTH
-
-
-def _plain_log(axes: Axes, which: str) -> None:
-    """Write the ticks of a logarithmic axis as plain numbers."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axis = getattr(axes, f"{which}axis")
-    low, high = axis.get_view_interval()
-    wide = high / max(low, 1e-300) > 300
-    axis.set_major_locator(LogLocator(base=10, subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-    axis.set_minor_formatter(NullFormatter())
 
 
 def _plain(axes: Axes, *, grid: str, spines: Sequence[str]) -> None:

@@ -23,6 +23,8 @@ from loose_env.report.gap.figures import (
     horizon_curves,
     residual_panels,
 )
+from loose_env.report.gap.overlay import overlay_group
+from loose_env.report.gap.parameters import parameters_group
 from loose_env.report.gap.spectra import by_channel, spectra_group
 from loose_env.report.gap.text import (
     effect_words,
@@ -32,7 +34,7 @@ from loose_env.report.gap.text import (
     ranked_words,
     shown_group,
     size_words,
-    sure_words,
+    summary_words,
 )
 from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.sections import group, signed, spread
@@ -68,6 +70,11 @@ def write_gap_page(
 
 def render_gap_page(solution: GapSolution, evidence: ResidualDiagnostics, result: GapResult) -> str:
     """Return the page that `write_gap_page` writes."""
+    first = [
+        _next_group(result),
+        parameters_group(result),
+        overlay_group(solution),
+    ]
     groups = [
         _residual_group(evidence, result),
         spectra_group(solution, evidence, result),
@@ -76,13 +83,12 @@ def render_gap_page(solution: GapSolution, evidence: ResidualDiagnostics, result
         _ranking_group(result),
         _remaining_group(result),
         shown_group(result.identifiability),
-        _nominal_group(result),
-        _next_group(result),
     ]
     page: str = template("loose_env.report/gap_page.html").render(
         title=headline(result),
         kicker=" · ".join(filter(None, [solution.problem.recording, "model error"])),
-        text=[],
+        summary=summary_words(result),
+        first=[group for group in first if group],
         questions=_questions(result),
         warnings=[sentence(warning) for warning in result.warnings],
         groups=[group for group in groups if group],
@@ -103,9 +109,6 @@ def _questions(result: GapResult) -> list[tuple[str, list[str]]]:
     if result.remaining and result.verdict == "named":
         found.append(("Remaining residual", list(result.remaining)))
     if result.effects:
-        found.append(
-            ("Parameters", [f"{e.kind} at {e.where}: {sure_words(e)}." for e in result.effects])
-        )
         found.append(("Confusable effects", mistaken_words(result)))
     return found
 
@@ -341,21 +344,8 @@ def _remaining_group(result: GapResult) -> dict[str, Any]:
     return group("Remaining residual", "", tables=[{"rows": rows, "note": note}] if rows else [])
 
 
-def _nominal_group(result: GapResult) -> dict[str, Any]:
-    if not result.nominal_parameters:
-        return {}
-    moved = sorted(result.nominal_parameters.items(), key=lambda item: -abs(item[1] - 1))
-    rows = [{"Parameter": name, "Factor": f"{value:.4f}"} for name, value in moved]
-    return group(
-        "Nominal parameters",
-        "Known within the tolerance only, and fitted within it; never reported as an effect. "
-        "model.xml carries these factors: the effects were fitted beside them.",
-        tables=[{"rows": rows, "note": ""}],
-    )
-
-
 def _next_group(result: GapResult) -> dict[str, Any]:
-    return group("Next steps", "", points=next_steps(result), code=result.code)
+    return group("What to do next", "", points=next_steps(result), code=result.code)
 
 
 def _notes(result: GapResult) -> list[str]:

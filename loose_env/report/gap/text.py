@@ -20,7 +20,7 @@ from loose_env.gap import (
     how_to_separate,
     quantity_words,
 )
-from loose_env.io import duration_words
+from loose_env.io import begun, duration_words
 from loose_env.report.pages.sections import group
 
 __all__ = [
@@ -31,7 +31,7 @@ __all__ = [
     "ranked_words",
     "shown_group",
     "size_words",
-    "sure_words",
+    "summary_words",
     "unsure",
 ]
 
@@ -68,6 +68,10 @@ _PLACES = {
 """Places that are no names of the model; a joint or a link may be called so, too."""
 
 
+_HEADLINE = 36
+"""Letters of the effects in the headline, at most."""
+
+
 def effect_words(kind: str, where: str) -> str:
     """An effect and its place, as one says it.
 
@@ -82,17 +86,49 @@ def effect_words(kind: str, where: str) -> str:
 
 
 def headline(result: GapResult) -> str:
-    """The outcome in one sentence."""
+    """The outcome in one line.
+
+    Examples
+    --------
+    >>> from loose_env.gap import Gap
+    >>> headline(GapResult(verdict="no_gap", gap=Gap(before=1.0, after=1.0)))
+    'No model error: the model explains the measurement.'
+    """
     if result.verdict == "no_gap":
-        return "No model error: the model explains the measurement within its tolerance."
+        return "No model error: the model explains the measurement."
     if result.verdict == "unexplained":  # nothing is named then
         likely = unsure(result)
         if likely is None:
             return "An effect is missing that is not in the catalogue."
+        found = _first_short(likely.places)
+        return f"An effect is missing, perhaps {found}."
+    further = ", and a further effect" if _open(result) else ""
+    return f"The model lacks {_first_short(result.effects)}{further}."
+
+
+def summary_words(result: GapResult) -> list[str]:
+    """Effects with their locations, and the residual before and after, below the headline."""
+    found = []
+    likely = unsure(result)
+    if result.effects:
+        found.append(f"{begun(_in_a_row(_grouped(result.effects)))}.")
+    elif likely is not None:
         words = _in_a_row(_grouped(likely.places))
-        return f"An effect is missing. It may be {words}, which is not significant in these runs."
-    listed = _in_a_row(_grouped(result.effects))
-    return f"The model lacks {listed}{', and a further effect' if _open(result) else ''}."
+        found.append(f"It may be {words}; that is not significant in these runs.")
+    after = "" if result.verdict == "no_gap" else f", {result.gap.after:.2f} after correction"
+    found.append(
+        f"Residual on held-out runs: {result.gap.before:.2f} noise standard deviations{after} "
+        "(sensor noise alone: 1)."
+    )
+    return found
+
+
+def _first_short(effects: Sequence[NamedEffect | EffectLocation]) -> str:
+    """Effects in one line: with their locations, else without, else their number."""
+    kinds = list(dict.fromkeys(_PLAIN.get(e.kind, e.kind.replace("_", " ")) for e in effects))
+    choices = [_in_a_row(_grouped(effects)), _in_a_row(kinds)]
+    fits = (words for words in choices if len(words) <= _HEADLINE)
+    return next(fits, f"{len(effects)} effects")
 
 
 def _open(result: GapResult) -> bool:
@@ -121,7 +157,7 @@ def unsure(result: GapResult) -> RankedHypothesis | None:
     ...     verdict="unexplained", gap=Gap(before=4.8, after=4.8), ranking=(friction,)
     ... )
     >>> headline(result)
-    'An effect is missing. It may be dry friction (joint2), which is not significant in these runs.'
+    'An effect is missing, perhaps dry friction (joint2).'
     """
     if result.verdict != "unexplained" or result.gap.before <= NOISE_RMS:
         return None
@@ -167,17 +203,6 @@ def size_words(result: GapResult) -> list[str]:
         left += " Most of it remains."
     in_units = quantity_words(gap.by_quantity)
     return [said + left, *(f"{words[0].upper()}{words[1:]}." for words in in_units)]
-
-
-def sure_words(effect: NamedEffect) -> str:
-    """Values of an effect's parameters with their confidence intervals."""
-    parts = []
-    for name, value in effect.parameters.items():
-        unit = effect.units.get(name, "")
-        ends = effect.interval_95.get(name)
-        between = "" if ends is None else f", 95 % between {ends[0]:.3g} and {ends[1]:.3g}"
-        parts.append(f"{name.replace('_', ' ')} {value:.3g} {unit}".rstrip() + between)
-    return "; ".join(parts)
 
 
 def mistaken_words(result: GapResult) -> list[str]:

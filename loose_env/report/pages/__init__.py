@@ -1,4 +1,5 @@
 """Page template, style, figure cards and tables shared by all reports.
 
-Data flow: figure_card -> palette -> figures -> style -> svg -> table -> template -> sections.
+Data flow: figure_card -> palette -> figures -> legend -> style -> svg -> table -> template
+-> sections -> notebook.
 """

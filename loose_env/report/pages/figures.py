@@ -76,6 +76,18 @@ def quiet_axes(
         spine.set_color(MUTED)
 
 
+def plain_log_ticks(axes: Axes, which: Literal["x", "y"]) -> None:
+    """Write the ticks of a logarithmic axis as plain numbers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis = getattr(axes, f"{which}axis")
+    low, high = axis.get_view_interval()
+    wide = high / max(low, 1e-300) > 300
+    axis.set_major_locator(LogLocator(base=10, subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
 def success_bars(
     rows: Sequence[Row], *, colours: Mapping[str, str] | None = None, chance: float | None = None
 ) -> Figure:

@@ -46,6 +46,28 @@ def group(
     }
 
 
+_SEVERITIES = {
+    "critical": "Invalidates the result",
+    "warning": "Limits the result",
+    "note": "Notes",
+}
+
+
+def graded(warnings: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
+    """Warnings by severity, the most severe first.
+
+    Examples
+    --------
+    >>> [(each["severity"], each["said"]) for each in graded([("note", "a"), ("critical", "b")])]
+    [('critical', ['b']), ('note', ['a'])]
+    """
+    return [
+        {"severity": severity, "label": label, "said": said}
+        for severity, label in _SEVERITIES.items()
+        if (said := [words for own, words in warnings if own == severity])
+    ]
+
+
 def spread(values: Sequence[float]) -> str:
     """Smallest and largest value; one where they are the same to two digits."""
     low, high = f"{min(values):.2f}", f"{max(values):.2f}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import os
+import re
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -14,6 +15,8 @@ from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.style import style
 from loose_env.report.pages.svg import inline, to_svg
 
+_LONG = re.compile(r"\S{25,}")
+"""Words that do not fit into a cell of a table."""
 _PNG = b"\x89PNG\r\n"
 
 
@@ -47,7 +50,15 @@ def template(name: str) -> Any:
         undefined=StrictUndefined,
     )
     environment.globals["style"] = style
+    environment.filters["breakable"] = _breakable
     return environment.get_template(name)
+
+
+def _breakable(text: Any) -> Any:
+    """Text whose long words may be broken after an underscore: a model's names can be long."""
+    from markupsafe import Markup, escape
+
+    return Markup(_LONG.sub(lambda found: found[0].replace("_", "_<wbr>"), str(escape(text))))
 
 
 def _source(name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -36,10 +37,18 @@ MODEL = PLANAR.replace('timestep="0.001"', 'timestep="0.002"').replace(
 )
 
 
-def record(folder: Path, *, runs: int = 3) -> Recording:
+def model_with(suffix: str) -> str:
+    """The model whose joints, links, servos and sensors have names with a suffix."""
+    return re.sub(
+        r'"((?:joint|link|servo|encoder|rate)\d|shake)"', lambda m: f'"{m[1]}{suffix}"', MODEL
+    )
+
+
+def record(folder: Path, *, runs: int = 3, suffix: str = "") -> Recording:
     """Write a recording of an arm with the two effects and with noise."""
-    spec = mujoco.MjSpec.from_string(MODEL)
-    spec.joint("joint2").damping = np.array([0.5 + DAMPING, 0, 0])
+    xml = model_with(suffix)
+    spec = mujoco.MjSpec.from_string(xml)
+    spec.joint(f"joint2{suffix}").damping = np.array([0.5 + DAMPING, 0, 0])
     model = spec.compile()
     time = np.arange(COUNT) * STEP
     rng = np.random.default_rng(8)
@@ -55,16 +64,17 @@ def record(folder: Path, *, runs: int = 3) -> Recording:
             row[:] = data.sensordata
         shown[:, 3] *= GAIN
         shown += rng.normal(0, [2e-5, 2e-5, 2e-5, 2e-3, 0.02, 0.02, 0.02], shown.shape)
-        names = ("encoder1", "encoder2", "encoder3", "rate3")
+        names = [f"{name}{suffix}" for name in ("encoder1", "encoder2", "encoder3", "rate3")]
         found.append(
             Run(
                 name=f"run-{k + 1:02d}.csv",
                 time=time,
-                controls={f"servo{j + 1}": controls[:, j] for j in range(3)},
-                sensors={n: shown[:, j] for j, n in enumerate(names)} | {"shake": shown[:, 4:]},
+                controls={f"servo{j + 1}{suffix}": controls[:, j] for j in range(3)},
+                sensors={n: shown[:, j] for j, n in enumerate(names)}
+                | {f"shake{suffix}": shown[:, 4:]},
             )
         )
-    return write_recording(folder, model_xml=MODEL, runs=found, file_format="csv")
+    return write_recording(folder, model_xml=xml, runs=found, file_format="csv")
 
 
 def nominal_structure(machine: NominalModel, *, tolerance: float = 0.03) -> ModelStructure:
@@ -88,7 +98,7 @@ def stated(comparison: ResidualModel, effects: Sequence[Effect], values: Sequenc
     )
 
 
-def solution_for(recording: Recording) -> GapSolution:
+def solution_for(recording: Recording, *, suffix: str = "") -> GapSolution:
     """The comparison as a search would have ended; the last run is held out."""
     machine = NominalModel(recording.spec(), step=STEP)
     channels = channels_of(list(recording.runs))
@@ -99,7 +109,10 @@ def solution_for(recording: Recording) -> GapSolution:
     fitted = ResidualModel(machine, trials[:-1], channels, floors, threads=1)
     held = ResidualModel(machine, trials[-1:], channels, floors, threads=1)
     scorer = Scorer(fitted, held)
-    friction, gain = ViscousFriction(machine, "joint2"), SensorGain(machine, "rate3")
+    friction, gain = (
+        ViscousFriction(machine, f"joint2{suffix}"),
+        SensorGain(machine, f"rate3{suffix}"),
+    )
     values = [np.array([DAMPING]), np.array([GAIN])]
     return GapSolution(
         problem=GapProblem(
@@ -112,26 +125,26 @@ def solution_for(recording: Recording) -> GapSolution:
         verdict="named",
         effects=(
             NamedEffect(
-                kind="viscous_friction", where="joint2", parameters={"damping": DAMPING},
+                kind="viscous_friction", where=f"joint2{suffix}", parameters={"damping": DAMPING},
                 interval_95={"damping": (2.9, 3.1)}, units={"damping": "N·m·s/rad"},
-                ambiguous_with=(EffectLocation(kind="actuator_gain", where="servo2"),),
+                ambiguous_with=(EffectLocation(kind="actuator_gain", where=f"servo2{suffix}"),),
             ),
             NamedEffect(
-                kind="sensor_gain", where="rate3", parameters={"gain": GAIN},
+                kind="sensor_gain", where=f"rate3{suffix}", parameters={"gain": GAIN},
                 interval_95={"gain": (1.24, 1.26)}, units={"gain": ""}, in_model=False,
             ),
         ),
         ranking=(
             RankedHypothesis(
-                kind="viscous_friction", where="joint2", held_out=3.1, bic=-300.0,
+                kind="viscous_friction", where=f"joint2{suffix}", held_out=3.1, bic=-300.0,
                 improvement_z=12.0
             ),
             RankedHypothesis(
-                kind="coulomb_friction", where="joint2", held_out=9.0, bic=-20.0,
+                kind="coulomb_friction", where=f"joint2{suffix}", held_out=9.0, bic=-20.0,
                 improvement_z=2.0
             ),
             RankedHypothesis(
-                kind="sensor_gain", where="rate3", held_out=1.0, bic=-90.0,
+                kind="sensor_gain", where=f"rate3{suffix}", held_out=1.0, bic=-90.0,
                 step=2, improvement_z=9.0
             ),
         ),

@@ -11,8 +11,8 @@ import pytest
 
 from loose_env.instrument.model.actuators import drives_of
 from loose_env.instrument.model.clearance import Collisions, Ground
+from loose_env.instrument.model.holding_commands import holding_commands
 from loose_env.instrument.model.instrumented_arm import read_arm
-from loose_env.instrument.planning.signals import holding_commands
 from tests.instrument.arms.plan_arms import SERVOED, written
 from tests.instrument.arms.playing import held
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from loose_env.instrument.model.actuators import drives_of
+from loose_env.instrument.model.holding_commands import holding_commands
 from loose_env.instrument.model.instrumented_arm import read_arm, read_recorded_arm
 from loose_env.instrument.planning.next_measurement import NextSettings
 from loose_env.instrument.planning.plan import plan
-from loose_env.instrument.planning.signals import holding_commands
 from loose_env.instrument.settings.arm_and_plan import PlanSettings
 from tests.instrument.arms.plan_arms import doubled, written
 from tests.instrument.arms.playing import held, play

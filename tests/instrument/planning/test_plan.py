@@ -11,15 +11,16 @@ import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.instrument.model.instrumented_arm import read_arm
-from loose_env.instrument.planning import plan_files
+from loose_env.instrument.planning.files import signal_files
+from loose_env.instrument.planning.files.plan_files import PlanFiles, write_plan
 from loose_env.instrument.planning.next_measurement import NextSettings
 from loose_env.instrument.planning.plan import Plan, next_for, plan
-from loose_env.instrument.planning.plan_files import PlanFiles, write_plan
 from loose_env.instrument.result import Diagnosis, Fault, RecordSeen
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
+from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.recording import read_recording, write_csv
 from loose_env.recording.parquet_file import read_parquet
-from loose_env.report.diagnosis.plan_text import commands_after, steps
+from loose_env.report.plan.plan_text import commands_after, steps
 from tests.instrument.arms.plan_arms import MOTORS, SERVOED, URDF, written
 from tests.instrument.arms.playing import play
 
@@ -46,7 +47,7 @@ def first(servoed: Path) -> Plan:
 def torn(first: Plan) -> Diagnosis:
     """A diagnosis between two hypotheses, with what it wants next."""
     so_far = known(first, post_s=0.45, fore_s=0.45)
-    return replace(so_far, next=next_for(first.arm, so_far, FEW))
+    return replace(so_far, next=next_for(first.arm, so_far, FEW, motion=MotionSettings()))
 
 
 def known(made: Plan, **shares: float) -> Diagnosis:
@@ -177,15 +178,25 @@ def test_a_second_plan_moves_on_to_tell_two_links_apart(servoed: Path, first: Pl
 
 def test_a_plan_takes_what_the_diagnosis_wants_next(servoed: Path, first: Plan) -> None:
     chosen = replace(FEW, seed=7, seconds=1.0)
-    wanted = next_for(first.arm, settings=chosen)
+    fast = MotionSettings(max_speed_rad_s=(1e3,))
+    wanted = next_for(first.arm, settings=chosen, motion=fast)
     so_far = replace(known(first, fore_s=0.5), next=wanted)
     for choice in (None, chosen):
-        made = plan(servoed, so_far, choice=choice)
+        made = plan(servoed, so_far, choice=choice, motion=fast)
         assert made.next.pose == wanted.pose
         assert made.next.joints == wanted.joints
         assert made.next.seconds == 1.0
         assert made.settings["seconds"] == 1.0
         assert not any("asks for next" in warning for warning in made.warnings)
+
+
+def test_what_limits_leave_little_of_is_chosen_anew(servoed: Path, first: Plan) -> None:
+    wanted = next_for(first.arm, settings=FEW)
+    so_far = replace(known(first, fore_s=0.5), next=wanted)
+    slow = MotionSettings(max_acceleration_rad_s2=(20.0,))
+    made = plan(servoed, so_far, choice=FEW, motion=slow)
+    assert any("the controller's limits leave" in warning for warning in made.warnings)
+    assert all(peak.within for peak in made.signals[0].peaks)
 
 
 @pytest.mark.parametrize(
@@ -204,7 +215,7 @@ def test_settings_that_are_given_count_beside_what_the_diagnosis_wants_next(
 ) -> None:
     choice = replace(FEW, **changed)  # type: ignore[arg-type]
     made = plan(servoed, torn, choice=choice, own=own)
-    anew = next_for(first.arm, torn, choice, own)
+    anew = next_for(first.arm, torn, choice, own, MotionSettings())
     assert made.next.pose == anew.pose
     assert made.next.joints == anew.joints
     assert made.next.seconds == choice.seconds
@@ -252,7 +263,9 @@ def test_the_next_command_has_the_options_that_the_session_began_with(servoed: P
 
 def test_the_diagnosis_and_the_plan_choose_alike(servoed: Path, first: Plan) -> None:
     so_far = known(first, post_s=0.45, fore_s=0.45)
-    assert next_for(first.arm, so_far, FEW).pose == plan(servoed, so_far, choice=FEW).next.pose
+    motion = MotionSettings()
+    chosen = next_for(first.arm, so_far, FEW, motion=motion)
+    assert chosen.pose == plan(servoed, so_far, choice=FEW).next.pose
 
 
 def test_what_a_settled_diagnosis_was_limited_to_still_holds(servoed: Path, first: Plan) -> None:
@@ -334,12 +347,16 @@ class TestFiles:
         write_plan(files, first)
         write_plan(PlanFiles(tmp_path, first.arm.recording_model.xml), first)  # nothing measured
         listed = json.loads((files.recording / "recording.json").read_text("utf-8"))
-        assert [run["file"] for run in listed["runs"]] == ["run-01.csv"]
+        assert [run["file"] for run in listed["runs"]] == ["run-01.csv", "repeat-01.csv"]
         write_csv(files.recording / "run-01.csv", play(first).columns)
         again = PlanFiles(tmp_path, first.arm.recording_model.xml)
         write_plan(again, first)
         listed = json.loads((files.recording / "recording.json").read_text("utf-8"))
-        assert [run["file"] for run in listed["runs"]] == ["run-01.csv", "run-02.csv"]
+        assert [run["file"] for run in listed["runs"]] == [
+            "run-01.csv",
+            "run-02.csv",
+            "repeat-01.csv",
+        ]
 
     def test_both_tables_hold_the_same_signal(self, first: Plan, tmp_path: Path) -> None:
         write_plan(PlanFiles(tmp_path, first.arm.recording_model.xml), first)
@@ -371,7 +388,7 @@ class TestFiles:
         def full(path: Path, columns: object) -> None:
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(plan_files, "write_parquet", full)
+        monkeypatch.setattr(signal_files, "write_parquet", full)
         with pytest.raises(OSError, match="No space"):
             write_plan(PlanFiles(tmp_path, first.arm.recording_model.xml), first)
         assert not (tmp_path / "plan.json").exists()  # nobody takes the halves for a plan

@@ -6,14 +6,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from loose_env.errors import InvalidData
-from loose_env.instrument.planning.plan_files import PLAN, read_plan
+from loose_env.instrument.planning.files.plan_folder import PLAN, read_plan
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
 from loose_env.instrument.settings.measurement import NextSettings
+from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.instrument.settings.validation import settings_within
 
 __all__ = ["KEPT", "SessionSettings", "session_beside"]
 
-KEPT = ("ramp_s", "hold_s")
+KEPT = ("ramp_s", "hold_s", "repeat", "reference", "force_n")
 """Settings of a plan itself that hold for a session; its joint and pose are of one measurement."""
 
 
@@ -24,6 +25,7 @@ class SessionSettings:
     arm: ModelSettings = field(default_factory=ModelSettings)
     choice: NextSettings = field(default_factory=NextSettings)
     own: PlanSettings = field(default_factory=PlanSettings)
+    motion: MotionSettings = field(default_factory=MotionSettings)
     known: str = ""
     """Result that the plan was made with, as it was given; "" for none."""
     path: Path | None = None
@@ -69,6 +71,7 @@ def session_beside(recording: str | Path) -> SessionSettings:
         arm=settings_within(ModelSettings, settings, place),
         choice=settings_within(NextSettings, settings, place),
         own=settings_within(PlanSettings, kept, place),
+        motion=settings_within(MotionSettings, settings, place),
         known=str(whole.get("known", "")),
         path=path,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from loose_env.instrument import (
     JointDrive,
     NextSettings,
     Plan,
+    PlannedRun,
     Signal,
     option_words,
     path_word,
@@ -19,9 +21,18 @@ from loose_env.instrument import (
     signal_stems,
 )
 from loose_env.report.diagnosis.text import percent, position_text, short_name
+from loose_env.report.plan.plan_motion import (
+    file_words,
+    further_steps,
+    kind_words,
+    limit_lines,
+    peak_rows,
+    transit_words,
+)
 
 __all__ = ["commands_after", "plain_names", "pose_rows", "starts", "steps", "summary"]
 
+_PEAK_COLUMNS = ("Quantity", "Peak", "Limit", "Source")
 _LISTED = 0.02
 """Probability from which a hypothesis is mentioned [1]."""
 
@@ -67,7 +78,7 @@ def commands_after(
     ]
 
 
-def steps(plan: Plan, runs: tuple[str, ...]) -> list[str]:
+def steps(plan: Plan, runs: tuple[str, ...], planned: Sequence[PlannedRun] = ()) -> list[str]:
     """Steps at the machine in order; the last refers to `commands_after`.
 
     Parameters
@@ -76,20 +87,24 @@ def steps(plan: Plan, runs: tuple[str, ...]) -> list[str]:
         The plan.
     runs : tuple of str
         File of each signal's run.
+    planned : sequence of PlannedRun
+        All runs of the plan, repeats and references included.
     """
     arm, chosen = plan.arm, plan.next
     made = arm.recording_model
     said = [
         "Move the arm to the pose: "
         + ", ".join(f"{name} {value}" for name, value in pose_rows(plan))
-        + ". Look first that nothing is in its way; keep everybody out of its reach.",
+        + ". Look first that nothing is in its way; keep everybody out of its reach. "
+        + transit_words(plan),
     ]
     rate = f"{chosen.rate_hz:g} times a second"
     for signal, run, stem in zip(plan.signals, runs, signal_stems(plan.signals), strict=True):
         j = arm.joints.index(signal.joint)
         drive = arm.drives[j]
         assert drive is not None
-        what = _unit_words(drive, bool(arm.nominal.sliding[j]))
+        own = f"{_unit_words(drive, bool(arm.nominal.sliding[j]))} for {drive.actuator}"
+        what = kind_words(signal) or own
         others = (
             "The other columns hold the arm."
             if drive.servo
@@ -97,23 +112,26 @@ def steps(plan: Plan, runs: tuple[str, ...]) -> list[str]:
             f"slow enough to leave the noise alone (below {chosen.band_hz[0] / 4:.0f} Hz), and add "
             "the signal to what it gives."
         )
+        if signal.kind != "model":
+            others = f"{signal.joint} is shaken, the others stay in the pose."
         commands = (
             f"those of {stem}.csv"
             if drive.servo
             else "the torques that were really given, the controller's part included"
         )
         said.append(
-            f"Start the recorder at {rate} or faster, then play {stem}.csv (or {stem}.parquet): "
-            f"{what} for {drive.actuator}, {signal.time[-1]:.2f} s long, noise from "
-            f"{chosen.band_hz[0]:g} to {chosen.band_hz[1]:g} Hz. {others}"
-            f"{_starts(signal) if drive.servo else ''}"
+            f"Start the recorder at {rate} or faster, then play {file_words(plan, stem)} at "
+            f"{signal.rate_hz:g} commands a second: {what}, {signal.time[-1]:.2f} s long, noise "
+            f"from {chosen.band_hz[0]:g} to {chosen.band_hz[1]:g} Hz. {others}"
+            f"{_starts(signal) if drive.servo and signal.kind == 'model' else ''}"
         )
         said.append(
             f"Save the readings as recording/{run} with the columns "
-            f"{', '.join(run_columns(plan))}. The commands are {commands}; "
+            f"{', '.join(run_columns(plan))}. {_command_words(signal, commands)}; "
             "accelerations are in m/s² as the sensor gives them, gravity included, along the axes "
             f"of the site {made.site!r}."
         )
+    said += further_steps(plan, planned)
     said.append(
         "Run the two commands below: the first says what is loose, the second plans the next pose."
     )
@@ -130,6 +148,16 @@ def _unit_words(drive: JointDrive, slides: bool) -> str:
     what, unit = ("force", "N") if slides else ("torque", "N·m")
     own = "" if np.isclose(drive.gain, 1.0) else f" (1 gives {drive.gain:g} {unit})"
     return f"{what} commands{own}"
+
+
+def _command_words(signal: Signal, commands: str) -> str:
+    """Origin of the columns of commands or torques in the recording."""
+    if signal.kind == "model":
+        return f"The commands are {commands}"
+    return (
+        "The torques are those of the drives as the controller measures them; leave out their "
+        "columns where it does not"
+    )
 
 
 def _starts(signal: Signal) -> str:
@@ -161,6 +189,15 @@ def summary(plan: Plan) -> str:
             f"  torque {signal.drive_rms:.3g} {unit} rms, peaks {signal.torque_peaks[j]:.3g} of "
             f"{nominal.torque_limits[j]:g} {unit}, holding torque included"
         )
+        rows = peak_rows(plan, signal)
+        widths = {key: max((len(row[key]) for row in rows), default=0) for key in _PEAK_COLUMNS}
+        for row in rows:
+            cells = "  ".join(row[key].ljust(width) for key, width in widths.items())
+            whose = "" if row["Joint"] == signal.joint else f"  ({row['Joint']})"
+            lines.append(f"  peak {cells.rstrip()}{whose}")
+    lines.append("limits")
+    lines += [f"  {line}" for line in limit_lines(plan)]
+    lines.append(f"way to the pose\n  {transit_words(plan)}")
     plain = plain_names(plan)
     known = sorted(plan.expected.items(), key=lambda item: -item[1].probability)
     if any("@" in name and one.probability > 0.3 for name, one in known):

@@ -7,10 +7,10 @@ all of them stay within their limits. Nothing is clipped: the spectrum stays in 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import fft
 
 from loose_env.arms import LinearArm
 from loose_env.errors import InvalidData, InvalidSetting
@@ -21,17 +21,30 @@ from loose_env.instrument.model.holding_commands import (
     why_not_held,
 )
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
-from loose_env.typing import Array, ComplexArray
+from loose_env.instrument.model.motion_limits import MotionLimits
+from loose_env.instrument.planning.signals.linear_answer import OVERSAMPLED, LinearAnswer
+from loose_env.instrument.planning.signals.motion_peaks import (
+    MotionPeak,
+    Peaks,
+    command_peaks,
+    highest,
+    joint_peaks,
+    with_limits,
+)
+from loose_env.instrument.planning.signals.played_commands import (
+    excited_command,
+    played_columns,
+)
+from loose_env.instrument.settings.motion import CommandKind
+from loose_env.typing import Array
 
-__all__ = ["Signal", "holding_commands", "make_signal"]
+__all__ = ["Signal", "make_signal"]
 
 
 _DRAWS = 8
 """Draws of the noise, of which the one with the lowest peak is played."""
 _LOADING = 0.6
 """Share of the time of standing still over which commands go from the pose to what holds it [1]."""
-_OVERSAMPLED = 4
-"""Samples at which peaks are looked for, per sample of the signal."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,6 +81,17 @@ class Signal:
     """Share of the wanted torque that the limits allow [1]."""
     limited_by: str
     """Limit that was reached; "" for none."""
+    kind: CommandKind = "model"
+    """Kind of the commands that are played."""
+    played: Mapping[str, Array] = field(default_factory=dict)
+    """Columns of the signal's files, time left out (T,)."""
+    peaks: tuple[MotionPeak, ...] = ()
+    """Peaks of speed, acceleration, jerk and torque rate beside their limits."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second [Hz]."""
+        return float((len(self.time) - 1) / (self.time[-1] - self.time[0]))
 
 
 def make_signal(
@@ -84,6 +108,8 @@ def make_signal(
     hold: float,
     rng: np.random.Generator,
     torque_share: float = 0.8,
+    limits: MotionLimits | None = None,
+    kind: CommandKind = "model",
 ) -> Signal:
     """Draw the noise for one joint, and turn it into commands.
 
@@ -112,6 +138,10 @@ def make_signal(
         Source of the noise.
     torque_share : float
         Share of each drive's torque that peaks may reach, what holds the pose included [1].
+    limits : MotionLimits, optional
+        Limits of speed, acceleration, jerk and torque rate; none by default.
+    kind : str
+        Kind of the commands that are played.
 
     Returns
     -------
@@ -155,45 +185,52 @@ def make_signal(
     # The expected rms is asked for; this draw shall have it itself.
     draws = [x * torque_rms / np.sqrt(np.mean(x**2)) for x in draws]
     period = min(draws, key=lambda x: float(np.abs(x).max()))
-    answer = _Answer(arm, linear, pose, j, period, rate)
-    scale, limited_by = _scale(arm, pose, j, load, holding[drive.actuator], answer, torque_share)
-    if scale <= 0:
-        raise InvalidData(f"the pose leaves nothing to shake joint {joint!r} with: {limited_by}")
-
+    answer = LinearAnswer(arm, linear, pose, j, period, rate)
     before, swell = round(hold * rate), max(round(ramp * rate), 1)
     count = len(period)
-    envelope = np.concatenate(
-        [
-            np.zeros(before),
-            0.5 - 0.5 * np.cos(np.pi * (np.arange(swell) + 0.5) / swell),
-            np.ones(count),
-            0.5 + 0.5 * np.cos(np.pi * (np.arange(swell) + 0.5) / swell),
-            np.zeros(before),
-        ]
-    )
+    envelope = _envelope(before, swell, count)
     total = len(envelope)
-    index = (np.arange(total) - before - swell) % count
-    # The command of a noise torque leads it by the actuator's lag.
-    ahead = answer.in_time(answer.torque * (1 + answer.s * drive.lag)) / drive.gain
+    index = (np.arange(total, dtype=np.intp) - before - swell) % count
+    command = excited_command(kind, drive, answer, j, envelope, index, rate)
     loaded = _loaded(before, total)
     commands = {
         name: start_at[name] + (value - start_at[name]) * loaded for name, value in holding.items()
     }
-    commands[drive.actuator] = commands[drive.actuator] + scale * envelope * ahead[index]
+    sags = _sags(arm, holding, start_at)
+    moving = highest(joint_peaks(arm, answer, j), command.peaks)
+    slow = _loading_peaks(arm, sags, loaded, rate) if kind == "model" else {}
+    if limits is not None:
+        for one in with_limits(arm, slow, limits):
+            if not one.within:
+                raise InvalidData(
+                    f"the command of {one.joint} moves by its sag in {_LOADING * hold:.3g} s with "
+                    f"a {one.quantity} of {one.value:.3g} {one.unit}, above the limit of "
+                    f"{one.limit:.3g} ({one.source}); take a longer hold_s"
+                )
+    scale, limited_by = _scale(arm, pose, j, load, holding[drive.actuator], answer, torque_share)
+    if limits is not None:
+        for one in with_limits(arm, moving, limits):
+            if one.limit is not None and one.limit < scale * one.value:
+                scale = one.limit / one.value
+                whose = "command of " if one.of == "command" else ""
+                limited_by = (
+                    f"the {one.quantity} of the {whose}{one.joint} is at most {one.limit:g} "
+                    f"{one.unit} ({one.source})"
+                )
+    if scale <= 0:
+        raise InvalidData(f"the pose leaves nothing to shake joint {joint!r} with: {limited_by}")
+    commands[drive.actuator] = commands[drive.actuator] + scale * command.own
+    peaks: tuple[MotionPeak, ...] = ()
+    if limits is not None:
+        scaled = {key: scale * value for key, value in moving.items()}
+        peaks = with_limits(arm, highest(slow, scaled), limits)
     start = (before + swell) / rate
     return Signal(
         joint=joint,
         time=np.arange(total) / rate,
         commands=commands,
         start=start_at,
-        sags=np.array(
-            [
-                0.0
-                if d is None or not d.servo
-                else (holding[d.actuator] - start_at[d.actuator]) * d.gain / d.stiffness
-                for d in arm.drives
-            ]
-        ),
+        sags=sags,
         steady_s=(start, start + count / rate),
         torque_rms=float(scale * torque_rms),
         drive_rms=float(scale * np.sqrt(np.mean(answer.drive_torques[j] ** 2))),
@@ -203,7 +240,38 @@ def make_signal(
         travel=scale * np.abs(answer.positions).max(axis=1),
         scale=float(scale),
         limited_by=limited_by,
+        kind=kind,
+        played=played_columns(arm, pose, j, command, scale, commands, rate),
+        peaks=peaks,
     )
+
+
+def _envelope(before: int, swell: int, count: int) -> Array:
+    """Level of the noise over time [1]: it swells, is played and dies away."""
+    rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(swell) + 0.5) / swell)
+    still = np.zeros(before)
+    return np.concatenate([still, rise, np.ones(count), rise[::-1], still])
+
+
+def _sags(arm: InstrumentedArm, holding: dict[str, float], start: dict[str, float]) -> Array:
+    """Sag of each joint's servo under its load [rad or m] (n,)."""
+    return np.array(
+        [
+            0.0
+            if d is None or not d.servo
+            else (holding[d.actuator] - start[d.actuator]) * d.gain / d.stiffness
+            for d in arm.drives
+        ]
+    )
+
+
+def _loading_peaks(arm: InstrumentedArm, sags: Array, loaded: Array, rate: float) -> Peaks:
+    """Peaks of the commands while they make up for the sag of their servos."""
+    found: Peaks = {}
+    for i, drive in enumerate(arm.drives):
+        if drive is not None and drive.servo:
+            found |= command_peaks(i, sags[i] * loaded, rate, of_torque=False)
+    return found
 
 
 def _loaded(before: int, total: int) -> Array:
@@ -216,57 +284,13 @@ def _loaded(before: int, total: int) -> Array:
     return share
 
 
-class _Answer:
-    """Response of the linear arm to one period of noise torque at one joint."""
-
-    def __init__(
-        self,
-        arm: InstrumentedArm,
-        linear: LinearArm,
-        pose: Array,
-        j: int,
-        period: Array,
-        rate: float,
-    ) -> None:
-        nominal = arm.nominal
-        self.count = len(period)
-        spectrum = np.asarray(fft.rfft(period))
-        self._lines = np.flatnonzero(np.abs(spectrum) > 1e-9 * np.abs(spectrum).max())
-        frequency = self._lines * rate / self.count
-        fine = linear.variant(linear.arm)
-        fine.frequency = frequency
-        excited = np.arange(nominal.n) == j
-        answer = fine.at(pose).response(excited)
-        self.s = 2j * np.pi * frequency
-        self.torque = spectrum[self._lines]
-        self.joints = (answer.joint[:, :, 0] * self.torque[:, None]).T  # (n, K)
-        self.tool = (answer.tool[:, :, 0] * self.torque[:, None]).T  # (d, K)
-        moved = self.joints / self.s**2
-        self.positions = self.in_time(moved, _OVERSAMPLED)
-        spring = np.array([0.0 if d is None else d.stiffness for d in arm.drives])
-        damper = np.array([0.0 if d is None else d.damping for d in arm.drives])
-        own = -(spring[:, None] + damper[:, None] * self.s) * moved
-        own[j] += self.torque
-        self.drive_torques = self.in_time(own, _OVERSAMPLED)
-
-    def in_time(self, lines: ComplexArray, finer: int = 1) -> Array:
-        """One period of a signal of given lines (..., count)."""
-        whole = np.zeros((*lines.shape[:-1], finer * self.count // 2 + 1), dtype=complex)
-        whole[..., self._lines] = lines
-        return np.asarray(fft.irfft(whole, n=finer * self.count) * finer)
-
-    def rms(self, lines: ComplexArray) -> float:
-        """Root of the sum of the mean squares of all rows."""
-        return float(np.sqrt(2 * np.sum(np.abs(lines) ** 2)) / self.count)
-
-
 def _scale(
     arm: InstrumentedArm,
     pose: Array,
     j: int,
     load: Array,
     holding: float,
-    answer: _Answer,
+    answer: LinearAnswer,
     share: float,
 ) -> tuple[float, str]:
     """Share of the noise that every limit allows, and the limit that decides."""
@@ -297,7 +321,7 @@ def _scale(
             why = f"{arm.joints[i]} goes from {allowed[0]:g} to {allowed[1]:g}"
     drive = arm.drives[j]
     assert drive is not None
-    ahead = answer.in_time(answer.torque * (1 + answer.s * drive.lag), _OVERSAMPLED) / drive.gain
+    ahead = answer.in_time(answer.torque * (1 + answer.s * drive.lag), OVERSAMPLED) / drive.gain
     low, high = drive.command_range
     spare, peak = min(holding - low, high - holding), float(np.abs(ahead).max())
     if spare < scale * peak:

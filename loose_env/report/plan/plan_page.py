@@ -11,21 +11,22 @@ import numpy as np
 from scipy.signal import welch
 
 from loose_env.envs import INK, MEASURED, MUTED
-from loose_env.instrument import Plan, Signal
+from loose_env.instrument import Plan, PlannedRun, Signal
 from loose_env.io import sentence
 from loose_env.report.diagnosis.arm_figure import arm_figure
-from loose_env.report.diagnosis.plan_text import (
+from loose_env.report.diagnosis.text import percent, with_plain_names
+from loose_env.report.pages.figure_card import FigureCard
+from loose_env.report.pages.figures import new_figure
+from loose_env.report.pages.sections import graded, group
+from loose_env.report.pages.template import template, write_whole
+from loose_env.report.plan.plan_motion import limit_lines, peak_rows
+from loose_env.report.plan.plan_text import (
     commands_after,
     plain_names,
     pose_rows,
     starts,
     steps,
 )
-from loose_env.report.diagnosis.text import percent, with_plain_names
-from loose_env.report.pages.figure_card import FigureCard
-from loose_env.report.pages.figures import new_figure
-from loose_env.report.pages.sections import group
-from loose_env.report.pages.template import template, write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,6 +44,7 @@ def write_plan_page(
     *,
     folder: str | Path | None = None,
     model: str | Path | None = None,
+    planned: Sequence[PlannedRun] = (),
 ) -> Path:
     """Write the page, beside its final name first.
 
@@ -57,6 +59,8 @@ def write_plan_page(
     folder, model : str or Path, optional
         The plan's folder and the model, as the commands on the page are to name them; by default
         the folder of the page, and the model as the plan has it.
+    planned : sequence of PlannedRun
+        All runs of the plan, repeats and references included.
 
     Returns
     -------
@@ -68,7 +72,10 @@ def write_plan_page(
     MissingExtra
         If jinja2 or matplotlib is not installed.
     """
-    return write_whole(path, plan_page(plan, runs, folder=folder or Path(path).parent, model=model))
+    return write_whole(
+        path,
+        plan_page(plan, runs, folder=folder or Path(path).parent, model=model, planned=planned),
+    )
 
 
 def plan_page(
@@ -77,6 +84,7 @@ def plan_page(
     *,
     folder: str | Path = "DIR",
     model: str | Path | None = None,
+    planned: Sequence[PlannedRun] = (),
 ) -> str:
     """Return the page that `write_plan_page` writes."""
     nominal, chosen, plain = plan.arm.nominal, plan.next, plain_names(plan)
@@ -85,11 +93,13 @@ def plan_page(
         group(
             "Steps",
             "",
-            points=steps(plan, tuple(runs)),
+            points=steps(plan, tuple(runs), planned),
             code="\n".join(commands_after(plan, folder, model)),
         ),
         _pose_group(plan),
         _signal_group(plan),
+        _limits_group(plan),
+        *([_runs_group(planned)] if len(planned) > len(runs) else []),
         _expected_group(plan),
     ]
     page: str = template("loose_env.report/diagnosis_page.html").render(
@@ -107,7 +117,11 @@ def plan_page(
             ),
             ("Holding of the joints", [sentence(plan.arm.held_by)]),
         ],
-        warnings=[sentence(with_plain_names(warning, plain)) for warning in plan.warnings],
+        summary=[],
+        first=[],
+        warnings=graded(
+            [("warning", sentence(with_plain_names(words, plain))) for words in plan.warnings]
+        ),
         groups=[each for each in groups if each],
         notes=[
             f"The accelerometer is taken to sit at {plan.arm.report.tool} "
@@ -185,6 +199,41 @@ def _signal_group(plan: Plan) -> dict[str, Any]:
     )
 
 
+def _limits_group(plan: Plan) -> dict[str, Any]:
+    tables = []
+    for signal in plan.signals:
+        note = f"Run that shakes {signal.joint}. "
+        if signal.limited_by:
+            note += f"It is shaken at {signal.scale:.0%} of the wanted level: {signal.limited_by}."
+        else:
+            note += "No limit lowers its level."
+        tables.append({"rows": peak_rows(plan, signal), "note": note})
+    return group(
+        "Peaks and limits",
+        "",
+        points=[sentence(line[0].upper() + line[1:]) for line in limit_lines(plan)],
+        tables=tables,
+    )
+
+
+def _runs_group(planned: Sequence[PlannedRun]) -> dict[str, Any]:
+    rows = [
+        {
+            "Run": one.file,
+            "Signal": one.signal,
+            "Shaken joint": one.joint,
+            "Condition": str(one.listed["condition"]),
+            "Reason": str(one.listed["reason"]) or "new pose",
+        }
+        for one in planned
+    ]
+    return group(
+        "Runs",
+        "",
+        tables=[{"rows": rows, "note": "Repeats and references may be measured later, or not."}],
+    )
+
+
 def _figure(plan: Plan, signal: Signal) -> Figure:
     j = plan.arm.joints.index(signal.joint)
     drive = plan.arm.drives[j]
@@ -192,13 +241,16 @@ def _figure(plan: Plan, signal: Signal) -> Figure:
     figure = new_figure(4.2)
     above, below = figure.subplots(2, 1, height_ratios=(3, 2))
     figure.subplots_adjust(left=0.14, right=0.97, top=0.97, bottom=0.13, hspace=0.5)
-    command = signal.commands[drive.actuator]
+    name, command = f"ctrl.{drive.actuator}", signal.commands[drive.actuator]
+    if signal.kind != "model":
+        name = f"{signal.kind}.{signal.joint}"
+        command = signal.played[name]
     above.plot(signal.time, command, color=MEASURED, linewidth=0.5)
     for edge in signal.steady_s:
         above.axvline(edge, color=MUTED, linewidth=0.8, linestyle="--")
-    above.set(xlabel="time [s]", ylabel=f"ctrl.{drive.actuator}", xlim=(0, signal.time[-1]))
+    above.set(xlabel="time [s]", ylabel=name, xlim=(0, signal.time[-1]))
     inside = (signal.time >= signal.steady_s[0]) & (signal.time < signal.steady_s[1])
-    rate = plan.next.rate_hz
+    rate = signal.rate_hz
     count = min(int(inside.sum()), int(rate / 2))
     frequency, power = welch(command[inside] - command.mean(), rate, nperseg=max(count, 8))
     shown = frequency <= 2 * plan.next.band_hz[1]

@@ -1,35 +1,39 @@
-"""Result of a diagnosis: dataclasses, and ``result.json`` (``loose-diagnosis/1``)."""
+"""A diagnosis and its next measurement, and the file ``result.json``."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from loose_env.errors import InvalidData
+from loose_env.instrument.result.fault import HEALTHY, Fault, SlideDirection
+from loose_env.instrument.result.records import RecordSeen, TransmissionSpectrum
 from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.instrument.settings.validation import settings_within
 from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
 
 __all__ = [
     "FORMAT",
-    "HEALTHY",
     "Diagnosis",
-    "Fault",
-    "FaultKind",
-    "Loop",
     "NextMeasurement",
+<<<<<<< HEAD:loose_env/instrument/result.py
     "RecordSeen",
     "SlideDirection",
     "VerdictKind",
     "hypothesis_of",
+=======
+    "Severity",
+    "Verdict",
+>>>>>>> main:loose_env/instrument/result/diagnosis.py
     "read_diagnosis",
 ]
 
 FORMAT = "loose-diagnosis/1"
 """Format of the file."""
+<<<<<<< HEAD:loose_env/instrument/result.py
 HEALTHY = "healthy"
 """Name of the hypothesis that nothing is loose."""
 FaultKind = Literal["healthy", "structural_looseness", "backlash"]
@@ -38,6 +42,12 @@ VerdictKind = Literal["healthy", "faulty", "open", "model_mismatch"]
 """Kinds of verdict."""
 Vector = tuple[float, float, float]
 
+=======
+Verdict = Literal["healthy", "faulty", "open", "model_mismatch"]
+"""Outcome: settled without and with a fault; not decided; the model is not that of the arm."""
+Severity = Literal["critical", "warning", "note"]
+"""Weight of a warning: it invalidates the result, limits it, or is for information."""
+>>>>>>> main:loose_env/instrument/result/diagnosis.py
 _SUM = 0.02
 """Largest deviation of the sum of a file's probabilities from 1."""
 
@@ -49,81 +59,6 @@ _SHOWN = 300
 def _short(value: object) -> str:
     said = str(value)
     return said if len(said) <= _SHOWN else f"{said[:_SHOWN]}..."
-
-
-def hypothesis_of(kind: str, where: str | None) -> str:
-    """Name of a hypothesis, as the keys of a posterior have it.
-
-    Examples
-    --------
-    >>> hypothesis_of("backlash", "elbow"), hypothesis_of("healthy", None)
-    ('backlash@elbow', 'healthy')
-    """
-    return kind if where is None else f"{kind}@{where}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Fault:
-    """Fault of an arm.
-
-    Examples
-    --------
-    >>> Fault(kind="structural_looseness", where="forearm", direction=(0.0, 0.6, 0.8)).hypothesis
-    'structural_looseness@forearm'
-    >>> Fault(kind="healthy", where="forearm")
-    Traceback (most recent call last):
-    ...
-    loose_env.errors.InvalidData: a healthy arm has no location, got 'forearm'
-    """
-
-    kind: FaultKind
-    """"healthy", "structural_looseness" or "backlash"."""
-    where: str | None = None
-    """The model's own name of the body that is loose on its joint, or of the joint that has play;
-    None for a healthy arm."""
-    direction: Vector | None = None
-    """Unit vector along which the body slides, in its own frame, axial; None for a healthy arm,
-    for backlash, and where the data do not say."""
-    direction_half_angle_deg: float | None = None
-    """Half the opening of the cone about ``direction`` that holds the truth with 95 %
-    probability [degrees]."""
-    gap_m: float | None = None
-    """Free travel [m]; of backlash the free turn [rad], where the joint slides [m]. None where the
-    data do not say."""
-    gap_interval_m: tuple[float, float] | None = None
-    """Ends of its 95 % interval, in the unit of ``gap_m``."""
-
-    def __post_init__(self) -> None:
-        """Check.
-
-        Raises
-        ------
-        InvalidData
-            If kind and location do not go together, the direction is no unit vector, or an interval
-            is upside down.
-        """
-        if self.kind not in get_args(FaultKind):
-            raise InvalidData(
-                f"the kind of a fault is one of {list(get_args(FaultKind))}, not {self.kind!r}"
-            )
-        if self.kind == HEALTHY and self.where is not None:
-            raise InvalidData(f"a healthy arm has no location, got {self.where!r:.60}")
-        if self.kind != HEALTHY and not self.where:
-            raise InvalidData(f"{self.kind} needs the name of a location, got {self.where!r}")
-        if self.direction is not None:
-            if self.kind != "structural_looseness":
-                raise InvalidData(f"{self.kind} has no direction, got {self.direction}")
-            length = math.sqrt(sum(x * x for x in self.direction))
-            if not abs(length - 1) < 1e-3:
-                raise InvalidData(f"the direction is a unit vector, got {self.direction}")
-        ends = self.gap_interval_m
-        if ends is not None and not 0 <= ends[0] <= ends[1]:
-            raise InvalidData(f"an interval of the gap goes upwards from zero or more, got {ends}")
-
-    @property
-    def hypothesis(self) -> str:
-        """Key of the posterior."""
-        return hypothesis_of(self.kind, self.where)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,66 +124,6 @@ class NextMeasurement:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Loop:
-    """Correlation of the tool's motion with the excited joint's, by direction in a plane.
-
-    Drawn over the full circle it is the loop whose waist lies across what the joint transmits.
-    """
-
-    joint: str
-    """The excited joint."""
-    plane: Literal["xy", "xz", "yz"]
-    """Plane of the tool frame."""
-    angle_deg: tuple[float, ...]
-    """Directions in the plane, from its first axis [degrees] (P,)."""
-    correlation: tuple[float, ...]
-    """Measured, -1 to 1 (P,)."""
-    expected: tuple[float, ...]
-    """Of the healthy arm, by the model (P,)."""
-
-    def __post_init__(self) -> None:
-        """Check."""
-        if not len(self.angle_deg) == len(self.correlation) == len(self.expected):
-            raise InvalidData("a loop has one correlation, measured and expected, for each angle")
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecordSeen:
-    """One run of the recording, in the order of evaluation."""
-
-    file: str
-    """The run's file."""
-    pose: Mapping[str, float]
-    """Positions held [rad, m where a joint slides]."""
-    excited: tuple[str, ...]
-    """Joints that were excited."""
-    condition: str
-    """"suspect" or "healthy"."""
-    probabilities: Mapping[str, float]
-    """Of every hypothesis after this run and all before it; empty for a healthy reference and
-    for a run that could not be used."""
-    direction_tool: Vector | None = None
-    """Direction in which the most probable fault moves the tool in this pose, tool frame, axial: as
-    all runs together have it, not this one alone. None where none is seen."""
-    half_angle_deg: float | None = None
-    """Half the opening of its 95 % cone [degrees]."""
-    loops: tuple[Loop, ...] = ()
-    """For the figure of this run."""
-    notes: tuple[str, ...] = ()
-    """Notes on the run, in sentences."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SlideDirection:
-    """Along which direction a link would slide if it were the loose one."""
-
-    axis: Vector
-    """Unit vector in the body's own frame, axial."""
-    half_angle_deg: float
-    """Half the opening of its 95 % cone [degrees]."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """The content of ``result.json``."""
 
@@ -276,6 +151,7 @@ class Diagnosis:
     settled: bool = False
     """True if nothing more needs to be measured: two runs at least, and the probability above the
     setting ``sure``. False in files of versions that did not say."""
+<<<<<<< HEAD:loose_env/instrument/result.py
     verdict: VerdictKind = "open"
     """"healthy" or "faulty" where that is settled; "model_mismatch" where the model is not that of
     the arm and has to be corrected first; else "open"."""
@@ -284,6 +160,25 @@ class Diagnosis:
     misfit: float = math.nan
     """Share of the power of the tool's motion that the best hypothesis leaves unexplained [1]; NaN
     in files of versions that did not say."""
+=======
+    verdict: Verdict = "open"
+    """Outcome; in files of versions that did not say, by ``settled`` and ``fault``."""
+    open_because: tuple[str, ...] = ()
+    """Reasons why the verdict is open or the model is refused, in sentences."""
+    misfit: float = math.nan
+    """Share of the record's power that the best model leaves unexplained [1]; NaN if unknown."""
+    severities: tuple[Severity, ...] = ()
+    """Severity of each warning, in their order; those that lack one count as "warning"."""
+    spectra: tuple[TransmissionSpectrum, ...] = ()
+    """Transmission of every run, measured and by the most probable hypotheses."""
+    date: str = ""
+    """Date of the measurement (ISO 8601): as given, else the time of the latest run's file (UTC);
+    "" if unknown."""
+    version: str = ""
+    """Version of loose-env that wrote it."""
+    model_hash: str = ""
+    """First 16 hexadecimal digits of the SHA-256 of the model file."""
+>>>>>>> main:loose_env/instrument/result/diagnosis.py
     format: str = FORMAT
     """Of the file."""
 
@@ -318,6 +213,15 @@ class Diagnosis:
             return self.next.choice
         return settings_within(NextSettings, self.settings, "settings")
 
+    @property
+    def graded_warnings(self) -> tuple[tuple[Severity, str], ...]:
+        """Warnings with their severity, the most severe first."""
+        missing = len(self.warnings) - len(self.severities)
+        usual: Severity = "warning"
+        severities = (*self.severities, *((usual,) * max(missing, 0)))
+        pairs = zip(severities, self.warnings, strict=False)
+        return tuple(sorted(pairs, key=lambda pair: get_args(Severity).index(pair[0])))
+
     def to_json(self) -> str:
         """Text of ``result.json``; numbers that are not finite become null."""
         whole = {"format": self.format, **asdict(self)}
@@ -340,7 +244,10 @@ class Diagnosis:
         loose_env.errors.InvalidData: a diagnosis of the format 'loose-diagnosis/1' is needed, ...
         """
         whole = whole_of(text, format=FORMAT, noun="diagnosis")
-        return restored(cls, whole, "diagnosis")
+        found = restored(cls, whole, "diagnosis")
+        if "verdict" in whole or not found.settled:
+            return found
+        return replace(found, verdict="healthy" if found.fault.kind == HEALTHY else "faulty")
 
     def write(self, path: str | Path) -> Path:
         """Write ``result.json`` beside its place and rename it."""

@@ -1,0 +1,327 @@
+"""`diagnose` and `explain_gap`: a result in three lines of Python, as the commands find it.
+
+    import loose_env
+    found = loose_env.diagnose("session/recording")
+    found  # headline, table, next steps; a notebook draws them
+
+Both take the folder of a recording or a `loose_env.recording.Recording`, and the options of the
+command as keywords. Nothing is written until `write` is called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from difflib import get_close_matches
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+from loose_env import gap, instrument, report
+from loose_env.arms import Arm
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.gap import GapResult, GapSettings, GapSolution
+from loose_env.instrument import DiagnoseSettings, Diagnosis, Fault
+from loose_env.recording import ModelColumns, Recording, read_recording
+
+__all__ = ["DiagnosisReport", "GapReport", "diagnose", "explain_gap"]
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DiagnosisReport:
+    """Diagnosis of an arm, shown as a headline, a table and the next steps."""
+
+    result: Diagnosis
+    """All that was found: content of ``result.json``."""
+    recording: Recording
+    """What was diagnosed."""
+
+    @cached_property
+    def arm(self) -> Arm:
+        """The nominal arm, with its names of links and joints."""
+        return instrument.read_recorded_arm(self.recording.model_path).shown
+
+    @property
+    def headline(self) -> str:
+        """Outcome in one sentence."""
+        return report.diagnosis_headline(self.result, self.arm)
+
+    @property
+    def fault(self) -> Fault:
+        """Most probable fault: kind, location, direction and free travel."""
+        return self.result.fault
+
+    @property
+    def probability(self) -> float:
+        """Probability of that fault [1]."""
+        return self.result.probability
+
+    @property
+    def posterior(self) -> Mapping[str, float]:
+        """Probability of every hypothesis [1]."""
+        return self.result.posterior
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings that limit the validity."""
+        return tuple(self.result.warnings)
+
+    def write(self, folder: str | Path, *, say: Say = print) -> list[Path]:
+        """Write ``report.html`` and ``result.json``, as `loose diagnose` does.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Where they go; made where there is none.
+        say : callable
+            Receives the reason where the page cannot be drawn.
+
+        Returns
+        -------
+        list of Path
+            The files written.
+
+        Raises
+        ------
+        InvalidSetting
+            If the folder is a file, or the recording itself.
+        """
+        place = _target(folder, self.recording)
+        name = self.recording.folder.name
+        model = self.recording.model_path
+        return report.write_diagnosis(place, self.result, model, recording=name, say=say)
+
+    def __repr__(self) -> str:
+        """Headline, table, next steps and warnings."""
+        return report.diagnosis_text(self.result, self.arm)
+
+    def _repr_html_(self) -> str:
+        """Return the same in HTML, as notebooks show it."""
+        return report.diagnosis_html(self.result, self.arm)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GapReport:
+    """Effects that a model lacks, shown as a headline and tables of parameters and residual."""
+
+    result: GapResult
+    """All that was found: content of ``result.json``."""
+    solution: GapSolution
+    """The finished search, from which `write` makes the corrected model."""
+    recording: Recording
+    """What the model was compared with."""
+
+    @property
+    def headline(self) -> str:
+        """Outcome in one sentence."""
+        return report.gap_headline(self.result)
+
+    @property
+    def effects(self) -> tuple[gap.NamedEffect, ...]:
+        """Effects that the model lacks, with their parameters and intervals."""
+        return self.result.effects
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings that limit the validity."""
+        return tuple(self.result.warnings)
+
+    def write(self, folder: str | Path, *, say: Say = print) -> list[Path]:
+        """Write ``model.xml``, ``report.html`` and ``result.json``, as `loose gap` does.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Where they go; made where there is none.
+        say : callable
+            Receives what is being written, and the reason where the page cannot be drawn.
+
+        Returns
+        -------
+        list of Path
+            The files written, those that the corrected model needs included.
+
+        Raises
+        ------
+        InvalidSetting
+            If the folder is a file, or holds the recording or its model.
+        InvalidData
+            If the corrected model does not compile.
+        """
+        place = _target(folder, self.recording)
+        page = partial(report.write_gap_report, say=say)
+        return gap.write_gap(place, self.solution, report=page, say=say)[1]
+
+    def __repr__(self) -> str:
+        """Headline, parameters, residual and warnings."""
+        return report.gap_text(self.result)
+
+    def _repr_html_(self) -> str:
+        """Return the same in HTML, as notebooks show it."""
+        return report.gap_html(self.result)
+
+
+def diagnose(
+    recording: str | Path | Recording,
+    *,
+    model: str | Path | None = None,
+    plan: bool = True,
+    say: Say = lambda _: None,
+    **settings: Any,
+) -> DiagnosisReport:
+    """Say what is loose in an arm, as `loose diagnose` does.
+
+    Parameters
+    ----------
+    recording : str, Path or Recording
+        Folder of the recording, or the recording.
+    model : str or Path, optional
+        MJCF file that takes the place of the recording's model.
+    plan : bool
+        True to propose the next measurement.
+    say : callable
+        Receives progress messages, line by line; ``print`` shows them.
+    **settings
+        Fields of `loose_env.instrument.DiagnoseSettings`, such as ``most_tool=4``. Those that are
+        not given are as the plan beside the recording has them, else the usual ones.
+
+    Returns
+    -------
+    DiagnosisReport
+
+    Raises
+    ------
+    UnknownName
+        If a setting does not exist.
+    InvalidSetting
+        If a setting is out of range, or ``model`` is no file.
+    InvalidData
+        If the recording or the model cannot be used.
+
+    Examples
+    --------
+    >>> import loose_env
+    >>> found = loose_env.diagnose("session/recording")  # doctest: +SKIP
+    >>> found.headline  # doctest: +SKIP
+    'Link 3 (forearm) is loose.'
+
+    What cannot be used is said in one line:
+
+    >>> loose_env.diagnose("no/recording")
+    Traceback (most recent call last):
+        ...
+    loose_env.errors.InvalidData: there is no folder 'no/recording'; a recording is a folder
+    """
+    own = _checked(DiagnoseSettings, settings)
+    read = _recording(recording, model)
+    before = asdict(instrument.session_beside(read.folder).choice)
+    chosen = DiagnoseSettings(**{**before, **own})
+    result = instrument.diagnose(read, chosen, plan=plan, say=say)
+    return DiagnosisReport(result=result, recording=read)
+
+
+def explain_gap(
+    recording: str | Path | Recording,
+    *,
+    model: str | Path | None = None,
+    say: Say = lambda _: None,
+    **settings: Any,
+) -> GapReport:
+    """Name what a simulation model lacks, as `loose gap` does.
+
+    Parameters
+    ----------
+    recording : str, Path or Recording
+        Folder of the recording, or the recording.
+    model : str or Path, optional
+        MJCF file that takes the place of the recording's model.
+    say : callable
+        Receives progress messages, line by line; ``print`` shows them.
+    **settings
+        Fields of `loose_env.gap.GapSettings`, such as ``kinds=("coulomb_friction",)``.
+
+    Returns
+    -------
+    GapReport
+
+    Raises
+    ------
+    UnknownName
+        If a setting does not exist.
+    InvalidSetting
+        If a setting is out of range, or ``model`` is no file.
+    InvalidData
+        If the recording or the model cannot be used.
+
+    Examples
+    --------
+    >>> import loose_env
+    >>> found = loose_env.explain_gap("recordings/arm")  # doctest: +SKIP
+    >>> found.headline  # doctest: +SKIP
+    'The model lacks dry friction (joint2).'
+
+    A setting that does not exist is refused before anything is read:
+
+    >>> loose_env.explain_gap("recordings/arm", tolerence=0.05)
+    Traceback (most recent call last):
+        ...
+    loose_env.errors.UnknownName: there is no setting 'tolerence'; did you mean 'tolerance'? ...
+    """
+    chosen = GapSettings(**_checked(GapSettings, settings))
+    read = _recording(recording, model)
+    solution = gap.find_gap(read, chosen, say=say)
+    result = gap.result_of(solution, gap.diagnose_residuals(solution, say=say))
+    return GapReport(result=result, solution=solution, recording=read)
+
+
+def _recording(given: str | Path | Recording, model: str | Path | None) -> Recording:
+    """Recording of a folder, or the one given; with another model where one is given."""
+    if not isinstance(given, Recording):
+        return read_recording(given, model=model)
+    if model is None:
+        return given
+    path = Path(model)
+    if not path.is_file():
+        raise InvalidSetting(f"there is no model {str(model)!r}; give an MJCF file")
+    found = replace(given, model_path=path.resolve())
+    allowed = ModelColumns.of(found.model())
+    for run in found.runs:
+        controls = [f"ctrl.{name}" for name in run.controls]
+        torques = [f"torque.{name}" for name in run.torques]
+        sensors = [
+            f"sensor.{name}{axis}"
+            for name, values in run.sensors.items()
+            for axis in ((".x", ".y", ".z") if values.ndim == 2 else ("",))
+        ]
+        allowed.check_header(run.name, ["time", *controls, *torques, *sensors])
+    return found
+
+
+def _checked(kind: type, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with tuples in the place of lists; those that make no sense are refused."""
+    known = [each.name for each in fields(kind)]
+    for name in settings:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            meant = f"; did you mean {near[0]!r}?" if near else "."
+            raise UnknownName(
+                f"there is no setting {name!r}{meant} The settings are {', '.join(known)}"
+            )
+    found = {n: tuple(v) if isinstance(v, list) else v for n, v in settings.items()}
+    kind(**found)
+    return found
+
+
+def _target(folder: str | Path, recording: Recording) -> Path:
+    """Folder to write to, which must not be that of the recording or of its model."""
+    place = Path(folder).resolve()
+    if place.exists() and not place.is_dir():
+        raise InvalidSetting(f"{folder} is a file; give a folder")
+    if place in (recording.folder, recording.model_path.parent):
+        raise InvalidSetting(
+            f"{folder} holds the recording or its model, which would be overwritten; give another "
+            "folder"
+        )
+    return place

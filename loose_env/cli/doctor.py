@@ -1,0 +1,70 @@
+"""Check a recording before it is used: units, ranges, signs, sampling, channels, clocks, entries.
+
+Reads a recording (a folder with recording.json, the nominal model and measured runs), and prints
+all findings at once: errors, which make a result wrong; warnings, which may; notes. Each says what
+was found, with its number and unit, the consequence and the remedy. 'loose diagnose' and
+'loose gap' run the same checks first and stop at errors; --ignore-doctor goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from loose_env.cli.console import Console, Outcome
+from loose_env.cli.options import add_settings, settings_of
+from loose_env.doctor import DoctorSettings, Report, examine
+from loose_env.errors import InvalidData
+from loose_env.recording import Recording, read_recording
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this command."""
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of the recording")
+    parser.add_argument(
+        "--model",
+        type=Path,
+        metavar="OTHER.xml",
+        help="MJCF file that takes the place of the recording's model",
+    )
+    add_settings(parser, DoctorSettings, title="tolerances")
+
+
+def run(options: argparse.Namespace, console: Console) -> Outcome:
+    """Check the recording and print the findings."""
+    settings = settings_of(options, DoctorSettings)
+    report = examine(read_recording(options.recording, model=options.model), settings)
+    return Outcome(text=report.text(), json=report.to_json, code=1 if report.errors else 0)
+
+
+def add_preflight(parser: argparse.ArgumentParser) -> None:
+    """Add the option of a command that checks its recording first."""
+    parser.add_argument(
+        "--ignore-doctor",
+        action="store_true",
+        help="go on although the preflight ('loose doctor') finds errors in the recording",
+    )
+
+
+def check_first(recording: Recording, options: argparse.Namespace) -> None:
+    """Check a recording that was read, and print errors and warnings on the error stream.
+
+    Raises
+    ------
+    InvalidData
+        If there are errors, and they are not to be ignored.
+    """
+    report = examine(recording)
+    for line in report.lines(least="error" if options.quiet else "warning"):
+        print(line, file=sys.stderr)
+    if report.errors and not options.ignore_doctor:
+        raise InvalidData(
+            f"{_errors(report)} of the recording, listed above; correct it, or go on with "
+            "--ignore-doctor"
+        )
+
+
+def _errors(report: Report) -> str:
+    count = len(report.errors)
+    return f"the preflight found {count} error{'s' * (count != 1)}"

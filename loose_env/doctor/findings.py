@@ -1,0 +1,152 @@
+"""Findings of the preflight, and their report as text and JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+from loose_env.io import json_text
+
+__all__ = ["Finding", "Report", "Severity"]
+
+Severity = Literal["error", "warning", "note"]
+"""``"error"``: a result would be wrong. ``"warning"``: it may be. ``"note"``: worth knowing."""
+
+FORMAT = "loose-doctor/1"
+_RANK: dict[str, int] = {"error": 0, "warning": 1, "note": 2}
+_SHOWN = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One defect of a recording, with its consequence and remedy."""
+
+    check: str
+    """Check that found it, such as "units" or "clock"."""
+    severity: Severity
+    """Whether it makes a result wrong."""
+    channel: str
+    """Column it is about, or several; empty where it is about a whole run."""
+    found: str
+    """Observation, with its number and unit."""
+    consequence: str
+    """Effect on a diagnosis."""
+    remedy: str
+    """Action that removes it."""
+    run: str = ""
+    """File of the run; empty where it holds for the recording."""
+    value: float | None = None
+    """The number of the observation."""
+    unit: str = ""
+    """Its unit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """All findings of a recording, errors first."""
+
+    recording: str
+    """Name of the folder."""
+    runs: int
+    """Number of runs examined."""
+    seconds: float
+    """Length of all runs together [s]."""
+    findings: tuple[Finding, ...] = field(default=())
+    """Findings, errors first, else in the order of the checks."""
+
+    @classmethod
+    def of(cls, recording: str, runs: int, seconds: float, findings: Iterable[Finding]) -> Report:
+        """Make a report of findings in any order."""
+        ordered = sorted(findings, key=lambda each: _RANK[each.severity])
+        return cls(recording=recording, runs=runs, seconds=seconds, findings=tuple(ordered))
+
+    def of_severity(self, severity: Severity) -> tuple[Finding, ...]:
+        """Findings of one severity."""
+        return tuple(each for each in self.findings if each.severity == severity)
+
+    @property
+    def errors(self) -> tuple[Finding, ...]:
+        """Findings that make a result wrong."""
+        return self.of_severity("error")
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """Findings that may make a result wrong."""
+        return self.of_severity("warning")
+
+    @property
+    def notes(self) -> tuple[Finding, ...]:
+        """Findings worth knowing."""
+        return self.of_severity("note")
+
+    def headline(self) -> str:
+        """Count of the findings, in one line."""
+        counts = [
+            f"{len(rows)} {word}{'s' * (len(rows) != 1)}"
+            for word, rows in (
+                ("error", self._grouped("error")),
+                ("warning", self._grouped("warning")),
+                ("note", self._grouped("note")),
+            )
+            if rows
+        ]
+        runs = f"{self.runs} run{'s' * (self.runs != 1)}, {self.seconds:.4g} s"
+        return f"{self.recording} ({runs}): {', '.join(counts) or 'nothing found'}"
+
+    def lines(self, *, least: Severity = "note") -> list[str]:
+        """Findings as text; a defect that several runs have is written once.
+
+        Parameters
+        ----------
+        least : {"error", "warning", "note"}
+            Least severity that is written.
+        """
+        found = []
+        for severity in ("error", "warning", "note"):
+            if _RANK[severity] > _RANK[least]:
+                break
+            for group in self._grouped(severity):
+                found += _lines(severity, group)
+        return found
+
+    def text(self) -> str:
+        """Whole report as text."""
+        return "\n".join([self.headline(), *self.lines()])
+
+    def to_json(self) -> str:
+        """Whole report as JSON."""
+        whole: dict[str, Any] = {
+            "format": FORMAT,
+            "recording": self.recording,
+            "runs": self.runs,
+            "seconds": self.seconds,
+            "errors": len(self.errors),
+            "warnings": len(self.warnings),
+            "notes": len(self.notes),
+            "findings": [asdict(each) for each in self.findings],
+        }
+        return json_text(whole)
+
+    def _grouped(self, severity: str) -> list[list[Finding]]:
+        """Findings of one severity; those that differ by run or channel alone are together."""
+        groups: dict[tuple[str, str, str], list[Finding]] = {}
+        for each in self.findings:
+            if each.severity == severity:
+                groups.setdefault((each.check, each.consequence, each.remedy), []).append(each)
+        return list(groups.values())
+
+
+def _lines(severity: str, group: list[Finding]) -> list[str]:
+    lines = [f"{severity}: {_observed(group[0])}"]
+    lines += [f"  also {_observed(each)}" for each in group[1:_SHOWN]]
+    if len(group) > _SHOWN:
+        more = group[_SHOWN:]
+        runs = len({each.run for each in more})
+        lines.append(f"  and {len(more)} more of this kind, in {runs} run{'s' * (runs != 1)}")
+    return [*lines, f"  consequence: {group[0].consequence}", f"  remedy: {group[0].remedy}"]
+
+
+def _observed(one: Finding) -> str:
+    place = ", ".join(filter(None, (one.run, one.channel)))
+    return f"{place}: {one.found}" if place else one.found

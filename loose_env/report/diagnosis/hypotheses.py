@@ -1,0 +1,182 @@
+"""Table of the hypotheses of a diagnosis, for the page, the terminal and notebooks."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from loose_env.arms import Arm
+from loose_env.instrument import HEALTHY, Diagnosis
+from loose_env.io import begun, sentence
+from loose_env.report.diagnosis.text import (
+    headline,
+    percent,
+    short_name,
+    steps,
+    with_plain_names,
+)
+from loose_env.report.pages.notebook import aligned, bar, bullets, cells_table
+
+__all__ = [
+    "data_words",
+    "diagnosis_html",
+    "diagnosis_text",
+    "direction_words",
+    "hypothesis_table",
+    "travel_words",
+]
+
+_LISTED, _RANKED = 1e-3, 6
+"""Probability from which a hypothesis stands in the table, and its rows at most."""
+_TO_ARC_MINUTES = 60 * 180 / np.pi
+
+
+def hypothesis_table(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
+    """The one table of a diagnosis, most probable hypothesis first."""
+    kept = _listed(diagnosis)
+    rows = [
+        {
+            "Hypothesis": begun(short_name(arm, name)),
+            "Probability": percent(p),
+            "Direction": direction_words(diagnosis, name),
+            "Free travel": travel_words(diagnosis, arm)
+            if name == diagnosis.fault.hypothesis
+            else "–",
+            "Runs": _runs(diagnosis, name),
+        }
+        for name, p in kept
+    ]
+    left = len(diagnosis.posterior) - len(kept)
+    note = [data_words(diagnosis)]
+    if left > 1:
+        together = percent(max(0.0, 1 - sum(p for _, p in kept)))
+        note.append(f"The other {left} hypotheses have {together} together.")
+    note.append(
+        "Direction: unit vector in the link's frame, half opening of its 95 % cone. Free travel: "
+        "from stop to stop, with 95 % interval. Runs: those that raised the probability. Two "
+        "faults at once, or one of another kind, are no hypothesis."
+    )
+    return {"title": "", "rows": rows, "note": " ".join(note)}
+
+
+def diagnosis_text(diagnosis: Diagnosis, arm: Arm) -> str:
+    """Diagnosis in a few lines of text.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        Result.
+    arm : Arm
+        The nominal arm that it was found with.
+    """
+    rows = hypothesis_table(diagnosis, arm)["rows"]
+    lines = [headline(diagnosis, arm)]
+    lines += [f"  {line}" for line in aligned([tuple(rows[0]), *(tuple(r.values()) for r in rows)])]
+    lines += [f"next: {step}" for step in steps(diagnosis, arm)]
+    lines += [f"warning: {sentence(warning)}" for warning in diagnosis.warnings]
+    return "\n".join(lines)
+
+
+def diagnosis_html(diagnosis: Diagnosis, arm: Arm) -> str:
+    """Diagnosis as a fragment of HTML, with the probabilities drawn as bars.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        Result.
+    arm : Arm
+        The nominal arm that it was found with.
+    """
+    names = {name: short_name(arm, name) for name in diagnosis.posterior}
+    table = hypothesis_table(diagnosis, arm)["rows"]
+    bars = [bar(diagnosis.posterior[name]) for name, _ in _listed(diagnosis)]
+    rows = [
+        (row["Hypothesis"], drawn, *list(row.values())[1:])
+        for row, drawn in zip(table, bars, strict=True)
+    ]
+    first, *others = table[0]
+    warnings = [sentence(with_plain_names(words, names)) for words in diagnosis.warnings]
+    return "".join(
+        [
+            f"<p><strong>{escape(headline(diagnosis, arm))}</strong></p>",
+            cells_table((first, "", *others), rows, markup=(1,)),
+            bullets("Next", steps(diagnosis, arm)),
+            bullets("Warnings", warnings),
+        ]
+    )
+
+
+def _listed(diagnosis: Diagnosis) -> list[tuple[str, float]]:
+    """Hypotheses of the table with their probabilities, most probable first."""
+    ranked = sorted(diagnosis.posterior.items(), key=lambda item: -item[1])
+    return [item for k, item in enumerate(ranked) if item[1] >= _LISTED or k == 0][:_RANKED]
+
+
+def direction_words(diagnosis: Diagnosis, hypothesis: str) -> str:
+    """Direction of a hypothesis's slide; a dash for others."""
+    kind, _, where = hypothesis.partition("@")
+    if kind != "structural_looseness":
+        return "–"
+    fault = diagnosis.fault
+    axis, half = None, None
+    if fault.hypothesis == hypothesis:
+        axis, half = fault.direction, fault.direction_half_angle_deg
+    elif where in diagnosis.directions:
+        own = diagnosis.directions[where]
+        axis, half = own.axis, own.half_angle_deg
+    if axis is None:
+        return "not identified"
+    shown = ", ".join(f"{x:.2f}".replace("-", "−") for x in axis)
+    return f"({shown})" + ("" if half is None else f" ±{half:.0f}°")
+
+
+def travel_words(diagnosis: Diagnosis, arm: Arm) -> str:
+    """Free travel of the fault with its interval; "not identified" where there is none."""
+    fault = diagnosis.fault
+    if fault.kind == HEALTHY:
+        return "–"
+    if fault.gap_m is None:
+        return "not identified"
+    turns = fault.kind == "backlash" and not (
+        fault.where in arm.joints and bool(arm.sliding[arm.joints.index(fault.where)])
+    )
+    scale, unit = (_TO_ARC_MINUTES, "arc minutes") if turns else (1e3, "mm")
+    ends = fault.gap_interval_m
+    between = "" if ends is None else f" ({scale * ends[0]:.2g} to {scale * ends[1]:.2g})"
+    return f"{scale * fault.gap_m:.2g}{between} {unit}"
+
+
+def _runs(diagnosis: Diagnosis, hypothesis: str) -> str:
+    """Runs that raised the probability of a hypothesis, of those that could be used."""
+    steps = [r.probabilities for r in diagnosis.records if r.probabilities]
+    if not steps:
+        return "–"
+    before = float(diagnosis.settings.get("sound", 0.5))
+    if hypothesis != HEALTHY:
+        before = (1 - before) / max(len(diagnosis.posterior) - 1, 1)
+    risen = 0
+    for step in steps:
+        after = step.get(hypothesis, 0.0)
+        risen += after > before
+        before = after
+    return f"{risen} of {len(steps)}"
+
+
+def data_words(diagnosis: Diagnosis) -> str:
+    """Records and poses that a diagnosis rests on."""
+    suspect = [r for r in diagnosis.records if r.condition != HEALTHY]
+    poses = {tuple(round(v, 3) for v in r.pose.values()) for r in suspect}
+    healthy = len(diagnosis.records) - len(suspect)
+    said = begun(f"{_count(len(suspect), 'record')} in {_count(len(poses), 'pose')}")
+    unused = sum(not r.probabilities for r in suspect)
+    if unused:
+        said += f", {unused} of which could not be used"
+    if healthy:
+        return f"{said}, beside {_count(healthy, 'record')} of the healthy arm."
+    return f"{said}. There is no record of the healthy arm: the model stands in its place."
+
+
+def _count(number: int, noun: str) -> str:
+    return f"one {noun}" if number == 1 else f"{number} {noun}s"

@@ -1,0 +1,84 @@
+"""Model error as a notebook and a terminal show it: headline, missing effects, residual."""
+
+from __future__ import annotations
+
+from html import escape
+from math import log1p
+
+from loose_env.envs import palette as ink
+from loose_env.gap import NOISE_RMS, GapResult, NamedEffect, quantity_words
+from loose_env.io import sentence
+from loose_env.report.gap.text import effect_words, headline
+from loose_env.report.pages.notebook import aligned, bar, bullets, cells_table
+
+__all__ = ["gap_html", "gap_text"]
+
+_EFFECTS = ("missing effect", "parameter", "value", "95 % interval", "unit", "confusable with")
+_RESIDUAL = ("residual on held-out runs", "noise standard deviations")
+
+
+def gap_text(result: GapResult) -> str:
+    """Result of `loose gap` in a few lines of text."""
+    lines = [headline(result)]
+    rows = [row for effect in result.effects for row in _rows(effect)]
+    if rows:
+        lines += [f"  {line}" for line in aligned([_EFFECTS, *rows])]
+    residual = [(name, f"{value:.2f}") for name, value in _residual(result)]
+    lines += [f"  {line}" for line in aligned([_RESIDUAL, *residual])]
+    lines += [f"warning: {sentence(warning)}" for warning in result.warnings]
+    return "\n".join(lines)
+
+
+def gap_html(result: GapResult) -> str:
+    """Result of `loose gap` as a fragment of HTML, with the residuals drawn as bars."""
+    rows = [row for effect in result.effects for row in _rows(effect)]
+    largest = max(NOISE_RMS, *(value for _, value in _residual(result)))
+    residual = [
+        (name, bar(log1p(value) / log1p(largest), colour=colour), f"{value:.2f}")
+        for (name, value), colour in zip(
+            _residual(result), (ink.TRUTH, ink.MEASURED, ink.MUTED), strict=True
+        )
+    ]
+    where = result.location_words if result.verdict == "unexplained" else ()
+    return "".join(
+        [
+            f"<p><strong>{escape(headline(result))}</strong></p>",
+            cells_table(_EFFECTS, rows),
+            cells_table((_RESIDUAL[0], "logarithmic", _RESIDUAL[1]), residual, markup=(1,)),
+            bullets("Location of the residual", where),
+            bullets("In physical units", quantity_words(result.gap.by_quantity)),
+            bullets("Remaining", result.remaining),
+            bullets("Warnings", [sentence(words) for words in result.warnings]),
+        ]
+    )
+
+
+def _residual(result: GapResult) -> list[tuple[str, float]]:
+    """Residual of nominal and corrected model, beside that of sensor noise alone."""
+    gap = result.gap
+    return [
+        ("nominal model", gap.before),
+        ("corrected model", gap.after),
+        ("sensor noise alone", gap.noise_floor),
+    ]
+
+
+def _rows(effect: NamedEffect) -> list[tuple[str, ...]]:
+    """Rows of an effect's parameters; the first names the effect."""
+    others = ", ".join(effect_words(o.kind, o.where) for o in effect.ambiguous_with)
+    found: list[tuple[str, ...]] = []
+    for name, value in effect.parameters.items():
+        ends = effect.interval_95.get(name)
+        between = "" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}"
+        first = not found
+        found.append(
+            (
+                effect_words(effect.kind, effect.where) if first else "",
+                name.replace("_", " "),
+                f"{value:.4g}",
+                between,
+                effect.units.get(name, ""),
+                others if first else "",
+            )
+        )
+    return found

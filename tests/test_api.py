@@ -1,0 +1,160 @@
+"""`loose_env.diagnose` and `loose_env.explain_gap` find what the commands find, in three lines."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import loose_env
+from loose_env.api import DiagnosisReport, GapReport
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.gap import read_result
+from loose_env.instrument import read_diagnosis
+from loose_env.recording import Recording, read_recording
+from scripts.example_recording import loose_arm
+from scripts.suites.trust.kills.commands import make_recording
+
+FEW = {"poses": 2, "seconds": 1.2}
+KINDS = ("viscous_friction", "link_mass")
+
+
+@pytest.fixture(scope="module")
+def shaken(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return loose_arm(tmp_path_factory.mktemp("api") / "session" / "recording")
+
+
+@pytest.fixture(scope="module")
+def diagnosed(shaken: Recording) -> DiagnosisReport:
+    return loose_env.diagnose(shaken.folder, **FEW)
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("api") / "arm"
+    make_recording(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def explained(moved: Path) -> GapReport:
+    return loose_env.explain_gap(moved, kinds=list(KINDS), threads=1)
+
+
+def test_a_diagnosis_shows_headline_table_and_next_steps(diagnosed: DiagnosisReport) -> None:
+    assert diagnosed.headline == "Link 3 (forearm) is loose."
+    assert diagnosed.fault.where == "forearm" and diagnosed.probability > 0.9
+    assert sum(diagnosed.posterior.values()) == pytest.approx(1.0)
+    first, heads, row, *others = repr(diagnosed).splitlines()
+    assert first == diagnosed.headline and "probability" in heads
+    assert "link 3 (forearm) is loose" in row and "mm" in row and "°" in row
+    assert any(line.startswith("next: ") for line in others)
+    shown = diagnosed._repr_html_()
+    assert shown.startswith("<p><strong>Link 3 (forearm) is loose.</strong></p>")
+    assert "<svg" in shown and shown.count("<table>") == shown.count("</table>") == 1
+
+
+def test_a_diagnosis_is_written_as_the_command_writes_it(
+    diagnosed: DiagnosisReport, tmp_path: Path
+) -> None:
+    pytest.importorskip("jinja2")
+    pytest.importorskip("matplotlib")
+    names = [path.name for path in diagnosed.write(tmp_path / "new")]
+    assert names == ["report.html", "result.json"]
+    assert read_diagnosis(tmp_path / "new").fault.where == "forearm"
+    with pytest.raises(InvalidSetting, match="give another folder"):
+        diagnosed.write(diagnosed.recording.folder)
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InvalidSetting, match="is a file"):
+        diagnosed.write(tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_diagnosis_goes_by_the_plan_beside_the_recording_unless_told_otherwise(
+    shaken: Recording,
+) -> None:
+    plan = shaken.folder.parent / "plan.json"
+    settings = {"most_tool": 4.0, "poses": 2, "seconds": 1.2}
+    whole = {"format": "loose-plan/1", "recording": shaken.folder.name, "settings": settings}
+    plan.write_text(json.dumps(whole))
+    try:
+        found = loose_env.diagnose(shaken.folder, poses=3, plan=False)
+    finally:
+        plan.unlink()
+    assert found.result.settings["most_tool"] == 4.0
+    assert found.result.settings["poses"] == 3
+
+
+def test_a_recording_in_memory_is_diagnosed_as_it_is(shaken: Recording, tmp_path: Path) -> None:
+    part = dataclasses.replace(shaken, runs=shaken.runs[:1])
+    said: list[str] = []
+    found = loose_env.diagnose(part, plan=False, say=said.append)
+    assert len(found.result.records) == 1
+    other = tmp_path / "renamed.xml"
+    other.write_text(shaken.model_path.read_text().replace("elbow_position", "elbow_angle"))
+    with pytest.raises(InvalidData, match=r"elbow_position.*names nothing in the model"):
+        loose_env.diagnose(part, model=other)
+    with pytest.raises(InvalidSetting, match="there is no model"):
+        loose_env.diagnose(part, model=tmp_path / "none.xml")
+    same = tmp_path / "same.xml"
+    same.write_bytes(shaken.model_path.read_bytes())
+    assert loose_env.diagnose(part, model=same, plan=False).recording.model_path == same
+
+
+def test_a_gap_shows_headline_parameters_and_residual(explained: GapReport) -> None:
+    assert explained.headline.startswith("The model lacks viscous friction (turn)")
+    (effect,) = explained.effects
+    assert effect.parameters["damping"] == pytest.approx(2.0, abs=0.2)
+    assert "N·m·s/rad" in repr(explained) and "sensor noise alone" in repr(explained)
+    shown = explained._repr_html_()
+    assert f"<strong>{explained.headline}</strong>" in shown
+    assert "viscous friction (turn)" in shown and shown.count("<svg") == 3
+
+
+def test_a_gap_is_written_with_its_corrected_model(
+    explained: GapReport, moved: Path, tmp_path: Path
+) -> None:
+    written = [path.name for path in explained.write(tmp_path / "out", say=lambda _: None)]
+    assert "model.xml" in written and written[-1] == "result.json"
+    assert read_result(tmp_path / "out").effects[0].kind == "viscous_friction"
+    with pytest.raises(InvalidSetting, match="would be overwritten"):
+        explained.write(moved)
+
+
+@pytest.mark.parametrize("call", [loose_env.diagnose, loose_env.explain_gap])
+def test_what_cannot_be_used_is_said(call, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(
+        UnknownName, match=r"no setting 'seeed'; did you mean 'seed'\? The settings"
+    ):
+        call(tmp_path, seeed=1)
+    with pytest.raises(InvalidSetting, match="seed"):
+        call(tmp_path, seed="a")
+    for given in (tmp_path / "none", tmp_path, 3):
+        with pytest.raises(InvalidData):
+            call(given)
+
+
+def test_names_of_the_package_are_loaded_when_they_are_used() -> None:
+    assert {"diagnose", "explain_gap"} <= set(dir(loose_env))
+    with pytest.raises(AttributeError, match="no attribute 'diagnos'"):
+        loose_env.diagnos  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_texts_of_a_model_are_escaped(diagnosed: DiagnosisReport) -> None:
+    warning = "<script>alert(1)</script> & so on"
+    result = dataclasses.replace(diagnosed.result, warnings=(warning,))
+    shown = DiagnosisReport(result=result, recording=diagnosed.recording)._repr_html_()
+    assert "<script>" not in shown and "&lt;script&gt;" in shown
+
+
+def test_a_reread_recording_gives_the_same_diagnosis(
+    shaken: Recording, diagnosed: DiagnosisReport
+) -> None:
+    again = loose_env.diagnose(read_recording(shaken.folder), **FEW)
+    assert again.result.fault == diagnosed.fault
+    np.testing.assert_allclose(
+        list(again.posterior.values()), list(diagnosed.posterior.values()), rtol=1e-9
+    )
