@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -14,23 +13,19 @@ import numpy as np
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.data.dropouts import unbroken
 from loose_env.instrument.data.held_pose import RunSetup, run_setup
-from loose_env.instrument.data.paired_runs import HeldRun, as_driven, paired_lines
+from loose_env.instrument.data.paired_runs import HeldRun
 from loose_env.instrument.data.sensor_selection import columns_in, readings_in
 from loose_env.instrument.data.spectral_lines import Lines, lines_of
-from loose_env.instrument.inference.correlation_loops import loops_of
-from loose_env.instrument.inference.direction_cones import cone, seen_in_tool
-from loose_env.instrument.inference.free_travel import Travel, travel_of
-from loose_env.instrument.inference.frequency_response import with_leakage
+from loose_env.instrument.inference.findings.correlation_loops import loops_of
+from loose_env.instrument.inference.findings.direction_cones import cone, seen_in_tool
+from loose_env.instrument.inference.findings.free_travel import Travel, travel_of
+from loose_env.instrument.inference.findings.verdict import verdict_of
+from loose_env.instrument.inference.findings.warnings import model_warnings, warnings_of
 from loose_env.instrument.inference.posterior import ModelComparison, compare_hypotheses
-from loose_env.instrument.inference.timing import (
-    ClockOffset,
-    clock_offset,
-    servo_timing,
-    shifted,
-)
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
-from loose_env.instrument.inference.verdict import verdict_of
-from loose_env.instrument.inference.warnings import model_warnings, warnings_of
+from loose_env.instrument.inference.response.frequency_response import with_leakage
+from loose_env.instrument.inference.response.pairing import beside_references
+from loose_env.instrument.inference.response.timing import on_one_clock, servo_timing
+from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm, read_recorded_arm
 from loose_env.instrument.planning.plan import next_for
 from loose_env.instrument.result import (
@@ -42,11 +37,11 @@ from loose_env.instrument.result import (
     Severity,
     SlideDirection,
     Vector,
-    Verdict,
 )
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.instrument.trend.transmission import spectra_by_fit
 from loose_env.recording import Recording, Run
+from loose_env.version import __version__
 
 __all__ = ["Workbench", "diagnose"]
 
@@ -127,9 +122,9 @@ class Workbench:
         say : callable
             Told what goes on, line by line.
         """
-        lines = self._paired(say)
-        clocks = tuple(c for c in self._clocks(lines).values() if c is not None)
-        lines = self._on_one_clock(lines)
+        lines, clocks = on_one_clock(
+            self.uncertain, beside_references(self.uncertain, self._held(), self._pairs)
+        )
         say(f"weighing {len(self.arm.hypotheses)} hypotheses by {len(lines)} runs")
         comparison = compare_hypotheses(self.uncertain, lines, healthy_prior=self.settings.sound)
         best = comparison.best
@@ -172,50 +167,13 @@ class Workbench:
                 found = replace(found, warnings=(*found.warnings, f"nothing next: {error}"))
         return found
 
-    def _paired(self, say: Callable[[str], None]) -> list[Lines]:
-        """Lines of all runs, those under test beside the same run of the healthy arm."""
-        held = [
-            HeldRun(run=t.run, setup=t.held, number=t.lines.number)
+    def _held(self) -> list[HeldRun]:
+        """Usable runs with their lines."""
+        return [
+            HeldRun(run=t.run, setup=t.held, lines=t.lines)
             for t in self._taken
             if t.lines is not None and t.held is not None
         ]
-        lines = {t.lines.number: t.lines for t in self._taken if t.lines is not None}
-        references = [each for each in held if lines[each.number].healthy]
-        if not references:
-            return list(lines.values())
-        say(f"looking for {len(references)} healthy runs that were repeated")
-        for each in held:
-            if lines[each.number].healthy or each.number in self._pairs:
-                continue
-            pair = paired_lines(self.arm, each, references)
-            if pair is not None:
-                own = with_leakage(self.uncertain.at(pair[0].pose), pair[0])
-                other = with_leakage(self.uncertain.at(pair[1].pose), pair[1])
-                self._pairs[each.number] = replace(own, beside=as_driven(self.arm, other, own))
-        return list((lines | self._pairs).values())
-
-    def _clocks(self, lines: Sequence[Lines]) -> dict[bool, ClockOffset | None]:
-        """Clock offset of the suspect runs (False) and of the references (True)."""
-        return {
-            healthy: clock_offset(self.uncertain, [x for x in lines if x.healthy == healthy])
-            for healthy in {one.healthy for one in lines}
-        }
-
-    def _on_one_clock(self, lines: Sequence[Lines]) -> list[Lines]:
-        """Runs with the estimated clock offset of their accelerometers taken out."""
-        offsets = self._clocks(lines)
-
-        def late(healthy: bool) -> float:
-            found = offsets.get(healthy)
-            return found.seconds if found is not None and found.significant else 0.0
-
-        made = []
-        for one in lines:
-            beside = None if one.beside is None else shifted(one.beside, late(True))
-            made.append(
-                replace(shifted(replace(one, beside=None), late(one.healthy)), beside=beside)
-            )
-        return made
 
     def _places(self) -> dict[int, int]:
         """Number of each run's lines -> its index among the records."""
@@ -361,13 +319,6 @@ def _measured_at(recording: Recording) -> str:
     if not times:
         return ""
     return datetime.fromtimestamp(max(times), tz=UTC).isoformat(timespec="seconds")
-
-
-def _version() -> str:
-    try:
-        return version("loose-env")
-    except PackageNotFoundError:
-        return ""
 
 
 def _severities(

@@ -36,12 +36,11 @@ _NOT_COMPARED = 1e6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeldRun:
-    """Run with its pose and excited joints."""
+    """Run with its pose, excited joints and spectral lines."""
 
     run: Run
     setup: RunSetup
-    number: int
-    """Among all runs that are evaluated together, from 0."""
+    lines: Lines
 
 
 def paired_lines(
@@ -75,10 +74,12 @@ def paired_lines(
     first, second = _overlap(suspect.run, reference.run, lag)
     if first.samples < FEWEST_SAMPLES:
         return None
-    own = lines_of(arm, first, suspect.setup.pose, suspect.setup.excited, number=suspect.number)
+    own = lines_of(
+        arm, first, suspect.setup.pose, suspect.setup.excited, number=suspect.lines.number
+    )
     other = lines_of(
         arm, second, reference.setup.pose, reference.setup.excited,
-        number=reference.number, whole=True,
+        number=reference.lines.number, whole=True,
     )  # fmt: skip
     return _at_the_same_lines(own, other)
 

@@ -71,7 +71,7 @@ class Lines:
     """The same as `lean` (K, 3)."""
     leaked: ComplexArray
     """Readings that this makes (K, c); zero until
-    `loose_env.instrument.inference.frequency_response.with_leakage`."""
+    `loose_env.instrument.inference.response.frequency_response.with_leakage`."""
     measured: NDArray[np.bool_]
     """Joints whose force was measured and stands for their drives (n,)."""
     blind: NDArray[np.bool_]

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines
-from loose_env.instrument.inference.frequency_response import Response, respond
 from loose_env.instrument.inference.opening_probability import open_probability
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.response.frequency_response import Response, respond
+from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.inference.variance_components import ComponentIndex
 from loose_env.instrument.settings.thresholds import COMPLIANCE_HZ, CORRELATION_HZ, OPEN_SEAT_SHARE
 from loose_env.typing import Array, ComplexArray

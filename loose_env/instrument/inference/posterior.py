@@ -10,7 +10,7 @@ import numpy as np
 from loose_env.instrument.data.spectral_lines import Lines, thinned
 from loose_env.instrument.inference.evidence import Evidence, Seat
 from loose_env.instrument.inference.laplace_fit import Fit, fit_hypothesis, seats_of
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.thresholds import (
     COARSENED_MISFIT,

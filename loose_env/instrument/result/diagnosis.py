@@ -19,35 +19,17 @@ __all__ = [
     "FORMAT",
     "Diagnosis",
     "NextMeasurement",
-<<<<<<< HEAD:loose_env/instrument/result.py
-    "RecordSeen",
-    "SlideDirection",
-    "VerdictKind",
-    "hypothesis_of",
-=======
     "Severity",
     "Verdict",
->>>>>>> main:loose_env/instrument/result/diagnosis.py
     "read_diagnosis",
 ]
 
 FORMAT = "loose-diagnosis/1"
 """Format of the file."""
-<<<<<<< HEAD:loose_env/instrument/result.py
-HEALTHY = "healthy"
-"""Name of the hypothesis that nothing is loose."""
-FaultKind = Literal["healthy", "structural_looseness", "backlash"]
-"""Kinds of fault."""
-VerdictKind = Literal["healthy", "faulty", "open", "model_mismatch"]
-"""Kinds of verdict."""
-Vector = tuple[float, float, float]
-
-=======
 Verdict = Literal["healthy", "faulty", "open", "model_mismatch"]
 """Outcome: settled without and with a fault; not decided; the model is not that of the arm."""
 Severity = Literal["critical", "warning", "note"]
 """Weight of a warning: it invalidates the result, limits it, or is for information."""
->>>>>>> main:loose_env/instrument/result/diagnosis.py
 _SUM = 0.02
 """Largest deviation of the sum of a file's probabilities from 1."""
 
@@ -151,16 +133,6 @@ class Diagnosis:
     settled: bool = False
     """True if nothing more needs to be measured: two runs at least, and the probability above the
     setting ``sure``. False in files of versions that did not say."""
-<<<<<<< HEAD:loose_env/instrument/result.py
-    verdict: VerdictKind = "open"
-    """"healthy" or "faulty" where that is settled; "model_mismatch" where the model is not that of
-    the arm and has to be corrected first; else "open"."""
-    open_because: tuple[str, ...] = ()
-    """Reasons why it is not settled, in sentences."""
-    misfit: float = math.nan
-    """Share of the power of the tool's motion that the best hypothesis leaves unexplained [1]; NaN
-    in files of versions that did not say."""
-=======
     verdict: Verdict = "open"
     """Outcome; in files of versions that did not say, by ``settled`` and ``fault``."""
     open_because: tuple[str, ...] = ()
@@ -178,7 +150,6 @@ class Diagnosis:
     """Version of loose-env that wrote it."""
     model_hash: str = ""
     """First 16 hexadecimal digits of the SHA-256 of the model file."""
->>>>>>> main:loose_env/instrument/result/diagnosis.py
     format: str = FORMAT
     """Of the file."""
 

@@ -12,7 +12,7 @@ from loose_env.instrument.data.spectral_lines import Lines, thinned
 from loose_env.instrument.inference.evidence import Evidence, Piece, Seat
 from loose_env.instrument.inference.laplace_fit import Fit, best_powers, seats_of
 from loose_env.instrument.inference.posterior import ModelComparison
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.result import HEALTHY, TransmissionSpectrum
 from loose_env.instrument.settings.thresholds import MENTIONED

@@ -11,9 +11,9 @@ import pytest
 from loose_env.instrument.data.held_pose import run_setup
 from loose_env.instrument.data.spectral_lines import lines_of
 from loose_env.instrument.inference.evidence import Evidence
-from loose_env.instrument.inference.frequency_response import respond
 from loose_env.instrument.inference.laplace_fit import seats_of
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.response.frequency_response import respond
+from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.model.instrumented_arm import read_recorded_arm
 from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings

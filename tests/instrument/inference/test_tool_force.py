@@ -9,7 +9,7 @@ import pytest
 
 from loose_env.instrument.data.held_pose import run_setup
 from loose_env.instrument.data.spectral_lines import lines_of
-from loose_env.instrument.inference.frequency_response import respond, with_leakage
+from loose_env.instrument.inference.response.frequency_response import respond, with_leakage
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm, read_arm
 from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.result import Diagnosis

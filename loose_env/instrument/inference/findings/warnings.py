@@ -8,11 +8,11 @@ import numpy as np
 
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.evidence import Seat
-from loose_env.instrument.inference.free_travel import Travel
+from loose_env.instrument.inference.findings.free_travel import Travel
 from loose_env.instrument.inference.laplace_fit import fitted_pieces, seats_of
 from loose_env.instrument.inference.opening_probability import open_probability, seat_forces
 from loose_env.instrument.inference.posterior import ModelComparison
-from loose_env.instrument.inference.timing import ClockOffset, ServoTiming
+from loose_env.instrument.inference.response.timing import ClockOffset, ServoTiming
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.thresholds import (

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines
-from loose_env.instrument.inference.uncertain_linear_arm import PoseModel
+from loose_env.instrument.inference.response.uncertain_linear_arm import PoseModel
 from loose_env.typing import Array, ComplexArray
 
 __all__ = ["Response", "respond", "with_leakage"]

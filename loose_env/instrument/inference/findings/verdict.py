@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from loose_env.instrument.inference.direction_cones import cone
+from loose_env.instrument.inference.findings.direction_cones import cone
 from loose_env.instrument.inference.posterior import ModelComparison
-from loose_env.instrument.inference.timing import ClockOffset
-from loose_env.instrument.result import HEALTHY, VerdictKind
+from loose_env.instrument.inference.response.timing import ClockOffset
+from loose_env.instrument.result import HEALTHY, Verdict
 from loose_env.instrument.settings.thresholds import (
     CLOCK_NOTED_S,
     LEAST_RUNS,
@@ -16,20 +16,20 @@ from loose_env.instrument.settings.thresholds import (
     SETTLED_CONE_DEG,
 )
 
-__all__ = ["Verdict", "verdict_of"]
+__all__ = ["Judgement", "verdict_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verdict:
+class Judgement:
     """Verdict, and reasons why it is not settled."""
 
-    kind: VerdictKind
+    kind: Verdict
     reasons: tuple[str, ...] = ()
 
 
 def verdict_of(
     comparison: ModelComparison, clocks: Sequence[ClockOffset], *, sure: float
-) -> Verdict:
+) -> Judgement:
     """Decide whether a diagnosis is settled.
 
     Parameters
@@ -70,12 +70,12 @@ def verdict_of(
     elif probability > sure and _rests_on_one(comparison, best, suspect):
         blocked.append("the probability rests on one run: without it another cause is as likely")
     if misfit > MISMATCH and not paired:
-        return Verdict(kind="model_mismatch", reasons=tuple(blocked))
+        return Judgement(kind="model_mismatch", reasons=tuple(blocked))
     if probability <= sure:
         blocked.insert(0, f"the probability of {best} is {probability:.3f}; {sure:g} is needed")
     if blocked:
-        return Verdict(kind="open", reasons=tuple(blocked))
-    return Verdict(kind="healthy" if best == HEALTHY else "faulty")
+        return Judgement(kind="open", reasons=tuple(blocked))
+    return Judgement(kind="healthy" if best == HEALTHY else "faulty")
 
 
 def _rests_on_one(comparison: ModelComparison, best: str, suspect: Sequence[int]) -> bool:

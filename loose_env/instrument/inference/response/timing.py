@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines
-from loose_env.instrument.inference.frequency_response import Response, respond
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.response.frequency_response import Response, respond
+from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.settings.thresholds import CLOCK_Z, LARGEST_CLOCK_OFFSET_S
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["ClockOffset", "ServoTiming", "clock_offset", "servo_timing", "shifted"]
+__all__ = ["ClockOffset", "ServoTiming", "clock_offset", "on_one_clock", "servo_timing"]
 
 _STEP_S = 5e-5
 """Step of the shifts that are tried [s]."""
@@ -93,6 +93,37 @@ def clock_offset(uncertain: UncertainArm, lines: Sequence[Lines]) -> ClockOffset
     if len(near) < 0.5 * len(own):
         return None
     return ClockOffset(seconds=best, sd=max(1.25 * scatter / np.sqrt(count), 0.2 * _STEP_S))
+
+
+def on_one_clock(
+    uncertain: UncertainArm, lines: Sequence[Lines]
+) -> tuple[list[Lines], tuple[ClockOffset, ...]]:
+    """Runs without the clock offset of their accelerometers, and the estimated offsets.
+
+    References and runs under test may be of other days: each has an offset of its own.
+
+    Parameters
+    ----------
+    uncertain : UncertainArm
+        The arm.
+    lines : sequence of Lines
+        All runs.
+    """
+    offsets = {
+        healthy: clock_offset(uncertain, [one for one in lines if one.healthy == healthy])
+        for healthy in {one.healthy for one in lines}
+    }
+
+    def late(healthy: bool) -> float:
+        found = offsets.get(healthy)
+        return found.seconds if found is not None and found.significant else 0.0
+
+    made = []
+    for one in lines:
+        beside = None if one.beside is None else shifted(one.beside, late(True))
+        own = shifted(replace(one, beside=None), late(one.healthy))
+        made.append(replace(own, beside=beside))
+    return made, tuple(each for each in offsets.values() if each is not None)
 
 
 def shifted(lines: Lines, seconds: float) -> Lines:
