@@ -49,10 +49,14 @@ class Response:
     """Response to the same run of the healthy arm, if the run is compared with it."""
 
     @property
+    def expected(self) -> ComplexArray:
+        """Readings expected of the healthy arm (K, c), by the run it is compared with too."""
+        return self.mean if self.beside is None else np.asarray(self.mean + self.beside.residual)
+
+    @property
     def residual(self) -> ComplexArray:
         """Residual of the healthy arm (K, c), less that of the run it is compared with."""
-        own = np.asarray(self.lines.readings - self.mean)
-        return own if self.beside is None else np.asarray(own - self.beside.residual)
+        return np.asarray(self.lines.readings - self.expected)
 
     def joint_columns(self) -> ComplexArray:
         """Frequency response from joint forces to the channels (K, c, n)."""
