@@ -24,6 +24,10 @@ __all__ = ["ClockOffset", "ServoTiming", "clock_offset", "on_one_clock", "servo_
 
 _STEP_S = 5e-5
 """Step of the shifts that are tried [s]."""
+_SHIFTS = np.arange(-LARGEST_CLOCK_OFFSET_S, LARGEST_CLOCK_OFFSET_S + _STEP_S / 2, _STEP_S)
+"""Shifts that are tried [s]."""
+_SAME_PEAK_S = 0.002
+"""Distance up to which a run's peak is that of all [s]."""
 _LINE_ERROR = 0.1
 """Relative error of a line beside noise: no line counts more than its neighbours [1]."""
 _SIGNAL = 4.0
@@ -72,27 +76,8 @@ def clock_offset(uncertain: UncertainArm, lines: Sequence[Lines]) -> ClockOffset
     ClockOffset or None
         None where no run has positions or velocities of the joints that rise above their noise.
     """
-    shifts = np.arange(-LARGEST_CLOCK_OFFSET_S, LARGEST_CLOCK_OFFSET_S + _STEP_S / 2, _STEP_S)
-    curves, own = [], []
-    for one in lines:
-        cross = _cross_spectrum(uncertain, one)
-        if cross is None:
-            continue
-        curve = np.real(np.exp(2j * np.pi * np.outer(shifts, one.frequency)) @ cross)
-        curve /= float(np.sum(np.abs(cross)))
-        curves.append(curve)
-        own.append(_peak(shifts, curve))
-    if not curves:
-        return None
-    total = np.sum(curves, axis=0)
-    best = _peak(shifts, total)
-    # Runs that peak elsewhere by a whole period of the band tell nothing of the scatter.
-    near = [each for each in own if abs(each - best) < 2e-3]
-    scatter = 1.4826 * float(np.median(np.abs(np.array(near) - best))) if len(near) > 1 else 1e-3
-    count = max(len(near), 1)
-    if len(near) < 0.5 * len(own):
-        return None
-    return ClockOffset(seconds=best, sd=max(1.25 * scatter / np.sqrt(count), 0.2 * _STEP_S))
+    found = [(one.frequency, _cross_spectrum(uncertain, one)) for one in lines]
+    return _offset([(frequency, cross) for frequency, cross in found if cross is not None])
 
 
 def on_one_clock(
@@ -100,7 +85,8 @@ def on_one_clock(
 ) -> tuple[list[Lines], tuple[ClockOffset, ...]]:
     """Runs without the clock offset of their accelerometers, and the estimated offsets.
 
-    References and runs under test may be of other days: each has an offset of its own.
+    One offset holds for all runs, but for what a session of references differs by: that is measured
+    by the runs beside each other, whatever the model says.
 
     Parameters
     ----------
@@ -109,21 +95,16 @@ def on_one_clock(
     lines : sequence of Lines
         All runs.
     """
-    offsets = {
-        healthy: clock_offset(uncertain, [one for one in lines if one.healthy == healthy])
-        for healthy in {one.healthy for one in lines}
-    }
-
-    def late(healthy: bool) -> float:
-        found = offsets.get(healthy)
-        return found.seconds if found is not None and found.significant else 0.0
-
+    common = clock_offset(uncertain, lines)
+    late = common.seconds if common is not None and common.significant else 0.0
+    between = _offset([cross for one in lines if (cross := _beside(one)) is not None])
+    later = between.seconds if between is not None and between.significant else 0.0
     made = []
     for one in lines:
-        beside = None if one.beside is None else shifted(one.beside, late(True))
-        own = shifted(replace(one, beside=None), late(one.healthy))
+        beside = None if one.beside is None else shifted(one.beside, late - later)
+        own = shifted(replace(one, beside=None), late - later * one.healthy)
         made.append(replace(own, beside=beside))
-    return made, tuple(each for each in offsets.values() if each is not None)
+    return made, () if common is None else (common,)
 
 
 def shifted(lines: Lines, seconds: float) -> Lines:
@@ -147,7 +128,6 @@ def servo_timing(uncertain: UncertainArm, lines: Sequence[Lines]) -> tuple[Servo
         Runs.
     """
     arm = uncertain.arm
-    shifts = np.arange(-LARGEST_CLOCK_OFFSET_S, LARGEST_CLOCK_OFFSET_S + _STEP_S / 2, _STEP_S)
     found = []
     for joint, name in enumerate(arm.joints):
         curves, bandwidths = [], []
@@ -162,7 +142,7 @@ def servo_timing(uncertain: UncertainArm, lines: Sequence[Lines]) -> tuple[Servo
             cross = np.conj(response.motion[keep, joint]) * measured[keep, joint]
             cross = cross / np.maximum(np.abs(cross), 1e-300)
             curves.append(
-                np.real(np.exp(2j * np.pi * np.outer(shifts, one.frequency[keep])) @ cross)
+                np.real(np.exp(2j * np.pi * np.outer(_SHIFTS, one.frequency[keep])) @ cross)
             )
             bandwidths.append(_bandwidth(response, measured, used, joint))
         if not curves:
@@ -172,10 +152,39 @@ def servo_timing(uncertain: UncertainArm, lines: Sequence[Lines]) -> tuple[Servo
             ServoTiming(
                 joint=name,
                 bandwidth_hz=float(np.median(known)) if known else None,
-                delay_s=_peak(shifts, np.sum(curves, axis=0)),
+                delay_s=_peak(_SHIFTS, np.sum(curves, axis=0)),
             )
         )
     return tuple(found)
+
+
+def _offset(crosses: Sequence[tuple[Array, ComplexArray]]) -> ClockOffset | None:
+    """Delay of highest cross-correlation over all runs, by frequencies and cross-spectra (K,)."""
+    curves, own = [], []
+    for frequency, cross in crosses:
+        curve = np.real(np.exp(2j * np.pi * np.outer(_SHIFTS, frequency)) @ cross)
+        curve /= max(float(np.sum(np.abs(cross))), 1e-300)
+        curves.append(curve)
+        own.append(_peak(_SHIFTS, curve))
+    if not curves:
+        return None
+    best = _peak(_SHIFTS, np.sum(curves, axis=0))
+    # Runs that peak elsewhere by a whole period of the band tell nothing of the scatter.
+    near = [each for each in own if abs(each - best) < _SAME_PEAK_S]
+    if len(near) < 0.5 * len(own):
+        return None
+    scatter = 1.4826 * float(np.median(np.abs(np.array(near) - best))) if len(near) > 1 else 1e-3
+    return ClockOffset(seconds=best, sd=max(1.25 * scatter / np.sqrt(len(near)), 0.2 * _STEP_S))
+
+
+def _beside(lines: Lines) -> tuple[Array, ComplexArray] | None:
+    """Frequencies and weighted cross-spectrum of a run's accelerations and its reference's."""
+    if lines.beside is None:
+        return None
+    sites = [k for k, (reading, _) in enumerate(lines.row) if reading.kind == "acceleration"]
+    first, second = lines.beside.readings[:, sites], lines.readings[:, sites]
+    weight = 1 / (lines.noise[:, sites] + _LINE_ERROR * np.abs(second) ** 2)
+    return lines.frequency, np.sum(np.conj(first) * second * weight, axis=1)
 
 
 def _nominal(uncertain: UncertainArm, lines: Lines) -> Response:
