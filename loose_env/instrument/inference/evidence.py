@@ -22,7 +22,7 @@ from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.opening_probability import open_probability
 from loose_env.instrument.inference.response.frequency_response import Response, respond
 from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
-from loose_env.instrument.inference.variance_components import ComponentIndex
+from loose_env.instrument.inference.variance_components import BANDS, ComponentIndex
 from loose_env.instrument.settings.thresholds import COMPLIANCE_HZ, CORRELATION_HZ, OPEN_SEAT_SHARE
 from loose_env.typing import Array, ComplexArray
 
@@ -54,8 +54,6 @@ _SPREAD = 1.0
 """Standard deviation of the log share of a band about that of its run."""
 _NEAR = np.exp(-0.5 * (np.log(SHARES[:, None] / SHARES) / _SPREAD) ** 2)
 _NEAR /= _NEAR.sum(axis=1, keepdims=True)
-_BANDS = 8
-"""Bands of a run."""
 BLIND = 1e8
 """Variance of the relative error of a force of which nothing is known [1]."""
 
@@ -172,10 +170,13 @@ class Evidence:
                 noise = noise + one.beside.noise
             # Readings of what is faster than the samples fold back; more of it the higher the line.
             folded = one.folded * (one.frequency * one.period / _FOLDS) ** 2
-            power = (1 + folded)[:, None] ** 2 * one.power
             of = self.uncertain
             patterns = np.concatenate([response.joint_columns(), response.columns], axis=2)
-            patterns = patterns * amplitude[:, None, :]
+            count = len(one.frequency)
+            bands = (np.arange(count) * BANDS // count).astype(np.intp)
+            factor = variances[self.index.bands(one.number)][bands]
+            patterns = patterns * (np.sqrt(factor)[:, None] * amplitude)[:, None, :]
+            power = (factor * (1 + folded) ** 2)[:, None] * one.power
             components = self.index.columns(one.number, change=change)
             reading = self.index.reading(change=change)
             size = variances[components].copy()
@@ -184,6 +185,10 @@ class Evidence:
             covariance = scaled @ scaled.conj().swapaxes(1, 2)
             channel = np.arange(covariance.shape[1])
             covariance[:, channel, channel] += noise + variances[reading] * power
+            if response.beside is not None:
+                # Patterns of what has changed are known no better than the model the reference.
+                unknown = min(response.beside.unexplained, 1.0)
+                covariance[:, channel, channel] += unknown * np.sum(np.abs(scaled) ** 2, axis=2)
             # Readings have units: each is taken over its own standard deviation.
             unit = 1 / np.sqrt(covariance[:, channel, channel].real)
             units = unit[:, :, None] * unit[:, None, :]
@@ -194,7 +199,6 @@ class Evidence:
             size_of = np.linalg.slogdet(units * covariance)[1]
             size_of -= np.sum(np.log(unit**2 * noise), axis=1)
             temper = min(one.independent / 1.1, one.spacing / self.correlation)
-            count = len(one.frequency)
             found.append(
                 Piece(
                     response=response,
@@ -205,7 +209,7 @@ class Evidence:
                     reading=reading,
                     base=-temper * float(np.sum(misfit + size_of)),
                     temper=temper,
-                    bands=(np.arange(count) * _BANDS // count).astype(np.intp),
+                    bands=bands,
                 )
             )
         return found

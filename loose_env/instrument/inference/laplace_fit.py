@@ -16,7 +16,7 @@ from loose_env.instrument.inference.evidence import (
     band_terms,
     seat_powers,
 )
-from loose_env.instrument.inference.variance_components import updated, within_bounds
+from loose_env.instrument.inference.variance_components import within_bounds
 from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD
 from loose_env.statistics import axes_grid, tangents
 from loose_env.typing import Array, ComplexArray
@@ -45,6 +45,8 @@ class RunTerm:
     misfit: float
     """Share of the accelerometers' power that the fit leaves unexplained by parameters, forces of
     the joints and the seat [1]."""
+    effect: float
+    """Share of the accelerometers' power that the seat's motion makes [1]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,7 +100,8 @@ class _System:
     drive: Array
     explained: Array
     expected: Array
-    misfit: dict[int, list[tuple[float, float]]]
+    misfit: dict[int, list[tuple[float, float, float]]]
+    """Of each run's pieces the unexplained, whole and the seat's power; see `_unexplained`."""
 
 
 def fit_hypothesis(
@@ -126,7 +129,7 @@ def fit_hypothesis(
     """
     count = evidence.count
     errors = np.zeros(count)
-    variances = (_FIRST * evidence.index.scales) ** 2
+    variances = evidence.index.start(_FIRST)
     if start is not None:
         errors[: len(start.errors)] = start.errors[:count]
         if len(start.variances) == len(variances):
@@ -188,7 +191,7 @@ def _state(
 def _rescaled(evidence: Evidence, seat: Seat | None, now: _State, system: _System) -> _State:
     """Variances after a step toward those of highest posterior density."""
     index = evidence.index
-    better = updated(now.variances, index.scales, system.explained, system.expected)
+    better = index.updated(now.variances, system.explained, system.expected)
     # Longer steps where they are better still: single ones are safe, but short.
     for power in (6.0, 2.0, 1.0):
         trial = within_bounds(now.variances * (better / now.variances) ** power, index.scales)
@@ -211,9 +214,12 @@ def _by_run(
             value[number] += float(term[0])
     found = {}
     for number, log_likelihood in value.items():
-        left, whole = np.sum(system.misfit[number], axis=0)
-        misfit = float(max(left, 0.0) / max(whole, 1e-30))
-        found[number] = RunTerm(log_likelihood=log_likelihood, misfit=misfit)
+        left, whole, seat_power = np.sum(system.misfit[number], axis=0)
+        found[number] = RunTerm(
+            log_likelihood=log_likelihood,
+            misfit=float(max(left, 0.0) / max(whole, 1e-30)),
+            effect=float(seat_power / max(whole, 1e-30)),
+        )
     return found
 
 
@@ -256,7 +262,7 @@ def _system(evidence: Evidence, now: _State, seat: Seat | None) -> _System:
     normal[np.arange(count, size), np.arange(count, size)] = _UNSEEN
     drive[:count] = -now.errors
     explained, expected = np.zeros((2, len(now.variances)))
-    misfit: dict[int, list[tuple[float, float]]] = {}
+    misfit: dict[int, list[tuple[float, float, float]]] = {}
     for piece in now.pieces:
         response, weight = piece.response, piece.weight
         residual = response.residual
@@ -295,10 +301,17 @@ def _system(evidence: Evidence, now: _State, seat: Seat | None) -> _System:
         np.add.at(expected, piece.components, piece.temper * alone.sum(axis=0))
         own, power = pulled[:, :, 0], piece.reading_power
         diagonal = np.diagonal(weight, axis1=1, axis2=2).real
-        explained[piece.reading] += piece.temper * float(np.sum(np.abs(own) ** 2 * power))
-        expected[piece.reading] += piece.temper * float(np.sum(diagonal * power))
+        read, foreseen = np.abs(own) ** 2 * power, diagonal * power
+        explained[piece.reading] += piece.temper * float(np.sum(read))
+        expected[piece.reading] += piece.temper * float(np.sum(foreseen))
+        shares, error = now.variances[piece.components], now.variances[piece.reading]
+        bands = evidence.index.bands(piece.lines.number)
+        factor = now.variances[bands][piece.bands]
+        for sums, part, whole in ((explained, along, read), (expected, alone, foreseen)):
+            by_line = piece.temper * (part @ shares + error * whole.sum(axis=1)) / factor
+            np.add.at(sums, bands[piece.bands], by_line)
         misfit.setdefault(piece.lines.number, []).append(
-            _unexplained(piece, now.variances, residual - moved[:, :, 0], pulled)
+            _unexplained(piece, now.variances, moved[:, :, 0], pulled)
         )
     return _System(
         normal=normal, drive=drive, explained=explained, expected=expected, misfit=misfit
@@ -306,22 +319,28 @@ def _system(evidence: Evidence, now: _State, seat: Seat | None) -> _System:
 
 
 def _unexplained(
-    piece: Piece, variances: Array, residual: ComplexArray, pulled: ComplexArray
-) -> tuple[float, float]:
-    """Power of the accelerometers' residual without the joints' forces, and of their readings."""
+    piece: Piece, variances: Array, moved: ComplexArray, pulled: ComplexArray
+) -> tuple[float, float, float]:
+    """Power of the accelerometers' residual, of their readings, and of the seat's motion in them.
+
+    The residual is that without the seat's motion and the joints' forces.
+    """
     lines, n = piece.lines, piece.response.at.of.arm.n
     size = variances[piece.components[:n]].copy()
     size[lines.blind] = BLIND
     forces = piece.patterns[:, :, :n]
     force = (forces * size) @ (forces.conj().swapaxes(1, 2) @ pulled)
     rows = [k for k, (reading, _) in enumerate(lines.row) if reading.kind == "acceleration"]
-    left = np.abs((residual - force[:, :, 0])[:, rows]) ** 2
+    left = np.abs((piece.response.residual - moved - force[:, :, 0])[:, rows]) ** 2
     noise = lines.noise[:, rows]
     if lines.beside is not None:
         noise = noise + lines.beside.noise[:, rows]
     read = lines.read[:, rows]
     whole = np.abs(lines.readings[:, rows]) ** 2
-    return float(np.sum(np.where(read, left - noise, 0.0))), float(np.sum(np.where(read, whole, 0)))
+    seat = np.abs(moved[:, rows]) ** 2
+    sums = (np.sum(np.where(read, each, 0.0)) for each in (left - noise, whole, seat))
+    unexplained, power, own = (float(each) for each in sums)
+    return unexplained, power, own
 
 
 def _mean(values: Array) -> Array:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from loose_env.instrument.inference.findings.direction_cones import cone
 from loose_env.instrument.inference.posterior import ModelComparison
 from loose_env.instrument.inference.response.timing import ClockOffset
 from loose_env.instrument.result import HEALTHY, Verdict
 from loose_env.instrument.settings.thresholds import (
     CLOCK_NOTED_S,
+    FAULT_EFFECT,
     LEAST_RUNS,
     MISMATCH,
     SETTLED_CONE_DEG,
@@ -60,6 +63,12 @@ def verdict_of(
                 "corrected by an estimate"
             )
     if best != HEALTHY:
+        effect = float(np.sqrt(max(comparison.fits[best].runs[run].effect for run in suspect)))
+        if effect < FAULT_EFFECT:
+            blocked.append(
+                f"the seat's motion makes {effect:.1%} of the tool's motion; below "
+                f"{FAULT_EFFECT:.0%} poses that are not quite repeated do as much"
+            )
         _, half = cone(comparison.fits[best])
         if best.startswith("structural") and (half is None or half > SETTLED_CONE_DEG):
             blocked.append(

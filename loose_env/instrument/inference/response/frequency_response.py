@@ -54,6 +54,15 @@ class Response:
         return self.mean if self.beside is None else np.asarray(self.mean + self.beside.residual)
 
     @property
+    def unexplained(self) -> float:
+        """Share of the accelerometers' power that the healthy arm leaves unexplained [1]."""
+        rows = [
+            k for k, (reading, _) in enumerate(self.lines.row) if reading.kind == "acceleration"
+        ]
+        left = np.sum(np.abs(self.residual[:, rows]) ** 2)
+        return float(left / max(np.sum(np.abs(self.lines.readings[:, rows]) ** 2), 1e-300))
+
+    @property
     def residual(self) -> ComplexArray:
         """Residual of the healthy arm (K, c), less that of the run it is compared with."""
         return np.asarray(self.lines.readings - self.expected)
