@@ -159,6 +159,9 @@ PRESSED_FORCE = 3.0
 """Static load over driving force from which gravity is said to keep a seat shut."""
 MODEL_ERROR = 0.06
 """Relative model error at a line, above which the model is not that of the arm."""
+FORCE_ERROR = 0.5
+"""Relative error of the excited joints' forces above which the same is said: friction and servo
+gains explain less."""
 PARAMETER_ERROR = 2.2
 """Rms of the parameter errors [standard deviations], above which the same is said."""
 TOOL_SIGNAL = 10.0

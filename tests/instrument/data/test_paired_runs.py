@@ -6,9 +6,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from loose_env.errors import InvalidData
 from loose_env.instrument.inference.response.pairing import beside_references
 from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
@@ -73,10 +71,3 @@ def test_a_fault_shows_in_the_difference(tmp_path: Path) -> None:
     found = bench_of(tmp_path, runs("slide", 3, sound=True), runs("slide", 3)).diagnosis(plan=False)
     assert found.fault.hypothesis == "structural_looseness@link2"
     assert found.verdict == "faulty"
-
-
-def test_references_alone_are_no_diagnosis(tmp_path: Path) -> None:
-    bench = bench_of(tmp_path, runs("slide", 2, sound=True))
-    assert not bench.suspect
-    with pytest.raises(InvalidData, match="no run of the arm under test"):
-        bench.diagnosis(plan=False)

@@ -18,6 +18,7 @@ from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.thresholds import (
     CLOCK_NOTED_S,
     FEWEST_LINES,
+    FORCE_ERROR,
     JOINT_SIGNAL,
     MODEL_ERROR,
     OPENING_PROBABILITY,
@@ -76,14 +77,29 @@ def model_warnings(comparison: ModelComparison) -> list[str]:
     fit = comparison.fits[comparison.best]
     strain = float(np.sqrt(np.mean(fit.errors**2))) if len(fit.errors) else 0.0
     misfit = float(np.sqrt(comparison.misfit))
-    if misfit <= MODEL_ERROR and strain <= PARAMETER_ERROR:
+    forces = _force_error(comparison)
+    if misfit <= MODEL_ERROR and strain <= PARAMETER_ERROR and forces <= FORCE_ERROR:
         return []
     return [
-        f"the model is not that of this arm: {misfit:.0%} of the motion remains "
-        f"unexplained, and its parameters are off by {strain:.1f} times their tolerance. The "
+        f"the model is not that of this arm: {misfit:.0%} of the motion remains unexplained, the "
+        f"joints' forces are off by {forces:.0%}, its parameters by {strain:.1f} times their "
+        "tolerance. The "
         "location and the probabilities below are less certain than stated; find the model error "
         "with 'loose gap', and diagnose with the corrected model"
     ]
+
+
+def _force_error(comparison: ModelComparison) -> float:
+    """Median relative error of the forces of the excited joints, over the runs [1]."""
+    index, fit = comparison.evidence.index, comparison.fits[comparison.best]
+    errors = [
+        np.sqrt(fit.variances[index.columns(one.number, change=False)[joint]])
+        for one in comparison.lines
+        if one.beside is None
+        for joint in one.excited
+        if not one.blind[joint]
+    ]
+    return float(np.median(errors)) if errors else 0.0
 
 
 def _of_timing(clocks: Sequence[ClockOffset], servos: Sequence[ServoTiming]) -> list[str]:
