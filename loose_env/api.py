@@ -91,15 +91,17 @@ class DiagnosisReport:
         place = _target(folder, self.recording)
         name = self.recording.folder.name
         model = self.recording.model_path
-        return report.write_diagnosis(place, self.result, model, recording=name, say=say)
+        return report.write_diagnosis(
+            place, self.result, model, recording=name, given=str(self.recording.folder), say=say
+        )
 
     def __repr__(self) -> str:
         """Headline, table, next steps and warnings."""
-        return report.diagnosis_text(self.result, self.arm)
+        return report.diagnosis_text(self.result, self.arm, folder=str(self.recording.folder))
 
     def _repr_html_(self) -> str:
         """Return the same in HTML, as notebooks show it."""
-        return report.diagnosis_html(self.result, self.arm)
+        return report.diagnosis_html(self.result, self.arm, folder=str(self.recording.folder))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
