@@ -16,8 +16,7 @@ import sys
 
 from loose_env.cli.console import Console, Outcome, add_recording_options
 from loose_env.cli.options import add_settings, settings_of
-from loose_env.doctor import DoctorSettings, Report, examine
-from loose_env.errors import InvalidData
+from loose_env.doctor import DoctorSettings, examine
 from loose_env.recording import Recording, read_recording
 
 
@@ -54,13 +53,5 @@ def check_first(recording: Recording, options: argparse.Namespace) -> None:
     report = examine(recording)
     for line in report.lines(least="warning"):
         print(line, file=sys.stderr)
-    if report.errors and not options.ignore_doctor:
-        raise InvalidData(
-            f"{_errors(report)} of the recording, listed above; correct it, or go on with "
-            "--ignore-doctor"
-        )
-
-
-def _errors(report: Report) -> str:
-    count = len(report.errors)
-    return f"the preflight found {count} error{'s' * (count != 1)}"
+    if not options.ignore_doctor:
+        report.refuse_errors(listed="listed above", remedy="--ignore-doctor")
