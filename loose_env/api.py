@@ -19,6 +19,7 @@ from typing import Any
 
 from loose_env import gap, instrument, report
 from loose_env.arms import Arm
+from loose_env.doctor import examine
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap import GapResult, GapSettings, GapSolution
 from loose_env.instrument import DiagnoseSettings, Diagnosis, Fault
@@ -91,15 +92,17 @@ class DiagnosisReport:
         place = _target(folder, self.recording)
         name = self.recording.folder.name
         model = self.recording.model_path
-        return report.write_diagnosis(place, self.result, model, recording=name, say=say)
+        return report.write_diagnosis(
+            place, self.result, model, recording=name, given=str(self.recording.folder), say=say
+        )
 
     def __repr__(self) -> str:
         """Headline, table, next steps and warnings."""
-        return report.diagnosis_text(self.result, self.arm)
+        return report.diagnosis_text(self.result, self.arm, folder=str(self.recording.folder))
 
     def _repr_html_(self) -> str:
         """Return the same in HTML, as notebooks show it."""
-        return report.diagnosis_html(self.result, self.arm)
+        return report.diagnosis_html(self.result, self.arm, folder=str(self.recording.folder))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -168,6 +171,7 @@ def diagnose(
     *,
     model: str | Path | None = None,
     plan: bool = True,
+    ignore_doctor: bool = False,
     say: Say = lambda _: None,
     **settings: Any,
 ) -> DiagnosisReport:
@@ -181,8 +185,10 @@ def diagnose(
         MJCF file that takes the place of the recording's model.
     plan : bool
         True to propose the next measurement.
+    ignore_doctor : bool
+        True to go on although the preflight finds errors in the recording.
     say : callable
-        Receives progress messages, line by line; ``print`` shows them.
+        Receives warnings of the preflight and progress, line by line; ``print`` shows them.
     **settings
         Fields of `loose_env.instrument.DiagnoseSettings`, such as ``most_tool=4``. Those that are
         not given are as the plan beside the recording has them, else the usual ones.
@@ -198,7 +204,7 @@ def diagnose(
     InvalidSetting
         If a setting is out of range, or ``model`` is no file.
     InvalidData
-        If the recording or the model cannot be used.
+        If the recording or the model cannot be used, or the preflight finds errors.
 
     Examples
     --------
@@ -216,6 +222,7 @@ def diagnose(
     """
     own = _checked(DiagnoseSettings, settings)
     read = _recording(recording, model)
+    _check_first(read, ignore_doctor, say)
     before = asdict(instrument.session_beside(read.folder).choice)
     chosen = DiagnoseSettings(**{**before, **own})
     result = instrument.diagnose(read, chosen, plan=plan, say=say)
@@ -226,6 +233,7 @@ def explain_gap(
     recording: str | Path | Recording,
     *,
     model: str | Path | None = None,
+    ignore_doctor: bool = False,
     say: Say = lambda _: None,
     **settings: Any,
 ) -> GapReport:
@@ -237,8 +245,10 @@ def explain_gap(
         Folder of the recording, or the recording.
     model : str or Path, optional
         MJCF file that takes the place of the recording's model.
+    ignore_doctor : bool
+        True to go on although the preflight finds errors in the recording.
     say : callable
-        Receives progress messages, line by line; ``print`` shows them.
+        Receives warnings of the preflight and progress, line by line; ``print`` shows them.
     **settings
         Fields of `loose_env.gap.GapSettings`, such as ``kinds=("coulomb_friction",)``.
 
@@ -253,7 +263,7 @@ def explain_gap(
     InvalidSetting
         If a setting is out of range, or ``model`` is no file.
     InvalidData
-        If the recording or the model cannot be used.
+        If the recording or the model cannot be used, or the preflight finds errors.
 
     Examples
     --------
@@ -271,9 +281,21 @@ def explain_gap(
     """
     chosen = GapSettings(**_checked(GapSettings, settings))
     read = _recording(recording, model)
+    _check_first(read, ignore_doctor, say)
     solution = gap.find_gap(read, chosen, say=say)
     result = gap.result_of(solution, gap.diagnose_residuals(solution, say=say))
     return GapReport(result=result, solution=solution, recording=read)
+
+
+def _check_first(recording: Recording, ignore_errors: bool, say: Say) -> None:
+    """Check a recording as `loose doctor` does, and refuse it if there are errors."""
+    report = examine(recording)
+    for line in report.lines(least="warning"):
+        say(line)
+    if not ignore_errors:
+        first = f"such as {report.errors[0].found!r}" if report.errors else ""
+        listed = f"{first}; loose_env.doctor.examine lists them"
+        report.refuse_errors(listed=listed, remedy="ignore_doctor=True")
 
 
 def _recording(given: str | Path | Recording, model: str | Path | None) -> Recording:

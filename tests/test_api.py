@@ -14,9 +14,10 @@ from loose_env.api import DiagnosisReport, GapReport
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap import read_result
 from loose_env.instrument import read_diagnosis
-from loose_env.recording import Recording, read_recording
+from loose_env.recording import Recording, read_recording, write_recording
 from scripts.example_recording import loose_arm
 from scripts.suites.trust.kills.commands import make_recording
+from tests.doctor.machine import record, with_sensors, xml
 
 FEW = {"poses": 2, "seconds": 1.2}
 KINDS = ("viscous_friction", "link_mass")
@@ -49,8 +50,8 @@ def test_a_diagnosis_shows_headline_table_and_next_steps(diagnosed: DiagnosisRep
     assert diagnosed.fault.where == "forearm" and diagnosed.probability > 0.9
     assert sum(diagnosed.posterior.values()) == pytest.approx(1.0)
     first, heads, row, *others = repr(diagnosed).splitlines()
-    assert first == diagnosed.headline and "probability" in heads
-    assert "link 3 (forearm) is loose" in row and "mm" in row and "°" in row
+    assert first == diagnosed.headline and "Probability" in heads
+    assert "Link 3 (forearm) is loose" in row and "mm" in row and "°" in row
     assert any(line.startswith("next: ") for line in others)
     shown = diagnosed._repr_html_()
     assert shown.startswith("<p><strong>Link 3 (forearm) is loose.</strong></p>")
@@ -135,6 +136,18 @@ def test_what_cannot_be_used_is_said(call, tmp_path: Path) -> None:  # type: ign
     for given in (tmp_path / "none", tmp_path, 3):
         with pytest.raises(InvalidData):
             call(given)
+
+
+@pytest.mark.parametrize("call", [loose_env.diagnose, loose_env.explain_gap])
+def test_a_recording_in_degrees_is_refused(call, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    wrong = with_sensors(record(tmp_path / "right"), "q_", np.degrees)
+    write_recording(tmp_path / "degrees", model_xml=xml(), runs=wrong.runs)
+    said: list[str] = []
+    with pytest.raises(
+        InvalidData, match=r"3 errors of the recording, such as .*ignore_doctor=True"
+    ):
+        call(tmp_path / "degrees", say=said.append)
+    assert said[0].startswith("error: sensor.q_base")
 
 
 def test_names_of_the_package_are_loaded_when_they_are_used() -> None:

@@ -61,12 +61,13 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_recording_options(parser: argparse.ArgumentParser) -> None:
-    """Add RECORDING, --out and --model."""
+def add_recording_options(parser: argparse.ArgumentParser, *, out: bool = True) -> None:
+    """Add RECORDING, --model and, for commands that write a folder, --out."""
     parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of the recording")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for what is written"
-    )
+    if out:
+        parser.add_argument(
+            "--out", type=Path, required=True, metavar="DIR", help="folder for what is written"
+        )
     parser.add_argument(
         "--model",
         type=Path,

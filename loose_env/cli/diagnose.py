@@ -31,7 +31,6 @@ from loose_env.cli.doctor import add_preflight, check_first
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.errors import InvalidSetting
 from loose_env.instrument import (
-    HEALTHY,
     DiagnoseSettings,
     Diagnosis,
     Maintenance,
@@ -48,7 +47,7 @@ from loose_env.instrument import (
     time_of,
 )
 from loose_env.recording import read_recording
-from loose_env.report import diagnosis_headline, write_diagnosis
+from loose_env.report import diagnosis_text, write_diagnosis
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -120,7 +119,7 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     )
     folder.note(written)
     arm = read_recorded_arm(recording.model_path).shown
-    text = [diagnosis_headline(found, arm), summary(found)]
+    text = [diagnosis_text(found, arm, folder=str(options.recording), warnings=False)]
     if trend is not None:
         text.append(trend_summary(trend))
     text.append("written: " + ", ".join(str(path) for path in written))
@@ -161,47 +160,4 @@ def trend_summary(trend: Trend) -> str:
             "" if each.band_hz is None else f", {each.band_hz[0]:.0f} to {each.band_hz[1]:.0f} Hz"
         )
         lines.append(f"  {what}{band}: alarm since {since.date[:10] or since.name}")
-    return "\n".join(lines)
-
-
-def summary(found: Diagnosis) -> str:
-    """Summary of the result in a few lines."""
-    fault = found.fault
-    if fault.kind == HEALTHY:
-        lines = [f"healthy, probability {found.probability:.3f}: nothing is seen to be loose"]
-    else:
-        lines = [f"{fault.kind} at {fault.where}, probability {found.probability:.3f}"]
-    if fault.direction is not None:
-        along = ", ".join(f"{x:.3f}" for x in fault.direction)
-        half = fault.direction_half_angle_deg
-        within = "" if half is None else f", within {half:.1f} degrees (95 %)"
-        lines.append(f"  along ({along}) of the link's frame{within}")
-    if fault.gap_m is not None:
-        ends = fault.gap_interval_m
-        between = "" if ends is None else f" ({1e3 * ends[0]:.2g} to {1e3 * ends[1]:.2g})"
-        unit = "mm" if fault.kind == "structural_looseness" else "mrad (mm where the joint slides)"
-        lines.append(f"  free travel {1e3 * fault.gap_m:.2g}{between} {unit}")
-    others = sorted(
-        ((p, name) for name, p in found.posterior.items() if name != fault.hypothesis), reverse=True
-    )
-    lines += [f"  or {name}, probability {p:.3f}" for p, name in others[:3] if p >= 0.01]
-    following = found.next
-    if following is None:
-        lines.append(
-            "nothing more needs to be measured"
-            if found.settled
-            else "that is not settled, and no pose was found that would tell more; see the warnings"
-        )
-        return "\n".join(lines)
-    pose = ", ".join(f"{joint} {q:.3f}" for joint, q in following.pose.items())
-    played = ", ".join(
-        f"{joint} at {torque:.3g} rms"
-        for joint, torque in zip(following.joints, following.torques, strict=True)
-    )
-    lines += [
-        f"measure next: {following.reason}",
-        f"  pose: {pose} [rad or m]",
-        f"  shake: {played} [N·m or N], {following.band_hz[0]:g} to {following.band_hz[1]:g} Hz, "
-        f"{following.seconds:g} s",
-    ]
     return "\n".join(lines)

@@ -3,31 +3,26 @@
 Reads a recording (a folder with recording.json, the nominal model and measured runs), and prints
 all findings at once: errors, which make a result wrong; warnings, which may; notes. Each says what
 was found, with its number and unit, the consequence and the remedy. 'loose diagnose' and
-'loose gap' run the same checks first and stop at errors; --ignore-doctor goes on.
+'loose gap' run the same checks first and stop at errors; --ignore-doctor goes on. The exit code is
+1 where there are errors.
+
+    loose doctor session/recording
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
-from loose_env.cli.console import Console, Outcome
+from loose_env.cli.console import Console, Outcome, add_recording_options
 from loose_env.cli.options import add_settings, settings_of
-from loose_env.doctor import DoctorSettings, Report, examine
-from loose_env.errors import InvalidData
+from loose_env.doctor import DoctorSettings, examine
 from loose_env.recording import Recording, read_recording
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of the recording")
-    parser.add_argument(
-        "--model",
-        type=Path,
-        metavar="OTHER.xml",
-        help="MJCF file that takes the place of the recording's model",
-    )
+    add_recording_options(parser, out=False)
     add_settings(parser, DoctorSettings, title="tolerances")
 
 
@@ -56,15 +51,7 @@ def check_first(recording: Recording, options: argparse.Namespace) -> None:
         If there are errors, and they are not to be ignored.
     """
     report = examine(recording)
-    for line in report.lines(least="error" if options.quiet else "warning"):
+    for line in report.lines(least="warning"):
         print(line, file=sys.stderr)
-    if report.errors and not options.ignore_doctor:
-        raise InvalidData(
-            f"{_errors(report)} of the recording, listed above; correct it, or go on with "
-            "--ignore-doctor"
-        )
-
-
-def _errors(report: Report) -> str:
-    count = len(report.errors)
-    return f"the preflight found {count} error{'s' * (count != 1)}"
+    if not options.ignore_doctor:
+        report.refuse_errors(listed="listed above", remedy="--ignore-doctor")

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from loose_env.errors import InvalidData
 from loose_env.io import json_text
 
 __all__ = ["Finding", "Report", "Severity"]
@@ -113,6 +114,32 @@ class Report:
     def text(self) -> str:
         """Whole report as text."""
         return "\n".join([self.headline(), *self.lines()])
+
+    def refuse_errors(self, *, listed: str, remedy: str) -> None:
+        """Refuse the recording if there are errors.
+
+        Parameters
+        ----------
+        listed : str
+            Where the errors are listed.
+        remedy : str
+            How to go on in spite of them.
+
+        Raises
+        ------
+        InvalidData
+            If there are errors.
+
+        Examples
+        --------
+        >>> Report(recording="arm", runs=2, seconds=4.0).refuse_errors(listed="", remedy="")
+        """
+        count = len(self.errors)
+        if count:
+            raise InvalidData(
+                f"the preflight found {count} error{'s' * (count != 1)} of the recording, "
+                f"{listed}; correct it, or go on with {remedy}"
+            )
 
     def to_json(self) -> str:
         """Whole report as JSON."""

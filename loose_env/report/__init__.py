@@ -7,7 +7,7 @@ from loose_env.envs import FAINT, INK, MUTED
 from loose_env.report.comparison.episode_timeline import episode_timeline
 from loose_env.report.comparison.report import write_comparison
 from loose_env.report.comparison.text import comparison_text
-from loose_env.report.diagnosis.hypotheses import diagnosis_html, diagnosis_text
+from loose_env.report.diagnosis.notebook import diagnosis_html, diagnosis_text
 from loose_env.report.diagnosis.page import write_page
 from loose_env.report.diagnosis.text import headline as diagnosis_headline
 from loose_env.report.diagnosis.trend_page import trend_headline, write_trend_page

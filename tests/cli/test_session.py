@@ -67,6 +67,7 @@ def test_plan_and_diagnosis_take_turns_in_one_folder_under_the_limits_of_the_fir
     model, session = str(written(tmp_path, SERVOED)), tmp_path / "session"
     found = session / "diagnosis"
     limits = ["--most-tool", "4", "--ground-m", "0.1", "--poses", "4", "--seconds", "1.2"]
+    limits += ["--max-speed-rad-s", "1000"]  # the proposal of a diagnosis knows no speed limit
     assert main(["plan", model, "--out", str(session), *limits]) == 0
     poses = [read(session / "plan.json")["pose"]]
     for number in (1, 2):
@@ -94,8 +95,9 @@ def test_plan_and_diagnosis_take_turns_in_one_folder_under_the_limits_of_the_fir
         assert made["signals"][0]["tool_acceleration_rms"] < 4.4
         poses.append(made["pose"])
     listed = read(session / "recording" / "recording.json")["runs"]
-    assert [run["file"] for run in listed] == ["run-01.csv", "run-02.csv", "run-03.csv"]
-    assert [run["pose"] for run in listed] == [pytest.approx(pose) for pose in poses]
+    files = ["run-01.csv", "run-02.csv", "run-03.csv", "repeat-01.csv"]
+    assert [run["file"] for run in listed] == files
+    assert [run["pose"] for run in listed] == [pytest.approx(q) for q in (*poses, poses[0])]
 
 
 def test_an_option_of_the_diagnosis_takes_the_place_of_the_plans(

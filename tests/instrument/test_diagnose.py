@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.cli.diagnose import summary
 from loose_env.cli.main import main
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.instrument import read_recorded_arm
 from loose_env.instrument.pipeline import Workbench, diagnose
 from loose_env.instrument.result import Diagnosis, read_diagnosis
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run, read_recording, write_recording
+from loose_env.report import diagnosis_text
 from tests.instrument.arms.blind_arm import SLIDE, runs, write_model
 
 QUICK = DiagnoseSettings(poses=2, seconds=1.0)
@@ -85,9 +86,12 @@ def test_a_diagnosis_that_finds_no_further_pose_is_not_called_settled(
     monkeypatch.setattr("loose_env.instrument.pipeline.next_for", nothing)
     found = weighed(tmp_path, runs("slide", 1), plan=True)
     assert found.next is None
-    assert "nothing more needs" not in summary(found)
-    assert "not settled" in summary(found)
-    assert "nothing more needs" in summary(dataclasses.replace(found, settled=True))
+    model = tmp_path / "model.xml"
+    assert found.verdict == "open"
+    arm = read_recorded_arm(model).shown
+    assert "Take nothing apart yet: the case is open." in diagnosis_text(found, arm)
+    decided = dataclasses.replace(found, settled=True, verdict="faulty")
+    assert "the case is open" not in diagnosis_text(decided, arm)
 
 
 def test_the_next_pose_says_when_nothing_is_known_of_collisions(one_run: Diagnosis) -> None:
@@ -226,7 +230,7 @@ def test_the_command_writes_a_result_and_takes_a_longer_recording(
         found = read_diagnosis(out)
         assert len(found.records) == count
         assert json.loads((out / "result.json").read_text())["format"] == "loose-diagnosis/1"
-    assert "structural_looseness at link2" in capsys.readouterr().out
+    assert "Link 2 is loose." in capsys.readouterr().out
     assert not [path.name for path in out.iterdir() if ".part" in path.name]
 
 

@@ -21,15 +21,28 @@ def test_every_diagnosis_is_shown_with_the_same_content_as_text_and_as_html(case
     assert "".join(whole.find("p").itertext()) == first  # type: ignore[union-attr]
     cells = ["".join(cell.itertext()) for cell in whole.findall(".//tr")[1]]
     assert all(cell in row for cell in cells)
-    assert len(whole.findall(".//svg")) == len(whole.findall(".//tr")) - 1 <= 5
+    assert len(whole.findall(".//svg")) == len(whole.findall(".//tr")) - 1 <= 6
     assert ("warning: " in text) == ("Warnings" in shown) == bool(found.warnings)
+    assert ("open: " in text) == bool(found.open_because)
+    measured = found.next is not None
+    assert ("  pose: " in text) == ("<li>pose: " in shown) == measured
+    assert ("  shake: " in text) == ("<li>shake: " in shown) == measured
+
+
+def test_commands_that_correct_the_model_are_shown_where_it_is_another_one() -> None:
+    arm, found = CASES["another model"]()
+    text, shown = (
+        show(found, arm, folder="cell/recording") for show in (diagnosis_text, diagnosis_html)
+    )
+    for command in ("loose gap cell/recording --out", "loose diagnose cell/recording --model"):
+        assert f"\n  {command}" in text and command in shown
 
 
 def test_free_travel_has_its_unit() -> None:
     arm, found = CASES["loose link in space"]()
     assert "0.12 (0.08 to 0.21) mm" in diagnosis_text(found, arm)
     arm, found = CASES["play in a joint"]()
-    assert "0.8 mrad" in diagnosis_text(found, arm)
+    assert "2.8 arc minutes" in diagnosis_text(found, arm)
 
 
 def test_bars_stay_within_their_frame() -> None:

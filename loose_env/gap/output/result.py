@@ -1,19 +1,17 @@
-"""Result of a comparison as dataclasses, HTML table and ``result.json``.
+"""Result of a comparison as dataclasses and ``result.json``.
 
 The format of the file is ``loose-gap/1``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from html import escape
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from loose_env.errors import InvalidData
 from loose_env.gap.output.evidence_schema import Identifiability, Location, ResidualTest
-from loose_env.gap.residuals.physical_units import quantity_words
 from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
 
 __all__ = [
@@ -25,9 +23,7 @@ __all__ = [
     "NamedEffect",
     "RankedHypothesis",
     "Verdict",
-    "html_table",
     "read_result",
-    "result_table",
 ]
 
 FORMAT = "loose-gap/1"
@@ -165,10 +161,6 @@ class GapResult:
                 f"the verdict is one of {list(get_args(Verdict))}, not {self.verdict!r}"
             )
 
-    def _repr_html_(self) -> str:
-        """Return a short table, as notebooks show it."""
-        return result_table(self)
-
     def to_json(self) -> str:
         """Format as ``result.json``; numbers that are not finite become null."""
         whole = {"format": self.format, **asdict(self)}
@@ -214,62 +206,3 @@ def read_result(path: str | Path) -> GapResult:
     loose_env.errors.InvalidData: ...
     """
     return read_result_file(path, GapResult.from_json, noun="result")
-
-
-_VERDICTS = {
-    "named": "The model lacks:",
-    "no_gap": "No model error: within its tolerance the model explains the held-out runs.",
-    "unexplained": "Unexplained: an effect is missing that is not in the catalogue.",
-}
-_HEADS = ("effect", "where", "parameter", "value", "95 %", "unit", "confusable with")
-
-
-def html_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Format plain texts as an HTML table; "" if it has no rows.
-
-    Examples
-    --------
-    >>> html_table(["a"], [["1 < 2"]])
-    '<table><tr><th>a</th></tr><tr><td>1 &lt; 2</td></tr></table>'
-    """
-    if not rows:
-        return ""
-    lines = ["".join(f"<th>{escape(head)}</th>" for head in heads)]
-    lines += ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows]
-    return "<table>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>"
-
-
-def result_table(result: GapResult) -> str:
-    """Format verdict, effects and residual of a result in HTML."""
-    rows = [row for effect in result.effects for row in _rows(effect)]
-    gap = result.gap
-    errors = [["all", f"{gap.before:.2f}", f"{gap.after:.2f}"]]
-    errors += [
-        [f"predictions over {seconds} s", f"{before:.2f}", f"{after:.2f}"]
-        for seconds, (before, after) in gap.by_horizon_s.items()
-    ]
-    lives = "".join(f"<li>{escape(words)}</li>" for words in result.location_words)
-    unexplained = result.verdict == "unexplained" and lives
-    return "".join(
-        [
-            f"<p><b>{escape(_VERDICTS[result.verdict])}</b></p>",
-            html_table(_HEADS, rows),
-            f"<ul>{lives}</ul>" if unexplained else "",
-            html_table(["held-out runs, in noise standard deviations", "before", "after"], errors),
-            *(f"<p>{escape(words)}</p>" for words in quantity_words(gap.by_quantity)),
-            *(f"<p>Warning: {escape(words)}</p>" for words in result.warnings),
-        ]
-    )
-
-
-def _rows(effect: NamedEffect) -> list[list[str]]:
-    """Rows of an effect's parameters; the first names the effect."""
-    others = ", ".join(f"{o.kind} at {o.where}" for o in effect.ambiguous_with)
-    found: list[list[str]] = []
-    for name, value in effect.parameters.items():
-        ends = effect.interval_95.get(name)
-        between = "" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}"
-        known = ["", ""] if found else [effect.kind, effect.where]
-        unit, rivals = effect.units.get(name, ""), "" if found else others
-        found.append([*known, name, f"{value:.4g}", between, unit, rivals])
-    return found

@@ -46,7 +46,7 @@ def explain_gap(
     Returns
     -------
     GapResult
-        Content of ``result.json``. A notebook shows it as a table.
+        Content of ``result.json``. `loose_env.explain_gap` also shows it, as text and in notebooks.
 
     Raises
     ------

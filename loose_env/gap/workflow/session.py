@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.export_check import exported
 from loose_env.gap.output.export_mjcf import correction_code, write_model
-from loose_env.gap.output.result import NamedEffect, html_table
+from loose_env.gap.output.result import NamedEffect
 from loose_env.gap.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.acceptance import Acceptance
@@ -89,7 +90,9 @@ class TriedEffect:
             ["improvement on training runs", f"{self.improvement.training:.1f}", "z-score"],
             ["accepted", "yes" if self.accepted else "no", ""],
         ]
-        return html_table([repr(self.effect), "", ""], rows)
+        lines = [f"<th>{escape(repr(self.effect))}</th><th></th><th></th>"]
+        lines += ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows]
+        return "<table>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -214,7 +214,7 @@ def plan(
     if chosen is None or anew:
         chosen = next_for(instrumented, so_far, choice, own, motion)
     wanted = chosen.band_hz
-    chosen, signals = _signals(instrumented, so_far, chosen, rules, own, motion, limits)
+    chosen, signals, narrowed = _signals(instrumented, so_far, chosen, rules, own, motion, limits)
     expected = expected_of(instrumented, instrumented.linear, so_far, chosen, rules)
     start, origin = _start(instrumented, so_far, own)
     pose = np.array([chosen.pose[name] for name in instrumented.joints])
@@ -230,7 +230,7 @@ def plan(
         expected=expected,
         warnings=(
             *([f"not what the diagnosis asks for next: {anew}"] if anew else ()),
-            *_narrower(wanted, chosen.band_hz, signals[0]),
+            *_narrower(wanted, chosen.band_hz, narrowed),
             *plan_warnings(instrumented, known, chosen, signals, choice, expected),
         ),
         limits=limits,
@@ -249,8 +249,8 @@ def _signals(
     own: PlanSettings,
     motion: MotionSettings,
     limits: MotionLimits,
-) -> tuple[NextMeasurement, tuple[Signal, ...]]:
-    """Signals of a measurement, and the measurement with the band and levels that they have."""
+) -> tuple[NextMeasurement, tuple[Signal, ...], str]:
+    """Measurement with the band and levels of its signals, the signals, what narrows the band."""
     pose = np.array([chosen.pose[name] for name in arm.joints])
     seed = np.random.SeedSequence([choice.seed, 0 if so_far is None else len(so_far.records), 1])
     children = seed.spawn(len(chosen.joints))
@@ -290,7 +290,7 @@ def _signals(
             )
         )
 
-    first, band = best_band(
+    first, band, narrowed = best_band(
         lambda band, torque: made(0, band, torque),
         judged,
         chosen.band_hz,
@@ -306,17 +306,17 @@ def _signals(
         levels=tuple(signal.joint_rms for signal in signals),
         torques=tuple(signal.torque_rms for signal in signals),
     )
-    return chosen, signals
+    return chosen, signals, narrowed
 
 
 def _narrower(
-    wanted: tuple[float, float], played: tuple[float, float], signal: Signal
+    wanted: tuple[float, float], played: tuple[float, float], limit: str
 ) -> tuple[str, ...]:
     """Warning about a band that limits have made narrower."""
     if played == wanted:
         return ()
     return (
-        f"the band ends at {played[1]:.4g} Hz instead of {wanted[1]:.4g} Hz: {signal.limited_by}, "
+        f"the band ends at {played[1]:.4g} Hz instead of {wanted[1]:.4g} Hz: {limit}, "
         "and at lower frequencies more torque keeps within that",
     )
 

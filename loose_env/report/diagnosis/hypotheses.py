@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
-from html import escape
 from typing import Any
 
 import numpy as np
 
 from loose_env.arms import Arm
 from loose_env.instrument import HEALTHY, Diagnosis
-from loose_env.io import begun, sentence
-from loose_env.report.diagnosis.text import (
-    headline,
-    percent,
-    short_name,
-    steps,
-    with_plain_names,
-)
-from loose_env.report.pages.notebook import aligned, bar, bullets, cells_table
+from loose_env.io import begun
+from loose_env.report.diagnosis.text import percent, short_name
 
 __all__ = [
     "data_words",
-    "diagnosis_html",
-    "diagnosis_text",
     "direction_words",
     "hypothesis_table",
+    "listed",
     "travel_words",
 ]
 
@@ -35,7 +26,7 @@ _TO_ARC_MINUTES = 60 * 180 / np.pi
 
 def hypothesis_table(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
     """The one table of a diagnosis, most probable hypothesis first."""
-    kept = _listed(diagnosis)
+    kept = listed(diagnosis)
     rows = [
         {
             "Hypothesis": begun(short_name(arm, name)),
@@ -61,54 +52,7 @@ def hypothesis_table(diagnosis: Diagnosis, arm: Arm) -> dict[str, Any]:
     return {"title": "", "rows": rows, "note": " ".join(note)}
 
 
-def diagnosis_text(diagnosis: Diagnosis, arm: Arm) -> str:
-    """Diagnosis in a few lines of text.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        Result.
-    arm : Arm
-        The nominal arm that it was found with.
-    """
-    rows = hypothesis_table(diagnosis, arm)["rows"]
-    lines = [headline(diagnosis, arm)]
-    lines += [f"  {line}" for line in aligned([tuple(rows[0]), *(tuple(r.values()) for r in rows)])]
-    lines += [f"next: {step}" for step in steps(diagnosis, arm)]
-    lines += [f"warning: {sentence(warning)}" for warning in diagnosis.warnings]
-    return "\n".join(lines)
-
-
-def diagnosis_html(diagnosis: Diagnosis, arm: Arm) -> str:
-    """Diagnosis as a fragment of HTML, with the probabilities drawn as bars.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        Result.
-    arm : Arm
-        The nominal arm that it was found with.
-    """
-    names = {name: short_name(arm, name) for name in diagnosis.posterior}
-    table = hypothesis_table(diagnosis, arm)["rows"]
-    bars = [bar(diagnosis.posterior[name]) for name, _ in _listed(diagnosis)]
-    rows = [
-        (row["Hypothesis"], drawn, *list(row.values())[1:])
-        for row, drawn in zip(table, bars, strict=True)
-    ]
-    first, *others = table[0]
-    warnings = [sentence(with_plain_names(words, names)) for words in diagnosis.warnings]
-    return "".join(
-        [
-            f"<p><strong>{escape(headline(diagnosis, arm))}</strong></p>",
-            cells_table((first, "", *others), rows, markup=(1,)),
-            bullets("Next", steps(diagnosis, arm)),
-            bullets("Warnings", warnings),
-        ]
-    )
-
-
-def _listed(diagnosis: Diagnosis) -> list[tuple[str, float]]:
+def listed(diagnosis: Diagnosis) -> list[tuple[str, float]]:
     """Hypotheses of the table with their probabilities, most probable first."""
     ranked = sorted(diagnosis.posterior.items(), key=lambda item: -item[1])
     return [item for k, item in enumerate(ranked) if item[1] >= _LISTED or k == 0][:_RANKED]

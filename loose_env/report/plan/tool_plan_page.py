@@ -10,7 +10,7 @@ from loose_env.io import sentence
 from loose_env.report.diagnosis.arm_figure import arm_figure
 from loose_env.report.diagnosis.text import percent, position_text
 from loose_env.report.pages.figure_card import FigureCard
-from loose_env.report.pages.sections import group
+from loose_env.report.pages.sections import graded, group
 from loose_env.report.pages.template import template, write_whole
 
 __all__ = ["tool_steps", "tool_summary", "write_tool_page"]
@@ -147,7 +147,9 @@ def write_tool_page(
                 ],
             ),
         ],
-        warnings=[sentence(warning) for warning in plan.warnings],
+        summary=[],
+        first=[],
+        warnings=graded([("warning", sentence(warning)) for warning in plan.warnings]),
         groups=[
             group("Steps", "", points=tool_steps(plan, planned), code="\n".join(commands)),
             group(

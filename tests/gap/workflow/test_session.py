@@ -146,11 +146,3 @@ def test_one_call_gives_what_the_result_file_holds(result: tuple[GapResult, Path
     assert set(found.gap.by_horizon_s) == {"0.1", "0.5", "2.0"} and found.held_out_runs
     assert mujoco.MjModel.from_xml_path(str(folder / "model.xml")).nu == 1
     assert found.ranking and found.gap.after <= found.gap.before
-
-
-def test_a_notebook_shows_it_as_a_table(result: tuple[GapResult, Path]) -> None:
-    found, _ = result
-    shown = found._repr_html_()
-    assert shown.count("<table>") == shown.count("</table>") == 1 + bool(found.effects)
-    assert f"<td>{found.gap.before:.2f}</td>" in shown
-    assert all(f"<td>{effect.kind}</td>" in shown for effect in found.effects)

@@ -129,7 +129,7 @@ def best_band(
     *,
     seconds: float,
     most_tool: float,
-) -> tuple[Signal, Band]:
+) -> tuple[Signal, Band, str]:
     """Signal in the arm's band, or in a narrower and lower one where limits make that better.
 
     Speed, acceleration and jerk of a command rise with frequency: a band that ends lower leaves
@@ -156,12 +156,14 @@ def best_band(
         The better signal.
     tuple of float
         Its band [Hz].
+    str
+        The limit that makes it narrower than the arm's; "" where it is not.
     """
     first = make(band, torque_rms)
     reached = any(p.limit is not None and p.value >= SCALED_LEVEL * p.limit for p in first.peaks)
     if first.scale >= SCALED_LEVEL or not reached:
-        return first, band
-    best, played = BAND_GAIN * judge(first, band), (first, band)
+        return first, band, ""
+    best, played = BAND_GAIN * judge(first, band), (first, band, "")
     for share in _SHARES:
         width = share * (band[1] - band[0])
         if width * seconds < 2 * FEWEST_LINES:
@@ -172,5 +174,5 @@ def best_band(
             signal = make(narrower, torque_rms * most_tool / signal.tool_rms)
         found = judge(signal, narrower)
         if found > best:
-            best, played = found, (signal, narrower)
+            best, played = found, (signal, narrower, first.limited_by)
     return played

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
 import warnings
@@ -22,6 +23,8 @@ __all__ = ["log", "plan_beside", "result", "to_diagnose"]
 
 Rng = np.random.Generator
 
+_READ_OF_PLAN = ("format", "recording", "known", "settings")
+"""Entries of plan.json that are read again."""
 _PLANNED = 0.1
 """Share of the recordings to diagnose for which the next measurement is chosen too."""
 
@@ -82,8 +85,9 @@ def to_diagnose(around: Surroundings, rng: Rng) -> Attempt:
 
 
 def plan_beside(around: Surroundings, rng: Rng) -> Attempt:
-    """The plan beside a recording, from which a diagnosis takes its limits."""
-    damage, data = damaged_json(documents.plan(), rng)
+    """The plan beside a recording: what a diagnosis reads of it, its settings above all."""
+    whole = json.loads(documents.plan())
+    damage, data = damaged_json(json.dumps({k: whole[k] for k in _READ_OF_PLAN}).encode(), rng)
     home = around.fresh({"plan.json": data, "recording/recording.json": b"{}"})
 
     def read() -> Any:

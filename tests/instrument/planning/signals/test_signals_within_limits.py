@@ -98,7 +98,8 @@ def test_limits_make_the_band_narrower_where_that_detects_more(servoed: Path) ->
     made = plan(servoed, choice=FEW, own=own, motion=tight)
     assert made.next.band_hz[0] == wide.next.band_hz[0]
     assert made.next.band_hz[1] < wide.next.band_hz[1]
-    assert any("the band ends at" in warning for warning in made.warnings)
+    (warning,) = (each for each in made.warnings if "the band ends at" in each)
+    assert "acceleration of the command of lift is at most 30" in warning
     assert keeps_all(made)
 
 
