@@ -162,8 +162,9 @@ MODEL_ERROR = 0.06
 FORCE_ERROR = 0.5
 """Relative error of the excited joints' forces above which the same is said: friction and servo
 gains explain less."""
-PARAMETER_ERROR = 2.2
-"""Rms of the parameter errors [standard deviations], above which the same is said."""
+PARAMETER_ERROR = 4.0
+"""Largest error of a parameter [standard deviations], above which the same is said: chance does not
+make it once in 10,000 models."""
 TOOL_SIGNAL = 10.0
 """Power of the accelerometer over its noise, below which the reader is told."""
 JOINT_SIGNAL = 4.0

@@ -75,17 +75,25 @@ def warnings_of(
 def model_warnings(comparison: ModelComparison) -> list[str]:
     """Warnings that the model is not that of the arm: they invalidate a result."""
     fit = comparison.fits[comparison.best]
-    strain = float(np.sqrt(np.mean(fit.errors**2))) if len(fit.errors) else 0.0
+    names = comparison.evidence.uncertain.names
+    errors = np.abs(fit.errors[: len(names)])
+    worst = int(np.argmax(errors)) if len(errors) else 0
+    strain = float(errors[worst]) if len(errors) else 0.0
     misfit = float(np.sqrt(comparison.misfit))
     forces = _force_error(comparison)
-    if misfit <= MODEL_ERROR and strain <= PARAMETER_ERROR and forces <= FORCE_ERROR:
+    found = []
+    if misfit > MODEL_ERROR:
+        found.append(f"{misfit:.0%} of the motion remains unexplained")
+    if forces > FORCE_ERROR:
+        found.append(f"the forces of the excited joints are off by {forces:.0%}")
+    if strain > PARAMETER_ERROR:
+        found.append(f"{names[worst]} is off by {strain:.1f} times its tolerance")
+    if not found:
         return []
     return [
-        f"the model is not that of this arm: {misfit:.0%} of the motion remains unexplained, the "
-        f"joints' forces are off by {forces:.0%}, its parameters by {strain:.1f} times their "
-        "tolerance. The "
-        "location and the probabilities below are less certain than stated; find the model error "
-        "with 'loose gap', and diagnose with the corrected model"
+        f"the model is not that of this arm: {', '.join(found)}. The location and the "
+        "probabilities below are less certain than stated; find the model error with 'loose gap', "
+        "and diagnose with the corrected model"
     ]
 
 
