@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +13,19 @@ import numpy as np
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.data.dropouts import unbroken
 from loose_env.instrument.data.held_pose import RunSetup, run_setup
+from loose_env.instrument.data.paired_runs import HeldRun
 from loose_env.instrument.data.sensor_selection import columns_in, readings_in
 from loose_env.instrument.data.spectral_lines import Lines, lines_of
-from loose_env.instrument.inference.correlation_loops import loops_of
-from loose_env.instrument.inference.direction_cones import cone, seen_in_tool
-from loose_env.instrument.inference.free_travel import Travel, travel_of
-from loose_env.instrument.inference.frequency_response import with_leakage
+from loose_env.instrument.inference.findings.correlation_loops import loops_of
+from loose_env.instrument.inference.findings.direction_cones import cone, seen_in_tool
+from loose_env.instrument.inference.findings.free_travel import Travel, travel_of
+from loose_env.instrument.inference.findings.verdict import verdict_of
+from loose_env.instrument.inference.findings.warnings import model_warnings, warnings_of
 from loose_env.instrument.inference.posterior import ModelComparison, compare_hypotheses
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
-from loose_env.instrument.inference.warnings import model_warnings, warnings_of
+from loose_env.instrument.inference.response.frequency_response import with_leakage
+from loose_env.instrument.inference.response.pairing import beside_references
+from loose_env.instrument.inference.response.timing import on_one_clock, servo_timing
+from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm, read_recorded_arm
 from loose_env.instrument.planning.plan import next_for
 from loose_env.instrument.result import (
@@ -34,12 +37,11 @@ from loose_env.instrument.result import (
     Severity,
     SlideDirection,
     Vector,
-    Verdict,
 )
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
-from loose_env.instrument.settings.thresholds import LEAST_RUNS
 from loose_env.instrument.trend.transmission import spectra_by_fit
 from loose_env.recording import Recording, Run
+from loose_env.version import __version__
 
 __all__ = ["Workbench", "diagnose"]
 
@@ -75,7 +77,7 @@ class Workbench:
         self.arm = read_recorded_arm(model)
         self.uncertain = UncertainArm(self.arm, settings.tolerances)
         self._taken: list[_Taken] = []
-        self._told: dict[tuple[int, ...], Mapping[str, float]] = {}
+        self._pairs: dict[int, Lines] = {}
 
     @property
     def runs(self) -> list[Run]:
@@ -120,10 +122,11 @@ class Workbench:
         say : callable
             Told what goes on, line by line.
         """
-        lines = [t.lines for t in self._taken if t.lines is not None]
+        lines, clocks = on_one_clock(
+            self.uncertain, beside_references(self.uncertain, self._held(), self._pairs)
+        )
         say(f"weighing {len(self.arm.hypotheses)} hypotheses by {len(lines)} runs")
         comparison = compare_hypotheses(self.uncertain, lines, healthy_prior=self.settings.sound)
-        self._told[tuple(one.number for one in lines)] = comparison.posterior
         best = comparison.best
         travel = None
         if best != HEALTHY and self.suspect:
@@ -132,12 +135,10 @@ class Workbench:
         fault = _fault(self.arm, comparison, travel)
         say("following the probabilities from run to run")
         records = self._records(comparison)
+        verdict = verdict_of(comparison, clocks, sure=self.settings.sure)
         notes = [n for t in self._taken for n in t.notes]
-        warnings = warnings_of(self.arm, comparison, notes, travel)
-        settled = (
-            comparison.posterior[best] > self.settings.sure and len(self.suspect) >= LEAST_RUNS
-        )
-        decided: Verdict = "healthy" if best == HEALTHY else "faulty"
+        servos = servo_timing(self.uncertain, lines)
+        warnings = warnings_of(self.arm, comparison, notes, travel, clocks=clocks, servos=servos)
         found = Diagnosis(
             fault=fault,
             probability=comparison.posterior[best],
@@ -148,10 +149,12 @@ class Workbench:
             model=self.arm.path.name,
             settings=asdict(self.settings),
             directions=_directions(comparison),
-            settled=settled,
-            verdict=decided if settled else "open",
+            settled=verdict.kind in ("healthy", "faulty"),
+            verdict=verdict.kind,
+            open_because=verdict.reasons,
+            misfit=comparison.misfit,
             spectra=spectra_by_fit(self.uncertain, comparison, self._places()),
-            version=_version(),
+            version=__version__,
             model_hash=hashlib.sha256(self.arm.path.read_bytes()).hexdigest()[:16],
         )
         if plan and not found.settled:
@@ -163,6 +166,14 @@ class Workbench:
             except (InvalidData, InvalidSetting) as error:  # what was found is not lost for it
                 found = replace(found, warnings=(*found.warnings, f"nothing next: {error}"))
         return found
+
+    def _held(self) -> list[HeldRun]:
+        """Usable runs with their lines."""
+        return [
+            HeldRun(run=t.run, setup=t.held, lines=t.lines)
+            for t in self._taken
+            if t.lines is not None and t.held is not None
+        ]
 
     def _places(self) -> dict[int, int]:
         """Number of each run's lines -> its index among the records."""
@@ -199,28 +210,17 @@ class Workbench:
             "with the arm's own model; look yourself before the arm moves",
         )
 
-    def _posterior(self, lines: Sequence[Lines]) -> Mapping[str, float]:
-        """Probabilities by some of the runs alone, as a diagnosis of no others has them."""
-        key = tuple(one.number for one in lines)
-        if key not in self._told:
-            self._told[key] = compare_hypotheses(
-                self.uncertain, lines, healthy_prior=self.settings.sound
-            ).posterior
-        return self._told[key]
-
     def _records(self, comparison: ModelComparison) -> tuple[RecordSeen, ...]:
         """Result of each run, with the posterior after it."""
         found: list[RecordSeen] = []
-        so_far = {
-            t.lines.number: t.lines for t in self._taken if t.lines is not None and t.lines.healthy
-        }
+        so_far: list[int] = []
         for taken in self._taken:
             probabilities: dict[str, float] = {}
             direction: Vector | None = None
             angle = None
             if taken.lines is not None and not taken.lines.healthy:
-                so_far[taken.lines.number] = taken.lines
-                probabilities = dict(self._posterior([so_far[k] for k in sorted(so_far)]))
+                so_far.append(taken.lines.number)
+                probabilities = comparison.after(so_far)
                 direction, angle = seen_in_tool(self.uncertain, comparison, taken.lines)
             pose = (
                 {j: q for j, q in (taken.run.pose or {}).items() if j in self.arm.joints}
@@ -319,13 +319,6 @@ def _measured_at(recording: Recording) -> str:
     if not times:
         return ""
     return datetime.fromtimestamp(max(times), tz=UTC).isoformat(timespec="seconds")
-
-
-def _version() -> str:
-    try:
-        return version("loose-env")
-    except PackageNotFoundError:
-        return ""
 
 
 def _severities(

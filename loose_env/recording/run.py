@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -92,6 +92,32 @@ class Run:
     def samples(self) -> int:
         """Number of samples."""
         return len(self.time)
+
+    def part(self, rows: slice) -> Run:
+        """Run of some of the rows.
+
+        Parameters
+        ----------
+        rows : slice
+            Samples to keep.
+
+        Examples
+        --------
+        >>> run = Run(name="run", time=np.arange(10.0), sensors={"q": np.zeros(10)})
+        >>> run.part(slice(3, 9)).samples
+        6
+        """
+
+        def cut(columns: Mapping[str, Array]) -> dict[str, Array]:
+            return {name: values[rows] for name, values in columns.items()}
+
+        return replace(
+            self,
+            time=self.time[rows],
+            controls=cut(self.controls),
+            sensors=cut(self.sensors),
+            torques=cut(self.torques),
+        )
 
     @property
     def comparison(self) -> Comparison:

@@ -161,7 +161,8 @@ class LinearArm:
         self.hinge_dofs = np.asarray(model.nv - 1 + np.cumsum(made), dtype=np.intp)
         for joint in np.flatnonzero(~made):
             self.hinge_dofs[joint] = address.pop(f"open_hinge{joint + 1}")
-        self._play = self._play_columns(np.flatnonzero(made)) if made.any() else None
+        # Play made of slides and rotations of the link (nv, joints); None where no joint has it.
+        self.play = self._play_columns(np.flatnonzero(made)) if made.any() else None
         self.flexible_dofs = np.array(sorted(address.values()), dtype=np.intp)
         self.tool = model.site(arm.tool).id
         if points is None:
@@ -194,7 +195,7 @@ class LinearArm:
         In the order of `LinearPose.inertia`; nothing of what holds the joints is in it.
         """
         model = self.model
-        more = 0 if self._play is None else self._play.shape[1]
+        more = 0 if self.play is None else self.play.shape[1]
         stiffness = model.jnt_stiffness[model.dof_jntid]
         return np.pad(stiffness, (0, more)), np.pad(model.dof_damping, (0, more))
 
@@ -246,8 +247,8 @@ class LinearArm:
         frame = data.site_xmat[self.tool].reshape(3, 3)
         jacobian = (frame.T @ jacobian)[list(self.arm.axes)]
         load = data.qfrc_bias.copy()
-        if self._play is not None:
-            all_of = np.hstack([np.eye(model.nv), self._play])
+        if self.play is not None:
+            all_of = np.hstack([np.eye(model.nv), self.play])
             inertia, jacobian, load = all_of.T @ inertia @ all_of, jacobian @ all_of, load @ all_of
         return LinearPose(linear=self, pose=q, inertia=inertia, jacobian=jacobian, load=load)
 

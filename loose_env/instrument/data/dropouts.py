@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -73,7 +72,7 @@ def unbroken(run: Run, columns: Mapping[str, Array]) -> tuple[Run, tuple[str, ..
     rows = slice(int(starts[best]), int(stops[best]) + 1)
     begin, end = float(run.time[rows][0]), float(run.time[rows][-1])
     piece = f"{end - begin:.6g} s from {begin:.6g} s on"
-    return _cut(run, rows), (f"{where}; only the {piece} are used",)
+    return run.part(rows), (f"{where}; only the {piece} are used",)
 
 
 def _refuse_stamps(run: Run) -> None:
@@ -109,16 +108,3 @@ def _pauses(time: Array, column: Array) -> list[tuple[int, int]]:
     if time[-1] - time[there[-1]] > longest:
         found.append((int(there[-1]), len(time) - 1))
     return found
-
-
-def _cut(run: Run, rows: slice) -> Run:
-    def cut(columns: Mapping[str, Array]) -> dict[str, Array]:
-        return {name: values[rows] for name, values in columns.items()}
-
-    return replace(
-        run,
-        time=run.time[rows],
-        controls=cut(run.controls),
-        sensors=cut(run.sensors),
-        torques=cut(run.torques),
-    )

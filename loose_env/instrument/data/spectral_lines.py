@@ -7,6 +7,7 @@ is long against the arm's memory.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy import signal
 
 from loose_env.errors import InvalidData
 from loose_env.instrument.data.held_pose import tool_force_in
-from loose_env.instrument.data.sensor_noise import sensor_noise
+from loose_env.instrument.data.sensor_noise import quantum, sensor_noise
 from loose_env.instrument.data.sensor_selection import readings_in
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.model.readings import Reading
@@ -70,7 +71,7 @@ class Lines:
     """The same as `lean` (K, 3)."""
     leaked: ComplexArray
     """Readings that this makes (K, c); zero until
-    `loose_env.instrument.inference.frequency_response.with_leakage`."""
+    `loose_env.instrument.inference.response.frequency_response.with_leakage`."""
     measured: NDArray[np.bool_]
     """Joints whose force was measured and stands for their drives (n,)."""
     blind: NDArray[np.bool_]
@@ -98,24 +99,38 @@ class Lines:
     """Time for which a command is held [s]."""
     seconds: float
     """Length of the run [s]."""
+    beside: Lines | None = None
+    """The same run of the healthy arm at the same lines, with which it is compared; None where
+    there is none."""
 
     @property
     def spacing(self) -> float:
         """Line spacing [Hz]."""
         return float(np.median(np.diff(self.frequency)))
 
+    def at_lines(self, kept: NDArray[np.intp]) -> Lines:
+        """Subset of the lines."""
+        names = (
+            "frequency", "command", "force", "tool_force", "tool_lean", "leaked", "readings",
+            "noise", "read", "power",
+        )  # fmt: skip
+        fewer = {name: getattr(self, name)[kept] for name in names}
+        lean = self.lean[0][kept], self.lean[1][kept]
+        beside = None if self.beside is None else self.beside.at_lines(kept)
+        return replace(self, **fewer, lean=lean, beside=beside)
+
+    def at_channels(self, kept: Sequence[int]) -> Lines:
+        """Subset of the readings."""
+        names = ("leaked", "readings", "noise", "read", "power")
+        fewer = {name: getattr(self, name)[:, kept] for name in names}
+        return replace(self, **fewer, row=tuple(self.row[k] for k in kept))
+
 
 def thinned(lines: Lines, most: int) -> Lines:
     """Subset of a run's lines, evenly spread over the band."""
     if len(lines.frequency) <= most:
         return lines
-    kept = np.linspace(0, len(lines.frequency) - 1, most).round().astype(int)
-    names = (
-        "frequency", "command", "force", "tool_force", "tool_lean", "leaked", "readings", "noise",
-        "read", "power",
-    )  # fmt: skip
-    fewer = {name: getattr(lines, name)[kept] for name in names}
-    return replace(lines, **fewer, lean=(lines.lean[0][kept], lines.lean[1][kept]))
+    return lines.at_lines(np.linspace(0, len(lines.frequency) - 1, most).round().astype(np.intp))
 
 
 def uniform(time: Array, values: Array) -> tuple[float, Array]:
@@ -208,6 +223,7 @@ def lines_of(
     ]
     commands = [run.controls.get(a, np.zeros(run.samples)) for a in drives.names]
     forces = [run.torques.get(j, np.zeros(run.samples)) for j in arm.joints]
+    quanta = np.array([quantum(column) for column in columns])
     pushes = [np.zeros(run.samples)] * 3
     if tool_force_in(arm, run):
         pushes = list(run.sensors[str(arm.tool_force)].T)
@@ -229,7 +245,7 @@ def lines_of(
     resting[excited] = False
     blind = ~driven & ~measured & ~resting
     return _lines(
-        arm, run, rate, even, rows, c, a,
+        arm, run, rate, even, rows, quanta, a,
         number=number, pose=pose, excited=excited, measured=measured, blind=blind, whole=whole,
     )  # fmt: skip
 
@@ -240,7 +256,7 @@ def _lines(
     rate: float,
     even: Array,
     rows: tuple[tuple[Reading, int], ...],
-    c: int,
+    quanta: Array,
     a: int,
     *,
     number: int,
@@ -250,7 +266,7 @@ def _lines(
     blind: NDArray[np.bool_],
     whole: bool,
 ) -> Lines:
-    count = len(even)
+    count, c = len(even), len(rows)
     # A force on the tool moves servos at their own modes too, whose gains are the least known.
     struck = bool(np.abs(even[:, -3:]).max(initial=0.0) > 0)
     lowest = max(LOWEST_HZ, arm.nominal.band[0]) if struck else LOWEST_HZ
@@ -280,6 +296,7 @@ def _lines(
         np.abs(spectrum[:, :c]) ** 2, power, rows, frequency, kept,
         lowest=lowest, highest=HIGHEST_LINE * rate,
     )  # fmt: skip
+    noise = np.maximum(noise, count * quanta**2 / 12)
     if whole:  # slower still, errors of gravity and servos look like a drift of the seat
         kept = np.flatnonzero(inside & (frequency >= LOWEST_PATH_LINE * frequency[kept[0]]))
     if len(kept) > _MOST:

@@ -1,5 +1,5 @@
 """Posterior over faults from spectral lines of an uncertain linear arm.
 
-Data flow: uncertain_linear_arm -> frequency_response -> opening_probability -> evidence ->
-laplace_fit -> posterior -> correlation_loops -> direction_cones -> free_travel -> warnings.
+Data flow: response -> variance_components -> opening_probability -> evidence -> laplace_fit ->
+posterior -> findings.
 """

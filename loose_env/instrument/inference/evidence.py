@@ -3,26 +3,31 @@
 At every line of a run the seat's acceleration is an unknown of its own, for gap, friction and stops
 make of it what they like. What is known is its direction, and how strongly a seat that floats would
 move: the power of its motion is that, times a share that varies over bands of the run and that
-friction, gravity and stops decide. Model errors are normal; Gauss-Newton steps find the most likely
-ones together with the direction, and the curvature there stands for all others (Laplace).
+friction, gravity and stops decide. Errors of the parameters are normal; Gauss-Newton steps find the
+most likely ones together with the direction, and the curvature there stands for all others
+(Laplace). What no parameter can explain is in the covariance, as variance components.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines
-from loose_env.instrument.inference.frequency_response import Response, respond
 from loose_env.instrument.inference.opening_probability import open_probability
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.response.frequency_response import Response, respond
+from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.variance_components import BANDS, ComponentIndex
+from loose_env.instrument.settings.thresholds import COMPLIANCE_HZ, CORRELATION_HZ, OPEN_SEAT_SHARE
 from loose_env.typing import Array, ComplexArray
 
 __all__ = [
+    "BLIND",
     "SHARES",
     "Evidence",
     "Piece",
@@ -43,16 +48,14 @@ _FOLDS = 0.05
 """Frequency over the sampling rate at which sampling without a filter doubles the error."""
 _STUCK = 0.03
 """Share of a floating seat's motion below which it does not follow a sudden force either [1]."""
-_OPEN = SHARES > 0.1
-"""Shares expected of an open seat."""
+_OPEN_WEIGHT = (SHARES > OPEN_SEAT_SHARE) / np.sum(SHARES > OPEN_SEAT_SHARE)
+"""Prior of the share of an open seat."""
 _SPREAD = 1.0
 """Standard deviation of the log share of a band about that of its run."""
-_BANDS = 8
-"""Bands of a run."""
-_DRIVE = 3.0
-"""Relative error of a drive's force over that of a reading."""
-_BLIND = 1e4
-"""The same of a drive with an unknown force."""
+_NEAR = np.exp(-0.5 * (np.log(SHARES[:, None] / SHARES) / _SPREAD) ** 2)
+_NEAR /= _NEAR.sum(axis=1, keepdims=True)
+BLIND = 1e8
+"""Variance of the relative error of a force of which nothing is known [1]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,6 +79,14 @@ class Piece:
     response: Response
     weight: ComplexArray
     """Inverse covariance of the healthy arm's residual (K, c, c)."""
+    patterns: ComplexArray
+    """Patterns of the variance components over the channels (K, c, Q)."""
+    components: NDArray[np.intp]
+    """Component of each pattern (Q,)."""
+    reading_power: Array
+    """Power to which the relative error of the readings applies (K, c)."""
+    reading: int
+    """Component of the relative error of the readings."""
     base: float
     """Log-likelihood of the healthy arm."""
     temper: float
@@ -106,55 +117,99 @@ class Evidence:
 
     uncertain: UncertainArm
     lines: Sequence[Lines]
-    correlation: float = 4.0
-    _drive: list[Array] = field(default_factory=list)
+    correlation: float = CORRELATION_HZ
+    known_runs: int = 0
+    """Number of runs to allow for, if more than the lines have."""
+    _amplitude: list[Array] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        """Scale the drive-force errors by the drive forces of the nominal arm."""
+        """Scale the patterns of the components by the motion of the nominal arm."""
         none = np.zeros(len(self.uncertain.names))
+        n = self.uncertain.arm.n
         for one in self.lines:
-            force = respond(self.uncertain.at(one.pose), one, none).drive_force()
-            power = np.abs(force) ** 2
+            response = respond(self.uncertain.at(one.pose), one, none)
+            load, mass = response.across_seat(np.arange(7 * n))
+            own = np.abs(np.diagonal(mass, axis1=1, axis2=2))
+            floating = np.abs(load) / np.maximum(own, 1e-12)
+            power = np.concatenate([np.abs(response.drive_force()), floating], axis=1) ** 2
             width = max(1, round(3.0 / one.spacing))
             kernel = np.ones(width) / width
             smooth = np.stack([np.convolve(p, kernel, mode="same") for p in power.T], axis=1)
             smooth = np.maximum(smooth, 0.01 * smooth.max(axis=1, keepdims=True))
-            self._drive.append(smooth)
+            # A tight connection gives way by its spring: a motion that floats takes none.
+            smooth[:, n:] *= (one.frequency[:, None] / COMPLIANCE_HZ) ** 4
+            self._amplitude.append(np.sqrt(smooth))
+
+    @property
+    def runs(self) -> int:
+        """Number of runs, by the largest of their numbers."""
+        numbers = [
+            each.number for one in self.lines for each in (one, one.beside) if each is not None
+        ]
+        return max(1 + max(numbers, default=-1), self.known_runs)
+
+    @cached_property
+    def index(self) -> ComponentIndex:
+        """The variance components."""
+        return ComponentIndex(uncertain=self.uncertain, runs=self.runs)
 
     @property
     def count(self) -> int:
         """Number of nuisance parameters: of the arm, and delays of every run."""
-        return self.uncertain.count(1 + max((one.number for one in self.lines), default=-1))
+        return self.uncertain.count(self.runs)
 
-    def pieces(self, errors: Array, model_error: float) -> list[Piece]:
-        """Responses and weights for given nuisance parameters."""
+    def pieces(self, errors: Array, variances: Array) -> list[Piece]:
+        """Responses and weights for given nuisance parameters and variance components."""
         found = []
-        for one, drive in zip(self.lines, self._drive, strict=True):
+        for one, amplitude in zip(self.lines, self._amplitude, strict=True):
             response = respond(self.uncertain.at(one.pose), one, errors)
+            noise, change = one.noise, one.beside is not None
+            if one.beside is not None:
+                reference = respond(self.uncertain.at(one.beside.pose), one.beside, errors)
+                response = replace(response, beside=reference)
+                noise = noise + one.beside.noise
             # Readings of what is faster than the samples fold back; more of it the higher the line.
             folded = one.folded * (one.frequency * one.period / _FOLDS) ** 2
-            allowed = model_error * (1 + folded)[:, None]
-            size = np.where(one.blind, _BLIND, _DRIVE * model_error)
-            joints = response.joint_columns() * (size * np.sqrt(drive))[:, None, :]
-            covariance = joints @ joints.conj().swapaxes(1, 2)
-            index = np.arange(covariance.shape[1])
-            covariance[:, index, index] += one.noise + allowed**2 * one.power
-            weight = np.linalg.inv(covariance)
+            of = self.uncertain
+            patterns = np.concatenate([response.joint_columns(), response.columns], axis=2)
+            count = len(one.frequency)
+            bands = (np.arange(count) * BANDS // count).astype(np.intp)
+            factor = variances[self.index.bands(one.number)][bands]
+            patterns = patterns * (np.sqrt(factor)[:, None] * amplitude)[:, None, :]
+            power = (factor * (1 + folded) ** 2)[:, None] * one.power
+            components = self.index.columns(one.number, change=change)
+            reading = self.index.reading(change=change)
+            size = variances[components].copy()
+            size[: of.arm.n][one.blind] = BLIND
+            scaled = patterns * np.sqrt(size)
+            covariance = scaled @ scaled.conj().swapaxes(1, 2)
+            channel = np.arange(covariance.shape[1])
+            covariance[:, channel, channel] += noise + variances[reading] * power
+            if response.beside is not None:
+                # Patterns of what has changed are known no better than the model the reference.
+                unknown = min(response.beside.unexplained, 1.0)
+                covariance[:, channel, channel] += unknown * np.sum(np.abs(scaled) ** 2, axis=2)
+            # Readings have units: each is taken over its own standard deviation.
+            unit = 1 / np.sqrt(covariance[:, channel, channel].real)
+            units = unit[:, :, None] * unit[:, None, :]
+            weight = units * np.linalg.inv(units * covariance)
             residual = response.residual
             weighted = (weight @ residual[:, :, None])[:, :, 0]
             misfit = np.sum(residual.conj() * weighted, axis=1).real
-            # Readings have units: the determinant is taken against their noise.
-            scaled = covariance / np.sqrt(one.noise[:, :, None] * one.noise[:, None, :])
-            size_of = np.linalg.slogdet(scaled)[1]
+            size_of = np.linalg.slogdet(units * covariance)[1]
+            size_of -= np.sum(np.log(unit**2 * noise), axis=1)
             temper = min(one.independent / 1.1, one.spacing / self.correlation)
-            count = len(one.frequency)
             found.append(
                 Piece(
                     response=response,
                     weight=weight,
+                    patterns=patterns,
+                    components=components,
+                    reading_power=power,
+                    reading=reading,
                     base=-temper * float(np.sum(misfit + size_of)),
                     temper=temper,
-                    bands=(np.arange(count) * _BANDS // count).astype(np.intp),
+                    bands=bands,
                 )
             )
         return found
@@ -176,6 +231,14 @@ class Evidence:
         ndarray (U,)
             Log-likelihood, shares and openness summed out.
         """
+        terms = self.run_terms(pieces, seat, axes)
+        return np.asarray(sum(terms.values(), start=np.zeros(len(axes))))
+
+    def run_terms(self, pieces: Sequence[Piece], seat: Seat, axes: Array) -> dict[int, Array]:
+        """Log-likelihood ratio of a seat by run and axis (U,).
+
+        A seat that stays shut in a run moves no more than a tight one.
+        """
         by_run: dict[int, list[Array]] = {}
         opening: dict[int, Array] = {}
         for piece in pieces:
@@ -184,27 +247,18 @@ class Evidence:
             term = band_terms(piece, seat, axes)
             by_run.setdefault(piece.lines.number, []).append(term)
             opening[piece.lines.number] = open_probability(piece.response, seat.columns, axes)
-        gap = np.log(SHARES[:, None] / SHARES)
-        near = np.exp(-0.5 * (gap / _SPREAD) ** 2)
-        near /= near.sum(axis=1, keepdims=True)
-        open_weight = _OPEN / _OPEN.sum()
-        shut_weight = np.where(SHARES <= 1.0, 1.0, 0.0)
-        shut_weight /= shut_weight.sum()
-        total = np.zeros((len(axes), len(SHARES)))  # by the share of shut seats
-        for run, found in by_run.items():
+        found = {}
+        for run, terms in by_run.items():
             level = np.zeros((len(axes), len(SHARES)))
-            for term in found:
+            for term in terms:
                 most = term.max(axis=2, keepdims=True)
-                inside = np.exp(term - most) @ near.T
+                inside = np.exp(term - most) @ _NEAR.T
                 level += (np.log(inside) + most).sum(axis=1)
-            top = level.max(axis=1, keepdims=True)
-            opened = np.log(np.exp(level - top) @ open_weight) + top[:, 0]
+            top = level.max(axis=1)
+            opened = np.log(np.exp(level - top[:, None]) @ _OPEN_WEIGHT) + top
             p = opening[run]
-            total += np.logaddexp((np.log(p) + opened)[:, None], np.log(1 - p)[:, None] + level)
-        if not by_run:
-            return np.zeros(len(axes))
-        top = total.max(axis=1, keepdims=True)
-        return np.asarray(np.log(np.exp(total - top) @ shut_weight) + top[:, 0])
+            found[run] = np.logaddexp(np.log(p) + opened, np.log(1 - p))
+        return found
 
 
 def band_terms(piece: Piece, seat: Seat, axes: Array) -> Array:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from loose_env.instrument.inference.evidence import (
+    BLIND,
     SHARES,
     Evidence,
     Piece,
@@ -15,24 +16,37 @@ from loose_env.instrument.inference.evidence import (
     band_terms,
     seat_powers,
 )
+from loose_env.instrument.inference.variance_components import within_bounds
 from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD
 from loose_env.statistics import axes_grid, tangents
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray
 
-__all__ = ["MODEL_ERRORS", "Fit", "best_powers", "fit_hypothesis", "seats_of"]
+__all__ = ["Fit", "RunTerm", "best_powers", "fit_hypothesis", "fitted_pieces", "seats_of"]
 
 
-MODEL_ERRORS = np.geomspace(0.01, 0.32, 6)
-"""Relative errors that the model may have at a line beside those of its parameters."""
-_EXPECTED, _DECADES = 0.015, 0.4
-"""Most likely of them beforehand, and the standard deviation of its decimal logarithm."""
 _AXES = 150
-_STEPS = 6
+_STEPS = 8
 _HALVINGS = 4
-_FIRST = 0.08
-"""Model error with which a fit starts: no single line dominates before the parameters fit."""
+_FIRST = 3.0
+"""Standard deviations of the components with which a fit starts, over the scales of their priors:
+no single line dominates before the parameters fit."""
+_CONVERGED = 0.05
+"""Gain of a step below which a fit ends [nats]."""
 _UNSEEN = 1.0
 """Precision of a direction of which nothing is known [1/rad²]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunTerm:
+    """Contribution of one run to the evidence of a hypothesis."""
+
+    log_likelihood: float
+    """At the fitted parameters."""
+    misfit: float
+    """Share of the accelerometers' power that the fit leaves unexplained by parameters, forces of
+    the joints and the seat [1]."""
+    effect: float
+    """Share of the accelerometers' power that the seat's motion makes [1]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,8 +59,10 @@ class Fit:
     errors: Array
     """Errors of the model and of the runs' delays in standard deviations, as
     `UncertainArm.count` has them."""
-    model_error: float
-    """Relative model error at a line beside them."""
+    variances: Array
+    """Variance components, in the order of `ComponentIndex`."""
+    runs: Mapping[int, RunTerm]
+    """What each run adds, by its number."""
     axis: Array | None
     """Direction in the link's frame (3,); [1] for play; None where nothing is loose."""
     covariance: Array | None
@@ -69,11 +85,23 @@ def seats_of(hypotheses: Sequence[str], joints: int) -> dict[str, Seat | None]:
 @dataclass(kw_only=True, eq=False)
 class _State:
     errors: Array
-    model_error: float
+    variances: Array
     axis: Array | None
     pieces: list[Piece]
     cost: float
-    """Log-likelihood with shares summed out, and the priors of errors and model error."""
+    """Log-likelihood with shares summed out, and the priors of errors and variances."""
+
+
+@dataclass(kw_only=True, eq=False)
+class _System:
+    """Normal equations of parameters and direction, and sums for the variance components."""
+
+    normal: Array
+    drive: Array
+    explained: Array
+    expected: Array
+    misfit: dict[int, list[tuple[float, float, float]]]
+    """Of each run's pieces the unexplained, whole and the seat's power; see `_unexplained`."""
 
 
 def fit_hypothesis(
@@ -101,28 +129,32 @@ def fit_hypothesis(
     """
     count = evidence.count
     errors = np.zeros(count)
+    variances = evidence.index.start(_FIRST)
     if start is not None:
         errors[: len(start.errors)] = start.errors[:count]
-    allowed = _FIRST if start is None else start.model_error
+        if len(start.variances) == len(variances):
+            variances = start.variances
     axis = None
     if seat is not None:
         axis = np.ones(1)
-        pieces = evidence.pieces(errors, allowed)
-        if seat.slides:
+        if start is not None and start.axis is not None:
+            axis = start.axis
+        elif seat.slides:
             grid = axes_grid(_AXES)
+            pieces = evidence.pieces(errors, variances)
             axis = grid[int(np.argmax(evidence.seat_terms(pieces, seat, grid)))]
-    now = _state(evidence, seat, errors, allowed, axis)
+    now = _state(evidence, seat, errors, variances, axis)
     for step in range(steps):
         before = now.cost
         system = _system(evidence, now, seat)
         now = _stepped(evidence, seat, now, system)
-        if step in (0, 1, 3, steps - 1):
-            now = _eased(evidence, seat, now)
+        now = _rescaled(evidence, seat, now, system)
         if seat is not None and seat.slides and step in (1, 3):
             now = _looked_again(evidence, seat, now)
-        if step > 2 and now.cost - before < 0.05:
+        if step > 2 and now.cost - before < _CONVERGED:
             break
-    normal, _ = _system(evidence, now, seat)
+    system = _system(evidence, now, seat)
+    normal = system.normal
     value = now.cost - 0.5 * float(np.linalg.slogdet(normal)[1])
     covariance = None
     if seat is not None and seat.slides and now.axis is not None:
@@ -138,38 +170,62 @@ def fit_hypothesis(
         hypothesis=hypothesis,
         evidence=value,
         errors=now.errors,
-        model_error=now.model_error,
+        variances=now.variances,
+        runs=_by_run(evidence, seat, now, system),
         axis=now.axis,
         covariance=covariance,
     )
 
 
 def _state(
-    evidence: Evidence, seat: Seat | None, errors: Array, allowed: float, axis: Array | None
+    evidence: Evidence, seat: Seat | None, errors: Array, variances: Array, axis: Array | None
 ) -> _State:
-    pieces = evidence.pieces(errors, allowed)
+    pieces = evidence.pieces(errors, variances)
     cost = sum(piece.base for piece in pieces) - 0.5 * float(errors @ errors)
-    cost -= 0.5 * (np.log10(allowed / _EXPECTED) / _DECADES) ** 2
+    cost += evidence.index.log_prior(variances)
     if seat is not None and axis is not None:
         cost += float(evidence.seat_terms(pieces, seat, axis[None])[0])
-    return _State(errors=errors, model_error=allowed, axis=axis, pieces=pieces, cost=float(cost))
+    return _State(errors=errors, variances=variances, axis=axis, pieces=pieces, cost=float(cost))
 
 
-def _eased(evidence: Evidence, seat: Seat | None, now: _State) -> _State:
-    """Step to a neighbouring model error while the log posterior density improves."""
-    for _ in range(len(MODEL_ERRORS)):
-        at = int(np.argmin(np.abs(np.log(MODEL_ERRORS / now.model_error))))
-        near = [k for k in (at - 1, at + 1) if 0 <= k < len(MODEL_ERRORS)]
-        better = None
-        for k in near:  # the smaller first: fits get better
-            trial = _state(evidence, seat, now.errors, float(MODEL_ERRORS[k]), now.axis)
-            if trial.cost > now.cost:
-                better = trial
-                break
-        if better is None:
-            return now
-        now = better
+def _rescaled(evidence: Evidence, seat: Seat | None, now: _State, system: _System) -> _State:
+    """Variances after a step toward those of highest posterior density."""
+    index = evidence.index
+    better = index.updated(now.variances, system.explained, system.expected)
+    # Longer steps where they are better still: single ones are safe, but short.
+    for power in (6.0, 2.0, 1.0):
+        trial = within_bounds(now.variances * (better / now.variances) ** power, index.scales)
+        state = _state(evidence, seat, now.errors, trial, now.axis)
+        if state.cost > now.cost:
+            return state
     return now
+
+
+def _by_run(
+    evidence: Evidence, seat: Seat | None, now: _State, system: _System
+) -> dict[int, RunTerm]:
+    """Log-likelihood and misfit of each run."""
+    value: dict[int, float] = {}
+    for piece in now.pieces:
+        number = piece.lines.number
+        value[number] = value.get(number, 0.0) + piece.base
+    if seat is not None and now.axis is not None:
+        for number, term in evidence.run_terms(now.pieces, seat, now.axis[None]).items():
+            value[number] += float(term[0])
+    found = {}
+    for number, log_likelihood in value.items():
+        left, whole, seat_power = np.sum(system.misfit[number], axis=0)
+        found[number] = RunTerm(
+            log_likelihood=log_likelihood,
+            misfit=float(max(left, 0.0) / max(whole, 1e-30)),
+            effect=float(seat_power / max(whole, 1e-30)),
+        )
+    return found
+
+
+def fitted_pieces(evidence: Evidence, fit: Fit) -> list[Piece]:
+    """Responses and weights at the parameters and variances of a fit."""
+    return evidence.pieces(fit.errors, fit.variances)
 
 
 def _looked_again(evidence: Evidence, seat: Seat, now: _State) -> _State:
@@ -180,7 +236,7 @@ def _looked_again(evidence: Evidence, seat: Seat, now: _State) -> _State:
     best = int(np.argmax(values))
     if best == 0:
         return now
-    return _state(evidence, seat, now.errors, now.model_error, grid[best])
+    return _state(evidence, seat, now.errors, now.variances, grid[best])
 
 
 def best_powers(piece: Piece, seat: Seat, axis: Array) -> Array:
@@ -194,8 +250,8 @@ def best_powers(piece: Piece, seat: Seat, axis: Array) -> Array:
     return np.maximum(np.stack(seat_powers(piece.response, share, floating), axis=1), 1e-30)
 
 
-def _system(evidence: Evidence, now: _State, seat: Seat | None) -> tuple[Array, Array]:
-    """Normal equations of parameters and direction, seat motion marginalised."""
+def _system(evidence: Evidence, now: _State, seat: Seat | None) -> _System:
+    """Normal equations and sums over all pieces, seat motion marginalised."""
     count = evidence.count
     across = (
         tangents(now.axis) if seat is not None and seat.slides and now.axis is not None else None
@@ -205,6 +261,8 @@ def _system(evidence: Evidence, now: _State, seat: Seat | None) -> tuple[Array, 
     normal[np.arange(count), np.arange(count)] = 1.0
     normal[np.arange(count, size), np.arange(count, size)] = _UNSEEN
     drive[:count] = -now.errors
+    explained, expected = np.zeros((2, len(now.variances)))
+    misfit: dict[int, list[tuple[float, float, float]]] = {}
     for piece in now.pieces:
         response, weight = piece.response, piece.weight
         residual = response.residual
@@ -223,6 +281,9 @@ def _system(evidence: Evidence, now: _State, seat: Seat | None) -> tuple[Array, 
             motion = seen[:, 0, 0]
             wide[:, seat.columns] = motion[:, None] * now.axis
             weight = weight - weighted @ lean @ weighted.conj().swapaxes(1, 2)
+            moved = both @ seen
+        else:
+            moved = np.zeros((*residual.shape, 1))
         slopes = response.slopes(wide)
         if across is not None:
             turn = response.columns[:, :, seat.columns] @ across.T if seat is not None else slopes
@@ -231,7 +292,55 @@ def _system(evidence: Evidence, now: _State, seat: Seat | None) -> tuple[Array, 
         flat = slopes.reshape(-1, size)
         normal += 2 * piece.temper * (flat.conj().T @ heavy.reshape(-1, size)).real
         drive += 2 * piece.temper * (heavy.reshape(-1, size).conj().T @ residual.ravel()).real
-    return normal, drive
+        pulled = weight @ residual[:, :, None]
+        along = np.abs(piece.patterns.conj().swapaxes(1, 2) @ pulled)[:, :, 0] ** 2
+        alone = np.einsum(
+            "kcq,kcq->kq", piece.patterns.conj(), weight @ piece.patterns, optimize=True
+        ).real
+        np.add.at(explained, piece.components, piece.temper * along.sum(axis=0))
+        np.add.at(expected, piece.components, piece.temper * alone.sum(axis=0))
+        own, power = pulled[:, :, 0], piece.reading_power
+        diagonal = np.diagonal(weight, axis1=1, axis2=2).real
+        read, foreseen = np.abs(own) ** 2 * power, diagonal * power
+        explained[piece.reading] += piece.temper * float(np.sum(read))
+        expected[piece.reading] += piece.temper * float(np.sum(foreseen))
+        shares, error = now.variances[piece.components], now.variances[piece.reading]
+        bands = evidence.index.bands(piece.lines.number)
+        factor = now.variances[bands][piece.bands]
+        for sums, part, whole in ((explained, along, read), (expected, alone, foreseen)):
+            by_line = piece.temper * (part @ shares + error * whole.sum(axis=1)) / factor
+            np.add.at(sums, bands[piece.bands], by_line)
+        misfit.setdefault(piece.lines.number, []).append(
+            _unexplained(piece, now.variances, moved[:, :, 0], pulled)
+        )
+    return _System(
+        normal=normal, drive=drive, explained=explained, expected=expected, misfit=misfit
+    )
+
+
+def _unexplained(
+    piece: Piece, variances: Array, moved: ComplexArray, pulled: ComplexArray
+) -> tuple[float, float, float]:
+    """Power of the accelerometers' residual, of their readings, and of the seat's motion in them.
+
+    The residual is that without the seat's motion and the joints' forces.
+    """
+    lines, n = piece.lines, piece.response.at.of.arm.n
+    size = variances[piece.components[:n]].copy()
+    size[lines.blind] = BLIND
+    forces = piece.patterns[:, :, :n]
+    force = (forces * size) @ (forces.conj().swapaxes(1, 2) @ pulled)
+    rows = [k for k, (reading, _) in enumerate(lines.row) if reading.kind == "acceleration"]
+    left = np.abs((piece.response.residual - moved - force[:, :, 0])[:, rows]) ** 2
+    noise = lines.noise[:, rows]
+    if lines.beside is not None:
+        noise = noise + lines.beside.noise[:, rows]
+    read = lines.read[:, rows]
+    whole = np.abs(lines.readings[:, rows]) ** 2
+    seat = np.abs(moved[:, rows]) ** 2
+    sums = (np.sum(np.where(read, each, 0.0)) for each in (left - noise, whole, seat))
+    unexplained, power, own = (float(each) for each in sums)
+    return unexplained, power, own
 
 
 def _mean(values: Array) -> Array:
@@ -240,11 +349,9 @@ def _mean(values: Array) -> Array:
     return np.asarray(np.sqrt(np.convolve(padded, np.ones(width) / width, mode="valid")))
 
 
-def _stepped(
-    evidence: Evidence, seat: Seat | None, now: _State, system: tuple[Array, Array]
-) -> _State:
+def _stepped(evidence: Evidence, seat: Seat | None, now: _State, system: _System) -> _State:
     """Damped Gauss-Newton step by line search."""
-    normal, drive = system
+    normal, drive = system.normal, system.drive
     count = len(now.errors)
     step = np.linalg.solve(normal, drive)
     for halving in range(_HALVINGS):
@@ -255,7 +362,7 @@ def _stepped(
             size = float(np.linalg.norm(turn))
             axis = axis + turn / max(1.0, size / 0.3) @ tangents(axis)
             axis = axis / np.linalg.norm(axis)
-        trial = _state(evidence, seat, now.errors + part[:count], now.model_error, axis)
+        trial = _state(evidence, seat, now.errors + part[:count], now.variances, axis)
         if trial.cost > now.cost:
             return trial
     return now

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.instrument.inference.frequency_response import Response
+from loose_env.instrument.inference.response.frequency_response import Response
 from loose_env.instrument.settings.thresholds import OPENING_FORCE
 from loose_env.typing import Array
 

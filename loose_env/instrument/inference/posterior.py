@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,19 +10,26 @@ import numpy as np
 from loose_env.instrument.data.spectral_lines import Lines, thinned
 from loose_env.instrument.inference.evidence import Evidence, Seat
 from loose_env.instrument.inference.laplace_fit import Fit, fit_hypothesis, seats_of
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY
-from loose_env.instrument.settings.thresholds import REFINED_WITHIN, UNEXPLAINED
+from loose_env.instrument.settings.thresholds import (
+    COARSENED_MISFIT,
+    REFINED_WITHIN,
+    RUN_INFLUENCE,
+    UNEXPLAINED,
+)
+from loose_env.typing import Array
 
-__all__ = ["ModelComparison", "compare_hypotheses", "probabilities_of"]
+__all__ = ["ModelComparison", "compare_hypotheses", "posterior_of", "probabilities_of"]
 
 
-_COARSE, _FINE = 32, 120
+_COARSE, _FINE = 32, 96
 """Lines of a run in the coarse fit of all hypotheses and in the fine fit of the likely ones: errors
 of a model are correlated over neighbouring lines, so that more would add little."""
 _MOST = 4
-_PROBED = 2
-"""Likely hypotheses by which the sampling of the sensors is identified."""
+"""Most hypotheses that are fitted to more lines."""
+_FIRST_STEPS, _COARSE_STEPS, _FINE_STEPS = 8, 5, 5
+"""Gauss-Newton steps of the healthy arm, of the others from there, and on more lines."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,17 +45,48 @@ class ModelComparison:
     """Of all hypotheses, on few lines."""
     lines: tuple[Lines, ...]
     """All lines of all runs."""
+    healthy_prior: float
+    """Prior probability that nothing is loose."""
 
     def as_sampled(self, lines: Lines) -> Lines:
         """Spectral lines of a run with the identified sampling of its sensors."""
         if not self.lines:
             return lines
-        return replace(lines, sampled=self.lines[0].sampled, folded=self.lines[0].folded)
+        return _as_sampled(lines, self.lines[0].sampled, self.lines[0].folded)
 
     @property
     def best(self) -> str:
         """The most probable hypothesis."""
         return max(self.posterior, key=lambda name: self.posterior[name])
+
+    @property
+    def misfit(self) -> float:
+        """Share of the suspect runs' accelerations that the best fit leaves unexplained [1]."""
+        return self._misfit([one.number for one in self.lines if not one.healthy])
+
+    @property
+    def model_misfit(self) -> float:
+        """The same of all runs that are compared with the model alone, references too [1]."""
+        return self._misfit([one.number for one in self.lines if one.beside is None])
+
+    def _misfit(self, runs: Collection[int]) -> float:
+        best = max(self.fits.values(), key=lambda fit: fit.evidence)
+        return _mean_misfit(best, runs)
+
+    def after(self, runs: Collection[int]) -> dict[str, float]:
+        """Probabilities by some of the runs, at the parameters that all runs together have.
+
+        Parameters
+        ----------
+        runs : collection of int
+            Numbers of the suspect runs to count; references always count.
+        """
+        counted = {one.number for one in self.lines if one.healthy} | set(runs)
+        return posterior_of(
+            self.fits,
+            [one for one in self.lines if one.number in counted],
+            healthy_prior=self.healthy_prior,
+        )
 
 
 def compare_hypotheses(
@@ -71,25 +109,32 @@ def compare_hypotheses(
     top = max(fit.evidence for fit in fits.values())
     order = sorted(fits, key=lambda name: -fits[name].evidence)
     likely = [name for name in order if fits[name].evidence > top - REFINED_WITHIN][:_MOST]
+    if HEALTHY not in likely:
+        likely.append(HEALTHY)
     whole = [
-        replace(one, sampled=few.sampled, folded=few.folded)
+        _as_sampled(one, few.sampled, few.folded)
         for one, few in zip(lines, coarse.lines, strict=True)
     ]
     fine = Evidence(uncertain=uncertain, lines=[thinned(one, _FINE) for one in whole])
-    values = {name: fit.evidence for name, fit in fits.items()}
     if len(lines):
-        again = {name: fit_hypothesis(fine, name, seats[name], start=fits[name]) for name in likely}
+        first = fits[order[0]]
+        again = {
+            name: fit_hypothesis(fine, name, seats[name], start=fits[name], steps=_FINE_STEPS)
+            for name in likely
+        }
+        again[HEALTHY] = _as_far_as_others(fine, again)
         # Hypotheses that were left out keep their distance from the best of those looked at.
-        shift = max(fit.evidence for fit in again.values()) - top
-        values = {name: value + shift for name, value in values.items()}
-        values |= {name: fit.evidence for name, fit in again.items()}
-        fits |= again
+        fits = {
+            name: again[name] if name in again else _shifted(fit, first, again[order[0]])
+            for name, fit in fits.items()
+        }
     return ModelComparison(
-        posterior=probabilities_of(values, healthy_prior=healthy_prior),
+        posterior=posterior_of(fits, whole, healthy_prior=healthy_prior),
         fits=fits,
         evidence=fine,
         coarse=coarse,
         lines=tuple(whole),
+        healthy_prior=healthy_prior,
     )
 
 
@@ -100,22 +145,128 @@ def _first_look(
     few = [thinned(one, _COARSE) for one in lines]
 
     def of(sampled: float, folded: float) -> Evidence:
-        taken = [replace(one, sampled=sampled, folded=folded) for one in few]
+        taken = [_as_sampled(one, sampled, folded) for one in few]
         return Evidence(uncertain=uncertain, lines=taken)
 
-    def fit(evidence: Evidence, name: str) -> Fit:
-        return fit_hypothesis(evidence, name, seats[name], steps=4)
+    def fits_of(evidence: Evidence, start: Fit) -> dict[str, Fit]:
+        return {
+            name: fit_hypothesis(evidence, name, seat, start=start, steps=_COARSE_STEPS)
+            for name, seat in seats.items()
+        }
 
-    filtered, stepped = of(0.0, 0.0), of(1.0, 1.0)
-    if lines and any(np.any(one.command) for one in lines):
-        fits = {name: fit(stepped, name) for name in seats}
-        order = sorted(fits, key=lambda name: -fits[name].evidence)
-        # Compared with the same allowance for errors, or the wider one would pay for it.
-        alike = of(0.0, 1.0)
-        other = max(fit(alike, name).evidence for name in {HEALTHY, *order[:_PROBED]})
-        if fits[order[0]].evidence > other:
-            return stepped, fits
-    return filtered, {name: fit(filtered, name) for name in seats}
+    filtered = of(0.0, 0.0)
+    healthy = fit_hypothesis(filtered, HEALTHY, None, steps=_FIRST_STEPS)
+    fits = fits_of(filtered, healthy)
+    if not lines or not any(np.any(one.command) for one in lines):
+        return filtered, fits
+    # Compared with the same allowance for errors, or the wider one would pay for it.
+    stepped, alike = of(1.0, 1.0), of(0.0, 1.0)
+    probed = {HEALTHY, max(fits, key=lambda name: fits[name].evidence)}
+    best = [
+        max(
+            fit_hypothesis(
+                evidence, name, seats[name], start=fits[name], steps=_COARSE_STEPS
+            ).evidence
+            for name in probed
+        )
+        for evidence in (stepped, alike)
+    ]
+    if best[0] <= best[1]:
+        return filtered, fits
+    healthy = fit_hypothesis(stepped, HEALTHY, None, start=healthy, steps=_FIRST_STEPS)
+    return stepped, fits_of(stepped, healthy)
+
+
+def _as_far_as_others(evidence: Evidence, fits: Mapping[str, Fit]) -> Fit:
+    """Fit of the healthy arm, from the parameters of the best fault too.
+
+    Every fault fits as well as no fault where its seat is shut: a search that ended early must not
+    count against the healthy arm.
+    """
+    own = fits[HEALTHY]
+    best = max(fits.values(), key=lambda fit: fit.evidence)
+    other = fit_hypothesis(evidence, HEALTHY, None, start=best, steps=_FINE_STEPS)
+    return max((own, other), key=lambda fit: fit.evidence)
+
+
+def _as_sampled(lines: Lines, sampled: float, folded: float) -> Lines:
+    beside = lines.beside
+    if beside is not None:
+        beside = replace(beside, sampled=sampled, folded=folded)
+    return replace(lines, sampled=sampled, folded=folded, beside=beside)
+
+
+def _shifted(fit: Fit, coarse: Fit, fine: Fit) -> Fit:
+    """Fit whose evidence by run is moved as that of the best hypothesis was."""
+    runs = {
+        number: replace(
+            term,
+            log_likelihood=term.log_likelihood
+            + fine.runs[number].log_likelihood
+            - coarse.runs[number].log_likelihood,
+        )
+        for number, term in fit.runs.items()
+    }
+    return replace(fit, runs=runs, evidence=fit.evidence + fine.evidence - coarse.evidence)
+
+
+def _mean_misfit(fit: Fit, runs: Collection[int]) -> float:
+    values = [fit.runs[number].misfit for number in runs if number in fit.runs]
+    return float(np.mean(values)) if values else 0.0
+
+
+def posterior_of(
+    fits: Mapping[str, Fit], lines: Sequence[Lines], *, healthy_prior: float
+) -> dict[str, float]:
+    """Probabilities of all hypotheses from their fits, for models that are not exact.
+
+    A run may have been disturbed by something outside all hypotheses: its log-likelihood ratio to
+    the best hypothesis is bounded by ``RUN_INFLUENCE``. Likelihoods against the model are raised to
+    the power 1 / (1 + (misfit / COARSENED_MISFIT)²): a coarsened posterior. A run beside the same
+    run of the healthy arm needs no model to tell whether anything has changed, and counts in full
+    for that; where it has changed is the model's to say.
+
+    Parameters
+    ----------
+    fits : mapping of str to Fit
+        Best fit of each hypothesis.
+    lines : sequence of Lines
+        The runs that count.
+    healthy_prior : float
+        Prior probability that nothing is loose.
+
+    Returns
+    -------
+    dict of str to float
+    """
+    best = max(fits.values(), key=lambda fit: fit.evidence)
+    terms = {name: _by_run(fit, [one.number for one in lines]) for name, fit in fits.items()}
+    first, most = terms[best.hypothesis], RUN_INFLUENCE
+    behind = {name: most * np.tanh((values - first) / most) for name, values in terms.items()}
+    of_model = _mean_misfit(best, [one.number for one in lines if one.beside is None])
+    of_pairs = _mean_misfit(best, [one.number for one in lines if one.beside is not None])
+    power = 1 / (1 + (max(of_model, of_pairs) / COARSENED_MISFIT) ** 2)
+    paired = np.array([one.beside is not None for one in lines], dtype=bool)
+    weights = np.where(paired, 1.0, power)
+    changed = {name: float(weights @ values) for name, values in behind.items()}
+    located = {name: power * float(values.sum()) for name, values in behind.items()}
+    faults = [name for name in fits if name != HEALTHY]
+    loose = np.logaddexp.reduce([changed[name] for name in faults]) - np.log(len(faults))
+    where = np.logaddexp.reduce([located[name] for name in faults]) - np.log(len(faults))
+    evidence = {name: located[name] - where + loose for name in faults}
+    return probabilities_of({HEALTHY: changed[HEALTHY], **evidence}, healthy_prior=healthy_prior)
+
+
+def _by_run(fit: Fit, numbers: Sequence[int]) -> Array:
+    """Log evidence of a hypothesis by run; the cost of its parameters is spread over all runs."""
+    known = [number for number in numbers if number in fit.runs]
+    cost = fit.evidence - sum(term.log_likelihood for term in fit.runs.values())
+    share = cost / max(len(fit.runs), 1)
+    found = np.zeros(len(numbers))
+    for k, number in enumerate(numbers):
+        if number in known:
+            found[k] = fit.runs[number].log_likelihood + share
+    return found
 
 
 def probabilities_of(evidence: Mapping[str, float], *, healthy_prior: float) -> dict[str, float]:

@@ -50,8 +50,8 @@ class RecordSeen:
     condition: str
     """"suspect" or "healthy"."""
     probabilities: Mapping[str, float]
-    """Of every hypothesis after this run and all before it; empty for a healthy reference and
-    for a run that could not be used."""
+    """Of every hypothesis after this run and all before it, at the parameters that all runs
+    together have; empty for a healthy reference and for a run that could not be used."""
     direction_tool: Vector | None = None
     """Direction in which the most probable fault moves the tool in this pose, tool frame, axial: as
     all runs together have it, not this one alone. None where none is seen."""

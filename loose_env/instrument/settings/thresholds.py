@@ -25,6 +25,11 @@ POSE_SPREAD = 0.2
 POSE_OFFSET = 0.05
 """Distance of the measured from the noted joint position, above which the reader is told [rad or
 m]."""
+SAME_POSE = 0.02
+"""Distance of the joint positions up to which two runs hold the same pose [rad or m]."""
+SAME_SIGNAL = 0.8
+"""Correlation of the drives' signals from which two runs play the same noise: other noise has
+none, a closed loop repeats its torque nearly."""
 LEAST_LINE_POWER = 0.02
 """Power of a line's command over that of the strongest part of the band; weaker lines are dropped:
 their coherence is poor."""
@@ -60,6 +65,8 @@ MENTIONED = 0.02
 """Probability below which a plan does not mention a hypothesis [probability]."""
 REFINED_WITHIN = 120.0
 """Log-evidence behind the best coarse fit, up to which a hypothesis is fitted to more lines."""
+OPEN_SEAT_SHARE = 0.03
+"""Motion of a seat over that of a floating one, from which it is open: tight ones give less."""
 OPENING_FORCE = 0.6
 """Rms force over static load at which a seat begins to open: peaks open it, not the rms."""
 AVERAGED_DIRECTION_SD = 0.15
@@ -75,6 +82,60 @@ sensors."""
 DIRECTION_SD_FACTOR = 2.0
 """Standard deviation of a direction over that by the curvature of the likelihood, which lacks the
 errors outside the model."""
+
+# Model error: scales of the half-Cauchy priors of what a model cannot have
+DRIVE_SD = 0.05
+"""Error of a joint's force over the force of its drive: friction, servo gains, saturation."""
+COMPLIANCE_HZ = 100.0
+"""Frequency at which the compliances below are stated [Hz]: the motion of an elastic connection
+over that of a floating one rises as frequency squared."""
+GEAR_TURN_SD = 0.1
+"""Turn between a joint's sensor and its link over that of a floating link: gears of a mode near
+300 Hz."""
+BENDING_SD = 0.03
+"""Bending of a link at its seat over that of a floating link: a mode near 600 Hz."""
+SEAT_SLIDE_SD = 0.01
+"""Slide of a link at its tight seat over that of a floating link: a mode near 1 kHz."""
+READING_SD = 0.01
+"""Error of a reading over its motion: what no component of the arm explains."""
+BAND_SHAPE = 2.0
+"""Shape of the inverse-gamma prior of an error's factor in a band: four degrees of freedom of
+Student's t."""
+DRIVE_CHANGE_SD = 0.02
+"""Change of a joint's force error between a run and the same run of the healthy arm: friction
+varies with temperature."""
+GEAR_TURN_CHANGE_SD = 0.02
+"""The same of the turn: the gear is the same one, within a fifth."""
+BENDING_CHANGE_SD = 0.006
+"""The same of the bending."""
+SEAT_SLIDE_CHANGE_SD = 0.002
+"""The same of the slide."""
+READING_CHANGE_SD = 0.005
+"""The same of the readings: poses are repeated to within a few thousandths of their range."""
+CLOCK_Z = 4.0
+"""z-score from which a clock offset is corrected and reported."""
+LARGEST_CLOCK_OFFSET_S = 0.02
+"""Largest clock offset looked for [s]: half a period of a low band, beyond which peaks recur."""
+CLOCK_NOTED_S = 0.001
+"""Clock offset from which a verdict is not settled [s]: at 50 Hz it turns the phase by 18
+degrees."""
+SERVO_DELAY_NOTED_S = 0.0005
+"""Delay of a joint's motion against the model's from which the reader is told [s]."""
+CORRELATION_HZ = 12.0
+"""Width over which model errors are alike [Hz]: lines closer than that count as one."""
+RUN_INFLUENCE = 5.0
+"""Largest log-likelihood ratio of one run [nats]: with a probability of 0.7 % something outside all
+hypotheses disturbed it."""
+MISMATCH = 0.2
+"""Misfit above which the model is not that of the arm: a location it names may be wrong."""
+FAULT_EFFECT = 0.03
+"""Motion of the tool by the seat over all of its motion [1], below which a fault is not settled: an
+error of 5 mrad of the poses changes as much."""
+SETTLED_CONE_DEG = 30.0
+"""Half opening of the direction's cone above which a fault is not settled [deg]."""
+COARSENED_MISFIT = 0.1
+"""Misfit at which a record counts half: likelihoods of a wrong model are raised to a power
+(coarsened posterior; Miller and Dunson, JASA 114, 2019)."""
 
 # Free travel
 TIME_AT_STOP = 0.02
@@ -98,8 +159,12 @@ PRESSED_FORCE = 3.0
 """Static load over driving force from which gravity is said to keep a seat shut."""
 MODEL_ERROR = 0.06
 """Relative model error at a line, above which the model is not that of the arm."""
-PARAMETER_ERROR = 2.2
-"""Rms of the parameter errors [standard deviations], above which the same is said."""
+FORCE_ERROR = 0.5
+"""Relative error of the excited joints' forces above which the same is said: friction and servo
+gains explain less."""
+PARAMETER_ERROR = 4.0
+"""Largest error of a parameter [standard deviations], above which the same is said: chance does not
+make it once in 10,000 models."""
 TOOL_SIGNAL = 10.0
 """Power of the accelerometer over its noise, below which the reader is told."""
 JOINT_SIGNAL = 4.0

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines, thinned
 from loose_env.instrument.inference.evidence import Evidence, Piece, Seat
-from loose_env.instrument.inference.laplace_fit import Fit, best_powers, seats_of
+from loose_env.instrument.inference.laplace_fit import Fit, best_powers, fitted_pieces, seats_of
 from loose_env.instrument.inference.posterior import ModelComparison
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.result import HEALTHY, TransmissionSpectrum
 from loose_env.instrument.settings.thresholds import MENTIONED
@@ -108,7 +107,7 @@ def spectra_by_fit(
     """
     arm = uncertain.arm
     few = [thinned(one, _LINES) for one in comparison.lines]
-    evidence = replace(comparison.evidence, lines=few, _drive=[])
+    evidence = Evidence(uncertain=uncertain, lines=few, known_runs=comparison.evidence.runs)
     ranked = sorted(comparison.posterior.items(), key=lambda item: -item[1])
     faults = [n for n, p in ranked if n != HEALTHY and p >= MENTIONED][:_FAULTS]
     seats = seats_of(arm.hypotheses, arm.n)
@@ -127,14 +126,13 @@ def spectra_by_fit(
 
 def _predicted(evidence: Evidence, fit: Fit, seat: Seat | None) -> list[ComplexArray]:
     """Readings of every run by a fitted hypothesis (K, c), the seat's motion at its mean."""
-    pieces = evidence.pieces(fit.errors, fit.model_error)
-    return [_readings(piece, fit, seat) for piece in pieces]
+    return [_readings(piece, fit, seat) for piece in fitted_pieces(evidence, fit)]
 
 
 def _readings(piece: Piece, fit: Fit, seat: Seat | None) -> ComplexArray:
     response = piece.response
     if seat is None or fit.axis is None or piece.lines.healthy:
-        return response.mean
+        return response.expected
     column = response.columns[:, :, seat.columns] @ fit.axis
     sudden = response.sudden[:, seat.columns] @ fit.axis
     both = np.stack([column, np.broadcast_to(sudden, column.shape)], axis=2)
@@ -143,7 +141,7 @@ def _readings(piece: Piece, fit: Fit, seat: Seat | None) -> ComplexArray:
     inside[:, [0, 1], [0, 1]] += 1 / best_powers(piece, seat, fit.axis)
     seen = weighted.conj().swapaxes(1, 2) @ response.residual[:, :, None]
     motion = np.linalg.solve(inside, seen)
-    return np.asarray(response.mean + (both @ motion)[:, :, 0])
+    return np.asarray(response.expected + (both @ motion)[:, :, 0])
 
 
 def _drive(arm: InstrumentedArm, lines: Lines) -> tuple[int, ComplexArray, str]:

@@ -35,6 +35,8 @@ def test_a_loose_link_transmits_as_its_own_hypothesis_predicts(tmp_path: Path) -
     assert [s.channel[-1] for s in loose.spectra] == list("xyzxyz")
     for spectrum in loose.spectra:
         assert spectrum.joint == loose.records[spectrum.record].excited[0]
+        if spectrum.channel.endswith("y"):
+            continue  # the arm and the slide are in the plane of x and z
         own, healthy = (error(spectrum, h) for h in ("structural_looseness@link2", "healthy"))
         assert own < 0.8 * healthy
     assert loose.verdict == "faulty"

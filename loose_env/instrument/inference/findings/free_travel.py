@@ -16,7 +16,7 @@ from scipy import signal
 
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.evidence import Evidence, Piece, Seat
-from loose_env.instrument.inference.laplace_fit import seats_of
+from loose_env.instrument.inference.laplace_fit import fitted_pieces, seats_of
 from loose_env.instrument.inference.posterior import ModelComparison
 from loose_env.instrument.settings.thresholds import (
     CLEARANCE_ERROR,
@@ -66,14 +66,18 @@ def travel_of(comparison: ModelComparison, hypothesis: str, lines: Sequence[Line
         seat drifts slowly, and impacts on them are fast.
     """
     uncertain = comparison.evidence.uncertain
-    evidence = Evidence(uncertain=uncertain, lines=[comparison.as_sampled(one) for one in lines])
+    evidence = Evidence(
+        uncertain=uncertain,
+        lines=[comparison.as_sampled(one) for one in lines],
+        known_runs=comparison.evidence.runs,
+    )
     seat = seats_of(uncertain.arm.hypotheses, uncertain.arm.n)[hypothesis]
     fit = comparison.fits[hypothesis]
     assert isinstance(seat, Seat)
     assert fit.axis is not None
     gaps: list[float] = []
     ranges, linear = [], []
-    for piece in evidence.pieces(fit.errors, fit.model_error):
+    for piece in fitted_pieces(evidence, fit):
         path, force = seat_in_time(piece, seat, fit.axis)
         ranges.append(float(np.subtract(*np.percentile(path, [99, 1]))))
         size = len(path) // _BLOCKS

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 
 from loose_env.instrument.data.spectral_lines import Lines
-from loose_env.instrument.inference.frequency_response import respond
 from loose_env.instrument.inference.posterior import ModelComparison
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.response.frequency_response import respond
+from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY, Loop
 from loose_env.typing import ComplexArray
 

@@ -8,7 +8,7 @@ from loose_env.diagnosis import ToolFrames
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.laplace_fit import Fit
 from loose_env.instrument.inference.posterior import ModelComparison
-from loose_env.instrument.inference.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY, Vector
 from loose_env.instrument.settings.thresholds import (
     CONE_95,

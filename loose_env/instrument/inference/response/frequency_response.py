@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines
-from loose_env.instrument.inference.uncertain_linear_arm import PoseModel
+from loose_env.instrument.inference.response.uncertain_linear_arm import PoseModel
 from loose_env.typing import Array, ComplexArray
 
 __all__ = ["Response", "respond", "with_leakage"]
@@ -16,7 +16,7 @@ __all__ = ["Response", "respond", "with_leakage"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
-    """Response for given nuisance parameters; m coordinates, s = 4 n seats, c channels."""
+    """Response for given nuisance parameters; m coordinates, s = 7 n seats, c channels."""
 
     at: PoseModel
     lines: Lines
@@ -45,11 +45,27 @@ class Response:
     """Readings of accelerometers that are sampled just then, for it (K, c)."""
     mean: ComplexArray
     """Readings of the healthy arm (K, c)."""
+    beside: Response | None = None
+    """Response to the same run of the healthy arm, if the run is compared with it."""
+
+    @property
+    def expected(self) -> ComplexArray:
+        """Readings expected of the healthy arm (K, c), by the run it is compared with too."""
+        return self.mean if self.beside is None else np.asarray(self.mean + self.beside.residual)
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the accelerometers' power that the healthy arm leaves unexplained [1]."""
+        rows = [
+            k for k, (reading, _) in enumerate(self.lines.row) if reading.kind == "acceleration"
+        ]
+        left = np.sum(np.abs(self.residual[:, rows]) ** 2)
+        return float(left / max(np.sum(np.abs(self.lines.readings[:, rows]) ** 2), 1e-300))
 
     @property
     def residual(self) -> ComplexArray:
-        """Residual of the healthy arm (K, c)."""
-        return np.asarray(self.lines.readings - self.mean)
+        """Residual of the healthy arm (K, c), less that of the run it is compared with."""
+        return np.asarray(self.lines.readings - self.expected)
 
     def joint_columns(self) -> ComplexArray:
         """Frequency response from joint forces to the channels (K, c, n)."""
@@ -89,6 +105,17 @@ class Response:
         return force, own + moved
 
     def slopes(self, seat: ComplexArray) -> ComplexArray:
+        """Jacobian of the residual's model with respect to the nuisance parameters (K, c, P).
+
+        Parameters
+        ----------
+        seat : ndarray (K, s)
+            Accelerations of the seats.
+        """
+        own = self._slopes(seat)
+        return own if self.beside is None else own - self.beside.slopes(np.zeros_like(seat))
+
+    def _slopes(self, seat: ComplexArray) -> ComplexArray:
         """Jacobian of the channels with respect to the nuisance parameters (K, c, P).
 
         Parameters
@@ -325,7 +352,7 @@ def _rows(
             rows[:, k] = (s**2)[:, None] * jacobian[reading.at, axis, :m] + turned
             own[:, k] = jacobian[reading.at, axis, m:]
             # play turns the tool against gravity as the joint itself does
-            own[:, k, 3 * n :] += turned[:n] / (s**2)[:, None]
+            own[:, k, at.of.plays] += turned[:n] / (s**2)[:, None]
         elif reading.kind == "turning":
             rows[:, k] = s[:, None] * at.nominal.turning[reading.at, axis, :m]
             own[:, k] = at.nominal.turning[reading.at, axis, m:] / s[:, None]
@@ -354,7 +381,7 @@ def _sensing(response: Response) -> dict[str, Array]:
 
 def _own_damping(at: PoseModel, n: int) -> Array:
     """Passive joint damping (n,)."""
-    return np.asarray(at.of.arm.linear.springs[1][at.of.moving][:n])
+    return np.asarray(at.of.linear.springs[1][at.of.moving][:n])
 
 
 def _gain_error(at: PoseModel) -> Array:

@@ -8,19 +8,23 @@ import numpy as np
 
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.evidence import Seat
-from loose_env.instrument.inference.free_travel import Travel
-from loose_env.instrument.inference.laplace_fit import seats_of
+from loose_env.instrument.inference.findings.free_travel import Travel
+from loose_env.instrument.inference.laplace_fit import fitted_pieces, seats_of
 from loose_env.instrument.inference.opening_probability import open_probability, seat_forces
 from loose_env.instrument.inference.posterior import ModelComparison
+from loose_env.instrument.inference.response.timing import ClockOffset, ServoTiming
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.thresholds import (
+    CLOCK_NOTED_S,
     FEWEST_LINES,
+    FORCE_ERROR,
     JOINT_SIGNAL,
     MODEL_ERROR,
     OPENING_PROBABILITY,
     PARAMETER_ERROR,
     PRESSED_FORCE,
+    SERVO_DELAY_NOTED_S,
     SHORT_RUN_S,
     TOOL_SIGNAL,
 )
@@ -30,12 +34,19 @@ __all__ = ["model_warnings", "warnings_of"]
 
 
 def warnings_of(
-    arm: InstrumentedArm, comparison: ModelComparison, notes: Sequence[str], travel: Travel | None
+    arm: InstrumentedArm,
+    comparison: ModelComparison,
+    notes: Sequence[str],
+    travel: Travel | None,
+    *,
+    clocks: Sequence[ClockOffset] = (),
+    servos: Sequence[ServoTiming] = (),
 ) -> tuple[str, ...]:
     """Collect the warnings, most severe first."""
     said: list[str] = []
     suspect = [one for one in comparison.evidence.lines if not one.healthy]
     said += model_warnings(comparison)
+    said += _of_timing(clocks, servos)
     said += _of_seats(arm, comparison, suspect)
     if travel is not None and travel.linear:
         said.append(
@@ -64,15 +75,60 @@ def warnings_of(
 def model_warnings(comparison: ModelComparison) -> list[str]:
     """Warnings that the model is not that of the arm: they invalidate a result."""
     fit = comparison.fits[comparison.best]
-    strain = float(np.sqrt(np.mean(fit.errors**2))) if len(fit.errors) else 0.0
-    if fit.model_error <= MODEL_ERROR and strain <= PARAMETER_ERROR:
+    names = comparison.evidence.uncertain.names
+    errors = np.abs(fit.errors[: len(names)])
+    worst = int(np.argmax(errors)) if len(errors) else 0
+    strain = float(errors[worst]) if len(errors) else 0.0
+    misfit = float(np.sqrt(comparison.misfit))
+    forces = _force_error(comparison)
+    found = []
+    if misfit > MODEL_ERROR:
+        found.append(f"{misfit:.0%} of the motion remains unexplained")
+    if forces > FORCE_ERROR:
+        found.append(f"the forces of the excited joints are off by {forces:.0%}")
+    if strain > PARAMETER_ERROR:
+        found.append(f"{names[worst]} is off by {strain:.1f} times its tolerance")
+    if not found:
         return []
     return [
-        f"the model is not that of this arm: {fit.model_error:.0%} of the motion at a line remains "
-        f"unexplained, and its parameters are off by {strain:.1f} times their tolerance. The "
-        "location and the probabilities below are less certain than stated; find the model error "
-        "with 'loose gap', and diagnose with the corrected model"
+        f"the model is not that of this arm: {', '.join(found)}. The location and the "
+        "probabilities below are less certain than stated; find the model error with 'loose gap', "
+        "and diagnose with the corrected model"
     ]
+
+
+def _force_error(comparison: ModelComparison) -> float:
+    """Median relative error of the forces of the excited joints, over the runs [1]."""
+    index, fit = comparison.evidence.index, comparison.fits[comparison.best]
+    errors = [
+        np.sqrt(fit.variances[index.columns(one.number, change=False)[joint]])
+        for one in comparison.lines
+        if one.beside is None
+        for joint in one.excited
+        if not one.blind[joint]
+    ]
+    return float(np.median(errors)) if errors else 0.0
+
+
+def _of_timing(clocks: Sequence[ClockOffset], servos: Sequence[ServoTiming]) -> list[str]:
+    said = []
+    for clock in clocks:
+        if clock.significant and abs(clock.seconds) > CLOCK_NOTED_S:
+            late = "late" if clock.seconds > 0 else "early"
+            said.append(
+                f"the accelerometers' clock is {abs(clock.seconds) * 1e3:.1f} ms {late} against "
+                f"the joints' sensors (standard deviation {clock.sd * 1e3:.2g} ms); the readings "
+                "were shifted by it: put both on one clock"
+            )
+    for servo in servos:
+        if abs(servo.delay_s) > SERVO_DELAY_NOTED_S:
+            late = "after" if servo.delay_s > 0 else "before"
+            band = "" if servo.bandwidth_hz is None else f", bandwidth {servo.bandwidth_hz:.0f} Hz"
+            said.append(
+                f"joint {servo.joint} moves {abs(servo.delay_s) * 1e3:.1f} ms {late} what the "
+                f"model makes of its commands (servo delay or gains{band})"
+            )
+    return said
 
 
 def _of_seats(
@@ -82,7 +138,7 @@ def _of_seats(
     grid = axes_grid(24)
     never: list[str] = []
     pressed: list[str] = []
-    pieces = comparison.evidence.pieces(comparison.fits[comparison.best].errors, 0.05)
+    pieces = fitted_pieces(comparison.evidence, comparison.fits[comparison.best])
     for name, seat in seats_of(arm.hypotheses, arm.n).items():
         if not isinstance(seat, Seat):
             continue

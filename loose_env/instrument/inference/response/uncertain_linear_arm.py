@@ -35,7 +35,7 @@ _STEP = 1e-4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Bodies:
-    """Terms that depend on bodies and pose: m coordinates, s seats (slides, plays)."""
+    """Terms that depend on bodies and pose: m coordinates, s seats (slides, plays, rotations)."""
 
     inertia: Array
     """(m + s, m + s)."""
@@ -62,9 +62,13 @@ class UncertainArm:
 
     def __init__(self, arm: InstrumentedArm, tolerances: Tolerances) -> None:
         self.arm, self.tolerances = arm, tolerances
-        linear, nominal, n = arm.linear, arm.nominal, arm.n
+        nominal, n = arm.nominal, arm.n
+        self.linear = linear = LinearArm(nominal, rotations=True)
         self.moving = np.concatenate([linear.joint_dofs, linear.flexible_dofs])
-        self.seats = _seat_columns(arm)
+        self.seats = _seat_columns(linear)
+        self.slides = np.arange(3 * n).reshape(n, 3)
+        self.plays = np.arange(3 * n, 4 * n)
+        self.bendings = np.arange(4 * n, 7 * n).reshape(n, 3)
         none = MismatchDraw.none(nominal)
         names: list[str] = []
         self._changed: list[LinearArm] = []
@@ -73,7 +77,7 @@ class UncertainArm:
             for link in range(n):
                 factor = getattr(none, field).copy()
                 factor[_bodies_of(arm, link)] += size
-                self._changed.append(_changed(arm, replace(none, **{field: factor})))
+                self._changed.append(_changed(self, replace(none, **{field: factor})))
                 names.append(f"{field}@{arm.links[link]}")
         for link in range(n):
             # Mass goes over the seat: what of a link is bolted to the motor's side is a guess.
@@ -82,7 +86,7 @@ class UncertainArm:
             factor = none.mass.copy()
             factor[own] -= t.motor_side
             factor[flange] += moved / max(nominal.model.body_mass[flange], 1e-12)
-            self._changed.append(_changed(arm, replace(none, mass=factor)))
+            self._changed.append(_changed(self, replace(none, mass=factor)))
             names.append(f"motor_side@{arm.links[link]}")
         self._zeros = t.joint_zero * np.eye(n)
         names += [f"zero@{joint}" for joint in arm.joints]
@@ -120,7 +124,7 @@ class UncertainArm:
         return self._remembered[key]
 
     def _at(self, pose: Array) -> PoseModel:
-        linear, n = self.arm.linear, self.arm.n
+        linear, n = self.linear, self.arm.n
         nominal = self._bodies(linear, pose)
         moved = [self._bodies(one, pose) for one in self._changed]
         moved += [self._bodies(linear, pose + zero) for zero in self._zeros]
@@ -184,30 +188,26 @@ def _bodies_of(arm: InstrumentedArm, link: int) -> list[int]:
     return [own, int(model.body_parentid[own])]
 
 
-def _changed(arm: InstrumentedArm, draw: MismatchDraw) -> LinearArm:
+def _changed(uncertain: UncertainArm, draw: MismatchDraw) -> LinearArm:
     """Copy of the linear arm with changed bodies."""
-    linear = arm.linear
+    linear = uncertain.linear
     other = copy.copy(linear)
     other.model = copy.copy(linear.model)
     other._data = mujoco.MjData(other.model)
     other._cache = {}
-    draw.apply(other.model, arm.nominal, other._data)
+    draw.apply(other.model, linear.arm, other._data)
     return other
 
 
-def _seat_columns(arm: InstrumentedArm) -> Array:
-    """Seat motions in the linear arm's coordinates (nv, 4 n): slides, then play."""
-    linear, n = arm.linear, arm.n
-    nv = linear.model.nv
-    columns = np.zeros((nv, 4 * n))
+def _seat_columns(linear: LinearArm) -> Array:
+    """Seat motions in the linear arm's coordinates (nv, 7 n): slides, play, rotations of links."""
+    n, nv = linear.arm.n, linear.model.nv
+    columns = np.zeros((nv, 7 * n))
     for link in range(n):
         columns[linear.slide_dofs[link], 3 * link + np.arange(3)] = 1.0
-        dof = int(linear.hinge_dofs[link])
-        if dof < nv:
-            columns[dof, 3 * n + link] = 1.0
-        else:  # play of a sliding joint is made of the link's slides
-            axis = arm.nominal.model.joint(arm.nominal.joints[link]).axis
-            columns[linear.slide_dofs[link], 3 * n + link] = axis
+        columns[linear.turn_dofs[link], 4 * n + 3 * link + np.arange(3)] = 1.0
+    if linear.play is not None:  # it is made of the links' slides and rotations
+        columns[:, 3 * n : 4 * n] = linear.play
     return columns
 
 
@@ -236,7 +236,7 @@ class PoseModel:
         return len(self.of.moving)
 
     def seat_load(self) -> Array:
-        """Static force on each seat's columns (4 n,) [N or N·m]."""
+        """Static force on each seat's columns (7 n,) [N or N·m]."""
         return self.nominal.load[self.size :]
 
     def parts(self, errors: Array) -> tuple[Array, Array]:
@@ -251,7 +251,7 @@ class PoseModel:
         """Coordinate stiffness and damping for given nuisance parameters (m,)."""
         arm, t = self.of.arm, self.of.tolerances
         n, drives = arm.n, arm.actuators
-        stiffness, damping = (v[self.of.moving] for v in arm.linear.springs)
+        stiffness, damping = (v[self.of.moving] for v in self.of.linear.springs)
         stiffness, damping = stiffness.copy(), damping.copy()
         own, held, slow = np.split(errors[self.of.springs], 3)
         damping[:n] *= 1 + t.damping * own

@@ -1,0 +1,95 @@
+"""Verdict of a diagnosis: healthy, faulty, open, or a model that is not the arm's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from loose_env.instrument.inference.findings.direction_cones import cone
+from loose_env.instrument.inference.posterior import ModelComparison
+from loose_env.instrument.inference.response.timing import ClockOffset
+from loose_env.instrument.result import HEALTHY, Verdict
+from loose_env.instrument.settings.thresholds import (
+    CLOCK_NOTED_S,
+    FAULT_EFFECT,
+    LEAST_RUNS,
+    MISMATCH,
+    SETTLED_CONE_DEG,
+)
+
+__all__ = ["Judgement", "verdict_of"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judgement:
+    """Verdict, and reasons why it is not settled."""
+
+    kind: Verdict
+    reasons: tuple[str, ...] = ()
+
+
+def verdict_of(
+    comparison: ModelComparison, clocks: Sequence[ClockOffset], *, sure: float
+) -> Judgement:
+    """Decide whether a diagnosis is settled.
+
+    Parameters
+    ----------
+    comparison : ModelComparison
+        Posterior over all runs.
+    clocks : sequence of ClockOffset
+        Estimated offsets of the accelerometers' clocks.
+    sure : float
+        Probability from which a hypothesis is settled.
+    """
+    best = comparison.best
+    probability = comparison.posterior[best]
+    suspect = [one.number for one in comparison.lines if not one.healthy]
+    paired = any(one.beside is not None for one in comparison.lines)
+    blocked: list[str] = []
+    misfit = comparison.misfit
+    if misfit > MISMATCH:
+        blocked.append(
+            f"the model leaves {misfit:.0%} of the tool's motion unexplained; at most "
+            f"{MISMATCH:.0%} is allowed"
+        )
+    for clock in clocks:
+        if clock.significant and abs(clock.seconds) > CLOCK_NOTED_S:
+            late = "late" if clock.seconds > 0 else "early"
+            blocked.append(
+                f"the accelerometers' clock is {abs(clock.seconds) * 1e3:.1f} ms {late}; it was "
+                "corrected by an estimate"
+            )
+    if best != HEALTHY:
+        effect = float(np.sqrt(max(comparison.fits[best].runs[run].effect for run in suspect)))
+        if effect < FAULT_EFFECT:
+            blocked.append(
+                f"the seat's motion makes {effect:.1%} of the tool's motion; below "
+                f"{FAULT_EFFECT:.0%} poses that are not quite repeated do as much"
+            )
+        _, half = cone(comparison.fits[best])
+        if best.startswith("structural") and (half is None or half > SETTLED_CONE_DEG):
+            blocked.append(
+                f"the direction of the slide is known no better than {SETTLED_CONE_DEG:g} degrees"
+            )
+    if len(suspect) < LEAST_RUNS:
+        blocked.append(f"{len(suspect)} run of the arm under test; {LEAST_RUNS} are needed")
+    elif probability > sure and _rests_on_one(comparison, best, suspect):
+        blocked.append("the probability rests on one run: without it another cause is as likely")
+    if misfit > MISMATCH and not paired:
+        return Judgement(kind="model_mismatch", reasons=tuple(blocked))
+    if probability <= sure:
+        blocked.insert(0, f"the probability of {best} is {probability:.3f}; {sure:g} is needed")
+    if blocked:
+        return Judgement(kind="open", reasons=tuple(blocked))
+    return Judgement(kind="healthy" if best == HEALTHY else "faulty")
+
+
+def _rests_on_one(comparison: ModelComparison, best: str, suspect: Sequence[int]) -> bool:
+    """True if without some run the best hypothesis is no more likely than all others."""
+    return any(
+        comparison.after([run for run in suspect if run != left_out])[best] < 0.5
+        for left_out in suspect
+    )

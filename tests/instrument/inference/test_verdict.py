@@ -1,0 +1,128 @@
+"""Verdicts, and what forbids to settle one."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loose_env.instrument.inference.findings.verdict import verdict_of
+from loose_env.instrument.inference.posterior import (
+    ModelComparison,
+    compare_hypotheses,
+    posterior_of,
+)
+from loose_env.instrument.inference.response.timing import ClockOffset
+from loose_env.instrument.pipeline import Workbench
+from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+from loose_env.instrument.settings.thresholds import MISMATCH, RUN_INFLUENCE
+from tests.instrument.arms.blind_arm import runs, write_model
+
+SURE = 0.98
+
+
+@pytest.fixture(scope="module")
+def slide(tmp_path_factory: pytest.TempPathFactory) -> ModelComparison:
+    bench = Workbench(
+        write_model(tmp_path_factory.mktemp("arm")), DiagnoseSettings(poses=2, seconds=1.0)
+    )
+    for run in runs("slide", 3):
+        bench.add(run)
+    return compare_hypotheses(bench.uncertain, bench.suspect, healthy_prior=0.5)
+
+
+def with_terms(comparison: ModelComparison, **changes: float) -> ModelComparison:
+    """The comparison with fields of every run's term changed."""
+    fits = {
+        name: dataclasses.replace(
+            fit, runs={k: dataclasses.replace(term, **changes) for k, term in fit.runs.items()}
+        )
+        for name, fit in comparison.fits.items()
+    }
+    return dataclasses.replace(comparison, fits=fits)
+
+
+def test_a_clear_fault_is_settled(slide: ModelComparison) -> None:
+    assert verdict_of(slide, (), sure=SURE).kind == "faulty"
+
+
+def test_a_misfit_blocks_the_verdict_and_names_the_model(slide: ModelComparison) -> None:
+    found = verdict_of(with_terms(slide, misfit=2 * MISMATCH), (), sure=SURE)
+    assert found.kind == "model_mismatch"
+    assert f"leaves {2 * MISMATCH:.0%}" in found.reasons[0]
+
+
+def test_a_misfit_flattens_the_posterior(slide: ModelComparison) -> None:
+    worse = with_terms(slide, misfit=0.5)
+    posterior = posterior_of(worse.fits, worse.lines, healthy_prior=0.5)
+    assert posterior[slide.best] < slide.posterior[slide.best]
+
+
+def test_a_clock_offset_blocks_the_verdict(slide: ModelComparison) -> None:
+    clock = ClockOffset(seconds=5e-3, sd=1e-5)
+    found = verdict_of(slide, (clock,), sure=SURE)
+    assert found.kind == "open" and "5.0 ms late" in found.reasons[0]
+    unknown = ClockOffset(seconds=5e-3, sd=5e-3)
+    assert verdict_of(slide, (unknown,), sure=SURE).kind == "faulty"
+
+
+def test_a_wide_cone_blocks_the_verdict(slide: ModelComparison) -> None:
+    fit = dataclasses.replace(slide.fits[slide.best], covariance=0.06 * np.eye(2))
+    vague = dataclasses.replace(slide, fits={**slide.fits, slide.best: fit})
+    found = verdict_of(vague, (), sure=SURE)
+    assert found.kind == "open" and "30 degrees" in found.reasons[0]
+
+
+def test_a_posterior_that_rests_on_one_run_is_open(slide: ModelComparison) -> None:
+    """All other runs favour a healthy arm by a little less than one speaks against it."""
+    healthy = slide.fits["healthy"]
+    lead = RUN_INFLUENCE / len(slide.lines)
+    runs = {
+        number: dataclasses.replace(
+            healthy.runs[number],
+            log_likelihood=term.log_likelihood + (-60.0 if number == 0 else lead),
+        )
+        for number, term in slide.fits[slide.best].runs.items()
+    }
+    cost = slide.fits[slide.best].evidence - sum(
+        term.log_likelihood for term in slide.fits[slide.best].runs.values()
+    )
+    evidence = cost + sum(term.log_likelihood for term in runs.values())
+    fits = {
+        "healthy": dataclasses.replace(healthy, runs=runs, evidence=evidence),
+        slide.best: slide.fits[slide.best],
+    }
+    posterior = posterior_of(fits, slide.lines, healthy_prior=0.5)
+    found = verdict_of(dataclasses.replace(slide, fits=fits, posterior=posterior), (), sure=0.5)
+    assert posterior[slide.best] > 0.5
+    assert found.kind == "open" and "rests on one run" in found.reasons[-1]
+
+
+def test_no_run_alone_counts_more_than_its_bound(slide: ModelComparison) -> None:
+    """With one run that is against it without limit, a hypothesis keeps exp(-bound)."""
+    fits = dict(slide.fits)
+    healthy, best = fits["healthy"], fits[slide.best]
+    runs = {
+        number: dataclasses.replace(
+            term, log_likelihood=term.log_likelihood - (1e6 if number == 0 else 0.0)
+        )
+        for number, term in best.runs.items()
+    }
+    two = {
+        "healthy": dataclasses.replace(healthy, runs=runs, evidence=best.evidence - 1e6),
+        slide.best: best,
+    }
+    posterior = posterior_of(two, slide.lines, healthy_prior=0.5)
+    power = 1 / (1 + (slide.misfit / 0.1) ** 2)
+    expected = np.exp(-power * RUN_INFLUENCE)
+    assert posterior["healthy"] / posterior[slide.best] == pytest.approx(expected, rel=0.5)
+
+
+def test_a_run_is_needed_twice(tmp_path: Path) -> None:
+    bench = Workbench(write_model(tmp_path), DiagnoseSettings(poses=2, seconds=1.0))
+    bench.add(runs("slide", 1)[0])
+    comparison = compare_hypotheses(bench.uncertain, bench.suspect, healthy_prior=0.5)
+    found = verdict_of(comparison, (), sure=0.5)
+    assert found.kind == "open" and "2 are needed" in found.reasons[-1]
