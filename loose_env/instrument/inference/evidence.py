@@ -34,6 +34,7 @@ __all__ = [
     "Seat",
     "band_terms",
     "explained",
+    "force_readings",
     "seat_powers",
     "seat_products",
 ]
@@ -259,6 +260,24 @@ class Evidence:
             p = opening[run]
             found[run] = np.logaddexp(np.log(p) + opened, np.log(1 - p))
         return found
+
+
+def force_readings(piece: Piece, variances: Array, weighted: ComplexArray) -> ComplexArray:
+    """Readings that unknown forces of the joints most probably make (K, c).
+
+    Parameters
+    ----------
+    piece : Piece
+        Lines of a run.
+    variances : ndarray (C,)
+        Variance components.
+    weighted : ndarray (K, c, 1)
+        Residual of the healthy arm and the seat, times the inverse covariance.
+    """
+    n = piece.response.at.of.arm.n
+    size = np.where(piece.lines.blind, BLIND, variances[piece.components[:n]])
+    forces = piece.patterns[:, :, :n]
+    return np.asarray(((forces * size) @ (forces.conj().swapaxes(1, 2) @ weighted))[:, :, 0])
 
 
 def band_terms(piece: Piece, seat: Seat, axes: Array) -> Array:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from loose_env.instrument.inference.evidence import (
-    BLIND,
     SHARES,
     Evidence,
     Piece,
     Seat,
     band_terms,
+    force_readings,
     seat_powers,
 )
 from loose_env.instrument.inference.variance_components import within_bounds
@@ -325,13 +325,10 @@ def _unexplained(
 
     The residual is that without the seat's motion and the joints' forces.
     """
-    lines, n = piece.lines, piece.response.at.of.arm.n
-    size = variances[piece.components[:n]].copy()
-    size[lines.blind] = BLIND
-    forces = piece.patterns[:, :, :n]
-    force = (forces * size) @ (forces.conj().swapaxes(1, 2) @ pulled)
+    lines = piece.lines
+    force = force_readings(piece, variances, pulled)
     rows = [k for k, (reading, _) in enumerate(lines.row) if reading.kind == "acceleration"]
-    left = np.abs((piece.response.residual - moved - force[:, :, 0])[:, rows]) ** 2
+    left = np.abs((piece.response.residual - moved - force)[:, rows]) ** 2
     noise = lines.noise[:, rows]
     if lines.beside is not None:
         noise = noise + lines.beside.noise[:, rows]

@@ -51,8 +51,8 @@ def spectra_cards(diagnosis: Diagnosis, arm: Arm) -> list[FigureCard]:
                 image=transmission_figure(own, names),
                 caption=f"Transmission from {joint_words(arm, joint)} to each axis of the "
                 f"accelerometer, {own[0].unit}. The better hypothesis is the one whose curve lies "
-                "on the measured one. Of a fault the seat's motion is estimated from the same "
-                "readings.",
+                "on the measured one. The motion of a loose seat and unknown forces of the joints "
+                "(friction, brakes, servos) are estimated from the same readings.",
             )
         )
     return cards
