@@ -16,7 +16,6 @@ from loose_env.instrument.inference.evidence import (
     force_readings,
     seat_powers,
 )
-from loose_env.instrument.inference.variance_components import within_bounds
 from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD
 from loose_env.statistics import axes_grid, tangents
 from loose_env.typing import Array, ComplexArray
@@ -194,7 +193,7 @@ def _rescaled(evidence: Evidence, seat: Seat | None, now: _State, system: _Syste
     better = index.updated(now.variances, system.explained, system.expected)
     # Longer steps where they are better still: single ones are safe, but short.
     for power in (6.0, 2.0, 1.0):
-        trial = within_bounds(now.variances * (better / now.variances) ** power, index.scales)
+        trial = index.within_bounds(now.variances * (better / now.variances) ** power)
         state = _state(evidence, seat, now.errors, trial, now.axis)
         if state.cost > now.cost:
             return state

@@ -42,7 +42,7 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["BANDS", "ComponentIndex", "updated", "within_bounds"]
+__all__ = ["BANDS", "ComponentIndex", "updated"]
 
 BANDS = 8
 """Bands of a run."""
@@ -126,6 +126,18 @@ class ComponentIndex:
         found[2 * self._group :] = 1.0
         return found
 
+    def within_bounds(self, variances: Array) -> Array:
+        """Variances not below the smallest and not above the largest that are used (C,).
+
+        No reading is known better than a third of its scale: clocks, filters and sampling see to
+        that, however low its noise.
+        """
+        least = _LEAST * self.scales
+        for change in (False, True):
+            at = self.reading(change=change)
+            least[at] = self.scales[at] / 3
+        return np.asarray(np.clip(variances, least**2, _MOST**2))
+
     def log_prior(self, variances: Array) -> float:
         """Log density of the priors, but for a constant."""
         own, scales = variances[: 2 * self._group], self.scales[: 2 * self._group]
@@ -144,11 +156,6 @@ class ComponentIndex:
         pull = np.concatenate([np.zeros_like(own), BAND_SHAPE / factors**2])
         push = np.concatenate([slope, (BAND_SHAPE + 1) / factors])
         return updated(variances, explained + pull, expected + push)
-
-
-def within_bounds(variances: Array, scales: Array) -> Array:
-    """Variances not below the smallest and not above the largest that are used (C,)."""
-    return np.asarray(np.clip(variances, (_LEAST * scales) ** 2, _MOST**2))
 
 
 def updated(variances: Array, explained: Array, expected: Array) -> Array:

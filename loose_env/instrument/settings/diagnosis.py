@@ -44,6 +44,8 @@ class DiagnoseSettings(NextSettings):
     cross_axis: float = Tolerances.cross_axis
     """Standard deviation of what leaks from one accelerometer axis into another, mounting
     included, relative."""
+    sensor_offset: float = Tolerances.sensor_offset
+    """Standard deviation of the place of an accelerometer, along each axis [m]."""
     command_delay: float = Tolerances.command_delay
     """Standard deviation of the time by which commands and torques are noted too late or too early
     against the readings, in every run anew [s]."""
@@ -95,6 +97,7 @@ class DiagnoseSettings(NextSettings):
             joint_zero=self.joint_zero,
             sensor_gain=self.sensor_gain,
             cross_axis=self.cross_axis,
+            sensor_offset=self.sensor_offset,
             command_delay=self.command_delay,
             sensor_delay=self.sensor_delay,
         )

@@ -34,8 +34,10 @@ class Tolerances:
     """Zeros of joints [rad or m]."""
     sensor_gain: float = 0.01
     """Gain of each accelerometer axis, relative."""
-    cross_axis: float = 0.02
+    cross_axis: float = 0.03
     """Leakage of each accelerometer axis into each other one, mounting included, relative."""
+    sensor_offset: float = 0.002
+    """Place of each accelerometer, along each axis [m]."""
     command_delay: float = 0.0005
     """Delay of the commands and torques against the readings, beside half a sample; in every run
     another [s]."""

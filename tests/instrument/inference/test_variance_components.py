@@ -7,7 +7,7 @@ import pytest
 
 from loose_env.instrument.inference.evidence import Evidence
 from loose_env.instrument.inference.laplace_fit import fit_hypothesis
-from loose_env.instrument.inference.variance_components import updated, within_bounds
+from loose_env.instrument.inference.variance_components import updated
 from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from tests.instrument.arms.blind_arm import runs, write_model
@@ -38,10 +38,12 @@ def test_steps_reach_the_variance_that_the_data_have() -> None:
 def test_a_component_without_data_shrinks_to_its_bound(evidence: Evidence) -> None:
     index = evidence.index
     none = np.zeros(len(index.scales))
-    found = within_bounds(index.updated(index.scales**2, none, none), index.scales)
+    found = index.within_bounds(index.updated(index.scales**2, none, none))
     factors = np.concatenate([index.bands(run) for run in (0, 1)])
-    own = np.setdiff1d(np.arange(len(found)), factors)
+    readings = [index.reading(change=change) for change in (False, True)]
+    own = np.setdiff1d(np.arange(len(found)), [*factors, *readings])
     assert found[own] == pytest.approx((0.01 * index.scales[own]) ** 2)
+    assert found[readings] == pytest.approx((index.scales[readings] / 3) ** 2)
     assert (found[factors] < 1).all()  # their prior has a mode below one
 
 

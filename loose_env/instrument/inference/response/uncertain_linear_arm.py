@@ -91,6 +91,8 @@ class UncertainArm:
         self._zeros = t.joint_zero * np.eye(n)
         names += [f"zero@{joint}" for joint in arm.joints]
         names += [f"rotor@{joint}" for joint in arm.joints]
+        self.places = sorted({r.at for r in arm.readings if r.kind == "acceleration"})
+        names += [f"offset_{axis}@{arm.sites[k]}" for k in self.places for axis in "xyz"]
         self.bodies = slice(0, len(names))
         joints = arm.joints
         names += [f"damping@{joint}" for joint in joints]
@@ -136,6 +138,13 @@ class UncertainArm:
             rotor[j, j] = self.tolerances.figures * linear.model.dof_armature[linear.joint_dofs[j]]
             inertia.append(rotor)
             jacobian.append(np.zeros_like(nominal.jacobian))
+        for k in self.places:
+            for axis in np.eye(3):
+                moved_site = np.zeros_like(nominal.jacobian)
+                away = self.tolerances.sensor_offset * axis
+                moved_site[k] = np.cross(nominal.turning[k], away[:, None], axis=0)
+                inertia.append(np.zeros(size))
+                jacobian.append(moved_site)
         m = len(self.moving)
         weight, turned = np.zeros((size[0], m)), np.zeros((*nominal.gravity.shape, m))
         for j in range(n):
@@ -222,7 +231,8 @@ class PoseModel:
     pose: Array
     nominal: _Bodies
     inertia: Array
-    """Change of the inertia by each error of bodies, zeros and rotors (G, m + s, m + s)."""
+    """Change of the inertia by each error of bodies, zeros, rotors and places of sensors
+    (G, m + s, m + s)."""
     jacobian: Array
     """Change of the sites' Jacobians by the same (G, S, 3, m + s)."""
     weight: Array
