@@ -36,7 +36,7 @@ class Tolerances:
     """Gain of each accelerometer axis, relative."""
     cross_axis: float = 0.03
     """Leakage of each accelerometer axis into each other one, mounting included, relative."""
-    sensor_offset: float = 0.002
+    sensor_offset: float = 0.0005
     """Place of each accelerometer, along each axis [m]."""
     command_delay: float = 0.0005
     """Delay of the commands and torques against the readings, beside half a sample; in every run
