@@ -275,7 +275,8 @@ def with_leakage(at: PoseModel, lines: Lines) -> Lines:
 
     The taper mixes every line with its two neighbours. Where the arm's answer changes from line to
     line, what comes from the neighbours was answered a little otherwise; to first order that is
-    the slope of the answer times what the neighbours differ by. The nominal arm is good enough.
+    the slope of the answer times what the neighbours differ by. The nominal arm is good enough, but
+    for the size of its answer: a joint that friction locks leaks as little as it moves.
     """
     none = np.zeros(len(at.of.names))
     command, force = lines.lean
@@ -284,8 +285,11 @@ def with_leakage(at: PoseModel, lines: Lines) -> Lines:
         leaked=np.zeros_like(lines.readings),
     )  # fmt: skip
     there = replace(here, frequency=lines.frequency + lines.next)
-    leaked = respond(at, there, none).mean - respond(at, here, none).mean
-    return replace(lines, leaked=leaked)
+    mean = respond(at, here, none).mean
+    leaked = respond(at, there, none).mean - mean
+    both = np.abs(np.sum(mean.conj() * lines.readings, axis=0))
+    share = np.minimum(both / np.maximum(np.sum(np.abs(mean) ** 2, axis=0), 1e-300), 1.0)
+    return replace(lines, leaked=share * leaked)
 
 
 def _held(omega: Array, period: float) -> ComplexArray:
