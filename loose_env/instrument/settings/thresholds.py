@@ -129,8 +129,8 @@ hypotheses disturbed it."""
 MISMATCH = 0.2
 """Misfit above which the model is not that of the arm: a location it names may be wrong."""
 FAULT_EFFECT = 0.03
-"""Motion of the tool by the seat over all of its motion [1], below which a fault is not settled: an
-error of 5 mrad of the poses changes as much."""
+"""Motion of the tool by the seat over all of its motion [1], which two runs have to reach before a
+fault is settled: an error of 5 mrad of the poses changes as much."""
 SETTLED_CONE_DEG = 30.0
 """Half opening of the direction's cone above which a fault is not settled [deg]."""
 COARSENED_MISFIT = 0.1

@@ -63,11 +63,12 @@ def verdict_of(
                 "corrected by an estimate"
             )
     if best != HEALTHY:
-        effect = float(np.sqrt(max(comparison.fits[best].runs[run].effect for run in suspect)))
+        effects = sorted(comparison.fits[best].runs[run].effect for run in suspect)
+        effect = float(np.sqrt(effects[-LEAST_RUNS:][0]))
         if effect < FAULT_EFFECT:
             blocked.append(
-                f"the seat's motion makes {effect:.1%} of the tool's motion; below "
-                f"{FAULT_EFFECT:.0%} poses that are not quite repeated do as much"
+                f"in all but {LEAST_RUNS - 1} run the seat makes no more than {effect:.1%} of the "
+                f"tool's motion; below {FAULT_EFFECT:.0%} other causes do as much"
             )
         _, half = cone(comparison.fits[best])
         if best.startswith("structural") and (half is None or half > SETTLED_CONE_DEG):

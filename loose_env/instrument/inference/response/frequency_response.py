@@ -287,8 +287,13 @@ def with_leakage(at: PoseModel, lines: Lines) -> Lines:
     there = replace(here, frequency=lines.frequency + lines.next)
     mean = respond(at, here, none).mean
     leaked = respond(at, there, none).mean - mean
-    both = np.abs(np.sum(mean.conj() * lines.readings, axis=0))
-    share = np.minimum(both / np.maximum(np.sum(np.abs(mean) ** 2, axis=0), 1e-300), 1.0)
+    powers = (
+        np.sum(np.where(lines.read, np.abs(each) ** 2, 0.0), axis=0)
+        for each in (lines.readings, mean)
+    )
+    measured, predicted = powers
+    share = np.sqrt(measured / np.maximum(predicted, 1e-300))
+    share = np.minimum(share, 1.0)
     return replace(lines, leaked=share * leaked)
 
 
