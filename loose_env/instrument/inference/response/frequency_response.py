@@ -287,13 +287,8 @@ def with_leakage(at: PoseModel, lines: Lines) -> Lines:
     there = replace(here, frequency=lines.frequency + lines.next)
     mean = respond(at, here, none).mean
     leaked = respond(at, there, none).mean - mean
-    powers = (
-        np.sum(np.where(lines.read, np.abs(each) ** 2, 0.0), axis=0)
-        for each in (lines.readings, mean)
-    )
-    measured, predicted = powers
-    share = np.sqrt(measured / np.maximum(predicted, 1e-300))
-    share = np.minimum(share, 1.0)
+    measured, predicted = (np.linalg.norm(lines.read * x, axis=0) for x in (lines.readings, mean))
+    share = np.minimum(measured / np.maximum(predicted, 1e-150), 1.0)
     return replace(lines, leaked=share * leaked)
 
 
