@@ -62,16 +62,8 @@ class ModelComparison:
     @property
     def misfit(self) -> float:
         """Share of the suspect runs' accelerations that the best fit leaves unexplained [1]."""
-        return self._misfit([one.number for one in self.lines if not one.healthy])
-
-    @property
-    def model_misfit(self) -> float:
-        """The same of all runs that are compared with the model alone, references too [1]."""
-        return self._misfit([one.number for one in self.lines if one.beside is None])
-
-    def _misfit(self, runs: Collection[int]) -> float:
         best = max(self.fits.values(), key=lambda fit: fit.evidence)
-        return _mean_misfit(best, runs)
+        return _mean_misfit(best, [one.number for one in self.lines if not one.healthy])
 
     def after(self, runs: Collection[int]) -> dict[str, float]:
         """Probabilities by some of the runs, at the parameters that all runs together have.

@@ -12,7 +12,6 @@ from loose_env.instrument.inference.posterior import ModelComparison
 from loose_env.instrument.inference.response.timing import ClockOffset
 from loose_env.instrument.result import HEALTHY, Verdict
 from loose_env.instrument.settings.thresholds import (
-    CLOCK_NOTED_S,
     FAULT_EFFECT,
     LEAST_RUNS,
     MISMATCH,
@@ -55,13 +54,7 @@ def verdict_of(
             f"the model leaves {misfit:.0%} of the tool's motion unexplained; at most "
             f"{MISMATCH:.0%} is allowed"
         )
-    for clock in clocks:
-        if clock.significant and abs(clock.seconds) > CLOCK_NOTED_S:
-            late = "late" if clock.seconds > 0 else "early"
-            blocked.append(
-                f"the accelerometers' clock is {abs(clock.seconds) * 1e3:.1f} ms {late}; it was "
-                "corrected by an estimate"
-            )
+    blocked += [f"{each.words}; it was corrected by an estimate" for each in clocks if each.noted]
     if best != HEALTHY:
         effects = sorted(comparison.fits[best].runs[run].effect for run in suspect)
         effect = float(np.sqrt(effects[-LEAST_RUNS:][0]))

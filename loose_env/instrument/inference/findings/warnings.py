@@ -16,7 +16,6 @@ from loose_env.instrument.inference.response.timing import ClockOffset, ServoTim
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.thresholds import (
-    CLOCK_NOTED_S,
     FEWEST_LINES,
     FORCE_ERROR,
     JOINT_SIGNAL,
@@ -113,12 +112,10 @@ def _force_error(comparison: ModelComparison) -> float:
 def _of_timing(clocks: Sequence[ClockOffset], servos: Sequence[ServoTiming]) -> list[str]:
     said = []
     for clock in clocks:
-        if clock.significant and abs(clock.seconds) > CLOCK_NOTED_S:
-            late = "late" if clock.seconds > 0 else "early"
+        if clock.noted:
             said.append(
-                f"the accelerometers' clock is {abs(clock.seconds) * 1e3:.1f} ms {late} against "
-                f"the joints' sensors (standard deviation {clock.sd * 1e3:.2g} ms); the readings "
-                "were shifted by it: put both on one clock"
+                f"{clock.words} against the joints' sensors (standard deviation "
+                f"{clock.sd * 1e3:.2g} ms); the readings were shifted by it: put both on one clock"
             )
     for servo in servos:
         if abs(servo.delay_s) > SERVO_DELAY_NOTED_S:

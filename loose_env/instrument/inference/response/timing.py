@@ -17,7 +17,11 @@ from numpy.typing import NDArray
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.response.frequency_response import Response, respond
 from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
-from loose_env.instrument.settings.thresholds import CLOCK_Z, LARGEST_CLOCK_OFFSET_S
+from loose_env.instrument.settings.thresholds import (
+    CLOCK_NOTED_S,
+    CLOCK_Z,
+    LARGEST_CLOCK_OFFSET_S,
+)
 from loose_env.typing import Array, ComplexArray
 
 __all__ = ["ClockOffset", "ServoTiming", "clock_offset", "on_one_clock", "servo_timing"]
@@ -47,6 +51,17 @@ class ClockOffset:
     def significant(self) -> bool:
         """True if it differs from zero."""
         return abs(self.seconds) > CLOCK_Z * self.sd
+
+    @property
+    def noted(self) -> bool:
+        """True if it is large enough to be told, and to forbid a settled verdict."""
+        return self.significant and abs(self.seconds) > CLOCK_NOTED_S
+
+    @property
+    def words(self) -> str:
+        """Size and sign, as in "the accelerometers' clock is 5.0 ms late"."""
+        late = "late" if self.seconds > 0 else "early"
+        return f"the accelerometers' clock is {abs(self.seconds) * 1e3:.1f} ms {late}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +117,7 @@ def on_one_clock(
     made = []
     for one in lines:
         beside = None if one.beside is None else shifted(one.beside, late - later)
-        own = shifted(replace(one, beside=None), late - later * one.healthy)
+        own = shifted(one, late - later * one.healthy)
         made.append(replace(own, beside=beside))
     return made, () if common is None else (common,)
 
@@ -113,8 +128,7 @@ def shifted(lines: Lines, seconds: float) -> Lines:
     turn = np.exp(2j * np.pi * lines.frequency * seconds)
     readings = lines.readings.copy()
     readings[:, sites] *= turn[:, None]
-    beside = None if lines.beside is None else shifted(lines.beside, seconds)
-    return replace(lines, readings=readings, beside=beside)
+    return replace(lines, readings=readings)
 
 
 def servo_timing(uncertain: UncertainArm, lines: Sequence[Lines]) -> tuple[ServoTiming, ...]:
