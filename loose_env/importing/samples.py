@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,10 @@ class ChannelKey:
     """Identifier of a channel in a file."""
 
     channel: str
-    """Column of a table, field of a message, or measured point of a universal file."""
+    """Column of a table, field of a message, entry of a vector of a dataset, or measured point of
+    a universal file."""
     topic: str = ""
-    """Topic of an MCAP file; empty elsewhere."""
+    """Topic of an MCAP file or ROS bag, or part of a trajectory; empty elsewhere."""
 
     def __str__(self) -> str:
         return f"{self.topic} {self.channel}".strip()
@@ -56,6 +58,33 @@ class Samples:
 def unreadable(name: str, error: OSError) -> InvalidData:
     """Error for a file that the system does not read."""
     return InvalidData(f"{name}: it cannot be read: {error.strerror or error}")
+
+
+def file_within(folder: Path, given: str, place: str) -> Path:
+    """Find a file that a dataset names, in the folder that the user gave.
+
+    Links are followed, since downloaded datasets consist of them; the name itself may not lead
+    out of the folder.
+
+    Raises
+    ------
+    InvalidData
+        If it leaves the folder or is not there.
+
+    Examples
+    --------
+    >>> file_within(Path("bag"), "../other.mcap", "bag/metadata.yaml")
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidData: bag/metadata.yaml: '../other.mcap' is no path within the folder
+    """
+    path = PurePosixPath(given)
+    if not given.isprintable() or "\\" in given or path.is_absolute() or ".." in path.parts:
+        raise InvalidData(f"{place}: {given!r:.200} is no path within the folder")
+    found = folder / path
+    if not found.is_file():
+        raise InvalidData(f"{place}: there is no file {given!r:.200} in {folder.name}")
+    return found
 
 
 def checked(
@@ -159,13 +188,11 @@ class FileList:
 
     name: str
     kind: str
-    """"mcap", "csv" or "uff"."""
+    """Kind, as `FileKind`."""
     words: str
     """The kind in words."""
     streams: tuple[Stream, ...]
     options: tuple[str, ...] = field(default=())
     """Lines of a mapping that say how to read it."""
-
-    def topics(self) -> list[str]:
-        """Names of the topics."""
-        return [stream.topic for stream in self.streams]
+    episodes: tuple[str, ...] = ()
+    """Names of its episodes, each of which becomes a run; empty where it has none."""

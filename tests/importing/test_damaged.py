@@ -18,7 +18,7 @@ from loose_env.errors import LooseEnvError
 from loose_env.importing import ImportSettings, describe_sources, import_recording
 from loose_env.importing.mapping.mapping_file import MAPPING_FORMAT, mapping_of, read_mapping
 from loose_env.importing.mapping.units import unit_named
-from loose_env.importing.readers.field_path import FieldPath
+from loose_env.importing.readers.messages.field_path import FieldPath
 from loose_env.importing.timing.dates import date_ns
 from tests.importing.sample_files import (
     motion,

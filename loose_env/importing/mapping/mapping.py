@@ -13,8 +13,8 @@ from loose_env.importing.mapping.checked_fields import among, within
 from loose_env.importing.samples import ChannelKey
 from loose_env.recording import Condition
 
-FileKind = Literal["csv", "mcap", "uff"]
-"""Kinds of files that are read."""
+FileKind = Literal["csv", "mcap", "uff", "rosbag2", "lerobot", "hdf5", "sysid"]
+"""Kinds of files and folders that are read."""
 Sign = Literal[1, -1]
 Method = Literal["band", "hold"]
 """Resampling to the run's times: band-limited, or zero-order hold."""
@@ -25,7 +25,7 @@ class TimeSource:
     """Source of the sampling times."""
 
     column: str = ""
-    """CSV: column of the time."""
+    """CSV, HDF5, LeRobot: column of the time; "timestamp" by default in a LeRobot dataset."""
     unit: str = "s"
     """Unit of a time given as a number."""
     date_format: str = ""
@@ -57,6 +57,9 @@ class CsvLayout:
     """Lines before the line of names."""
     header: bool = True
     """True if there is a line of names; else columns are called "1", "2" and so on."""
+    names: tuple[str, ...] = ()
+    """Names of the columns where ``header`` is false; a vector of UR's RTDE counts as its
+    entries, so that the list is the recipe of the recorder."""
     skip_after_header: int = field(default=0, metadata=within(0, 100))
     """Lines between the names and the numbers, such as a line of units."""
     missing: tuple[str, ...] = ()
@@ -148,6 +151,11 @@ class RunPlan:
     stop: float | int | None = None
     rate_hz: float | None = field(default=None, metadata=within(1e-6, 1e9))
     """Rate of the rows [Hz]; the samples of the fastest channel by default."""
+    episodes: str = "all"
+    """Episodes of a dataset, each of which becomes a run: "all", or names, numbers and ranges of
+    numbers such as "0, 3-5"; no meaning for sources without episodes."""
+    episode: str = ""
+    """Name of the episode of this run; set when runs are made of ``episodes``, no key."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -113,6 +113,8 @@ def _source(place: str, name: str, given: Any) -> SourceEntry:
     if not name.replace("_", "").replace("-", "").isalnum():
         raise InvalidData(f"{place}: a source's name is of letters, digits, _ and -")
     csv = CsvLayout(**fields.values(CsvLayout))
+    if csv.names and csv.header:
+        raise InvalidData(f"{place}: names are for a table without a line of them: header = false")
     if csv.separator == csv.decimal:
         raise InvalidData(
             f"{place}: separator and decimal are both {csv.separator!r}; a table with decimal "
@@ -168,7 +170,7 @@ def _run(
     own = ("columns", "sources", "pose", "start", "stop")
     if isinstance(given, dict):
         given = {"file": f"run-{index + 1:02d}", **given}
-    fields = Fields(place, given, RunPlan, also=own, without=("place",))
+    fields = Fields(place, given, RunPlan, also=own, without=("place", "episode"))
     columns = {
         column: _column(f"{name}: columns.{column!r}", column, value, sources)
         for column, value in shared.items()

@@ -16,8 +16,8 @@ from loose_env.importing.mapping.mapping import (
 )
 from loose_env.importing.readers.csv_file import read_csv_logger
 from loose_env.importing.readers.csv_list import list_csv
-from loose_env.importing.readers.mcap_file import list_mcap, read_mcap
-from loose_env.importing.readers.mcap_records import MAGIC
+from loose_env.importing.readers.messages.mcap_file import list_mcap, read_mcap
+from loose_env.importing.readers.messages.mcap_records import MAGIC
 from loose_env.importing.readers.uff_file import list_uff, read_uff
 from loose_env.importing.samples import ChannelKey, FileList, Samples, unreadable
 from loose_env.importing.timing.even_stamps import straightened

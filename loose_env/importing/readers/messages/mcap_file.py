@@ -1,10 +1,10 @@
-"""Channels of an MCAP file: those that a mapping asks for, or a list of all."""
+"""Channels of topics: those that a mapping asks for, or a list of all."""
 
 from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,9 +14,9 @@ import numpy as np
 from loose_env.errors import InvalidData
 from loose_env.importing.mapping.mapping import TimeSource
 from loose_env.importing.mapping.units import unit_named
-from loose_env.importing.readers.field_path import FieldPath, fields_of, leaves, stamp_ns
-from loose_env.importing.readers.mcap_messages import Decoder, decoder_of, encoding_of
-from loose_env.importing.readers.mcap_records import Message, walk
+from loose_env.importing.readers.messages.field_path import FieldPath, fields_of, leaves, stamp_ns
+from loose_env.importing.readers.messages.mcap_messages import Decoder, decoder_of, encoding_of
+from loose_env.importing.readers.messages.mcap_records import Message, walk
 from loose_env.importing.samples import Channel, ChannelKey, FileList, Samples, Stream, checked
 from loose_env.recording import nearest
 
@@ -27,15 +27,32 @@ _LATEST_NS = 2**63 - 1
 _CLOCKS = ("auto", "log", "publish", "header")
 
 
+Walk = Callable[[frozenset[str] | None], Iterator[Message]]
+"""Goes through the messages of the given topics, or of all."""
+
+
 def read_mcap(
     path: Path, name: str, keys: Sequence[ChannelKey], times: Mapping[str, TimeSource]
 ) -> dict[ChannelKey, Samples]:
-    """Read channels of a file in one pass; only their numbers are kept.
+    """Read channels of an MCAP file, as `read_topics`."""
+    return read_topics(lambda topics: walk(path, name, topics), name, keys, times)
+
+
+def list_mcap(path: Path, name: str) -> FileList:
+    """List topics and channels of an MCAP file, as `list_topics`."""
+    streams = list_topics(lambda topics: walk(path, name, topics), name)
+    return FileList(name=name, kind="mcap", words="MCAP", streams=streams)
+
+
+def read_topics(
+    messages: Walk, name: str, keys: Sequence[ChannelKey], times: Mapping[str, TimeSource]
+) -> dict[ChannelKey, Samples]:
+    """Read channels in one pass over messages; only their numbers are kept.
 
     Parameters
     ----------
-    path : Path
-        The file.
+    messages : callable
+        Goes through the messages.
     name : str
         What errors call it.
     keys : sequence of ChannelKey
@@ -52,7 +69,7 @@ def read_mcap(
     for key in keys:
         if not key.topic:
             raise InvalidData(
-                f"{name}: channel {key.channel!r}: an MCAP file has topics; say which by "
+                f"{name}: channel {key.channel!r}: its channels lie in topics; say which by "
                 "topic = '/...'"
             )
     topics: dict[str, _Topic] = {}
@@ -61,12 +78,12 @@ def read_mcap(
             topics[key.topic] = _Topic(f"{name}: topic {key.topic!r}", times[key.topic])
         topics[key.topic].add(key)
     seen: set[str] = set()
-    for message in walk(path, name, frozenset(topics)):
+    for message in messages(frozenset(topics)):
         topics[message.channel.topic].take(message)
         seen.add(message.channel.topic)
     missing = [topic for topic in topics if topic not in seen]
     if missing:
-        there = list_mcap(path, name, decode=False).topics()
+        there = [stream.topic for stream in list_topics(messages, name, decode=False)]
         raise InvalidData(
             f"{name}: it has no messages of topic {missing[0]!r}; it has "
             f"{', '.join(map(repr, there[:20])) or 'none'}{nearest(missing[0], there)}"
@@ -198,8 +215,8 @@ class _Seen:
     decoders: dict[int, Decoder] = field(default_factory=dict)
 
 
-def list_mcap(path: Path, name: str, *, decode: bool = True) -> FileList:
-    """List topics and channels of a file, with rates and first values.
+def list_topics(messages: Walk, name: str, *, decode: bool = True) -> tuple[Stream, ...]:
+    """List topics and their channels, with rates and first values.
 
     Raises
     ------
@@ -207,7 +224,7 @@ def list_mcap(path: Path, name: str, *, decode: bool = True) -> FileList:
         If the file is damaged. A topic that cannot be decoded is listed with the reason.
     """
     seen: dict[str, _Seen] = {}
-    for message in walk(path, name):
+    for message in messages(None):
         topic = message.channel.topic
         each = seen.get(topic)
         if each is None:
@@ -220,7 +237,7 @@ def list_mcap(path: Path, name: str, *, decode: bool = True) -> FileList:
         each.count += 1
         each.first_ns = min(each.first_ns, message.log_ns)
         each.last_ns = max(each.last_ns, message.log_ns)
-    streams = tuple(
+    return tuple(
         Stream(
             topic=topic,
             kind=f"{each.kind or 'no schema'}, {each.encoding}",
@@ -232,7 +249,6 @@ def list_mcap(path: Path, name: str, *, decode: bool = True) -> FileList:
         )
         for topic, each in sorted(seen.items())
     )
-    return FileList(name=name, kind="mcap", words="MCAP", streams=streams)
 
 
 def _first(message: Message, place: str) -> tuple[tuple[Channel, ...], str]:
