@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
@@ -12,9 +12,15 @@ import mujoco
 from loose_env.arms import compile_spec, load_spec
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.importing.join_runs import Joined, joined_run, shifts_of
-from loose_env.importing.mapping.mapping import ImportMapping
+from loose_env.importing.mapping.mapping import ImportMapping, RunPlan
 from loose_env.importing.mapping.mapping_file import read_mapping
-from loose_env.importing.readers.sources import files_of_runs, given_files, read_source
+from loose_env.importing.readers.sources import (
+    check_units,
+    files_of_runs,
+    given_files,
+    read_source,
+    run_episodes,
+)
 from loose_env.importing.samples import ChannelKey, Samples, unreadable
 from loose_env.recording import (
     FileFormat,
@@ -93,9 +99,12 @@ def import_recording(
     compiled = _compiled(model_file)
     _check_names(plan, compiled)
     files = files_of_runs(plan, given)
-    pool = _read(plan, files, say)
+    check_units(plan, files)
+    plan, files = _by_episode(plan, files)
+    pools = _read(plan, files, say)
     joined: list[Joined] = []
     for run, own in zip(plan.runs, files, strict=True):
+        pool = pools[""] | pools.get(run.episode, {})
         shifts = shifts_of(plan, own, pool, say)
         joined.append(joined_run(run, own, pool, shifts, compiled))
         for line in joined[-1].lines:
@@ -149,25 +158,45 @@ def _check_names(plan: ImportMapping, model: mujoco.MjModel) -> None:
                 allowed.check_joint(f"{run.place}.pose", joint)
 
 
+def _by_episode(
+    plan: ImportMapping, files: list[dict[str, Path]]
+) -> tuple[ImportMapping, list[dict[str, Path]]]:
+    """Make a run of each episode where the sources of a run have episodes."""
+    runs: list[RunPlan] = []
+    own: list[dict[str, Path]] = []
+    for run, paths in zip(plan.runs, files, strict=True):
+        episodes = run_episodes(run, paths, plan)
+        runs += [replace(run, file=f"{run.file}-{each}", episode=each) for each in episodes]
+        runs += [] if episodes else [run]
+        own += [paths] * max(1, len(episodes))
+    return replace(plan, runs=tuple(runs)), own
+
+
 def _read(
     plan: ImportMapping, files: list[dict[str, Path]], say: Callable[[str], None]
-) -> dict[tuple[str, Path, ChannelKey], Samples]:
-    """Read every file once for each source that it is, with all channels that runs take of it."""
+) -> dict[str, dict[tuple[str, Path, ChannelKey], Samples]]:
+    """Read every file once for each source that it is, with all channels that runs take of it.
+
+    Samples are returned by episode, "" where a source has none.
+    """
     wanted: dict[tuple[str, Path], dict[ChannelKey, None]] = {}
+    episodes: dict[tuple[str, Path], dict[str, None]] = {}
     for run, own in zip(plan.runs, files, strict=True):
         for column in run.columns:
             wanted.setdefault((column.source, own[column.source]), {})[column.key] = None
         for name, path in own.items():
+            episodes.setdefault((name, path), {})[run.episode] = None
             align = plan.sources[name].align
             if align is not None:
                 wanted.setdefault((name, path), {})[align.own] = None
                 wanted.setdefault((align.to, own[align.to]), {})[align.other] = None
-    pool: dict[tuple[str, Path, ChannelKey], Samples] = {}
+    pools: dict[str, dict[tuple[str, Path, ChannelKey], Samples]] = {"": {}}
     for (name, path), keys in wanted.items():
-        found = read_source(path, plan.sources[name], list(keys))
-        pool |= {(name, path, key): samples for key, samples in found.items()}
-        say(f"{path.name}: {len(found)} channels read")
-    return pool
+        found = read_source(path, plan.sources[name], list(keys), list(episodes[name, path]))
+        for (episode, key), samples in found.items():
+            pools.setdefault(episode, {})[name, path, key] = samples
+        say(f"{path.name}: {len(keys)} channels read")
+    return pools
 
 
 def _silent(_: str) -> None:

@@ -70,6 +70,11 @@ def read_csv_logger(
         if first is None:
             raise InvalidData(f"{name}: there is no table after {layout.skip} lines skipped")
         header = header_of(first[1], layout)
+        if not layout.header and len(header) != len(first[1]):
+            raise InvalidData(
+                f"{name}: line {first[0]}: {len(first[1])} cells, and names of the source gives "
+                f"{len(header)} columns (a vector of RTDE counts as its entries)"
+            )
         indices = [column_index(name, header, channel) for channel in wanted]
         time_index = -1
         if time.rate_hz is None:

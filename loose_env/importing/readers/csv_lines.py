@@ -11,6 +11,7 @@ from typing import IO
 
 from loose_env.errors import InvalidData
 from loose_env.importing.mapping.mapping import CsvLayout
+from loose_env.importing.readers.rtde_names import expanded_names
 from loose_env.importing.samples import unreadable
 
 _LONGEST_LINE = 2**20
@@ -77,9 +78,9 @@ def cells(file: IO[str], name: str, layout: CsvLayout) -> Iterator[tuple[int, li
 
 
 def header_of(row: list[str], layout: CsvLayout) -> list[str]:
-    """Names of the columns: those of the row, or numbers where a table has no names."""
+    """Names of the columns: those of the row or the layout, or numbers where there are none."""
     if not layout.header:
-        return [str(i + 1) for i in range(len(row))]
+        return expanded_names(layout.names) or [str(i + 1) for i in range(len(row))]
     return [" ".join(cell.split()) for cell in row]
 
 

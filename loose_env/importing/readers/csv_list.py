@@ -13,6 +13,7 @@ from loose_env.importing.mapping.mapping import CsvLayout
 from loose_env.importing.mapping.units import UNITS, unit_named
 from loose_env.importing.readers.csv_file import number_of
 from loose_env.importing.readers.csv_lines import cells, header_of, open_text
+from loose_env.importing.readers.rtde_names import recipe_of_width
 from loose_env.importing.samples import Channel, ChannelKey, FileList, Stream
 from loose_env.importing.timing.dates import date_format_of, looks_like_a_date
 
@@ -50,6 +51,7 @@ def list_csv(path: Path, name: str) -> FileList:
                 skip=skip,
                 header=bool(header),
                 skip_after_header=after,
+                names=() if header else recipe_of_width(len(rows[0])),
             )
             names = header_of(header or rows[0], layout)
             # The split that reads most cells as numbers is the one meant.
@@ -172,6 +174,8 @@ def _options(layout: CsvLayout) -> list[str]:
             lines.append(f"{key} = {getattr(layout, key)}")
     if not layout.header:
         lines.append("header = false")
+    if layout.names:
+        lines.append(f"names = [{', '.join(map(quoted, layout.names))}]  # of RTDE's recorder")
     return lines
 
 

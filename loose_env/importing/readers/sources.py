@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +16,19 @@ from loose_env.importing.mapping.mapping import (
 )
 from loose_env.importing.readers.csv_file import read_csv_logger
 from loose_env.importing.readers.csv_list import list_csv
+from loose_env.importing.readers.datasets.episodes import chosen_episodes
+from loose_env.importing.readers.datasets.hdf5_file import hdf5_episodes, list_hdf5, read_hdf5
+from loose_env.importing.readers.datasets.lerobot import (
+    INFO,
+    UNITS,
+    lerobot_episodes,
+    list_lerobot,
+    read_lerobot,
+)
+from loose_env.importing.readers.datasets.sysid_file import list_sysid, read_sysid
 from loose_env.importing.readers.messages.mcap_file import list_mcap, read_mcap
 from loose_env.importing.readers.messages.mcap_records import MAGIC
+from loose_env.importing.readers.messages.rosbag2 import METADATA, list_rosbag2, read_rosbag2
 from loose_env.importing.readers.uff_file import list_uff, read_uff
 from loose_env.importing.samples import ChannelKey, FileList, Samples, unreadable
 from loose_env.importing.timing.even_stamps import straightened
@@ -29,15 +40,17 @@ Given = Mapping[str, Path]
 _ENDINGS: dict[str, FileKind] = {
     ".mcap": "mcap", ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv", ".log": "csv",
     ".asc": "csv", ".uff": "uff", ".unv": "uff", ".uf58": "uff", ".bunv": "uff",
+    ".db3": "rosbag2", ".hdf5": "hdf5", ".h5": "hdf5", ".npz": "sysid",
 }  # fmt: skip
+_FOLDERS: dict[FileKind, str] = {"rosbag2": METADATA, "lerobot": INFO}
+"""Kinds of folders, and the file that makes a folder one."""
 _ADVICE = {
-    ".db3": "convert it by 'ros2 bag convert' to MCAP",
     ".bag": "convert it by 'mcap convert' to MCAP, from ROS 1 to ROS 2 first",
     ".mat": "save its columns as CSV",
     ".tdms": "export it as CSV or universal file",
     ".xlsx": "save the sheet as CSV",
-    ".h5": "export it as CSV or MCAP",
-    ".parquet": "a recording takes Parquet as it is, see the recording format",
+    ".zstd": "expand it by 'zstd -d', or convert the bag by 'ros2 bag convert'",
+    ".parquet": "give the folder of the LeRobot dataset; a recording takes Parquet as it is",
     ".pkl": "files that can hold code are not read",
     ".npy": "save it as CSV",
 }
@@ -56,9 +69,9 @@ def given_files(words: Sequence[str]) -> Given:
         name, equals, rest = word.partition("=")
         named = bool(equals) and "/" not in name and not Path(word).exists()
         path = Path(rest if named else word)
-        if not path.is_file():
+        if not path.is_file() and not path.is_dir():
             raise InvalidSetting(f"there is no file {str(path)!r}")
-        key = name if named else path.name
+        key = name if named else path.resolve().name
         if key in found:
             raise InvalidSetting(
                 f"two sources are called {key!r}; give one as NAME=PATH, where NAME is the "
@@ -116,6 +129,15 @@ def kind_of(path: Path, told: FileKind | None = None) -> FileKind:
     InvalidData
         If it is a kind that is not read; the message says what to do.
     """
+    if path.is_dir():
+        for kind, mark in _FOLDERS.items():
+            if path.joinpath(mark).is_file() or told == kind:
+                return kind
+        raise InvalidData(
+            f"{path.name}: a folder without {' or '.join(_FOLDERS.values())}; read are folders of "
+            "a ROS 2 bag (if metadata.yaml was lost, 'ros2 bag reindex' writes it) and of a "
+            "LeRobot dataset"
+        )
     if told is not None:
         return told
     try:
@@ -134,20 +156,83 @@ def kind_of(path: Path, told: FileKind | None = None) -> FileKind:
         return "uff"
     raise InvalidData(
         f"{path.name}: of what kind is it? Read are {', '.join(_ENDINGS)}; say kind = 'csv', "
-        "'mcap' or 'uff' with the source"
+        "'mcap', 'uff', 'hdf5' or 'sysid' with the source"
     )
 
 
 def list_file(path: Path) -> FileList:
     """List the channels of a file; errors as `read_source`."""
-    kind = kind_of(path)
-    return {"mcap": list_mcap, "csv": list_csv, "uff": list_uff}[kind](path, path.name)
+    lists: dict[FileKind, Callable[[Path, str], FileList]] = {
+        "mcap": list_mcap,
+        "csv": list_csv,
+        "uff": list_uff,
+        "rosbag2": list_rosbag2,
+        "lerobot": list_lerobot,
+        "hdf5": list_hdf5,
+        "sysid": list_sysid,
+    }
+    return lists[kind_of(path)](path, path.resolve().name)
+
+
+def run_episodes(run: RunPlan, files: Mapping[str, Path], mapping: ImportMapping) -> list[str]:
+    """Names of the episodes that a run stands for; none where no source has episodes.
+
+    Raises
+    ------
+    InvalidData
+        If a source has no such episode, or two sources have others.
+    """
+    found: list[str] = []
+    owner = ""
+    for name, path in files.items():
+        there = _episodes(path, mapping.sources[name])
+        if not there:
+            continue
+        own = chosen_episodes(run.episodes, there, f"{run.place}.episodes ({path.name})")
+        if owner and own != found:
+            raise InvalidData(
+                f"{run.place}: sources {owner!r} and {name!r} have episodes of different names; "
+                "make a run of each"
+            )
+        found, owner = own, name
+    return found
+
+
+def check_units(mapping: ImportMapping, files: Sequence[Mapping[str, Path]]) -> None:
+    """Refuse columns without a unit where the format leaves the unit open.
+
+    Raises
+    ------
+    InvalidData
+        With the choices.
+    """
+    for run, own in zip(mapping.runs, files, strict=True):
+        for column in run.columns:
+            kind = kind_of(own[column.source], mapping.sources[column.source].kind)
+            if kind == "lerobot" and not column.unit:
+                raise InvalidData(f"{column.place}: unit is missing: {UNITS}")
 
 
 def read_source(
-    path: Path, entry: SourceEntry, keys: Sequence[ChannelKey]
-) -> dict[ChannelKey, Samples]:
+    path: Path, entry: SourceEntry, keys: Sequence[ChannelKey], episodes: Sequence[str] = ()
+) -> dict[tuple[str, ChannelKey], Samples]:
     """Read channels of a source, with its clock as the mapping corrects it.
+
+    Parameters
+    ----------
+    path : Path
+        The file or folder.
+    entry : SourceEntry
+        Its part of the mapping.
+    keys : sequence of ChannelKey
+        The channels.
+    episodes : sequence of str
+        Episodes wanted, where the source has some.
+
+    Returns
+    -------
+    dict
+        Samples by episode, "" where the source has none, and channel.
 
     Raises
     ------
@@ -155,18 +240,43 @@ def read_source(
         If the file is damaged or does not hold them.
     """
     kind = kind_of(path, entry.kind)
-    name = path.name
-    if kind == "mcap":
-        times = {key.topic: entry.time_of(key.topic) for key in keys}
-        found = read_mcap(path, name, keys, times)
-    elif kind == "csv":
-        found = read_csv_logger(path, name, keys, entry.csv, entry.time)
+    name = path.resolve().name
+    found: dict[tuple[str, ChannelKey], Samples]
+    if kind == "lerobot":
+        found = read_lerobot(path, name, keys, episodes, entry.time)
+    elif kind == "hdf5":
+        found = read_hdf5(path, name, keys, episodes, entry.time)
     else:
-        found = read_uff(path, name, keys, entry.time)
-    earliest = min(each.origin_ns + round(each.time[0] * 1e9) for each in found.values())
+        found = {("", key): each for key, each in _whole(kind, path, entry, keys).items()}
+    earliest: dict[str, int] = {}
+    for (episode, _), each in found.items():
+        first = each.origin_ns + round(each.time[0] * 1e9)
+        earliest[episode] = min(first, earliest.get(episode, first))
     return {
-        key: _corrected(each, entry.time_of(key.topic), earliest) for key, each in found.items()
+        (episode, key): _corrected(each, entry.time_of(key.topic), earliest[episode])
+        for (episode, key), each in found.items()
     }
+
+
+def _whole(
+    kind: FileKind, path: Path, entry: SourceEntry, keys: Sequence[ChannelKey]
+) -> dict[ChannelKey, Samples]:
+    """Channels of a file without episodes."""
+    name = path.resolve().name
+    if kind in ("mcap", "rosbag2"):
+        times = {key.topic: entry.time_of(key.topic) for key in keys}
+        return (read_mcap if kind == "mcap" else read_rosbag2)(path, name, keys, times)
+    if kind == "csv":
+        return read_csv_logger(path, name, keys, entry.csv, entry.time)
+    return (read_uff if kind == "uff" else read_sysid)(path, name, keys, entry.time)
+
+
+def _episodes(path: Path, entry: SourceEntry) -> tuple[str, ...]:
+    """Names of the episodes of a source; none where its kind has none."""
+    kind = kind_of(path, entry.kind)
+    if kind == "lerobot":
+        return lerobot_episodes(path, path.resolve().name)
+    return hdf5_episodes(path, path.name) if kind == "hdf5" else ()
 
 
 def _called(told: str, name: str, file: str, given: Given) -> str | None:

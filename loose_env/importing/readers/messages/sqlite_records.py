@@ -124,8 +124,7 @@ def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
 def _standard(kind: str) -> str:
     """Definition of a standard message type; empty where it is none."""
     try:
-        from rosbags.typesys import Stores, get_typestore
-        from rosbags.typesys.store import TypesysError
+        from rosbags.typesys import Stores, TypesysError, get_typestore
     except ImportError:
         raise MissingExtra(
             "bags in SQLite without definitions of their messages need rosbags: "
