@@ -1,0 +1,118 @@
+"""Meaning of a channel by its name: quantity, joint label, and place in a vector."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from loose_env.importing.samples import ChannelKey
+
+Role = Literal["position", "velocity", "torque", "current", "command", "acceleration", "other", ""]
+"""Quantity that a channel seems to hold; "" where the name says nothing."""
+
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
+_UNIT = re.compile(r"[\[(][^\[\]()]*[\])]\s*$")
+_ENTRY = re.compile(r"(.*?)\[([^\[\]]+)\]$")
+_NUMBERED = re.compile(r"(.*?\D)(\d+)$")
+_WORDS: dict[str, frozenset[str]] = {
+    "other": frozenset(
+        "tcp temperature temperatures voltage mode bits momentum pose quat eef wrench fraction "
+        "scaling sin cos image reward done force index task time timestamp stamp frame next "
+        "orientation twist".split()
+    ),
+    "command": frozenset(
+        "target command commands cmd action actions desired des ref reference setpoint goal ctrl "
+        "control controls".split()
+    ),
+    "acceleration": frozenset("qdd ddq acc accel acceleration accelerometer qacc".split()),
+    "velocity": frozenset("velocity velocities vel qd dq qvel speed rate".split()),
+    "torque": frozenset("effort torque torques tau moment frc".split()),
+    "current": frozenset("current currents amps".split()),
+    "position": frozenset("position positions pos q qpos angle angles encoder enc state".split()),
+}
+_AXES = {"0": "x", "1": "y", "2": "z", "x": "x", "y": "y", "z": "z"}
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """Meaning of a channel by its name."""
+
+    role: Role
+    of: Role
+    """Quantity commanded, where the role is "command"; else the role."""
+    group: tuple[str, str]
+    """Topic and name of the vector that the channel is an entry of."""
+    index: int | None
+    """Place in that vector, where the name has a number."""
+    words: tuple[str, ...]
+    """Words of the whole name, in lower case."""
+
+    @property
+    def axis(self) -> str:
+        """Axis x, y or z where the last part of the name is one, else ""."""
+        return _AXES.get(self.words[-1], "") if self.words else ""
+
+
+def meaning_of(key: ChannelKey) -> Meaning:
+    """Read the name of a channel.
+
+    Parameters
+    ----------
+    key : ChannelKey
+        The channel.
+
+    Examples
+    --------
+    >>> found = meaning_of(ChannelKey("target_qd_3"))
+    >>> found.role, found.of, found.index
+    ('command', 'velocity', 3)
+    >>> meaning_of(ChannelKey("position[elbow]", "/joint_states")).role
+    'position'
+    """
+    plain = _UNIT.sub("", key.channel).strip() if not key.channel.endswith("]") else key.channel
+    if key.channel.endswith("]") and " " in key.channel:  # a table's "elbow [deg]"
+        plain = _UNIT.sub("", key.channel).strip()
+    base, index = plain, None
+    found = _ENTRY.fullmatch(plain)
+    numbered = _NUMBERED.fullmatch(plain)
+    if found is not None:
+        base = found.group(1)
+        index = int(found.group(2)) if found.group(2).isdigit() else None
+    elif numbered is not None:
+        base, index = numbered.group(1), int(numbered.group(2))
+    words = tuple(words_of(plain))
+    own = set(words) | ({"command"} if set(words_of(key.topic)) & _WORDS["command"] else set())
+    roles = [role for role, known in _WORDS.items() if own & known]
+    role, of = "", ""
+    if roles:
+        role = roles[0]
+        of = next((each for each in roles if each != "command"), "")
+        if role == "command" and of == "":
+            of = "command"
+    return Meaning(role, of, (key.topic, base.rstrip("_. ")), index, words)  # type: ignore[arg-type]
+
+
+def words_of(name: str) -> list[str]:
+    """Words of a name, in lower case.
+
+    Examples
+    --------
+    >>> words_of("shoulderPan_joint.pos")
+    ['shoulder', 'pan', 'joint', 'pos']
+    """
+    return [word.lower() for word in _WORD.findall(name)]
+
+
+def names_joint(words: tuple[str, ...], joint: str) -> int:
+    """Number of words of a joint's name that a channel's words contain in a row; 0 where not all.
+
+    Examples
+    --------
+    >>> names_joint(("observation", "state", "shoulder", "pan", "pos"), "shoulder_pan_joint")
+    2
+    """
+    own = [word for word in words_of(joint) if word != "joint"] or words_of(joint)
+    span = len(own)
+    there = any(list(words[i : i + span]) == own for i in range(len(words) - span + 1))
+    return span if there and span else 0

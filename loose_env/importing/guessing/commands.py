@@ -1,0 +1,162 @@
+"""Check of commands against the motion that follows them, and of torques against the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from loose_env.importing.guessing.joint_targets import JointTarget, inverse_torques
+from loose_env.importing.guessing.roles import Assigned, Candidate
+from loose_env.importing.guessing.signals import (
+    Likeness,
+    correlation,
+    derivative,
+    likeness,
+    moves,
+)
+from loose_env.typing import Array
+
+_CLEAR = 0.2
+"""Difference of correlations from which another joint counts as the one commanded [1]."""
+_TORQUE = 0.6
+"""Least correlation of a channel with the model's torque for which it is one [1]."""
+_MOST_ROWS = 4000
+
+
+def matched_commands(
+    commands: Sequence[Assigned], motion: Mapping[str, Array], step: float
+) -> list[tuple[Assigned, Likeness | None]]:
+    """Assign commands to the joints whose motion follows them.
+
+    Names decide where they have the joint's; else the assignment of largest correlations in sum
+    does.
+
+    Parameters
+    ----------
+    commands : sequence of Assigned
+        Commands with the joints that names give.
+    motion : mapping
+        Quantity that each joint's actuator commands, by the joint's name [SI], each (T,).
+    step : float
+        Time between samples [s].
+
+    Returns
+    -------
+    list
+        Each command, with its likeness to the motion, None where that is not known.
+    """
+    joints = {each.joint.name: each.joint for each in commands if each.joint.name in motion}
+    names = [n for n in joints if moves(motion[n])]
+    usable = [each for each in commands if moves(each.candidate.values)]
+    table = [
+        [likeness(each.candidate.values, motion[name], step) for name in names] for each in usable
+    ]
+    better: dict[int, str] = {}
+    if table and names:
+        strength = np.array([[abs(cell.correlation) for cell in row] for row in table])
+        rows, columns = linear_sum_assignment(-strength)
+        better = {int(i): names[int(j)] for i, j in zip(rows, columns, strict=True)}
+    found: list[tuple[Assigned, Likeness | None]] = []
+    for each in commands:
+        i = usable.index(each) if each in usable else -1
+        own = each.joint.name
+        if i < 0 or own not in names:
+            found.append((each, None))
+            continue
+        like, other = table[i][names.index(own)], better.get(i, own)
+        reason, joint = each.reason, each.joint
+        best = table[i][names.index(other)]
+        if other != own and abs(best.correlation) > abs(like.correlation) + _CLEAR:
+            if each.labelled:
+                reason += f"; but {other!r} follows it, {best.correlation:.2f}: check"
+            else:
+                reason = f"{other!r} follows it, and not {own!r} ({like.correlation:.2f})"
+                joint, like = joints[other], best
+        words = f"; correlation {like.correlation:.2f}, delay {like.lag:.3g} s"
+        found.append((replace(each, joint=joint, reason=reason + words), like))
+    return found
+
+
+def commanded_motion(
+    targets: Sequence[JointTarget],
+    positions: Mapping[str, Array],
+    torques: Array | None,
+    model: mujoco.MjModel,
+    step: float,
+) -> dict[str, Array]:
+    """Quantity that the actuator of each joint commands, by the joint's name [SI]."""
+    found = {}
+    for each in targets:
+        if each.drive == "torque":
+            if torques is not None:
+                found[each.name] = torques[:, model.joint(each.name).dofadr[0]]
+        elif each.name in positions:
+            own = positions[each.name]
+            found[each.name] = own if each.drive == "position" else derivative(own, step)
+    return found
+
+
+def needed_torques(
+    model: mujoco.MjModel, positions: Mapping[str, Array], step: float
+) -> Array | None:
+    """Torques that the model needs for the motion, as `inverse_torques`, at every sample.
+
+    Beyond the first 4000 samples they are NaN, since they only serve for a correlation.
+    """
+    if not positions:
+        return None
+    smooth = {
+        name: np.convolve(np.pad(p[:_MOST_ROWS], 4, mode="edge"), np.ones(9) / 9, mode="valid")
+        for name, p in positions.items()
+    }
+    found = inverse_torques(model, smooth, step)
+    if found is None:
+        return None
+    rows = len(next(iter(positions.values())))
+    whole = np.zeros((rows, found.shape[1]))
+    whole[: len(found)] = found
+    return whole
+
+
+def torques_by_signal(
+    candidates: Sequence[Candidate],
+    targets: Sequence[JointTarget],
+    torques: Array,
+    model: mujoco.MjModel,
+) -> list[tuple[Assigned, float]]:
+    """Channels that correlate with the torque that the model needs, each with the correlation.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        Channels that are not assigned yet.
+    targets : sequence of JointTarget
+        The joints.
+    torques : ndarray of shape (T, nv)
+        As `needed_torques`.
+    model : mujoco.MjModel
+        The model.
+    """
+    rows = min(len(torques), _MOST_ROWS)
+    moving = [each for each in candidates if moves(each.values)]
+    if not moving:
+        return []
+    columns = [int(model.joint(each.name).dofadr[0]) for each in targets]
+    table = np.array(
+        [[correlation(each.values[:rows], torques[:rows, c]) for c in columns] for each in moving]
+    )
+    found = []
+    for i, j in zip(*linear_sum_assignment(-np.abs(table)), strict=True):
+        value = float(table[i, j])
+        if abs(value) < _TORQUE:
+            continue
+        words = f"correlates {value:.2f} with the torque that the model needs for the motion"
+        assigned = Assigned(
+            candidate=moving[int(i)], role="torque", joint=targets[int(j)], reason=words
+        )
+        found.append((assigned, value))
+    return found

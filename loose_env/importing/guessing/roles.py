@@ -1,0 +1,213 @@
+"""Assignment of channels to joints: by names where they tell, else by their signals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from loose_env.importing.guessing.channel_names import Meaning, Role, names_joint
+from loose_env.importing.guessing.joint_targets import JointTarget
+from loose_env.importing.guessing.signals import correlation, derivative, likeness, moves
+from loose_env.importing.samples import ChannelKey
+from loose_env.typing import Array
+
+_RATE = 0.8
+"""Least correlation of a channel with the derivative of another for which it is its rate [1]."""
+_ALIKE = 0.8
+"""Least correlation of a command with the motion that follows it [1]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """A channel of a log, with its signal on the common time base."""
+
+    source: str
+    key: ChannelKey
+    unit: str
+    """Unit that the file, or its format, gives."""
+    meaning: Meaning
+    values: Array
+    """Shape (T,)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Assigned:
+    """A channel with its role and joint, and the reason."""
+
+    candidate: Candidate
+    role: Role
+    joint: JointTarget
+    reason: str
+    labelled: bool = False
+    """True if the channel's name has the joint's name."""
+
+
+def assigned_by_name(
+    candidates: Sequence[Candidate], targets: Sequence[JointTarget]
+) -> list[Assigned]:
+    """Assign channels whose names tell their quantity.
+
+    The joint is the one whose name the channel has, else the one at the channel's place in its
+    vector. Of several vectors of one quantity the one that reaches most joints is taken.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        The channels.
+    targets : sequence of JointTarget
+        The joints in the model's order.
+    """
+    groups: dict[tuple[object, ...], list[Candidate]] = {}
+    for each in candidates:
+        meaning = each.meaning
+        if meaning.role in ("position", "velocity", "torque", "current", "command"):
+            alone = meaning.index is None and not each.key.channel.endswith("]")
+            own = "" if alone else meaning.group[1]  # shoulder_pos and elbow_pos are one vector
+            group = (each.source, meaning.role, meaning.of, meaning.group[0], own)
+            groups.setdefault(group, []).append(each)
+    best: dict[Role, list[Assigned]] = {}
+    for own in groups.values():
+        found = _of_vector(own, targets)
+        role = own[0].meaning.role
+        if _rank(found) > _rank(best.get(role, [])):
+            best[role] = found
+    return [each for found in best.values() for each in found]
+
+
+def assigned_by_signal(
+    candidates: Sequence[Candidate], targets: Sequence[JointTarget], step: float
+) -> list[Assigned]:
+    """Assign channels without telling names by their derivatives and delays.
+
+    A channel that correlates with the derivative of another is its velocity. Of two channels that
+    correlate, the one that leads is the command. Positions are taken in the order of the joints.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        The channels, in the order of the file.
+    targets : sequence of JointTarget
+        The joints in the model's order.
+    step : float
+        Time between samples [s].
+    """
+    moving = [each for each in candidates if moves(each.values)]
+    rates = _rates(moving, step)
+    left = [i for i in range(len(moving)) if i not in rates.values()]
+    commands = _commands(moving, left, rates, step)
+    followed = {position for position, _, _, _ in commands}
+    driving = {command for _, command, _, _ in commands}
+    related = [i for i in left if i not in driving and (i in rates or i in followed)]
+    positions = related or [i for i in left if i not in driving]
+    if not related and len(positions) != len(targets):
+        return []
+    found = []
+    for place, (i, joint) in enumerate(zip(positions, targets, strict=False), 1):
+        order = f"position {place} of {len(positions)} in the file's order"
+        found.append(
+            Assigned(candidate=moving[i], role="position", joint=joint, reason=f"{order}, assumed")
+        )
+        if i in rates:
+            value = correlation(derivative(moving[i].values, step), moving[rates[i]].values)
+            words = f"correlates {value:.2f} with the derivative of {moving[i].key.channel!r}"
+            found.append(
+                Assigned(candidate=moving[rates[i]], role="velocity", joint=joint, reason=words)
+            )
+        for position, command, value, lag in commands:
+            if position == i:
+                leads = f"leads it by {lag:.3g} s" if lag else "without delay, so either may lead"
+                words = f"correlates {value:.2f} with {moving[i].key.channel!r} and {leads}"
+                found.append(
+                    Assigned(
+                        candidate=moving[command], role="command", joint=joint, reason=words
+                    )
+                )
+    return found
+
+
+def _rank(found: Sequence[Assigned]) -> tuple[int, int, int]:
+    labelled = sum(each.labelled for each in found)
+    fits = sum(each.candidate.meaning.of in ("command", each.joint.drive) for each in found)
+    return len(found), fits if found and found[0].role == "command" else 0, labelled
+
+
+def _of_vector(own: Sequence[Candidate], targets: Sequence[JointTarget]) -> list[Assigned]:
+    """Channels of one vector, each with its joint."""
+    if own[0].meaning.role == "command":
+        targets = [each for each in targets if each.command]
+    indices = [each.meaning.index for each in own if each.meaning.index is not None]
+    lowest = min(indices, default=0)
+    numbered = len(indices) == len(own) >= len(targets) > 0
+    taken: set[str] = set()
+    found = []
+    for each in own:
+        sizes = {t.name: names_joint(each.meaning.words, t.name) for t in targets}
+        most = max(sizes.values(), default=0)
+        fitting = [t for t in targets if sizes[t.name] == most > 0]
+        role = each.meaning.role
+        if len(fitting) == 1 and fitting[0].name not in taken:
+            joint = fitting[0]
+            words = f"name has {role} of {joint.name!r}"
+            found.append(
+                Assigned(candidate=each, role=role, joint=joint, reason=words, labelled=True)
+            )
+        elif numbered and each.meaning.index is not None:
+            place = each.meaning.index - lowest
+            if place >= len(targets) or targets[place].name in taken:
+                continue
+            joint = targets[place]
+            words = f"entry {place + 1} of {role} {each.meaning.group[1]!r}, in the joints' order"
+            found.append(Assigned(candidate=each, role=role, joint=joint, reason=words))
+        else:
+            continue
+        taken.add(joint.name)
+    return found
+
+
+def _rates(moving: Sequence[Candidate], step: float) -> dict[int, int]:
+    """Number of a channel -> number of the one that is its velocity."""
+    slopes = [derivative(each.values, step) for each in moving]
+    pairs = [
+        (correlation(slopes[i], moving[j].values), i, j)
+        for i in range(len(moving))
+        for j in range(len(moving))
+        if i != j
+    ]
+    found: dict[int, int] = {}
+    for value, i, j in sorted(pairs, reverse=True):
+        if value < _RATE:
+            break
+        if i not in found and j not in found.values() and j not in found and i != found.get(j):
+            found[i] = j
+    return {i: j for i, j in found.items() if i not in found.values()}
+
+
+def _commands(
+    moving: Sequence[Candidate], left: Sequence[int], rates: dict[int, int], step: float
+) -> list[tuple[int, int, float, float]]:
+    """Pairs of position and command among channels, each with correlation and delay."""
+    pairs = []
+    for at, i in enumerate(left):
+        for j in left[at + 1 :]:
+            found = likeness(moving[i].values, moving[j].values, step)
+            lead, follow, lag = (i, j, found.lag) if found.lag > 0 else (j, i, -found.lag)
+            if lag < step / 2 or (follow not in rates and lead in rates):
+                # The channel whose velocity was recorded, too, is the measured one.
+                lead, follow = (j, i) if i in rates or j not in rates else (i, j)
+            pairs.append((abs(found.correlation), lead, follow, found.correlation, lag))
+    taken: set[int] = set()
+    found_pairs = []
+    for strength, lead, follow, value, lag in sorted(pairs, reverse=True):
+        if strength < _ALIKE:
+            break
+        if lead not in taken and follow not in taken:
+            taken |= {lead, follow}
+            found_pairs.append((follow, lead, value, lag))
+    return found_pairs
+
+
+def spread(values: Array) -> str:
+    """Range of a signal in words."""
+    return f"{float(np.min(values)):.4g} to {float(np.max(values)):.4g}"
