@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+from scipy import ndimage
 from scipy.optimize import linear_sum_assignment
 
 from loose_env.importing.guessing.joint_targets import JointTarget, inverse_torques
@@ -24,7 +25,8 @@ _CLEAR = 0.2
 """Difference of correlations from which another joint counts as the one commanded [1]."""
 _TORQUE = 0.6
 """Least correlation of a channel with the model's torque for which it is one [1]."""
-_MOST_ROWS = 4000
+_SMOOTHED = 9
+"""Samples over which positions are averaged before they are differentiated twice."""
 
 
 def matched_commands(
@@ -103,23 +105,11 @@ def commanded_motion(
 def needed_torques(
     model: mujoco.MjModel, positions: Mapping[str, Array], step: float
 ) -> Array | None:
-    """Torques that the model needs for the motion, as `inverse_torques`, at every sample.
-
-    Beyond the first 4000 samples they are NaN, since they only serve for a correlation.
-    """
+    """Torques that the model needs for a measured motion, as `inverse_torques`; smoothed."""
     if not positions:
         return None
-    smooth = {
-        name: np.convolve(np.pad(p[:_MOST_ROWS], 4, mode="edge"), np.ones(9) / 9, mode="valid")
-        for name, p in positions.items()
-    }
-    found = inverse_torques(model, smooth, step)
-    if found is None:
-        return None
-    rows = len(next(iter(positions.values())))
-    whole = np.zeros((rows, found.shape[1]))
-    whole[: len(found)] = found
-    return whole
+    smooth = {name: ndimage.uniform_filter1d(p, _SMOOTHED) for name, p in positions.items()}
+    return inverse_torques(model, smooth, step)
 
 
 def torques_by_signal(
@@ -141,13 +131,12 @@ def torques_by_signal(
     model : mujoco.MjModel
         The model.
     """
-    rows = min(len(torques), _MOST_ROWS)
     moving = [each for each in candidates if moves(each.values)]
     if not moving:
         return []
     columns = [int(model.joint(each.name).dofadr[0]) for each in targets]
     table = np.array(
-        [[correlation(each.values[:rows], torques[:rows, c]) for c in columns] for each in moving]
+        [[correlation(each.values, torques[:, c]) for c in columns] for each in moving]
     )
     found = []
     for i, j in zip(*linear_sum_assignment(-np.abs(table)), strict=True):

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from loose_env.importing.guessing.channel_names import Meaning, Role, names_joint
 from loose_env.importing.guessing.joint_targets import JointTarget
 from loose_env.importing.guessing.signals import correlation, derivative, likeness, moves
@@ -207,7 +205,3 @@ def _commands(
             found_pairs.append((follow, lead, value, lag))
     return found_pairs
 
-
-def spread(values: Array) -> str:
-    """Range of a signal in words."""
-    return f"{float(np.min(values)):.4g} to {float(np.max(values)):.4g}"

@@ -11,8 +11,8 @@ from scipy import ndimage, signal
 from loose_env.importing.samples import Samples
 from loose_env.typing import Array
 
-MOST_ROWS = 20_000
-"""Samples compared, from the beginning of a log: enough for minutes of motion."""
+MOST_ROWS = 10_000
+"""Samples compared, from the beginning of a log; at 1 kHz the first 10 s of motion."""
 LONGEST_LAG = 0.5
 """Largest delay searched between a command and the motion that follows it [s]."""
 _SMOOTHED = 5

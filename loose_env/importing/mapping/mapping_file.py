@@ -85,7 +85,7 @@ def mapping_of(whole: Any, name: str) -> ImportMapping:
             f"{name}: format is {top.given['format']!r:.60}; this version reads {MAPPING_FORMAT!r}"
         )
     sources = {
-        key: _source(f"{name}: sources.{key}", key, value)
+        key: source_of(f"{name}: sources.{key}", key, value)
         for key, value in top.table("sources").items()
     }
     if not sources:
@@ -106,7 +106,8 @@ def mapping_of(whole: Any, name: str) -> ImportMapping:
     return ImportMapping(name=name, model=top.text("model", ""), sources=sources, runs=plans)
 
 
-def _source(place: str, name: str, given: Any) -> SourceEntry:
+def source_of(place: str, name: str, given: Any) -> SourceEntry:
+    """Check the table of a source; errors as `read_mapping`."""
     fields = Fields(
         place, given, SourceEntry, CsvLayout, also=("time", "topics", "align"), without=("name",)
     )
