@@ -1,10 +1,13 @@
-"""Make a recording from files of loggers: MCAP, tables in text, universal files (UFF 58).
+"""Make a recording from logs: ROS 2 bags, tables, LeRobot and robomimic datasets and others.
 
 A mapping file says which channel of which file goes into which column of the recording, in which
-unit, and by which clock. --describe lists the channels of files and prints a mapping to fill in.
+unit, and by which clock. --guess proposes one by names, ranges and correlations, with the reason
+for each line, and writes it for you to check. --describe lists the channels of files and prints a
+mapping to fill in.
 
+    loose import --guess robot.mcap --model arm.xml --mapping mapping.toml
+    loose import robot.mcap --mapping mapping.toml --out recording
     loose import --describe robot.mcap vibration.csv > mapping.toml
-    loose import robot.mcap vibration.csv --mapping mapping.toml --out recording
 
 The recording is read back and checked before it takes its final name: a folder of that name is
 always complete.
@@ -16,6 +19,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+import mujoco
+
 from loose_env.arms import compile_spec, load_spec
 from loose_env.cli.console import Console, Outcome
 from loose_env.cli.options import add_settings, settings_of
@@ -23,15 +28,20 @@ from loose_env.errors import InvalidSetting
 from loose_env.importing import (
     FileList,
     ImportSettings,
+    Proposal,
     describe_sources,
     import_recording,
     list_sources,
+    proposal_text,
+    propose,
 )
-from loose_env.io import json_text
+from loose_env.io import json_text, write_text
 from loose_env.recording import Recording
 
-IMPORTED, DESCRIBED = "loose-import/1", "loose-sources/1"
-"""Formats of the JSON documents of an import, and of --describe."""
+IMPORTED, DESCRIBED, PROPOSAL = "loose-import/1", "loose-sources/1", "loose-proposal/1"
+"""Formats of the JSON documents of an import, of --describe, and of --guess."""
+PROPOSED = "mapping.toml"
+"""File that --guess writes where --mapping names none."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +50,19 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "sources",
         nargs="+",
         metavar="SOURCE",
-        help="file of a logger; NAME=PATH where the mapping calls it NAME",
+        help="file or folder of a log; NAME=PATH where the mapping calls it NAME",
+    )
+    parser.add_argument(
+        "--guess",
+        action="store_true",
+        help="propose the mapping for --model, print it and write it to --mapping "
+        f"({PROPOSED} by default)",
+    )
+    parser.add_argument(
+        "--rate-hz",
+        type=float,
+        metavar="HZ",
+        help="with --guess: sampling rate of files without times [Hz]",
     )
     parser.add_argument(
         "--describe", action="store_true", help="list the files' channels, as a mapping to fill in"
@@ -54,18 +76,24 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--package-path",
         type=Path,
         metavar="DIR",
-        help="with --describe: folder of the package, or packages, of a URDF's meshes",
+        help="with --describe or --guess: folder of the package, or packages, of a URDF's meshes",
     )
     parser.set_defaults(refuse=parser.error)
     add_settings(parser, ImportSettings)
 
 
 def run(options: argparse.Namespace, console: Console) -> Outcome:
-    """Import, or describe."""
+    """Import, describe, or propose a mapping."""
+    if options.describe and options.guess:
+        options.refuse("give --describe or --guess, not both")
     if options.describe:
         return _described(options)
+    if options.guess:
+        return _guessed(options, console)
+    if options.rate_hz is not None:
+        options.refuse("--rate-hz is for --guess; a mapping has time = { rate_hz = ... }")
     if options.mapping is None or options.out is None:
-        options.refuse("give --mapping MAP and --out RECORDING, or --describe to see channels")
+        options.refuse("give --mapping MAP and --out RECORDING, or --describe or --guess")
     recording = import_recording(
         options.sources,
         options.mapping,
@@ -84,17 +112,66 @@ def _described(options: argparse.Namespace) -> Outcome:
     """Channels of the files, as a mapping to fill in and as JSON."""
     if options.mapping is not None or options.out is not None:
         options.refuse("--describe takes files and --model only")
-    model = None
-    if options.model is not None:
-        if not options.model.is_file():
-            raise InvalidSetting(f"there is no model {str(options.model)!r}")
-        file, _, spec = load_spec(options.model, package=options.package_path)
-        model = compile_spec(spec, file)
+    model = None if options.model is None else _model(options)
     sources = {name: listed(each) for name, each in list_sources(options.sources).items()}
     return Outcome(
         text=describe_sources(options.sources, model),
         json=lambda: json_text({"format": DESCRIBED, "sources": sources}),
     )
+
+
+def _guessed(options: argparse.Namespace, console: Console) -> Outcome:
+    """Proposed mapping, written to a file and as JSON."""
+    if options.model is None or options.out is not None:
+        options.refuse("--guess takes files, --model and the --mapping to write, no --out")
+    if options.rate_hz is not None and not 1e-6 <= options.rate_hz <= 1e9:
+        raise InvalidSetting(f"--rate-hz is from 1e-6 to 1e9 Hz, got {options.rate_hz:g}")
+    target: Path = options.mapping or Path(PROPOSED)
+    if target.suffix.lower() != ".toml":
+        raise InvalidSetting(f"--mapping {str(target)!r}: a proposal is written as .toml")
+    if target.exists() and not options.overwrite:
+        raise InvalidSetting(
+            f"{str(target)!r} is there already; --overwrite replaces it, or name another file by "
+            "--mapping"
+        )
+    proposal = propose(options.sources, _model(options), options.rate_hz)
+    model, home = options.model.resolve(), target.resolve().parent
+    beside = model.relative_to(home).as_posix() if model.is_relative_to(home) else ""
+    text = proposal_text(proposal, beside)
+    write_text(target, text)
+    taken = [each for each in proposal.columns if not each.open]
+    console.say(f"written: {target}, {len(taken)} columns; check each line before the import")
+    return Outcome(
+        text=text,
+        json=lambda: json_text({"format": PROPOSAL, **proposed(proposal, target)}),
+    )
+
+
+def proposed(proposal: Proposal, target: Path) -> dict[str, Any]:
+    """Lines of a proposal, each with its reason."""
+    columns = [
+        {
+            "column": each.column or None,
+            "source": each.candidate.source,
+            "topic": each.candidate.key.topic or None,
+            "channel": each.candidate.key.channel,
+            "unit": each.scaling.unit or None,
+            "scale": each.scaling.scale,
+            "sign": each.sign,
+            "offset": each.scaling.offset,
+            "complete": not each.open,
+            "reason": each.reason,
+        }
+        for each in proposal.columns
+    ]
+    return {"mapping": target, "columns": columns, "notes": list(proposal.notes)}
+
+
+def _model(options: argparse.Namespace) -> mujoco.MjModel:
+    if not options.model.is_file():
+        raise InvalidSetting(f"there is no model {str(options.model)!r}")
+    file, _, spec = load_spec(options.model, package=options.package_path)
+    return compile_spec(spec, file)
 
 
 def listed(source: FileList) -> dict[str, Any]:

@@ -1,9 +1,12 @@
-"""Import of measured data from loggers: MCAP, CSV and universal files (UFF 58).
+"""Import of measured data: ROS 2 bags, tables, LeRobot and robomimic datasets and others.
 
-Data flow: samples -> timing -> mapping -> join_runs -> readers -> describe -> pipeline.
+Data flow: samples -> timing -> mapping -> join_runs -> readers -> describe -> guessing ->
+pipeline.
 """
 
 from loose_env.importing.describe import describe_sources, list_sources
+from loose_env.importing.guessing.proposal import Proposal, propose
+from loose_env.importing.guessing.proposal_text import proposal_text
 from loose_env.importing.mapping.mapping import ImportMapping
 from loose_env.importing.mapping.mapping_file import read_mapping
 from loose_env.importing.pipeline import ImportSettings, import_recording
@@ -14,9 +17,12 @@ __all__ = [
     "FileList",
     "ImportMapping",
     "ImportSettings",
+    "Proposal",
     "describe_sources",
     "import_recording",
     "list_sources",
     "median_step",
+    "proposal_text",
+    "propose",
     "read_mapping",
 ]

@@ -17,19 +17,65 @@ _ENTRY = re.compile(r"(.*?)\[([^\[\]]+)\]$")
 _NUMBERED = re.compile(r"(.*?\D)(\d+)$")
 _WORDS: dict[str, frozenset[str]] = {
     "other": frozenset(
-        "tcp temperature temperatures voltage mode bits momentum pose quat eef wrench fraction "
-        "scaling sin cos image reward done force index task time timestamp stamp frame next "
-        "orientation twist".split()
+        [
+            "tcp",
+            "temperature",
+            "temperatures",
+            "voltage",
+            "mode",
+            "bits",
+            "momentum",
+            "pose",
+            "quat",
+            "eef",
+            "wrench",
+            "fraction",
+            "scaling",
+            "sin",
+            "cos",
+            "image",
+            "reward",
+            "done",
+            "force",
+            "index",
+            "task",
+            "time",
+            "timestamp",
+            "stamp",
+            "frame",
+            "next",
+            "orientation",
+            "twist",
+        ]
     ),
     "command": frozenset(
-        "target command commands cmd action actions desired des ref reference setpoint goal ctrl "
-        "control controls".split()
+        [
+            "target",
+            "command",
+            "commands",
+            "cmd",
+            "action",
+            "actions",
+            "desired",
+            "des",
+            "ref",
+            "reference",
+            "setpoint",
+            "goal",
+            "ctrl",
+            "control",
+            "controls",
+        ]
     ),
-    "acceleration": frozenset("qdd ddq acc accel acceleration accelerometer qacc".split()),
-    "velocity": frozenset("velocity velocities vel qd dq qvel speed rate".split()),
-    "torque": frozenset("effort torque torques tau moment frc".split()),
-    "current": frozenset("current currents amps".split()),
-    "position": frozenset("position positions pos q qpos angle angles encoder enc state".split()),
+    "acceleration": frozenset(
+        ["qdd", "ddq", "acc", "accel", "acceleration", "accelerometer", "qacc"]
+    ),
+    "velocity": frozenset(["velocity", "velocities", "vel", "qd", "dq", "qvel", "speed", "rate"]),
+    "torque": frozenset(["effort", "torque", "torques", "tau", "moment", "frc"]),
+    "current": frozenset(["current", "currents", "amps"]),
+    "position": frozenset(
+        ["position", "positions", "pos", "q", "qpos", "angle", "angles", "encoder", "enc", "state"]
+    ),
 }
 _AXES = {"0": "x", "1": "y", "2": "z", "x": "x", "y": "y", "z": "z"}
 

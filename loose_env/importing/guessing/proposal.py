@@ -15,7 +15,6 @@ from loose_env.importing.guessing.commands import (
     torques_by_signal,
 )
 from loose_env.importing.guessing.joint_targets import (
-    JointTarget,
     accelerometer_axes,
     joint_targets,
 )
@@ -243,7 +242,9 @@ class _Guess:
                 ratio = slope(rate, each.candidate.values)
                 sign = 1 if value > 0 else -1
             unit = unit or rate_unit(ratio, slide)
-            words = f"{abs(ratio):.3g} times the derivative of the position, correlation {value:.2f}"
+            words = (
+                f"{abs(ratio):.3g} times the derivative of the position, correlation {value:.2f}"
+            )
         unit = unit or ("m/s" if slide else "rad/s")
         self._add(each.joint.velocity, each.candidate, Scaling(unit), sign, each.reason, words)
 
@@ -276,7 +277,9 @@ class _Guess:
             if each.role == "torque":
                 unit = each.candidate.unit or ("N" if each.joint.slide else "N*m")
                 sign, words = self._torque_sign(each, torques)
-                self._add(each.joint.torque, each.candidate, Scaling(unit), sign, each.reason, words)
+                self._add(
+                    each.joint.torque, each.candidate, Scaling(unit), sign, each.reason, words
+                )
             elif each.role == "current":
                 words = "a current [A]: give the torque constant and gear as scale [N·m/A]"
                 factor = self._per_ampere(each, torques)
@@ -338,8 +341,11 @@ class _Guess:
 
 def _fits(each: Assigned, unit: str) -> bool:
     scaling = position_scaling(each.joint, each.candidate.values, unit)
-    return scaling is not None and scaling.unit == unit and scaling.scale == 1.0 and not (
-        scaling.reason.endswith("which they exceed")
+    return (
+        scaling is not None
+        and scaling.unit == unit
+        and scaling.scale == 1.0
+        and not (scaling.reason.endswith("which they exceed"))
     )
 
 

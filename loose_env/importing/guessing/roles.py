@@ -118,9 +118,7 @@ def assigned_by_signal(
                 leads = f"leads it by {lag:.3g} s" if lag else "without delay, so either may lead"
                 words = f"correlates {value:.2f} with {moving[i].key.channel!r} and {leads}"
                 found.append(
-                    Assigned(
-                        candidate=moving[command], role="command", joint=joint, reason=words
-                    )
+                    Assigned(candidate=moving[command], role="command", joint=joint, reason=words)
                 )
     return found
 
@@ -204,4 +202,3 @@ def _commands(
             taken |= {lead, follow}
             found_pairs.append((follow, lead, value, lag))
     return found_pairs
-

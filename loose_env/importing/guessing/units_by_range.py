@@ -117,7 +117,7 @@ def _otherwise(joint: JointTarget, values: Array, seen: str, about: str) -> Scal
         middle = (top + bottom) / 2
         return Scaling(unit, (top - bottom) / 200, middle, f"{seen}, {about}: {words}")
     whole = bool(np.all(values == np.round(values)))
-    if whole and not joint.slide and 0 <= low and high < 4096:
+    if whole and not joint.slide and low >= 0 and high < 4096:
         turn = 2 * math.pi / 4096
         words = "ticks of 4096 a turn, 2048 at zero"
         return Scaling("rad", turn, -math.pi, f"{seen}, {about}: {words}")
