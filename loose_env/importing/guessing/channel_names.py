@@ -15,68 +15,23 @@ _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
 _UNIT = re.compile(r"[\[(][^\[\]()]*[\])]\s*$")
 _ENTRY = re.compile(r"(.*?)\[([^\[\]]+)\]$")
 _NUMBERED = re.compile(r"(.*?\D)(\d+)$")
-_WORDS: dict[str, frozenset[str]] = {
-    "other": frozenset(
-        [
-            "tcp",
-            "temperature",
-            "temperatures",
-            "voltage",
-            "mode",
-            "bits",
-            "momentum",
-            "pose",
-            "quat",
-            "eef",
-            "wrench",
-            "fraction",
-            "scaling",
-            "sin",
-            "cos",
-            "image",
-            "reward",
-            "done",
-            "force",
-            "index",
-            "task",
-            "time",
-            "timestamp",
-            "stamp",
-            "frame",
-            "next",
-            "orientation",
-            "twist",
-        ]
-    ),
-    "command": frozenset(
-        [
-            "target",
-            "command",
-            "commands",
-            "cmd",
-            "action",
-            "actions",
-            "desired",
-            "des",
-            "ref",
-            "reference",
-            "setpoint",
-            "goal",
-            "ctrl",
-            "control",
-            "controls",
-        ]
-    ),
-    "acceleration": frozenset(
-        ["qdd", "ddq", "acc", "accel", "acceleration", "accelerometer", "qacc"]
-    ),
-    "velocity": frozenset(["velocity", "velocities", "vel", "qd", "dq", "qvel", "speed", "rate"]),
-    "torque": frozenset(["effort", "torque", "torques", "tau", "moment", "frc"]),
-    "current": frozenset(["current", "currents", "amps"]),
-    "position": frozenset(
-        ["position", "positions", "pos", "q", "qpos", "angle", "angles", "encoder", "enc", "state"]
-    ),
-}
+_TABLE = """
+other: tcp temperature temperatures voltage mode bits momentum pose quat eef wrench fraction
+other: scaling sin cos image reward done force index task time timestamp stamp frame next
+other: orientation twist
+command: target command commands cmd action actions desired des ref reference setpoint goal ctrl
+command: control controls
+acceleration: qdd ddq acc accel acceleration accelerometer qacc
+velocity: velocity velocities vel qd dq qvel speed rate
+torque: effort torque torques tau moment frc
+current: current currents amps
+position: position positions pos q qpos angle angles encoder enc state
+"""
+_WORDS: dict[str, set[str]] = {}
+"""Quantity -> words that name it, in the order in which quantities are tried."""
+for _line in _TABLE.strip().splitlines():
+    _role, _, _rest = _line.partition(":")
+    _WORDS.setdefault(_role, set()).update(_rest.split())
 _AXES = {"0": "x", "1": "y", "2": "z", "x": "x", "y": "y", "z": "z"}
 
 

@@ -104,11 +104,11 @@ def inverse_torques(model: mujoco.MjModel, joints: dict[str, Array], step: float
 
 def _actuator(model: mujoco.MjModel, joint: int) -> int | None:
     """The only actuator of a joint; None where it has none or several."""
-    kinds = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     own = [
         i
         for i in range(model.nu)
-        if model.actuator_trntype[i] in kinds and model.actuator_trnid[i, 0] == joint
+        if int(model.actuator_trntype[i]) in kinds and model.actuator_trnid[i, 0] == joint
     ]
     return own[0] if len(own) == 1 else None
 

@@ -38,6 +38,9 @@ from loose_env.typing import Array
 _TRUSTED = 0.5
 """Correlation from which a sign is read off a channel [1]."""
 
+_SAME_UNIT = 3.0
+"""Factor by which a measured torque may differ from the model's to count as one in N·m [1]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ProposedColumn:
@@ -188,34 +191,42 @@ class _Guess:
         else:
             self.open.append(replace(line, open=True))
 
-    def _given_unit(self, candidate: Candidate) -> str:
-        """Unit of an angle that the file or its format defines; "" where neither does."""
+    def _leave_open(
+        self, each: Assigned, column: str, scaling: Scaling, sign: int, words: str
+    ) -> None:
+        """Add a line that lacks something, as a comment."""
+        self.open.append(
+            ProposedColumn(
+                column=column,
+                candidate=each.candidate,
+                scaling=scaling,
+                sign=sign,
+                reason=f"{each.reason}; {words}",
+                open=True,
+            )
+        )
+
+    def _given_unit(self, candidate: Candidate) -> tuple[str, str]:
+        """Unit of an angle that the file or its format defines, and which; "" where neither."""
         if candidate.unit:
-            return candidate.unit
+            return candidate.unit, "as the file says"
         kind = self.logs[candidate.source].file.kind
         rtde = candidate.key.channel.startswith(("actual_q", "target_q"))
-        return "rad" if kind in ("mcap", "rosbag2", "sysid", "hdf5") or rtde else ""
+        defined = kind in ("mcap", "rosbag2", "sysid", "hdf5") or rtde
+        return ("rad", "as the format defines") if defined else ("", "")
 
     def _take_positions(self, found: Sequence[Assigned]) -> None:
         common = group_unit([e.joint for e in found], [e.candidate.values for e in found])
         for each in found:
-            unit = self._given_unit(each.candidate)
+            unit, why = self._given_unit(each.candidate)
             if each.joint.slide:
                 unit = "m" if unit == "rad" else unit
-            elif not unit and position_scaling(each.joint, each.candidate.values) is not None:
-                unit = common if _fits(each, common) else ""
-            scaling = position_scaling(each.joint, each.candidate.values, unit)
+            elif not unit and _fits(each, common):
+                unit, why = common, "fits most joints of the vector"
+            scaling = position_scaling(each.joint, each.candidate.values, unit, why)
             if scaling is None:
-                self.open.append(
-                    ProposedColumn(
-                        column=each.joint.position,
-                        candidate=each.candidate,
-                        scaling=Scaling(""),
-                        sign=1,
-                        reason=f"{each.reason}; its values fit no unit of {each.joint.name!r}",
-                        open=True,
-                    )
-                )
+                words = f"its values fit no unit of {each.joint.name!r}"
+                self._leave_open(each, each.joint.position, Scaling(""), 1, words)
                 continue
             self.positions[each.joint.name] = _si(each.candidate.values, scaling)
             self.scalings[each.joint.name] = scaling
@@ -264,7 +275,7 @@ class _Guess:
                 elif ratio and not each.joint.slide:
                     unit = {"rad/s": "rad", "deg/s": "deg"}.get(rate_unit(ratio, False), "")
                     scaling = Scaling(unit, reason=f"{ratio:.3g} times the position [rad]")
-                unit = scaling.unit or (own.unit if own else self._given_unit(each.candidate))
+                unit = scaling.unit or (own.unit if own else self._given_unit(each.candidate)[0])
                 scaling = replace(scaling, unit=unit)
             elif each.joint.drive == "velocity" and trusted:
                 ratio = abs(slope(motion[name], values))
@@ -285,16 +296,8 @@ class _Guess:
                 factor = self._per_ampere(each, torques)
                 if factor:
                     words += f"; {factor:.4g} fits the torque that the model needs"
-                self.open.append(
-                    ProposedColumn(
-                        column=each.joint.torque,
-                        candidate=each.candidate,
-                        scaling=Scaling("N*m", factor or 1.0),
-                        sign=1,
-                        reason=f"{each.reason}; {words}",
-                        open=True,
-                    )
-                )
+                scaling = Scaling("N*m", abs(factor) or 1.0)
+                self._leave_open(each, each.joint.torque, scaling, -1 if factor < 0 else 1, words)
         if torques is None:
             return
         rest = [c for c in self.candidates if id(c) not in self.used and c.meaning.role == ""]
@@ -304,7 +307,13 @@ class _Guess:
             free = bool(drives) and each.joint.command not in self.columns
             column = each.joint.command if free else each.joint.torque
             sign = 1 if value > 0 else -1
+            own = torques[:, self.model.joint(each.joint.name).dofadr[0]]
+            ratio = abs(slope(each.candidate.values, own))
             words = "taken as the command of its motor" if free else ""
+            if not free and not 1 / _SAME_UNIT < ratio < _SAME_UNIT:
+                words = f"{ratio:.4g} times it would be that torque [N·m]; is it a current?"
+                self._leave_open(each, column, Scaling("N*m", ratio), sign, words)
+                continue
             self._add(column, each.candidate, Scaling("" if free else "N*m"), sign, each.reason,
                       words)  # fmt: skip
 

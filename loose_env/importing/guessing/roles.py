@@ -172,10 +172,11 @@ def _rates(moving: Sequence[Candidate], step: float) -> dict[int, int]:
         if i != j
     ]
     found: dict[int, int] = {}
-    for value, i, j in sorted(pairs, reverse=True):
-        if value < _RATE:
+    # The exact derivative goes first; of equal ones the one with the same sign.
+    for value, i, j in sorted(pairs, key=lambda p: (-round(abs(p[0]), 2), -p[0], p[1:])):
+        if abs(value) < _RATE:
             break
-        if i not in found and j not in found.values() and j not in found and i != found.get(j):
+        if i not in found and j not in found.values() and j not in found:
             found[i] = j
     return {i: j for i, j in found.items() if i not in found.values()}
 

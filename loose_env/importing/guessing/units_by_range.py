@@ -32,7 +32,9 @@ class Scaling:
     reason: str = ""
 
 
-def position_scaling(joint: JointTarget, values: Array, unit: str = "") -> Scaling | None:
+def position_scaling(
+    joint: JointTarget, values: Array, unit: str = "", why: str = "as given"
+) -> Scaling | None:
     """Scaling of a position; None where the values fit no unit that is known.
 
     Parameters
@@ -43,6 +45,8 @@ def position_scaling(joint: JointTarget, values: Array, unit: str = "") -> Scali
         The channel.
     unit : str
         Unit that the file or its format gives, or the one of the other joints.
+    why : str
+        Origin of that unit, for the reason.
     """
     units = ("m", "mm") if joint.slide else ("rad", "deg")
     low, high = float(np.min(values)), float(np.max(values))
@@ -52,7 +56,7 @@ def position_scaling(joint: JointTarget, values: Array, unit: str = "") -> Scali
     fitting = [each for each in units if _fits(joint, low, high, each)]
     if unit in units and (unit in fitting or not fitting):
         note = "" if unit in fitting else ", which they exceed"
-        return Scaling(unit, reason=f"{unit} as given; {seen}, {about}{note}")
+        return Scaling(unit, reason=f"{unit} {why}; {seen}, {about}{note}")
     if fitting:
         also = (
             f"; {fitting[1]} would fit too, {fitting[0]} is taken for values this small"
