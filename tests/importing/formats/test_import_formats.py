@@ -82,7 +82,7 @@ def test_episodes_of_lerobot_become_runs(home: Path, motion: Motion, version: st
     assert set(columns) == ALL
     assert {each["unit"] for each in columns.values()} == {"deg"}
     recording = imported(home, files)
-    assert [run.name for run in recording.runs] == ["set-episode_000000", "set-episode_000001"]
+    assert [Path(run.name).stem for run in recording.runs] == ["set-episode_000000", "set-episode_000001"]
     check(recording, motion, digits=1e-5)  # float32 degrees
 
 
@@ -91,7 +91,7 @@ def test_chosen_episodes_alone_are_imported(home: Path, motion: Motion) -> None:
     guessed(home, files)
     text = (home / "map.toml").read_text()
     (home / "map.toml").write_text(text.replace('episodes = "all"', 'episodes = "1, 3"'))
-    names = [run.name for run in imported(home, files).runs]
+    names = [Path(run.name).stem for run in imported(home, files).runs]
     assert names == ["set-episode_000001", "set-episode_000003"]
 
 
