@@ -29,7 +29,7 @@ SENSORS = "".join(
 )
 ARM = f"""<mujoco>
   <compiler angle="radian"/>
-  <option timestep=".002" integrator="implicitfast"/>
+  <option timestep=".0005" integrator="implicitfast"/>
   <worldbody>
     <body name="base">
       <joint name="shoulder_pan" axis="0 0 1" range="-1.9 1.9" limited="true" damping="1"/>
@@ -52,6 +52,8 @@ ARM = f"""<mujoco>
   <sensor>{SENSORS}</sensor>
 </mujoco>
 """
+EVERY = 16
+"""Steps of the simulation between samples."""
 START_NS = 1_714_557_600_000_000_000
 
 
@@ -68,24 +70,24 @@ class Motion:
 
 @cache
 def moved(seconds: float = 8.0, friction: float = 0.0) -> Motion:
-    """The arm driven by filtered noise, with Coulomb friction [N·m] at the elbow."""
+    """The arm driven by filtered noise, with more viscous friction [N·m·s/rad] at the elbow."""
     model = mujoco.MjModel.from_xml_string(ARM)
-    model.dof_frictionloss[2] = friction
+    model.dof_damping[2] += friction
     data = mujoco.MjData(model)
     rng = np.random.default_rng(1)
     steps = round(seconds / model.opt.timestep)
     top = signal.butter(2, 3.0 * model.opt.timestep)
-    command = np.clip(signal.lfilter(*top, 6 * rng.normal(size=(steps, 3)), axis=0), -1.2, 1.2)
+    command = np.clip(signal.lfilter(*top, 12 * rng.normal(size=(steps, 3)), axis=0), -1.2, 1.2)
     rows = []
     for i in range(steps):
-        data.ctrl[:] = command[i - i % 4]  # the log's rate
+        data.ctrl[:] = command[i - i % EVERY]  # the log's rate
         mujoco.mj_step1(model, data)
         state = (data.qpos.copy(), data.qvel.copy())
         mujoco.mj_step2(model, data)
-        if i % 4 == 0:
+        if i % EVERY == 0:
             rows.append((i * model.opt.timestep, command[i], *state, data.actuator_force.copy()))
     time, command, position, velocity, torque = (np.array(each) for each in zip(*rows, strict=True))
-    position = position + 1e-4 * rng.normal(size=position.shape)
+    position = position + 5e-4 * rng.normal(size=position.shape)
     return Motion(time, command, position, velocity, torque)
 
 
@@ -200,9 +202,7 @@ def write_bag(
         commands = writer.add_connection("/commands", array, typestore=store)
         for i, second in enumerate(motion.time):
             stamp = START_NS + round(second * 1e9)
-            time = kinds["builtin_interfaces/msg/Time"](
-                sec=stamp // 10**9, nanosec=stamp % 10**9
-            )
+            time = kinds["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
             header = kinds["std_msgs/msg/Header"](stamp=time, frame_id="")
             order = [2, 0, 1]  # drivers name their joints in any order
             message = kinds[state](
@@ -244,7 +244,9 @@ def write_sysid(folder: Path, motion: Motion) -> tuple[Path, Path]:
     """Sensors and controls as ``mujoco.sysid.TimeSeries`` saves them."""
     sensors = {f"{n}_pos": (SignalType.MjSensor, [i]) for i, n in enumerate(JOINTS)}
     sensors |= {f"{n}_qvel": (SignalType.MjStateQVel, [3 + i]) for i, n in enumerate(JOINTS)}
-    controls = {f"{n}_ctrl": (SignalType.MjCtrl, [i]) for i, n in enumerate(("pan", "lift", "bend"))}
+    controls = {
+        f"{n}_ctrl": (SignalType.MjCtrl, [i]) for i, n in enumerate(("pan", "lift", "bend"))
+    }
     one, other = folder / "sensors.npz", folder / "controls.npz"
     values = np.hstack([motion.position, motion.velocity])
     TimeSeries.create(motion.time, values, sensors).save_to_disk(one)

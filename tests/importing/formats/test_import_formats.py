@@ -66,9 +66,7 @@ WRITERS: dict[str, Callable[[Path, Motion], list[Path]]] = {
 
 
 @pytest.mark.parametrize("kind", list(WRITERS))
-def test_a_guessed_mapping_imports_the_known_motion(
-    home: Path, motion: Motion, kind: str
-) -> None:
+def test_a_guessed_mapping_imports_the_known_motion(home: Path, motion: Motion, kind: str) -> None:
     files = WRITERS[kind](home, motion)
     columns = guessed(home, files)
     assert set(columns) - {f"torque.{n}" for n in JOINTS} == ALL | RATES
@@ -82,7 +80,10 @@ def test_episodes_of_lerobot_become_runs(home: Path, motion: Motion, version: st
     assert set(columns) == ALL
     assert {each["unit"] for each in columns.values()} == {"deg"}
     recording = imported(home, files)
-    assert [Path(run.name).stem for run in recording.runs] == ["set-episode_000000", "set-episode_000001"]
+    assert [Path(run.name).stem for run in recording.runs] == [
+        "set-episode_000000",
+        "set-episode_000001",
+    ]
     check(recording, motion, digits=1e-5)  # float32 degrees
 
 
