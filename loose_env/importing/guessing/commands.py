@@ -108,8 +108,13 @@ def needed_torques(
     """Torques that the model needs for a measured motion, as `inverse_torques`; smoothed."""
     if not positions:
         return None
-    smooth = {name: ndimage.uniform_filter1d(p, _SMOOTHED) for name, p in positions.items()}
+    smooth = {name: smoothed(p) for name, p in positions.items()}
     return inverse_torques(model, smooth, step)
+
+
+def smoothed(values: Array) -> Array:
+    """Average over as many samples as the positions that torques are derived from, shape (T,)."""
+    return np.asarray(ndimage.uniform_filter1d(values, _SMOOTHED))
 
 
 def torques_by_signal(

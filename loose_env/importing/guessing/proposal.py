@@ -12,6 +12,7 @@ from loose_env.importing.guessing.commands import (
     commanded_motion,
     matched_commands,
     needed_torques,
+    smoothed,
     torques_by_signal,
 )
 from loose_env.importing.guessing.joint_targets import (
@@ -329,9 +330,11 @@ class _Guess:
         if torques is None or not moves(each.candidate.values):
             return 0.0
         own = torques[:, self.model.joint(each.joint.name).dofadr[0]]
-        if abs(correlation(own, each.candidate.values)) < _TRUSTED:
+        current = smoothed(each.candidate.values)  # as the positions behind the torque
+        value = correlation(own, current)
+        if abs(value) < _TRUSTED:
             return 0.0
-        return slope(each.candidate.values, own)
+        return slope(current, own) * abs(value)
 
     def _take_accelerometer(self) -> None:
         axes = accelerometer_axes(self.model)

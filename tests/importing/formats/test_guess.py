@@ -1,0 +1,137 @@
+"""The proposal finds joints, units and signs from the signals, and never replaces a file unasked."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.cli.main import main
+from loose_env.importing import propose
+from loose_env.importing.guessing.channel_names import meaning_of
+from loose_env.importing.samples import ChannelKey
+from tests.importing.formats.arm_log import ARM, JOINTS, Motion, write_lerobot, write_rtde
+
+MODEL = mujoco.MjModel.from_xml_string(ARM)
+
+
+def table(path: Path, *columns: np.ndarray) -> str:
+    np.savetxt(path, np.hstack([np.reshape(c, (len(c), -1)) for c in columns]), delimiter=",",
+               fmt="%.10g")  # fmt: skip
+    return str(path)
+
+
+def lines(source: str, rate_hz: float | None = None) -> dict[str, tuple[str, str, int]]:
+    """Channel, unit and sign of each column that is proposed."""
+    return {
+        each.column: (each.candidate.key.channel, each.scaling.unit, each.sign)
+        for each in propose([source], MODEL, rate_hz).columns
+        if not each.open
+    }
+
+
+def test_degrees_reversed_rates_and_shuffled_commands_of_a_nameless_table(
+    home: Path, motion: Motion
+) -> None:
+    order = [2, 0, 1]
+    source = table(home / "log.csv", 1e3 * motion.time, np.degrees(motion.position),
+                   -np.degrees(motion.velocity), np.degrees(motion.command)[:, order])  # fmt: skip
+    found = lines(source)
+    for i, (joint, command) in enumerate(zip(JOINTS, ("pan", "lift", "bend"), strict=True)):
+        assert found[f"sensor.{joint}_pos"] == (str(2 + i), "deg", 1)
+        assert found[f"sensor.{joint}_vel"] == (str(5 + i), "deg/s", -1)
+        assert found[f"ctrl.{command}"] == (str(8 + order.index(i)), "deg", 1)
+
+
+def test_a_reversed_command_gets_its_sign(home: Path, motion: Motion) -> None:
+    command = motion.command * [1, -1, 1]
+    source = table(home / "log.csv", motion.time, motion.position, motion.velocity, command)
+    found = lines(source)
+    assert found["ctrl.lift"][1:] == ("rad", -1)
+    assert found["ctrl.pan"][1:] == ("rad", 1)
+
+
+def test_a_table_without_times_needs_a_rate(
+    home: Path, motion: Motion, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = table(home / "log.csv", motion.position, motion.velocity)
+    told = ["import", "--guess", source, "--model", str(home / "arm.xml")]
+    told += ["--mapping", str(home / "map.toml")]
+    assert main(told) == 1
+    assert "give the sampling rate by --rate-hz" in capsys.readouterr().err
+    assert not (home / "map.toml").exists()
+    assert main([*told, "--rate-hz", "125"]) == 0
+    whole = tomllib.loads((home / "map.toml").read_text())
+    assert whole["sources"]["log"]["time"] == {"rate_hz": 125}
+
+
+def test_a_mapping_is_replaced_only_when_asked(
+    home: Path, motion: Motion, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = str(write_rtde(home / "log.csv", motion))
+    (home / "map.toml").write_text("mine")
+    told = ["import", "--guess", source, "--model", str(home / "arm.xml")]
+    told += ["--mapping", str(home / "map.toml")]
+    assert main(told) == 1
+    assert "--overwrite replaces it" in capsys.readouterr().err
+    assert (home / "map.toml").read_text() == "mine"
+    assert main([*told, "--overwrite"]) == 0
+    assert capsys.readouterr().out.strip() == (home / "map.toml").read_text().strip()
+
+
+def test_currents_are_left_open_with_a_factor(home: Path, motion: Motion) -> None:
+    found = propose([str(write_rtde(home / "log.csv", motion))], MODEL).columns
+    open_ones = [each for each in found if each.open]
+    assert [each.column for each in open_ones] == [f"torque.{joint}" for joint in JOINTS]
+    for each in open_ones:
+        assert "torque constant" in each.reason
+        assert each.scaling.scale == pytest.approx(12, rel=0.35)
+
+
+def test_normalised_states_are_scaled_to_the_limits(home: Path, motion: Motion) -> None:
+    limits = MODEL.jnt_range
+    half = (limits[:, 1] - limits[:, 0]) / 2
+    normalised = 100 * motion.position / half * [1, 1, 1.2]  # beyond the elbow's degrees
+    folder = write_lerobot(home / "set", motion, state=normalised, action=normalised)
+    elbow = next(
+        each for each in propose([str(folder)], MODEL).columns
+        if each.column == "sensor.elbow_pos"
+    )  # fmt: skip
+    low, high = normalised[:, 2].min(), normalised[:, 2].max()
+    if np.radians(max(-low, high)) > limits[2, 1] * 1.05:
+        assert "normalised" in elbow.reason
+        assert elbow.scaling.scale == pytest.approx(half[2] / 100)
+    else:
+        assert "would look alike" in elbow.reason
+
+
+def test_joints_without_a_sensor_are_noted_with_the_line_to_add(home: Path, motion: Motion) -> None:
+    bare = mujoco.MjModel.from_xml_string(
+        ARM.replace('<jointpos name="elbow_pos" joint="elbow"/>', "")
+    )
+    proposal = propose([str(write_rtde(home / "log.csv", motion))], bare)
+    assert any('<jointpos name="elbow_position" joint="elbow"/>' in note for note in proposal.notes)
+
+
+@pytest.mark.parametrize(
+    ("channel", "role", "of", "index"),
+    [
+        ("actual_q_0", "position", "position", 0),
+        ("target_qd_3", "command", "velocity", 3),
+        ("target_TCP_pose_1", "other", "other", 1),
+        ("actual_current_as_torque_2", "torque", "torque", 2),
+        ("observation.state[elbow.pos]", "position", "position", None),
+        ("action[2]", "command", "command", 2),
+        ("obs/robot0_joint_pos_cos[1]", "other", "other", 1),
+        ("elbow [deg]", "", "", None),
+        ("7", "", "", None),
+    ],
+)
+def test_names_tell_the_quantity(channel: str, role: str, of: str, index: int | None) -> None:
+    found = meaning_of(ChannelKey(channel))
+    assert (found.role, found.index) == (role, index)
+    if role == "command":
+        assert found.of == of
