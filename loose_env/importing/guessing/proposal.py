@@ -224,6 +224,8 @@ class _Guess:
                 unit = "m" if unit == "rad" else unit
             elif not unit and _fits(each, common):
                 unit, why = common, "fits most joints of the vector"
+                if common == "deg" and np.max(np.abs(each.candidate.values)) <= 100:
+                    why += "; values normalised to -100..100 would look alike"
             scaling = position_scaling(each.joint, each.candidate.values, unit, why)
             if scaling is None:
                 words = f"its values fit no unit of {each.joint.name!r}"

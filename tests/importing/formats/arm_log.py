@@ -78,14 +78,16 @@ def moved(seconds: float = 8.0, friction: float = 0.0) -> Motion:
     steps = round(seconds / model.opt.timestep)
     top = signal.butter(2, 3.0 * model.opt.timestep)
     command = np.clip(signal.lfilter(*top, 12 * rng.normal(size=(steps, 3)), axis=0), -1.2, 1.2)
-    rows = []
+    rows, torque = [], np.zeros(3)
     for i in range(steps):
         data.ctrl[:] = command[i - i % EVERY]  # the log's rate
         mujoco.mj_step1(model, data)
         state = (data.qpos.copy(), data.qvel.copy())
         mujoco.mj_step2(model, data)
+        torque = torque + data.actuator_force / EVERY  # averaged, as a drive filters its current
         if i % EVERY == 0:
-            rows.append((i * model.opt.timestep, command[i], *state, data.actuator_force.copy()))
+            rows.append((i * model.opt.timestep, command[i], *state, torque))
+            torque = np.zeros(3)
     time, command, position, velocity, torque = (np.array(each) for each in zip(*rows, strict=True))
     position = position + 5e-4 * rng.normal(size=position.shape)
     return Motion(time, command, position, velocity, torque)

@@ -1,4 +1,4 @@
-"""The proposal finds joints, units and signs from the signals, and never replaces a file unasked."""
+"""Proposals find joints, units and signs from signals, and never replace a file unasked."""
 
 from __future__ import annotations
 
@@ -92,20 +92,21 @@ def test_currents_are_left_open_with_a_factor(home: Path, motion: Motion) -> Non
 
 
 def test_normalised_states_are_scaled_to_the_limits(home: Path, motion: Motion) -> None:
-    limits = MODEL.jnt_range
-    half = (limits[:, 1] - limits[:, 0]) / 2
-    normalised = 100 * motion.position / half * [1, 1, 1.2]  # beyond the elbow's degrees
-    folder = write_lerobot(home / "set", motion, state=normalised, action=normalised)
-    elbow = next(
-        each for each in propose([str(folder)], MODEL).columns
-        if each.column == "sensor.elbow_pos"
-    )  # fmt: skip
-    low, high = normalised[:, 2].min(), normalised[:, 2].max()
-    if np.radians(max(-low, high)) > limits[2, 1] * 1.05:
-        assert "normalised" in elbow.reason
-        assert elbow.scaling.scale == pytest.approx(half[2] / 100)
-    else:
-        assert "would look alike" in elbow.reason
+    narrow = mujoco.MjModel.from_xml_string(ARM.replace('range="-1.6 1.6"', 'range="-.9 .9"'))
+    half = narrow.jnt_range[:, 1]
+    state = 100 * motion.position / half
+    assert np.ptp(state[:, 2]) > 1.1 * 2 * np.degrees(half[2])  # the elbow's are no degrees
+    folder = write_lerobot(home / "set", motion, state=state, action=100 * motion.command / half)
+    found = {each.column: each for each in propose([str(folder)], narrow).columns}
+    for column in ("sensor.elbow_pos", "ctrl.bend"):
+        assert found[column].scaling.scale == pytest.approx(half[2] / 100)
+        assert found[column].scaling.unit == "rad"
+    assert "normalised to -100..100 of the limits" in found["sensor.elbow_pos"].reason
+
+
+def test_degrees_that_may_be_normalised_are_noted(home: Path, motion: Motion) -> None:
+    proposal = propose([str(write_lerobot(home / "set", motion))], MODEL)
+    assert "values normalised to -100..100 would look alike" in proposal.columns[0].reason
 
 
 def test_joints_without_a_sensor_are_noted_with_the_line_to_add(home: Path, motion: Motion) -> None:
