@@ -43,6 +43,7 @@ def joint_targets(model: mujoco.MjModel) -> list[JointTarget]:
     for name, sensors in joint_sensors(model).items():
         joint = model.joint(name).id
         limited = bool(model.jnt_limited[joint])
+        low, high = model.jnt_range[joint]
         actuator = _actuator(model, joint)
         command = "" if actuator is None else f"ctrl.{model.actuator(actuator).name}"
         torque = f"torque.{name}"
@@ -50,7 +51,7 @@ def joint_targets(model: mujoco.MjModel) -> list[JointTarget]:
             JointTarget(
                 name=name,
                 slide=model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE,
-                limits=tuple(map(float, model.jnt_range[joint])) if limited else None,
+                limits=(float(low), float(high)) if limited else None,
                 position=f"sensor.{sensors.position[0]}" if sensors.position else "",
                 velocity=f"sensor.{sensors.velocity[0]}" if sensors.velocity else "",
                 torque=torque if torque in known else "",

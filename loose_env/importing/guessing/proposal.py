@@ -30,6 +30,7 @@ from loose_env.importing.guessing.source_signals import LogSource, read_signals
 from loose_env.importing.guessing.units_by_range import (
     Scaling,
     group_unit,
+    normalised_scaling,
     position_scaling,
     rate_unit,
 )
@@ -218,6 +219,12 @@ class _Guess:
 
     def _take_positions(self, found: Sequence[Assigned]) -> None:
         common = group_unit([e.joint for e in found], [e.candidate.values for e in found])
+        # One joint whose values are no degrees, but may be normalised, tells it of its vector.
+        normalised = common == "deg" and any(
+            not _fits(e, "deg") and normalised_scaling(e.joint, e.candidate.values)
+            and not self._given_unit(e.candidate)[0]
+            for e in found
+        )  # fmt: skip
         for each in found:
             unit, why = self._given_unit(each.candidate)
             if each.joint.slide:
@@ -227,6 +234,8 @@ class _Guess:
                 if common == "deg" and np.max(np.abs(each.candidate.values)) <= 100:
                     why += "; values normalised to -100..100 would look alike"
             scaling = position_scaling(each.joint, each.candidate.values, unit, why)
+            if normalised and not each.candidate.unit:
+                scaling = normalised_scaling(each.joint, each.candidate.values) or scaling
             if scaling is None:
                 words = f"its values fit no unit of {each.joint.name!r}"
                 self._leave_open(each, each.joint.position, Scaling(""), 1, words)

@@ -62,8 +62,8 @@ def assigned_by_name(
         meaning = each.meaning
         if meaning.role in ("position", "velocity", "torque", "current", "command"):
             alone = meaning.index is None and not each.key.channel.endswith("]")
-            own = "" if alone else meaning.group[1]  # shoulder_pos and elbow_pos are one vector
-            group = (each.source, meaning.role, meaning.of, meaning.group[0], own)
+            vector = "" if alone else meaning.group[1]  # shoulder_pos, elbow_pos: one vector
+            group = (each.source, meaning.role, meaning.of, meaning.group[0], vector)
             groups.setdefault(group, []).append(each)
     best: dict[Role, list[Assigned]] = {}
     for own in groups.values():

@@ -66,7 +66,7 @@ def moves(values: Array) -> bool:
 
 def derivative(values: Array, step: float) -> Array:
     """Rate of a smoothed signal, shape (T,)."""
-    return np.gradient(ndimage.uniform_filter1d(values, _SMOOTHED), step)
+    return np.asarray(np.gradient(ndimage.uniform_filter1d(values, _SMOOTHED), step))
 
 
 def correlation(first: Array, second: Array) -> float:

@@ -15,6 +15,8 @@ _MARGIN = 0.05
 """Part of a joint's range by which a sensor may exceed the limits [1]."""
 _TURNS = 1.1 * 2 * math.pi
 """Largest position taken of a joint without limits [rad]: a turn each way, and a margin."""
+_NORMALISED = 102.0
+"""Largest value taken as normalised to 100 [1]: a calibrated end, and a margin."""
 _NEAR = 1.5
 """Factor within which a ratio of rates counts as that of a unit [1]."""
 _RATES = {"rad/s": 1.0, "deg/s": 180 / math.pi, "rpm": 30 / math.pi}
@@ -84,6 +86,19 @@ def group_unit(joints: Sequence[JointTarget], values: Sequence[Array]) -> str:
     return best if hinges and counts[best] else ""
 
 
+def normalised_scaling(joint: JointTarget, values: Array) -> Scaling | None:
+    """Scaling of values normalised to a joint's limits; None where they cannot be."""
+    low, high = float(np.min(values)), float(np.max(values))
+    if joint.limits is None or max(abs(low), abs(high)) > _NORMALISED:
+        return None
+    unit = "m" if joint.slide else "rad"
+    bottom, top = joint.limits
+    if low >= -1:
+        return Scaling(unit, (top - bottom) / 100, bottom, "normalised to 0..100 of the limits")
+    words = "normalised to -100..100 of the limits"
+    return Scaling(unit, (top - bottom) / 200, (top + bottom) / 2, words)
+
+
 def rate_unit(ratio: float, slide: bool) -> str:
     """Unit of a velocity by its ratio to the derivative of the position in SI; "" if none fits.
 
@@ -111,15 +126,9 @@ def _fits(joint: JointTarget, low: float, high: float, unit: str) -> bool:
 def _otherwise(joint: JointTarget, values: Array, seen: str, about: str) -> Scaling | None:
     """Values normalised to the joint's range, or ticks of an encoder."""
     low, high = float(np.min(values)), float(np.max(values))
-    unit = "m" if joint.slide else "rad"
-    if joint.limits is not None and max(abs(low), abs(high)) <= 102:
-        bottom, top = joint.limits
-        if low >= -1:
-            words = "normalised to 0..100 of the limits"
-            return Scaling(unit, (top - bottom) / 100, bottom, f"{seen}, {about}: {words}")
-        words = "normalised to -100..100 of the limits"
-        middle = (top + bottom) / 2
-        return Scaling(unit, (top - bottom) / 200, middle, f"{seen}, {about}: {words}")
+    found = normalised_scaling(joint, values)
+    if found is not None:
+        return Scaling(found.unit, found.scale, found.offset, f"{seen}, {about}: {found.reason}")
     whole = bool(np.all(values == np.round(values)))
     if whole and not joint.slide and low >= 0 and high < 4096:
         turn = 2 * math.pi / 4096

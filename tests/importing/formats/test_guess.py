@@ -92,15 +92,17 @@ def test_currents_are_left_open_with_a_factor(home: Path, motion: Motion) -> Non
 
 
 def test_normalised_states_are_scaled_to_the_limits(home: Path, motion: Motion) -> None:
-    narrow = mujoco.MjModel.from_xml_string(ARM.replace('range="-1.6 1.6"', 'range="-.9 .9"'))
+    narrow = mujoco.MjModel.from_xml_string(ARM.replace('range="-1.6 1.6"', 'range="-1 1"'))
     half = narrow.jnt_range[:, 1]
     state = 100 * motion.position / half
     assert np.ptp(state[:, 2]) > 1.1 * 2 * np.degrees(half[2])  # the elbow's are no degrees
     folder = write_lerobot(home / "set", motion, state=state, action=100 * motion.command / half)
     found = {each.column: each for each in propose([str(folder)], narrow).columns}
-    for column in ("sensor.elbow_pos", "ctrl.bend"):
-        assert found[column].scaling.scale == pytest.approx(half[2] / 100)
-        assert found[column].scaling.unit == "rad"
+    columns = (("shoulder_pan_pos", "pan"), ("shoulder_lift_pos", "lift"), ("elbow_pos", "bend"))
+    for i, (position, command) in enumerate(columns):
+        for column in (f"sensor.{position}", f"ctrl.{command}"):
+            assert found[column].scaling.scale == pytest.approx(half[i] / 100)
+            assert found[column].scaling.unit == "rad"
     assert "normalised to -100..100 of the limits" in found["sensor.elbow_pos"].reason
 
 
