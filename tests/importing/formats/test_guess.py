@@ -92,7 +92,7 @@ def test_currents_are_left_open_with_a_factor(home: Path, motion: Motion) -> Non
 
 
 def test_normalised_states_are_scaled_to_the_limits(home: Path, motion: Motion) -> None:
-    narrow = mujoco.MjModel.from_xml_string(ARM.replace('range="-1.6 1.6"', 'range="-1 1"'))
+    narrow = mujoco.MjModel.from_xml_string(ARM.replace('range="-1.6 1.6"', 'range="-1.2 1.2"'))
     half = narrow.jnt_range[:, 1]
     state = 100 * motion.position / half
     assert np.ptp(state[:, 2]) > 1.1 * 2 * np.degrees(half[2])  # the elbow's are no degrees
