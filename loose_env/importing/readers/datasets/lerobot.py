@@ -148,7 +148,7 @@ def read_lerobot(
                 at = (
                     np.arange(len(rows)) / time.rate_hz
                     if time.rate_hz is not None
-                    else table[stamps][rows, 0]
+                    else _exact(table[stamps][rows, 0], data.fps)
                 )
                 values = table[feature]
                 if entry >= values.shape[1]:
@@ -296,6 +296,16 @@ def _filled(template: str, values: dict[str, int], place: str) -> str:
         return f"{values[key]:0{int(digits or 1)}d}"
 
     return _FIELD.sub(one, template)
+
+
+def _exact(stamps: Array, fps: float) -> Array:
+    """Times of frames; those that are whole frames rounded to float32 are taken without rounding.
+
+    At ten minutes the rounding is 0.03 ms, which would make even frames uneven.
+    """
+    frames = np.round(stamps * fps) / fps
+    rounding = np.finfo(np.float32).eps * np.maximum(np.abs(stamps), 1.0)
+    return frames if np.all(np.abs(frames - stamps) <= rounding) else stamps
 
 
 def _chosen(data: _Dataset, key: ChannelKey) -> tuple[str, int]:
