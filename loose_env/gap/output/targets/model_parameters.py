@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.output.result import NamedEffect
 from loose_env.gap.output.targets.source import ExportSource
 
@@ -58,18 +59,6 @@ _ADDED: dict[tuple[str, str], tuple[Element, str, int | None, str]] = {
     ("sensor_delay", "delay"): ("sensor", "delay", None, "sensor_delay"),
 }
 """Kind and parameter -> element, attribute and index in MJCF, and field of MjModel."""
-_WITHOUT = {"gain": 1.0}
-"""Parameter -> value without the effect; 0 for those that add."""
-_ADDING = frozenset(
-    {"mass", "x", "y", "z", "offset", "bias", "bias_x", "bias_y", "bias_z", "turn_x", "turn_y",
-     "turn_z", "amplitude", "gap", "time_constant", "delay", "drag", "damping", "inertia",
-     "torque", "stiffness"}
-)  # fmt: skip
-"""Parameters that are zero without the effect."""
-_VANISHING_IN_LIMIT = frozenset(
-    {"joint_compliance", "link_flexibility", "backlash", "structural_looseness"}
-)
-"""Kinds whose stiffness is not zero without the effect."""
 
 
 def model_parameters(source: ExportSource) -> tuple[ModelParameter, ...]:
@@ -101,14 +90,12 @@ def _plain(effect: NamedEffect, name: str, where: str = "") -> ModelParameter:
     """Return the parameter as the effect has it."""
     value = float(effect.parameters[name])
     low, high = effect.interval_95.get(name, (value, value))
-    limit = effect.kind in _VANISHING_IN_LIMIT and name not in ("gap",)
-    zero = 0.0 if name in _ADDING and not limit else float("nan")
     scales = effect.kind == "actuator_gain"
     return ModelParameter(
         name=f"{effect.kind}.{where or effect.where}.{name}",
         effect=effect,
         unit=effect.units.get(name, ""),
-        nominal=_WITHOUT.get(name, zero),
+        nominal=_without(effect, name),
         value=value,
         low=min(float(low), value),
         high=max(float(high), value),
@@ -116,6 +103,16 @@ def _plain(effect: NamedEffect, name: str, where: str = "") -> ModelParameter:
         attribute="gain" if scales else "",
         scales=scales,
     )
+
+
+def _without(effect: NamedEffect, name: str) -> float:
+    """Value of a parameter without the effect; NaN where it vanishes only in a limit."""
+    known = CATALOGUE.get(effect.kind)
+    if known is not None and known.adds_up:
+        return 0.0
+    if known is None or known.nothing is None or len(known.nothing) != len(effect.parameters):
+        return float("nan")
+    return float(known.nothing[list(effect.parameters).index(name)])
 
 
 def _of_attribute(source: ExportSource, effect: NamedEffect, name: str) -> list[ModelParameter]:
