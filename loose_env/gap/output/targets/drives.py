@@ -17,6 +17,7 @@ __all__ = ["Drive", "JointValues", "joint_values"]
 
 Mode = Literal["position", "velocity", "effort"]
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _SAME = 1e-6
@@ -83,17 +84,16 @@ def joint_values(model: mujoco.MjModel) -> tuple[JointValues, ...]:
     >>> elbow.damping, elbow.drive.stiffness, elbow.drive.damping, elbow.drive.effort_limit
     (0.1, 20.0, 4.0, 6.0)
     """
-    moving = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
     found = []
     for k in range(model.njnt):
-        if model.jnt_type[k] not in moving:
+        if model.jnt_type[k] not in (_HINGE, _SLIDE):
             continue
         dof = int(model.jnt_dofadr[k])
         drive, reason = _drive(model, k)
         found.append(
             JointValues(
                 name=str(model.joint(k).name),
-                turns=bool(model.jnt_type[k] == moving[0]),
+                turns=bool(model.jnt_type[k] == _HINGE),
                 armature=float(model.dof_armature[dof]),
                 frictionloss=float(model.dof_frictionloss[dof]),
                 damping=float(model.dof_damping[dof]),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from loose_env.errors import UnknownName
@@ -13,24 +13,20 @@ from loose_env.gap.output.targets.ranges import ranges_export
 from loose_env.gap.output.targets.source import Export, ExportSource, read_source
 from loose_env.gap.output.targets.sysid_parameters import sysid_export
 from loose_env.gap.output.targets.urdf_tags import urdf_export
-from loose_env.io import Positive, check_fields, write_text
+from loose_env.io import Checked, Positive, write_text
 
 __all__ = ["TARGETS", "ExportSettings", "export_result", "write_export"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportSettings:
+class ExportSettings(Checked):
     """Settings of an export."""
 
-    timestep: float | None = field(default=None, metadata={"rule": Positive})
+    timestep: Positive | None = None
     """Physics step of the trainer, in which mjlab and Isaac Lab count delays [s]; by default that
     of model.xml."""
     servo: str = ""
     """Name of the servo in BAM, such as xl330; needed for that target."""
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_fields(self)
 
 
 _Exporter = Callable[[ExportSource, ExportSettings, Path | None], Export]

@@ -16,7 +16,7 @@ import numpy as np
 
 from loose_env.gap.output.targets.model_parameters import ModelParameter, model_parameters
 from loose_env.gap.output.targets.source import Export, ExportSource
-from loose_env.io import json_text
+from loose_env.io import json_text, plain
 
 __all__ = ["sysid_export"]
 
@@ -127,14 +127,17 @@ def _listed(left: Sequence[str]) -> str:
 def _state(p: ModelParameter) -> dict[str, object]:
     """Return a parameter in the form of ``ParameterDict.save_to_disk``."""
     nominal = p.nominal if isfinite(p.nominal) else p.value
-    return {
-        "name": p.name,
-        "nominal": [nominal],
-        "min_value": [p.low],
-        "max_value": [p.high],
-        "value": [p.value],
-        "frozen": not p.attribute or not p.low < p.high,
-    }
+    state: dict[str, object] = plain(
+        {
+            "name": p.name,
+            "nominal": [nominal],
+            "min_value": [p.low],
+            "max_value": [p.high],
+            "value": [p.value],
+            "frozen": not p.attribute or not p.low < p.high,
+        }
+    )
+    return state
 
 
 def _added(source: ExportSource, p: ModelParameter, state: dict[str, object]) -> str:
@@ -172,4 +175,6 @@ def _scaled(source: ExportSource, p: ModelParameter, name: str) -> dict[str, lis
         attributes["biasprm"] = actuator.biasprm
     if not p.effect.variant and actuator.forcelimited[0]:
         attributes["forcerange"] = actuator.forcerange
-    return {a: (np.asarray(v, dtype=float) / p.value).tolist() for a, v in attributes.items()}
+    whole = {a: (np.asarray(v, dtype=float) / p.value).tolist() for a, v in attributes.items()}
+    nominal: dict[str, list[float]] = plain(whole)
+    return nominal
