@@ -112,7 +112,7 @@ def _parameters(
 ) -> dict[str, float | str]:
     """Parameters of one joint in the order of BAM's own files."""
     stribeck = next((e for e in effects if e.kind == "stribeck_friction"), None)
-    load = next((e for e in effects if e.kind == "load_friction"), None)
+    load = sum(_ratio(e) for e in effects if e.kind == "load_friction")
     found: dict[str, float | str] = {"armature": joint.armature, "q_offset": 0.0}
     fall = 0.0
     if stribeck is not None:
@@ -124,16 +124,17 @@ def _parameters(
             "dtheta_stribeck": stribeck.parameters["speed"],
             "alpha": _ALPHA,
         }
-    if load is not None:
-        found["load_friction_base"] = _ratio(load)
+    if load > 0:
+        found["load_friction_base"] = load
         if stribeck is not None:
             found["load_friction_stribeck"] = 0.0
     found["friction_viscous"] = joint.damping
-    found["model"] = _MODELS[stribeck is not None, load is not None]
+    found["model"] = _MODELS[stribeck is not None, load > 0]
     found["actuator"] = servo
     return found
 
 
 def _ratio(load: NamedEffect) -> float:
     """Friction over the torque through the gear: the dimensionless parameter of the effect."""
-    return next(value for name, value in load.parameters.items() if not load.units.get(name, ""))
+    ratios = [v for name, v in load.parameters.items() if not load.units.get(name, "")]
+    return ratios[0] if ratios else 0.0

@@ -107,9 +107,9 @@ def joint_values(model: mujoco.MjModel) -> tuple[JointValues, ...]:
 def _drive(model: mujoco.MjModel, joint: int) -> tuple[Drive | None, str]:
     """Return the drive of a joint, or the reason why it has none that is a PD law."""
     at_joint = np.isin(model.actuator_trntype, _AT_JOINT)
-    own = np.flatnonzero(at_joint & (model.actuator_trnid[:, 0] == joint))
+    there = np.flatnonzero(at_joint & (model.actuator_trnid[:, 0] == joint))
     # actuators without input that an effect adds are no drives
-    own = [int(k) for k in own if model.actuator_gainprm[k].any()]
+    own = [int(k) for k in there if model.actuator_gainprm[k].any()]
     if not own:
         return None, ""
     names = ", ".join(str(model.actuator(k).name) for k in own)

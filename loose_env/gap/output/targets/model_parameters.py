@@ -29,6 +29,10 @@ class ModelParameter:
     """Unique name: kind, location and parameter, separated by dots."""
     effect: NamedEffect
     """The effect."""
+    where: str
+    """Its location; the element itself where the effect is on all actuators."""
+    parameter: str
+    """Name of the parameter in the effect."""
     unit: str
     """Unit, "" for a ratio."""
     nominal: float
@@ -94,6 +98,8 @@ def _plain(effect: NamedEffect, name: str, where: str = "") -> ModelParameter:
     return ModelParameter(
         name=f"{effect.kind}.{where or effect.where}.{name}",
         effect=effect,
+        where=where or effect.where,
+        parameter=name,
         unit=effect.units.get(name, ""),
         nominal=_without(effect, name),
         value=value,
@@ -132,6 +138,8 @@ def _of_attribute(source: ExportSource, effect: NamedEffect, name: str) -> list[
             ModelParameter(
                 name=own.name,
                 effect=effect,
+                where=where,
+                parameter=name,
                 unit=own.unit,
                 nominal=nominal,
                 value=whole,

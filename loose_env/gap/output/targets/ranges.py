@@ -47,16 +47,13 @@ def ranges_export(source: ExportSource) -> Export:
 
 
 def _range(p: ModelParameter) -> dict[str, Any]:
-    name = p.name.split(".")[-1]
-    value = p.effect.parameters[name]
-    low, high = p.effect.interval_95[name]
-    where = p.name.removeprefix(f"{p.effect.kind}.").removesuffix(f".{name}")
+    low, high = p.effect.interval_95[p.parameter]
     found: dict[str, Any] = {
         "effect": p.effect.kind,
-        "where": where,
-        "parameter": name,
+        "where": p.where,
+        "parameter": p.parameter,
         "unit": p.unit,
-        "value": value,
+        "value": p.effect.parameters[p.parameter],
         "low": low,
         "high": high,
     }

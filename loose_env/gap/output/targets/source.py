@@ -145,6 +145,6 @@ def not_carried(
         known = carried.get(effect.kind, ())
         lost = () if known == ALL else tuple(n for n in effect.parameters if n not in known)
         if lost:
-            where = "model.xml carries it" if effect.in_model else "the code in result.json does"
-            found.append(f"{effect_words(effect, lost)}; {remedy or where}")
+            where = "model.xml" if effect.in_model else "the code in result.json"
+            found.append(f"{effect_words(effect, lost)}; {remedy or f'{where} carries it'}")
     return tuple(found)

@@ -142,7 +142,6 @@ def _state(p: ModelParameter) -> dict[str, object]:
 
 def _added(source: ExportSource, p: ModelParameter, state: dict[str, object]) -> str:
     """Lines that add one parameter."""
-    where = p.name.removeprefix(f"{p.effect.kind}.").removesuffix(f".{p.name.split('.')[-1]}")
     lines = [
         "    found.add(",
         "        sysid.Parameter(",
@@ -153,11 +152,11 @@ def _added(source: ExportSource, p: ModelParameter, state: dict[str, object]) ->
         f"            frozen={state['frozen']},",
     ]
     if p.scales:
-        lines.append(f"            modifier=_scales({where!r}, {_scaled(source, p, where)}),")
+        lines.append(f"            modifier=_scales({p.where!r}, {_scaled(source, p)}),")
     elif p.attribute:
         index = "" if p.index is None else f", {p.index}"
         lines.append(
-            f"            modifier=_sets({p.element!r}, {where!r}, {p.attribute!r}{index}),"
+            f"            modifier=_sets({p.element!r}, {p.where!r}, {p.attribute!r}{index}),"
         )
     lines += [
         "        )",
@@ -167,9 +166,9 @@ def _added(source: ExportSource, p: ModelParameter, state: dict[str, object]) ->
     return "\n".join(lines) + "\n"
 
 
-def _scaled(source: ExportSource, p: ModelParameter, name: str) -> dict[str, list[float]]:
+def _scaled(source: ExportSource, p: ModelParameter) -> dict[str, list[float]]:
     """Attributes of an actuator that its gain scales, with their nominal values."""
-    actuator = source.model.actuator(name)
+    actuator = source.model.actuator(p.where)
     attributes = {"gainprm": actuator.gainprm}
     if p.effect.variant != "command":
         attributes["biasprm"] = actuator.biasprm
