@@ -114,8 +114,8 @@ def _residuals(solution: GapSolution) -> dict[str, dict[str, list[Series]]]:
 
 def _log_channels(rerun: Any, stream: RecordingStream, solution: GapSolution) -> list[str]:
     """Log every channel; return the entities of those with the largest residual."""
-    held, starts, residuals = solution.problem.held_out_whole, _starts(solution), {}
-    models = _residuals(solution)
+    held, starts, models = solution.problem.held_out_whole, _starts(solution), _residuals(solution)
+    residuals: dict[str, float] = {}
     for c, channel in enumerate(held.channels):
         entity = f"/channels/{rerun.escape_entity_path_part(channel.name)}"
         for kind, colour in _COLOURS.items():
@@ -176,11 +176,6 @@ def _log_arms(rerun: Any, stream: RecordingStream, solution: GapSolution) -> Non
                         translation=place[:, body], quaternion=turn[:, body][:, [1, 2, 3, 0]]
                     ),
                 )
-
-
-def _part(rerun: Any, model: mujoco.MjModel, body: int) -> str:
-    """Name of a body as part of an entity path."""
-    return str(rerun.escape_entity_path_part(model.body(body).name or f"body {body}"))
 
 
 def _motions(solution: GapSolution) -> dict[str, list[_Motion]]:
@@ -244,10 +239,9 @@ def _log_shapes(
             static=True,
         )
         stream.log(name, shape, static=True)
-    children = [b for b in range(1, model.nbody) if b != body and model.body_parentid[b] == body]
-    ends = [model.body_pos[b] for b in children]
     if not shapes:
-        ends.append(model.body_ipos[body])
+        children = [b for b in range(1, model.nbody) if model.body_parentid[b] == body]
+        ends = [*(model.body_pos[b] for b in children), model.body_ipos[body]]
         lines = [np.stack([np.zeros(3), end]) for end in ends]
         stream.log(f"{entity}/lines", rerun.LineStrips3D(lines, colors=[colour]), static=True)
 
