@@ -2,7 +2,7 @@
 
 Fields are those of ``mjlab.actuator`` 1.6 (``ActuatorCfg`` and the classes ``Builtin...Cfg``) and
 of ``isaaclab.actuators`` 2.3 (``ActuatorBaseCfg``, ``IdealPDActuatorCfg``,
-``DelayedPDActuatorCfg``, ``ImplicitActuatorCfg``), as their docstrings define them. Delays are
+``DCMotorCfg``, ``DelayedPDActuatorCfg``, ``ImplicitActuatorCfg``), as their docstrings define them. Delays are
 whole physics steps there.
 """
 
@@ -31,9 +31,10 @@ _CARRIED = {
     "actuator_gain": ALL,
     "command_delay": ALL,
     "torque_limit": ALL,
+    "voltage_limit": ALL,
 }
 _CARRIED_BY_ISAACLAB = {**_CARRIED, "stribeck_friction": ("torque", "static_ratio")}
-_AT_DRIVE = frozenset({"actuator_gain", "command_delay", "torque_limit"})
+_AT_DRIVE = frozenset({"actuator_gain", "command_delay", "torque_limit", "voltage_limit"})
 """Kinds that only the configuration of a drive carries."""
 
 
@@ -86,6 +87,9 @@ def mjlab_export(source: ExportSource, timestep: float | None = None) -> Export:
             own["damping"] = number(drive.damping)
             if drive.effort_limit is not None:
                 own["effort_limit"] = number(drive.effort_limit)
+            if motor := _motor(source.result.effects, joint):
+                kind = "DcMotorActuatorCfg"
+                own = {"stiffness": number(drive.stiffness)} | own | motor
         own |= {
             "armature": number(joint.armature),
             "frictionloss": number(joint.frictionloss),
@@ -149,7 +153,11 @@ def isaaclab_export(source: ExportSource, timestep: float | None = None) -> Expo
             "viscous_friction": number(joint.damping),
         }
         kind = "ImplicitActuatorCfg" if drive is None else "IdealPDActuatorCfg"
-        if lags[1]:
+        if motor := _motor(source.result.effects, joint):
+            kind, own = "DCMotorCfg", own | motor
+            if lags[1]:
+                left.append(f"the delay of {joint.name}: DCMotorCfg has none")
+        elif lags[1]:
             kind = "DelayedPDActuatorCfg"
             own |= {"min_delay": str(lags[0]), "max_delay": str(lags[1])}
         configs[joint.name] = _Config(kind=kind, arguments=own)
@@ -172,7 +180,7 @@ def isaaclab_export(source: ExportSource, timestep: float | None = None) -> Expo
         notes=(
             "friction and dynamic_friction are torques or forces, as from Isaac Sim 5.0 on; in "
             "Isaac Sim 4.5 they are coefficients",
-            "velocity_limit is not identified; that of the USD asset holds",
+            "velocity_limit is that of the USD asset where none is written",
         ),
     )
 
@@ -213,6 +221,18 @@ def _undriven(effects: Sequence[NamedEffect], joint: JointValues) -> list[str]:
 
 def _remarks(joint: JointValues) -> list[str]:
     return [] if joint.drive is None else list(joint.drive.remarks)
+
+
+def _motor(effects: Sequence[NamedEffect], joint: JointValues) -> dict[str, str]:
+    """Torque-speed line of a joint's drive whose voltage limit was identified; empty if none."""
+    drive = joint.drive
+    for effect in effects:
+        if drive is not None and effect.kind == "voltage_limit" and effect.where == drive.name:
+            gear = abs(drive.gear)
+            stall = number(gear * effect.parameters["stall_torque"])
+            speed = number(effect.parameters["no_load_speed"] / gear)
+            return {"effort_limit": stall, "saturation_effort": stall, "velocity_limit": speed}
+    return {}
 
 
 def _fall_of_friction(effects: Sequence[NamedEffect], joint: str) -> float:

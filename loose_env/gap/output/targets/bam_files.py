@@ -1,9 +1,9 @@
 """Servo friction as parameter files of BAM (Better Actuator Models, Rhoban).
 
 A file of BAM has the keys ``model`` ("m1" to "m6") and ``actuator``, and parameters by name:
-``bam.model.load_model`` of better-actuator-models 1.0 reads it. Its friction in motion is
-``friction_base`` with ``load_friction_base`` times the torque through the gear, plus
-``friction_stribeck`` exp(-(v/``dtheta_stribeck``)^``alpha``), and ``friction_viscous`` v.
+``bam.model.load_model`` of better-actuator-models 1.0 reads it. Its friction is ``friction_base``
++ ``friction_stribeck`` exp(-(v/``dtheta_stribeck``)^``alpha``) + ``friction_viscous`` v, in model m5
+also ``load_friction_motor`` times the motor's torque, with a Stribeck part of its own.
 """
 
 from __future__ import annotations
@@ -36,15 +36,10 @@ _CARRIED = {
     "rotor_inertia": ALL,
     "load_friction": ALL,
 }
-_MODELS = {
-    (False, False): "m1",
-    (True, False): "m2",
-    (False, True): "m3",
-    (True, True): "m4",
-}
-"""Whether friction falls with speed, and whether it grows with load -> model of BAM."""
 _ALPHA = 2.0
 """Exponent of the Stribeck curve in this package."""
+_SPEED = 0.2
+"""Stribeck speed of BAM where none is identified [rad/s]; without effect there."""
 
 
 def bam_export(source: ExportSource, servo: str = "") -> Export:
@@ -110,31 +105,32 @@ def _safe(name: str) -> str:
 def _parameters(
     joint: JointValues, effects: Sequence[NamedEffect], servo: str
 ) -> dict[str, float | str]:
-    """Parameters of one joint in the order of BAM's own files."""
+    """Parameters of one joint in the order of BAM's own files.
+
+    Friction of the drive's torque alone is that of model m5, without its part of the external
+    torque.
+    """
     stribeck = next((e for e in effects if e.kind == "stribeck_friction"), None)
-    load = sum(_ratio(e) for e in effects if e.kind == "load_friction")
-    found: dict[str, float | str] = {"armature": joint.armature, "q_offset": 0.0}
-    fall = 0.0
+    load = next((e for e in effects if e.kind == "load_friction"), None)
+    fall, speed = 0.0, _SPEED
+    if load is not None:
+        speed = load.parameters.get("speed", _SPEED)
     if stribeck is not None:
         fall = (stribeck.parameters["static_ratio"] - 1.0) * stribeck.parameters["torque"]
+        speed = stribeck.parameters["speed"]
+    found: dict[str, float | str] = {"armature": joint.armature, "q_offset": 0.0}
     found["friction_base"] = max(joint.frictionloss - fall, 0.0)
-    if stribeck is not None:
+    if stribeck is not None or load is not None:
+        found |= {"friction_stribeck": fall, "dtheta_stribeck": speed, "alpha": _ALPHA}
+    if load is not None:
+        share = load.parameters["share"]
         found |= {
-            "friction_stribeck": fall,
-            "dtheta_stribeck": stribeck.parameters["speed"],
-            "alpha": _ALPHA,
+            "load_friction_motor": share,
+            "load_friction_external": 0.0,
+            "load_friction_motor_stribeck": share * (load.parameters.get("static_ratio", 1.0) - 1),
+            "load_friction_external_stribeck": 0.0,
         }
-    if load > 0:
-        found["load_friction_base"] = load
-        if stribeck is not None:
-            found["load_friction_stribeck"] = 0.0
     found["friction_viscous"] = joint.damping
-    found["model"] = _MODELS[stribeck is not None, load > 0]
+    found["model"] = "m5" if load is not None else "m2" if stribeck is not None else "m1"
     found["actuator"] = servo
     return found
-
-
-def _ratio(load: NamedEffect) -> float:
-    """Friction over the torque through the gear: the dimensionless parameter of the effect."""
-    ratios = [v for name, v in load.parameters.items() if not load.units.get(name, "")]
-    return ratios[0] if ratios else 0.0

@@ -1,8 +1,8 @@
 """Joints and drives of a corrected model, in the terms of actuator configurations.
 
-A drive with an affine force law, force = k u + b0 + b1 x + b2 v with gear g, is a PD controller at
-the joint with stiffness -g² b1 and damping -g² b2, as MuJoCo documents for position and velocity
-servos.
+A drive with an affine force law, force = k u + b0 + b1 x + b2 v with gear g and damping d, is a PD
+controller at the joint with stiffness -g² b1 and damping g² (d - b2), as MuJoCo documents for
+position and velocity servos.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ class Drive:
     """Derivative gain at the joint [N·m·s/rad, N·s/m]."""
     effort_limit: float | None = None
     """Largest torque or force at the joint [N·m, N]; None without a limit."""
+    gear: float = 1.0
+    """Torque at the joint over the force of the actuator."""
     effort_gain: float = 1.0
     """Torque at the joint per unit of an effort command."""
     delay: float = 0.0
@@ -108,8 +110,8 @@ def _drive(model: mujoco.MjModel, joint: int) -> tuple[Drive | None, str]:
     """Return the drive of a joint, or the reason why it has none that is a PD law."""
     at_joint = np.isin(model.actuator_trntype, _AT_JOINT)
     there = np.flatnonzero(at_joint & (model.actuator_trnid[:, 0] == joint))
-    # actuators without input that an effect adds are no drives
-    own = [int(k) for k in there if model.actuator_gainprm[k].any()]
+    # an actuator without a command, as effects add them, is no drive
+    own = [int(k) for k in there if model.actuator_ctrlnum[k] > 0]
     if not own:
         return None, ""
     names = ", ".join(str(model.actuator(k).name) for k in own)
@@ -138,8 +140,9 @@ def _drive(model: mujoco.MjModel, joint: int) -> tuple[Drive | None, str]:
         name=names,
         mode=mode,
         stiffness=-(gear**2) * stiff + 0.0,
-        damping=-(gear**2) * damped + 0.0,
+        damping=(gear**2) * (float(model.actuator_damping[k]) - damped) + 0.0,
         effort_limit=None if limit is None else min(limit),
+        gear=gear,
         effort_gain=gear * gain,
         delay=float(model.actuator_delay[k]),
         remarks=tuple(remarks),

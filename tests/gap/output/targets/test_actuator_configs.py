@@ -7,14 +7,14 @@ Neither package installs beside MuJoCo 4: their classes are stood for by classes
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import dataclass, field, make_dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 
-from loose_env.gap import ExportSettings, export_result
+from loose_env.gap import ExportSettings, NamedEffect, export_result
 from tests.gap.cases.exported_result import ARM, LAG, Sized, write_result
 
 _MJLAB = {
@@ -31,11 +31,15 @@ CLASSES: dict[str, dict[str, dict[str, Any]]] = {
         "BuiltinPositionActuatorCfg": _MJLAB
         | {"stiffness": ..., "damping": ..., "effort_limit": None},
         "BuiltinVelocityActuatorCfg": _MJLAB | {"damping": ..., "effort_limit": None},
+        "DcMotorActuatorCfg": _MJLAB
+        | {"stiffness": ..., "damping": ..., "effort_limit": float("inf")}
+        | {"saturation_effort": ..., "velocity_limit": ...},
         "BuiltinMotorActuatorCfg": _MJLAB | {"effort_limit": ..., "gear": 1.0},
     },
     "isaaclab.actuators": {
         "ImplicitActuatorCfg": _ISAACLAB,
         "IdealPDActuatorCfg": _ISAACLAB,
+        "DCMotorCfg": _ISAACLAB | {"saturation_effort": ...},
         "DelayedPDActuatorCfg": _ISAACLAB | {"min_delay": 0, "max_delay": 0},
     },
 }
@@ -126,13 +130,14 @@ def test_what_cannot_be_expressed_is_listed_and_written(
 def test_motors_are_configured_by_their_torque_per_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    xml = ARM.replace('<position name="servo1" joint="shoulder" kp="40" kv="2" forcerange="-8 8"/>',
-                      '<motor name="servo1" joint="shoulder" gear="5" ctrlrange="-1 1"/>')  # fmt: skip
+    servo = '<position name="servo1" joint="shoulder" kp="40" kv="2" forcerange="-8 8"/>'
+    motor = '<motor name="servo1" joint="shoulder" gear="5" ctrlrange="-1 1"/>'
+    xml = ARM.replace(servo, motor)
     effects: tuple[Sized, ...] = (LAG,)
     write_result(tmp_path, effects, xml=xml)
-    motor = load(tmp_path, "mjlab", monkeypatch).actuators[0]
-    assert type(motor).__name__ == "BuiltinMotorActuatorCfg"
-    assert (motor.gear, motor.effort_limit) == (5, 1)
+    found = load(tmp_path, "mjlab", monkeypatch).actuators[0]
+    assert type(found).__name__ == "BuiltinMotorActuatorCfg"
+    assert (found.gear, found.effort_limit) == (5, 1)
     isaac = load(tmp_path, "isaaclab", monkeypatch)
     assert isaac.actuators["shoulder"].effort_limit == 5
     assert "the torque of servo1 per command, 5" in isaac.lost
@@ -147,3 +152,21 @@ def test_a_joint_with_two_actuators_is_said_to_be_left_out(
     found = load(tmp_path, "mjlab", monkeypatch)
     assert len(found.actuators) == 1
     assert "joint elbow, because several actuators drive it (servo2, extra)" in found.lost
+
+
+def test_a_voltage_limit_becomes_a_motor_with_a_torque_speed_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = write_result(tmp_path, (LAG,))
+    limit = NamedEffect(
+        kind="voltage_limit",
+        where="servo2",
+        parameters={"stall_torque": 1.5, "no_load_speed": 12.0},
+    )
+    replace(result, effects=(limit,)).write(tmp_path / "result.json")
+    for target, kind in (("isaaclab", "DCMotorCfg"), ("mjlab", "DcMotorActuatorCfg")):
+        found = load(tmp_path, target, monkeypatch).actuators
+        motor = found["elbow"] if target == "isaaclab" else found[1]
+        assert type(motor).__name__ == kind
+        assert (motor.saturation_effort, motor.velocity_limit, motor.effort_limit) == (3, 6, 3)
+        assert motor.stiffness == 40

@@ -11,7 +11,14 @@ import mujoco
 import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.gap import TARGETS, ExportSettings, export_result, read_result, write_export
+from loose_env.gap import (
+    TARGETS,
+    ExportSettings,
+    NamedEffect,
+    export_result,
+    read_result,
+    write_export,
+)
 from loose_env.gap.model.effects.friction import CoulombFriction, StribeckFriction
 from tests.gap.cases.exported_result import ARM, LAG, write_result
 
@@ -179,3 +186,27 @@ def test_friction_that_only_slides_have_is_no_matter_of_bam(tmp_path: Path) -> N
     made = export_result(tmp_path, "bam", ExportSettings(servo="mx64"))
     assert list(made.files) == ["bam_elbow.json"]
     assert "coulomb_friction at shoulder (torque 2 N); BAM has no slides" in made.not_expressed
+
+
+def test_friction_of_the_drives_torque_is_that_of_bams_directional_model(tmp_path: Path) -> None:
+    result = write_result(tmp_path, (LAG,))
+    load = NamedEffect(
+        kind="load_friction",
+        where="shoulder",
+        parameters={"share": 0.2, "static_ratio": 1.5, "speed": 0.4},
+        variant="stribeck",
+        in_model=False,
+    )
+    replace(result, effects=(load,)).write(tmp_path / "result.json")
+    made = export_result(tmp_path, "bam", ExportSettings(servo="xl330"))
+    found = json.loads(made.files["bam_shoulder.json"])
+    assert found["model"] == "m5" and not made.not_expressed
+    assert (found["load_friction_motor"], found["load_friction_external"]) == (0.2, 0)
+    assert found["load_friction_motor_stribeck"] == pytest.approx(0.1)
+    assert (found["friction_stribeck"], found["dtheta_stribeck"]) == (0, 0.4)
+    bam = pytest.importorskip(
+        "bam.model", reason="better-actuator-models needs Python 3.12", exc_type=ImportError
+    )
+    model = bam.load_model_from_dict(found)
+    assert model.compute_frictions(3.0, 1.0, 0.0)[0] == pytest.approx(0.2 + 0.3 * 3)
+    assert model.compute_frictions(3.0, 1.0, 9.0)[0] == pytest.approx(0.2 + 0.2 * 3)
