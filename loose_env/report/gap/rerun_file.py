@@ -160,17 +160,15 @@ def _log_arms(rerun: Any, stream: RecordingStream, solution: GapSolution) -> Non
     """Log the arm's bodies at measured, nominal and corrected joint positions."""
     stream.log("/arm", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     model = solution.problem.machine.model
-    moved = [b for b in range(1, model.nbody)]
+    names = {b: rerun.escape_entity_path_part(model.body(b).name) for b in range(1, model.nbody)}
     for kind, runs in _motions(solution).items():
-        for body in moved:
-            _log_shapes(
-                rerun, stream, f"/arm/{kind}/{_part(rerun, model, body)}", model, body, kind
-            )
+        for body, name in names.items():
+            _log_shapes(rerun, stream, f"/arm/{kind}/{name}", model, body, kind)
         for run in runs:
             place, turn = _poses(model, solution.problem.machine.joints, run.position)
-            for body in moved:
+            for body, name in names.items():
                 stream.send_columns(
-                    f"/arm/{kind}/{_part(rerun, model, body)}",
+                    f"/arm/{kind}/{name}",
                     indexes=[rerun.TimeColumn(_TIMELINE, duration=run.time)],
                     columns=rerun.Transform3D.columns(
                         translation=place[:, body], quaternion=turn[:, body][:, [1, 2, 3, 0]]
