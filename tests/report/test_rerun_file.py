@@ -32,7 +32,11 @@ def columns(
     found: dict[str, dict[str, Any]] = {}
     for each in chunk.RrdReader(file).stream().to_chunks():
         if not each.is_static:
-            found.setdefault(each.entity_path, {}).update(each.to_record_batch().to_pydict())
+            batch = each.to_record_batch()
+            named = zip(batch.schema.names, batch.columns, strict=True)
+            # times are columns of nanoseconds, which Python's own durations lack
+            own = {name: values.to_pylist() for name, values in named if name != "time"}
+            found.setdefault(each.entity_path, {}).update(own)
     return found
 
 

@@ -1,9 +1,9 @@
 """Actuator configurations of mjlab and of Isaac Lab, as Python text.
 
-Fields are those of ``mjlab.actuator`` 1.6 (``ActuatorCfg`` and the classes ``Builtin...Cfg``) and
-of ``isaaclab.actuators`` 2.3 (``ActuatorBaseCfg``, ``IdealPDActuatorCfg``,
-``DCMotorCfg``, ``DelayedPDActuatorCfg``, ``ImplicitActuatorCfg``), as their docstrings define them. Delays are
-whole physics steps there.
+Fields are those of ``mjlab.actuator`` 1.6 (``ActuatorCfg``, ``DcMotorActuatorCfg`` and the classes
+``Builtin...Cfg``) and of ``isaaclab.actuators`` 2.3 (``ActuatorBaseCfg``, ``IdealPDActuatorCfg``,
+``DCMotorCfg``, ``DelayedPDActuatorCfg``, ``ImplicitActuatorCfg``), as their docstrings define them.
+Delays are whole physics steps there.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Servo friction as parameter files of BAM (Better Actuator Models, Rhoban).
 
 A file of BAM has the keys ``model`` ("m1" to "m6") and ``actuator``, and parameters by name:
-``bam.model.load_model`` of better-actuator-models 1.0 reads it. Its friction is ``friction_base``
-+ ``friction_stribeck`` exp(-(v/``dtheta_stribeck``)^``alpha``) + ``friction_viscous`` v, in model m5
+``bam.model.load_model`` of better-actuator-models 1.0 reads it. Its friction is ``friction_base`` +
+``friction_stribeck`` exp(-(v/``dtheta_stribeck``)^``alpha``) + ``friction_viscous`` v, in model m5
 also ``load_friction_motor`` times the motor's torque, with a Stribeck part of its own.
 """
 
