@@ -3,7 +3,7 @@
 Runs follow one another on one time axis. Entities: ``/channels/CHANNEL/measured`` (and ``nominal``,
 ``corrected``) are scalars in the unit of the recording; ``/arm/measured`` (and so on) are the
 model's bodies at the joint positions measured and predicted. A joint without a position sensor
-stands at its reference position, and one that a model does not predict follows the measurement.
+stands at its reference position; where a model predicts no position, it follows the measurement.
 """
 
 from __future__ import annotations
@@ -199,7 +199,8 @@ def _motions(solution: GapSolution) -> dict[str, list[_Motion]]:
                 names = [f"sensor.{n}" for n in sensors[joint].position] if joint in sensors else []
                 for one in (s for n in names for s in by_name.get(n, ()) if s.trial == t):
                     values = _predicted(solution, one, columns[one.channel])
-                    position[:, j] = np.interp(grid, one.time, values)
+                    shown = np.interp(grid, one.time, values, left=np.nan, right=np.nan)
+                    position[:, j] = np.where(np.isnan(shown), position[:, j], shown)
                     any_joint = True
             if any_joint:
                 found[kind].append(_Motion(time=starts[t] + grid, position=position))
