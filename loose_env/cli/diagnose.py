@@ -25,10 +25,9 @@ from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
-from loose_env.cli.choice import add_choice, take_over
 from loose_env.cli.console import Console, Outcome, add_recording_options, folder_of
 from loose_env.cli.doctor import add_preflight, check_first
-from loose_env.cli.options import add_settings, settings_of
+from loose_env.cli.options import add_choice, add_settings, settings_of, take_over
 from loose_env.errors import InvalidSetting
 from loose_env.instrument import (
     DiagnoseSettings,

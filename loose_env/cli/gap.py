@@ -23,6 +23,7 @@ from loose_env.arms import files_of
 from loose_env.cli.console import Console, Outcome, add_recording_options, folder_of
 from loose_env.cli.doctor import add_preflight, check_first
 from loose_env.cli.options import add_settings, settings_of
+from loose_env.errors import InvalidSetting
 from loose_env.gap import (
     GapResult,
     GapSettings,
@@ -34,7 +35,13 @@ from loose_env.gap import (
     write_gap,
 )
 from loose_env.recording import read_recording
-from loose_env.report import ranked_words, unsure, write_gap_report
+from loose_env.report import (
+    ranked_words,
+    require_rerun,
+    unsure,
+    write_gap_report,
+    write_rerun,
+)
 
 _OWN = ("threads",)
 """Settings on which the result does not depend."""
@@ -52,12 +59,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.py",
         help="Python file with effects of your own, considered beside the catalogue; it is run",
     )
+    parser.add_argument(
+        "--rerun",
+        type=Path,
+        metavar="FILE.rrd",
+        help="also write measured, nominal and corrected motion of the held-out runs for the Rerun "
+        "viewer (extra rerun); an existing file is replaced",
+    )
     add_settings(parser, GapSettings)
 
 
 def run(options: argparse.Namespace, console: Console) -> Outcome:
     """Name what the model lacks and write it down."""
     settings = settings_of(options, GapSettings)
+    _check_rerun(options.rerun)
     folder = folder_of(options)
     recording = read_recording(options.recording, model=options.model)
     check_first(recording, options)
@@ -75,13 +90,28 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     folder.note(folder.path / f.relative_to(home) for f in files_of(recording.model_path))
     report = partial(write_gap_report, say=console.say)
     result, written = write_gap(folder.path, found, report=report, say=console.say)
+    if options.rerun is not None:
+        console.say("writing the motion for Rerun")
+        file = write_rerun(options.rerun.resolve(), found)
+        written = [*written, file] if file.is_relative_to(folder.path) else written
     folder.note(written)
     shown = [str(path) for path in written if path.parent == folder.path]
+    if options.rerun is not None and str(options.rerun.resolve()) not in shown:
+        shown.append(str(options.rerun))
     return Outcome(
         text=f"{summary(result)}\nwritten: {', '.join(shown)}",
         json=result.to_json,
         warnings=tuple(result.warnings),
     )
+
+
+def _check_rerun(file: Path | None) -> None:
+    """Refuse a file of Rerun that cannot be written, before the search."""
+    if file is None:
+        return
+    if file.suffix != ".rrd" or file.is_dir():
+        raise InvalidSetting(f"--rerun {file}: give the name of a file that ends with .rrd")
+    require_rerun()
 
 
 def summary(result: GapResult) -> str:

@@ -26,6 +26,7 @@ COMMANDS = {
     "doctor": "preflight of a recording: units, ranges, signs, sampling, channels, clocks",
     "diagnose": "loose link or joint of an arm, from measured runs",
     "gap": "effects that a simulation model lacks, from measured runs",
+    "export": "identified effects for mujoco.sysid, mjlab, Isaac Lab, URDF, BAM, randomisation",
     "import": "recording from files of loggers: MCAP, CSV, universal files (UFF 58)",
 }
 """Subcommand -> what it finds or makes. The module beside this file has its name, with an
@@ -50,7 +51,8 @@ At a suspect machine, in this order; the last two in turn until the fault is ide
 
 Where simulation and machine disagree:
   loose import log.mcap --mapping map.toml --out arm
-  loose gap arm --out arm-gap"""
+  loose gap arm --out arm-gap
+  loose export arm-gap --to ranges --out exports"""
 
 _EXIT_CODES = """Exit codes: 0 done, whatever was found; 1 something given cannot be used; 2 the
 command line is wrong; 130 interrupted."""

@@ -22,9 +22,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from loose_env.cli.choice import add_choice, add_kept, take_over
 from loose_env.cli.console import Console, Outcome
-from loose_env.cli.options import settings_of
+from loose_env.cli.options import add_choice, add_kept, settings_of, take_over
 from loose_env.errors import MissingExtra
 from loose_env.instrument import (
     KEPT,

@@ -61,6 +61,15 @@ from loose_env.gap.output.result import (
     RankedHypothesis,
     read_result,
 )
+from loose_env.gap.output.targets.export import (
+    TARGETS,
+    ExportSettings,
+    export_result,
+    write_export,
+)
+from loose_env.gap.output.targets.source import (
+    Export,
+)
 from loose_env.gap.residuals.physical_units import (
     quantity_words,
 )
@@ -81,9 +90,12 @@ from loose_env.gap.workflow.summary import result_of, write_gap
 __all__ = [
     "ACCEPTED_Z",
     "NOISE_RMS",
+    "TARGETS",
     "Dependence",
     "Effect",
     "EffectLocation",
+    "Export",
+    "ExportSettings",
     "FeatureChannel",
     "Gap",
     "GapResult",
@@ -102,6 +114,7 @@ __all__ = [
     "compared",
     "diagnose_residuals",
     "explain_gap",
+    "export_result",
     "exported",
     "find_gap",
     "how_to_see",
@@ -118,6 +131,7 @@ __all__ = [
     "series_of",
     "spectrum",
     "strongest",
+    "write_export",
     "write_gap",
     "write_model",
 ]

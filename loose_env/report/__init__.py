@@ -13,6 +13,7 @@ from loose_env.report.diagnosis.text import headline as diagnosis_headline
 from loose_env.report.diagnosis.trend_page import trend_headline, write_trend_page
 from loose_env.report.diagnosis.write import write_diagnosis
 from loose_env.report.gap.notebook import gap_html, gap_text
+from loose_env.report.gap.rerun_file import require_rerun, write_rerun
 from loose_env.report.gap.text import headline as gap_headline
 from loose_env.report.gap.text import ranked_words, unsure
 from loose_env.report.gap.write import write_gap_report
@@ -59,6 +60,7 @@ __all__ = [
     "quiet_axes",
     "ranked_words",
     "read_study",
+    "require_rerun",
     "rounded",
     "save_figure",
     "shown",
@@ -76,6 +78,7 @@ __all__ = [
     "write_gap_report",
     "write_page",
     "write_plan_page",
+    "write_rerun",
     "write_study",
     "write_tool_page",
     "write_trend_page",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,32 @@ def test_it_writes_model_result_and_page_and_says_what_it_found(
     assert "confusable with actuator_gain at servo2" in said.out
     assert "nominal model: 6.9" in said.err and "warning: the step is coarse" in said.err
     assert "nominal model" not in said.out
+
+
+def test_the_motion_is_written_for_rerun_and_known_as_the_commands_own(
+    recording: Recording, search: Search, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    out = tmp_path / "out"
+    for _ in range(2):  # an earlier file is replaced
+        assert main(words(recording, out, "--rerun", str(out / "motion.rrd"))) == 0
+        assert (out / "motion.rrd").stat().st_size > 10_000
+        assert str(out / "motion.rrd") in capsys.readouterr().out
+
+
+def test_rerun_without_its_package_or_with_another_name_ends_before_the_search(
+    recording: Recording,
+    search: Search,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert main(words(recording, tmp_path / "out", "--rerun", str(tmp_path / "motion.mp4"))) == 1
+    assert "ends with .rrd" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    assert main(words(recording, tmp_path / "out", "--rerun", str(tmp_path / "motion.rrd"))) == 1
+    assert "pip install 'loose-env[rerun]'" in capsys.readouterr().err
+    assert search.settings is None and not (tmp_path / "out").exists()
 
 
 def test_quiet_says_only_the_outcome_and_warnings(

@@ -30,7 +30,7 @@ from loose_env.report.diagnosis.spectra import transmission_figure
 from loose_env.report.diagnosis.text import headline, percent, short_name, steps, summary_words
 from loose_env.report.pages.svg import THEMED, to_svg
 from tests.report.diagnosis_case import CASES, desk, diagnosis, flat
-from tests.report.test_gap_page import Balanced
+from tests.report.gap.test_gap_page import Balanced
 
 
 def words(page: str) -> str:

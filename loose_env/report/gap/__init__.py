@@ -1,4 +1,5 @@
 """Report of a model-error analysis.
 
-Data flow: figures -> spectra -> overlay -> text -> notebook -> parameters -> page -> write.
+Data flow: figures -> spectra -> rerun_file -> overlay -> text -> notebook ->
+parameters -> page -> write.
 """
