@@ -223,9 +223,9 @@ def diagnose(
     own = _checked(DiagnoseSettings, settings)
     read = _recording(recording, model)
     _check_first(read, ignore_doctor, say)
-    before = asdict(instrument.session_beside(read.folder).choice)
-    chosen = DiagnoseSettings(**{**before, **own})
-    result = instrument.diagnose(read, chosen, plan=plan, say=say)
+    before = instrument.session_beside(read.folder)
+    chosen = DiagnoseSettings(**{**asdict(before.choice), **own})
+    result = instrument.diagnose(read, chosen, motion=before.limits, plan=plan, say=say)
     return DiagnosisReport(result=result, recording=read)
 
 

@@ -99,7 +99,7 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     trend = None
     with folder.worked_in():
         earlier = read_sessions(options.before, partial(_earlier, options, settings, console.say))
-        found = diagnose(recording, settings, say=console.say)
+        found = diagnose(recording, settings, motion=before.limits, say=console.say)
         if options.date is not None:
             found = replace(found, date=options.date)
         if earlier:

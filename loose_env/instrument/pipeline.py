@@ -39,6 +39,7 @@ from loose_env.instrument.result import (
     Vector,
 )
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.instrument.trend.transmission import spectra_by_fit
 from loose_env.recording import Recording, Run
 from loose_env.version import __version__
@@ -65,6 +66,8 @@ class Workbench:
         MJCF file of the nominal model.
     settings : DiagnoseSettings
         Prior knowledge.
+    motion : MotionSettings, optional
+        Limits of the controller that the next measurement keeps to; none by default.
 
     Raises
     ------
@@ -72,8 +75,11 @@ class Workbench:
         If the model is no serial arm on a fixed base.
     """
 
-    def __init__(self, model: Path, settings: DiagnoseSettings) -> None:
+    def __init__(
+        self, model: Path, settings: DiagnoseSettings, motion: MotionSettings | None = None
+    ) -> None:
         self.settings = settings
+        self.motion = motion
         self.arm = read_recorded_arm(model)
         self.uncertain = UncertainArm(self.arm, settings.tolerances)
         self._taken: list[_Taken] = []
@@ -196,7 +202,7 @@ class Workbench:
 
     def _next(self, found: Diagnosis) -> NextMeasurement:
         recorded = 1 / self.suspect[-1].period if self.suspect else None
-        return next_for(self.arm, found, self.settings.choice(recorded))
+        return next_for(self.arm, found, self.settings.choice(recorded), motion=self.motion)
 
     def _blind(self) -> tuple[str, ...]:
         """Warnings about unknown collisions of a chosen pose."""
@@ -254,6 +260,7 @@ def diagnose(
     recording: Recording,
     settings: DiagnoseSettings | None = None,
     *,
+    motion: MotionSettings | None = None,
     plan: bool = True,
     say: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
@@ -265,6 +272,9 @@ def diagnose(
         Runs that hold a pose each and shake a joint; healthy reference runs, if there are any.
     settings : DiagnoseSettings, optional
         Prior knowledge.
+    motion : MotionSettings, optional
+        Limits of the controller that the next measurement keeps to, such as those of the plan
+        beside the recording: ``session_beside(recording.folder).limits``. None by default.
     plan : bool
         True to propose the next measurement.
     say : callable
@@ -287,7 +297,8 @@ def diagnose(
         ...
     loose_env.errors.InvalidData: ...
     """
-    bench = Workbench(recording.model_path, DiagnoseSettings() if settings is None else settings)
+    chosen = DiagnoseSettings() if settings is None else settings
+    bench = Workbench(recording.model_path, chosen, motion)
     refused: list[str] = []
     for run in recording.runs:
         try:
