@@ -67,7 +67,7 @@ def test_plan_and_diagnosis_take_turns_in_one_folder_under_the_limits_of_the_fir
     model, session = str(written(tmp_path, SERVOED)), tmp_path / "session"
     found = session / "diagnosis"
     limits = ["--most-tool", "4", "--ground-m", "0.1", "--poses", "4", "--seconds", "1.2"]
-    limits += ["--max-acceleration-rad-s2", "100"]
+    limits += ["--max-speed-rad-s", "4"]
     assert main(["plan", model, "--out", str(session), *limits]) == 0
     poses = [read(session / "plan.json")["pose"]]
     for number in (1, 2):
@@ -93,7 +93,6 @@ def test_plan_and_diagnosis_take_turns_in_one_folder_under_the_limits_of_the_fir
         assert made["joints"] == asked["joints"]
         assert made["seconds"] == 1.2
         assert made["signals"][0]["tool_acceleration_rms"] < 4.4
-        assert 4 * asked["levels"][0] < 120  # peaks of noise are below four times its rms
         poses.append(made["pose"])
     listed = read(session / "recording" / "recording.json")["runs"]
     files = ["run-01.csv", "run-02.csv", "run-03.csv", "repeat-01.csv"]
