@@ -24,7 +24,7 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["ClockOffset", "ServoTiming", "clock_offset", "on_one_clock", "servo_timing"]
+__all__ = ["ClockOffset", "Clocks", "ServoTiming", "clock_offset", "clocks_of", "servo_timing"]
 
 _STEP_S = 5e-5
 """Step of the shifts that are tried [s]."""
@@ -95,10 +95,26 @@ def clock_offset(uncertain: UncertainArm, lines: Sequence[Lines]) -> ClockOffset
     return _offset([(frequency, cross) for frequency, cross in found if cross is not None])
 
 
-def on_one_clock(
-    uncertain: UncertainArm, lines: Sequence[Lines]
-) -> tuple[list[Lines], tuple[ClockOffset, ...]]:
-    """Runs without the clock offset of their accelerometers, and the estimated offsets.
+@dataclass(frozen=True, kw_only=True)
+class Clocks:
+    """Clock offsets of a session's runs, and the correction of their lines."""
+
+    offset: ClockOffset | None
+    """Offset that all runs have; None where it cannot be told."""
+    common_s: float = 0.0
+    """Time by which the accelerometers of all runs are late, as it is corrected [s]."""
+    reference_s: float = 0.0
+    """Time by which those of the references are earlier than that [s]."""
+
+    def corrected(self, lines: Lines) -> Lines:
+        """Lines of a run, and of the reference beside it, with stamps of one clock."""
+        beside = None if lines.beside is None else self.corrected(lines.beside)
+        own = shifted(lines, self.common_s - self.reference_s * lines.healthy)
+        return replace(own, beside=beside)
+
+
+def clocks_of(uncertain: UncertainArm, lines: Sequence[Lines]) -> Clocks:
+    """Estimate the clock offsets of a session.
 
     One offset holds for all runs, but for what a session of references differs by: that is measured
     by the runs beside each other, whatever the model says.
@@ -111,15 +127,12 @@ def on_one_clock(
         All runs.
     """
     common = clock_offset(uncertain, lines)
-    late = common.seconds if common is not None and common.significant else 0.0
     between = _offset([cross for one in lines if (cross := _beside(one)) is not None])
-    later = between.seconds if between is not None and between.significant else 0.0
-    made = []
-    for one in lines:
-        beside = None if one.beside is None else shifted(one.beside, late - later)
-        own = shifted(one, late - later * one.healthy)
-        made.append(replace(own, beside=beside))
-    return made, () if common is None else (common,)
+    return Clocks(
+        offset=common,
+        common_s=common.seconds if common is not None and common.significant else 0.0,
+        reference_s=between.seconds if between is not None and between.significant else 0.0,
+    )
 
 
 def shifted(lines: Lines, seconds: float) -> Lines:
