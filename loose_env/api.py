@@ -19,7 +19,7 @@ from typing import Any
 
 from loose_env import gap, instrument, report
 from loose_env.arms import Arm
-from loose_env.doctor import examine
+from loose_env.doctor import Finding, examine
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap import GapResult, GapSettings, GapSolution
 from loose_env.instrument import DiagnoseSettings, Diagnosis, Fault
@@ -222,11 +222,11 @@ def diagnose(
     """
     own = _checked(DiagnoseSettings, settings)
     read = _recording(recording, model)
-    _check_first(read, ignore_doctor, say)
+    preflight = _check_first(read, ignore_doctor, say)
     before = instrument.session_beside(read.folder)
     chosen = DiagnoseSettings(**{**asdict(before.choice), **own})
     result = instrument.diagnose(read, chosen, motion=before.limits, plan=plan, say=say)
-    return DiagnosisReport(result=result, recording=read)
+    return DiagnosisReport(result=replace(result, preflight=preflight), recording=read)
 
 
 def explain_gap(
@@ -281,14 +281,14 @@ def explain_gap(
     """
     chosen = GapSettings(**_checked(GapSettings, settings))
     read = _recording(recording, model)
-    _check_first(read, ignore_doctor, say)
-    solution = gap.find_gap(read, chosen, say=say)
+    preflight = _check_first(read, ignore_doctor, say)
+    solution = replace(gap.find_gap(read, chosen, say=say), preflight=preflight)
     result = gap.result_of(solution, gap.diagnose_residuals(solution, say=say))
     return GapReport(result=result, solution=solution, recording=read)
 
 
-def _check_first(recording: Recording, ignore_errors: bool, say: Say) -> None:
-    """Check a recording as `loose doctor` does, and refuse it if there are errors."""
+def _check_first(recording: Recording, ignore_errors: bool, say: Say) -> tuple[Finding, ...]:
+    """Findings of `loose doctor` in a recording, which is refused if there are errors."""
     report = examine(recording)
     for line in report.lines(least="warning"):
         say(line)
@@ -296,6 +296,7 @@ def _check_first(recording: Recording, ignore_errors: bool, say: Say) -> None:
         first = f"such as {report.errors[0].found!r}" if report.errors else ""
         listed = f"{first}; loose_env.doctor.examine lists them"
         report.refuse_errors(listed=listed, remedy="ignore_doctor=True")
+    return report.findings
 
 
 def _recording(given: str | Path | Recording, model: str | Path | None) -> Recording:

@@ -97,12 +97,13 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     records: tuple[Maintenance, ...] = ()
     if options.maintenance is not None:
         records = read_maintenance(options.maintenance, (*arm.joints, *arm.links))
-    check_first(recording, options)
+    preflight = check_first(recording, options)
     name = options.recording.resolve().name
     trend = None
     with folder.worked_in():
         earlier = read_sessions(options.before, partial(_earlier, options, settings, console.say))
         found = diagnose(recording, settings, motion=before.limits, say=console.say)
+        found = replace(found, preflight=preflight)
         if options.date is not None:
             found = replace(found, date=options.date)
         if earlier:

@@ -15,7 +15,7 @@ goes on from there.
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     settings = settings_of(options, GapSettings)
     folder = folder_of(options)
     recording = read_recording(options.recording, model=options.model)
-    check_first(recording, options)
+    preflight = check_first(recording, options)
     plain = {k: v for k, v in asdict(settings).items() if k not in _OWN}
     for file in options.effects:
         read_effects(file)
@@ -68,6 +68,7 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     with folder.worked_in() as kept:
         stages = Stages(kept / "stages", key_of(recording, plain))
         found = find_gap(recording, settings, say=console.say, stages=stages)
+        found = replace(found, preflight=preflight)
     if stages.taken_up:
         console.say(f"resumed from checkpoints: {', '.join(stages.taken_up)}")
     # Known as this command's own even if it is cut short while it copies.

@@ -25,7 +25,7 @@ def gap_text(result: GapResult) -> str:
         lines += [f"  {line}" for line in aligned([_EFFECTS, *rows])]
     residual = [(name, f"{value:.2f}") for name, value in _residual(result)]
     lines += [f"  {line}" for line in aligned([_RESIDUAL, *residual])]
-    lines += [f"warning: {sentence(warning)}" for warning in result.warnings]
+    lines += [f"{severity}: {sentence(words)}" for severity, words in result.graded_warnings]
     return "\n".join(lines)
 
 
@@ -48,7 +48,7 @@ def gap_html(result: GapResult) -> str:
             bullets("Location of the residual", where),
             bullets("In physical units", quantity_words(result.gap.by_quantity)),
             bullets("Remaining", result.remaining),
-            bullets("Warnings", [sentence(words) for words in result.warnings]),
+            bullets("Warnings", [sentence(words) for _, words in result.graded_warnings]),
         ]
     )
 
