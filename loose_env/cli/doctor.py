@@ -42,9 +42,7 @@ def add_preflight(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def check_first(
-    recording: Recording, options: argparse.Namespace
-) -> tuple[Finding, ...]:
+def check_first(recording: Recording, options: argparse.Namespace) -> tuple[Finding, ...]:
     """Check a recording that was read, and print errors and warnings on the error stream.
 
     Returns

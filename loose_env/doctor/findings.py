@@ -162,7 +162,6 @@ class Report:
         return json_text(whole)
 
 
-
 def graded_findings(
     findings: Sequence[Finding],
 ) -> tuple[tuple[Literal["critical", "warning", "note"], str], ...]:
@@ -173,16 +172,22 @@ def graded_findings(
     Examples
     --------
     >>> one = Finding(
-    ...     check="pauses", severity="error", channel="time", run="a.csv", found="a pause",
-    ...     consequence="one piece is used", remedy="record it again",
+    ...     check="pauses",
+    ...     severity="error",
+    ...     channel="time",
+    ...     run="a.csv",
+    ...     found="a pause",
+    ...     consequence="one piece is used",
+    ...     remedy="record it again",
     ... )
     >>> graded_findings([one, one])
-    (('critical', 'a.csv, time: a pause (and 1 more); one piece is used; record it again'),)
+    (('critical', 'in a.csv, time: a pause (and 1 more); one piece is used; record it again'),)
     """
     return tuple(
         (
             _GRADES[severity],
-            f"{_observed(group[0])}{f' (and {len(group) - 1} more)' if len(group) > 1 else ''}; "
+            f"{'in ' if _place(group[0]) else ''}{_observed(group[0])}"
+            f"{f' (and {len(group) - 1} more)' if len(group) > 1 else ''}; "
             f"{group[0].consequence}; {group[0].remedy}",
         )
         for severity in _GRADES
@@ -209,6 +214,10 @@ def _lines(severity: str, group: list[Finding]) -> list[str]:
     return [*lines, f"  consequence: {group[0].consequence}", f"  remedy: {group[0].remedy}"]
 
 
+def _place(one: Finding) -> str:
+    return ", ".join(filter(None, (one.run, one.channel)))
+
+
 def _observed(one: Finding) -> str:
-    place = ", ".join(filter(None, (one.run, one.channel)))
+    place = _place(one)
     return f"{place}: {one.found}" if place else one.found

@@ -145,9 +145,7 @@ class Workbench:
         verdict = verdict_of(comparison, offsets, sure=self.settings.sure)
         notes = [n for t in self._taken for n in t.notes]
         servos = servo_timing(self.uncertain, lines)
-        warnings = warnings_of(
-            self.arm, comparison, notes, travel, clocks=offsets, servos=servos
-        )
+        warnings = warnings_of(self.arm, comparison, notes, travel, clocks=offsets, servos=servos)
         found = Diagnosis(
             fault=fault,
             probability=comparison.posterior[best],
@@ -254,9 +252,7 @@ class Workbench:
                     probabilities=probabilities,
                     direction_tool=direction,
                     half_angle_deg=angle,
-                    loops=()
-                    if lines is None
-                    else loops_of(self.uncertain, comparison, lines),
+                    loops=() if lines is None else loops_of(self.uncertain, comparison, lines),
                     notes=taken.notes,
                 )
             )

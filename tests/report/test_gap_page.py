@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
 from loose_env.cli.gap import summary
+from loose_env.doctor import Finding, Severity
 from loose_env.errors import MissingExtra
 from loose_env.gap import (
     EffectLocation,
@@ -37,6 +39,7 @@ from loose_env.gap.output.evidence_schema import ConfusablePair, UnidentifiableE
 from loose_env.gap.workflow import summary as gap_summary
 from loose_env.report.gap import write as gap_report
 from loose_env.report.gap.figures import channel_bars, residual_panels
+from loose_env.report.gap.notebook import gap_text
 from loose_env.report.gap.overlay import overlay_group
 from loose_env.report.gap.page import render_gap_page, write_gap_page
 from loose_env.report.gap.parameters import parameters_group
@@ -104,6 +107,26 @@ def test_the_page_is_whole_and_loads_nothing_from_elsewhere(page: str) -> None:
     assert not re.search(r"\bnan\b", page, re.IGNORECASE)
 
 
+def test_warnings_and_findings_of_the_preflight_stand_by_severity(
+    solution: GapSolution, evidence: ResidualDiagnostics
+) -> None:
+    found = tuple(
+        Finding(
+            check="sign", severity=severity, channel=f"sensor.{severity}", run="a.csv",
+            found="runs backwards", consequence="it is wrong", remedy="turn it round",
+        )
+        for severity in get_args(Severity)
+    )  # fmt: skip
+    result = result_of(replace(solution, preflight=found), evidence)
+    assert GapResult.from_json(result.to_json()).preflight == found
+    page = render_gap_page(solution, evidence, result)
+    worst, others, notes = (
+        page.index(each) for each in ("Invalidates the result", "Limits the result", "Notes")
+    )
+    assert worst < page.index("sensor.error") < others < page.index("sensor.warning") < notes
+    assert "critical: In a.csv, sensor.error: runs backwards" in gap_text(result)
+
+
 def test_the_table_of_parameters_and_the_overlay_come_before_the_rest(page: str) -> None:
     assert "<h1>The model lacks 2 effects.</h1>" in page
     words = [
@@ -121,6 +144,7 @@ def test_the_table_of_parameters_and_the_overlay_come_before_the_rest(page: str)
         "What to do next",
         "Parameters",
         "Measured, nominal and corrected",
+        "Warnings",
         "Residual before and after correction",
         "Spectra before and after",
         "Residual against motion and load",

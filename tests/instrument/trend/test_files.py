@@ -55,7 +55,11 @@ def test_what_is_no_record_is_refused_with_file_and_entry(
 
 def test_a_file_that_cannot_be_read_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "photo.json").write_bytes(b"\xff\xd8\xff\xe0")
-    for name, words in (("photo.json", "no JSON"), ("none.json", "No such file"), (".", "director")):
+    for name, words in (
+        ("photo.json", "no JSON"),
+        ("none.json", "No such file"),
+        (".", "director"),
+    ):
         with pytest.raises(InvalidData, match=words) as refused:
             read_maintenance(tmp_path / name)
         assert "\n" not in str(refused.value) and "codec" not in str(refused.value)
