@@ -1,8 +1,7 @@
 """Offsets between clocks, and signs, from the phase of two channels of one motion.
 
-Where y(t) = s x(t - d), the cross-spectrum of x and y has the phase -2 pi f d, turned by pi for s
-below zero. d maximises |sum w cos(phase + 2 pi f d)| over the coherent lines, with the weight
-w = coherence / (1 - coherence), the inverse variance of a phase up to a factor.
+Of the coherent lines, each with the weight coherence / (1 - coherence), the inverse variance of its
+phase up to a factor; see `loose_env.statistics.phase_delay`.
 """
 
 from __future__ import annotations
@@ -35,6 +34,7 @@ from loose_env.doctor.thresholds import (
 )
 from loose_env.importing import median_step
 from loose_env.recording import Run
+from loose_env.statistics import phase_delay
 from loose_env.typing import Array
 
 __all__ = ["Delay", "check_clocks", "delay_between"]
@@ -43,10 +43,8 @@ _LEAST_PHASE = 0.1
 """Phase at the middle of the lines that a delay has to make to be told [rad]."""
 _WEAK_AXIS = 0.3
 """Motion of an axis over that of the strongest, below which its sign is not judged."""
-_FINE = 4
-"""Delays tried per step of the samples, at most."""
-_PER_PERIOD = 24
-"""Delays tried per period of the highest line, at most: the rest is linear in the phase."""
+_NEIGHBOURS = 1.5
+"""Lines of a Hann window that are worth one."""
 
 
 class Delay(NamedTuple):
@@ -120,38 +118,17 @@ def delay_between(
     if np.count_nonzero(used) < FEWEST_LINES:
         return None
     at, share = frequency[used], np.minimum(coherence[used], 0.99)
-    turn = cross[used] / np.abs(cross[used])
     # Lines far above the others would decide alone, though the model errs at them as much.
     weight = share / (1 - share)
     weight = np.minimum(weight, 4 * np.median(weight))
+    found = phase_delay(at, cross[used], weight, largest=largest, either_sign=True)
+    if found is None or found.fit < PHASE_FIT or found.rival > RIVAL_FIT:
+        return None
     weight /= weight.sum()
-    tried = np.arange(-largest, largest, max(step / _FINE, 1 / (_PER_PERIOD * at[-1])))
-    fits = (np.exp(2j * np.pi * np.outer(tried, at)) @ (weight * turn)).real
-    best = int(np.argmax(np.abs(fits)))
-    if abs(fits[best]) < PHASE_FIT or best in (0, len(tried) - 1):
-        return None
-    if _rival(np.abs(fits), best):
-        return None
-    sign = 1 if fits[best] > 0 else -1
-    left = np.angle(sign * turn * np.exp(2j * np.pi * at * tried[best]))
-    normal = float(np.sum(weight * at**2))
-    exact = float(tried[best]) - float(np.sum(weight * at * left)) / (2 * np.pi * normal)
-    scatter = float(np.sqrt(np.sum(weight * left**2)))
-    lines = 1 / float(np.sum(weight**2)) / 1.5  # neighbours share a Hann window
-    sd = scatter / (2 * np.pi * np.sqrt(normal * lines))
     ratio = float(np.median(np.abs(cross[used]) / own[used]))
-    return Delay(exact, max(sd, 0.02 * step), sign, ratio, float(np.sqrt(normal)))
-
-
-def _rival(fits: Array, best: int) -> bool:
-    """Return whether a peak beside the best one is about as high."""
-    left = right = best
-    while left > 0 and fits[left - 1] < fits[left]:
-        left -= 1
-    while right < len(fits) - 1 and fits[right + 1] < fits[right]:
-        right += 1
-    return bool(max(fits[:left].max(initial=0.0), fits[right + 1 :].max(initial=0.0))
-                > RIVAL_FIT * fits[best])  # fmt: skip
+    sd = max(np.sqrt(_NEIGHBOURS) * found.sd, 0.02 * step)
+    middle = float(np.sqrt(np.sum(weight * at**2)))
+    return Delay(found.seconds, sd, found.sign, ratio, middle)
 
 
 def check_clocks(
