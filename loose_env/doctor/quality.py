@@ -14,7 +14,10 @@ from loose_env.doctor.thresholds import (
     CLIPPED_LEAST,
     CLIPPED_PILE,
     CLIPPED_SHARE,
+    COARSE_LEVELS,
     COARSE_STEP,
+    FEWEST_LEVELS,
+    FEWEST_PIECES,
     FROZEN_RATIO,
     FROZEN_S,
     FROZEN_SAMPLES,
@@ -25,6 +28,7 @@ from loose_env.doctor.thresholds import (
     LOST_RATIO,
     LOST_VALUE,
     NOTED_NAN,
+    REPEATING_SHARE,
 )
 from loose_env.importing import median_step
 from loose_env.recording import Run
@@ -150,7 +154,7 @@ def _repeats(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 def _held(run: Run, channel: Channel, lengths: NDArray[np.intp]) -> Iterator[Finding]:
     """Note a channel whose values change after every few rows alone."""
-    if len(lengths) < 10 or channel.kind == "command":
+    if len(lengths) < FEWEST_PIECES or channel.kind == "command":
         return
     usual = int(np.median(lengths))
     if usual < 2 or np.mean(np.abs(lengths - usual) <= 0) < HELD_SHARE:
@@ -176,7 +180,7 @@ def _frozen(
     step = median_step(run.time)
     usual = float(np.percentile(lengths, 90))
     least = max(FROZEN_SAMPLES, FROZEN_S / step, FROZEN_RATIO * usual)
-    if np.mean(lengths > 1) > 0.2:
+    if np.mean(lengths > 1) > REPEATING_SHARE:
         return  # coarse or slow: it repeats by itself
     long = np.flatnonzero(lengths >= least)
     if not long.size:
@@ -226,7 +230,7 @@ def _lost(run: Run, channel: Channel, values: Array, time: Array) -> Iterator[Fi
 
 def _clipped(run: Run, channel: Channel, values: Array) -> Iterator[Finding]:
     levels, counts = np.unique(values, return_counts=True)
-    if len(levels) < 16:
+    if len(levels) < FEWEST_LEVELS:
         return  # too coarse to tell
     for extreme, beside in ((0, slice(1, 6)), (-1, slice(-6, -1))):
         count = int(counts[extreme])
@@ -260,7 +264,7 @@ def _limited(run: Run, channel: Channel, values: Array, machine: Machine) -> Ite
     share = float(np.mean((values <= low + slack) | (values >= high - slack)))
     # A joint that rests at the end of its range is commanded to stay there.
     starts, _ = _repeats(((values <= low + slack) | (values >= high - slack)).astype(float))
-    if share > LIMITED_SHARE and len(starts) > 10 and not drive.follows:
+    if share > LIMITED_SHARE and len(starts) > FEWEST_PIECES and not drive.follows:
         yield Finding(
             check="saturation",
             severity="warning",
@@ -277,7 +281,7 @@ def _limited(run: Run, channel: Channel, values: Array, machine: Machine) -> Ite
 
 def _coarse(run: Run, channel: Channel, values: Array, machine: Machine) -> Iterator[Finding]:
     levels = np.unique(values)
-    if len(levels) > 64:
+    if len(levels) > COARSE_LEVELS:
         return
     step = float(np.min(np.diff(levels)))
     motion = float(np.std(values))

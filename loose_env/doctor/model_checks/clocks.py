@@ -19,18 +19,24 @@ from loose_env.doctor.model_checks.motion import Motion, carried, sampled_motion
 from loose_env.doctor.model_checks.units import ACCELERATION, ANGLE, LENGTH, inverse, named_unit
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import (
+    BAND_SHARE,
     COHERENT,
+    DELAY_SCATTER,
     DELAY_Z,
     FEWEST_LINES,
+    FLIPPED_SHARE,
     HIGHEST_LINE_HZ,
     LARGEST_DELAY_S,
     LARGEST_LAG_S,
     LATE_COMMAND_S,
+    LEAST_PHASE_RAD,
+    LEAST_POWER,
     MOST_SPECTRA,
     NOTED_DELAY_S,
     PHASE_FIT,
     RIVAL_FIT,
     SEGMENTS,
+    WEAK_AXIS,
 )
 from loose_env.importing import median_step
 from loose_env.recording import Run
@@ -39,10 +45,6 @@ from loose_env.typing import Array
 
 __all__ = ["Delay", "check_clocks", "delay_between"]
 
-_LEAST_PHASE = 0.1
-"""Phase at the middle of the lines that a delay has to make to be told [rad]."""
-_WEAK_AXIS = 0.3
-"""Motion of an axis over that of the strongest, below which its sign is not judged."""
 _NEIGHBOURS = 1.5
 """Lines of a Hann window that are worth one."""
 
@@ -111,10 +113,10 @@ def delay_between(
     coherence = np.where(both > 0, np.abs(cross) ** 2 / np.maximum(both, 1e-300), 0.0)
     used = (
         (coherence > COHERENT)
-        & (frequency < min(0.4 / step, HIGHEST_LINE_HZ))
+        & (frequency < min(BAND_SHARE / step, HIGHEST_LINE_HZ))
         & (frequency > 1.5 * frequency[1])
     )
-    used &= own > 1e-4 * own[1:].max(initial=0.0)
+    used &= own > LEAST_POWER * own[1:].max(initial=0.0)
     if np.count_nonzero(used) < FEWEST_LINES:
         return None
     at, share = frequency[used], np.minimum(coherence[used], 0.99)
@@ -175,7 +177,7 @@ def _seen(
         width = int(model.sensor_dim[model.sensor(sensor).id])
         implied = motion.readings[:, at : at + width]
         spread = implied.std(axis=0)
-        if spread[axis] < _WEAK_AXIS * spread.max() or spread.max() == 0.0:
+        if spread[axis] < WEAK_AXIS * spread.max() or spread.max() == 0.0:
             continue
         read = np.interp(motion.time, run.time, filled(run.time, channel.values))
         found = delay_between(implied[:, axis], read, motion.step)
@@ -218,7 +220,7 @@ def _signs(machine: Machine, kind: str, group: Sequence[_Seen]) -> Iterator[Find
         own = [each.delay for each in group if each.channel == name]
         flipped = sum(d.sign < 0 for d in own)
         # A resonance of one pose turns a phase by pi as well: most runs have to agree.
-        if flipped > 0.75 * len(own) and (len(own) > 1 or kind == "velocity"):
+        if flipped > FLIPPED_SHARE * len(own) and (len(own) > 1 or kind == "velocity"):
             yield Finding(
                 check="sign",
                 severity="error",
@@ -263,7 +265,11 @@ def _offset(
     scatter = 1.4826 * float(np.median(np.abs(delays - late)))
     sd = float(np.hypot(np.median(sds), scatter) / np.sqrt(len(delays)))
     size = abs(late)
-    if size < DELAY_Z * sd or 2 * np.pi * middle * size < _LEAST_PHASE or scatter > 0.5 * size:
+    if (
+        size < DELAY_Z * sd
+        or 2 * np.pi * middle * size < LEAST_PHASE_RAD
+        or scatter > DELAY_SCATTER * size
+    ):
         return
     step = float(np.median([median_step(each.run.time) for each in group]))
     # Simulators and buses differ by up to a sample in what they call one moment.

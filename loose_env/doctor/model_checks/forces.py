@@ -11,6 +11,7 @@ from loose_env.doctor.findings import Finding
 from loose_env.doctor.model_checks.motion import Motion
 from loose_env.doctor.model_checks.units import FORCE, Ratio, named_unit, ratio_of
 from loose_env.doctor.thresholds import (
+    FEWEST_POSES,
     LEAST_BLOCKS,
     LEAST_TORQUE_SHARE,
     SCALE_NOTED,
@@ -100,7 +101,7 @@ def _varied(parts: Sequence[tuple[str, Array, Array]], needed: Array) -> bool:
     """Return whether friction cannot be the reason: the torque changes, or poses do."""
     spread = float(np.std(needed))
     return spread > LEAST_TORQUE_SHARE * _rms(needed) or (
-        len(parts) >= 3 and spread > 0.5 * LEAST_TORQUE_SHARE * _rms(needed)
+        len(parts) >= FEWEST_POSES and spread > 0.5 * LEAST_TORQUE_SHARE * _rms(needed)
     )
 
 

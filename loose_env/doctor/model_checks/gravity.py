@@ -16,8 +16,10 @@ from loose_env.doctor.model_checks.motion import Motion, block_motion, carried
 from loose_env.doctor.model_checks.units import ACCELERATION, named_unit
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import (
+    ALIKE_DEG,
     EXPLAINED_DEG,
     LEAST_BLOCKS,
+    LEAST_GRAVITY,
     SCALE_NOTED,
     UNCOUPLED,
     WRONG_AXES_DEG,
@@ -90,13 +92,13 @@ def _judged(
     settings: DoctorSettings,
 ) -> Iterator[Finding]:
     expected = _size(pair.implied)
-    if expected < 1.0:
+    if expected < LEAST_GRAVITY:
         return  # a model without gravity
     ratio = _size(pair.measured) / expected
     channel = f"sensor.{sensor}"
     words = named_unit(ratio, ACCELERATION)
     turned = _angle(pair.measured, pair.implied, pair.runs)
-    if ratio < UNCOUPLED * 1.3 and words is not None and turned > WRONG_AXES_DEG:
+    if ratio < UNCOUPLED and words is not None and turned > WRONG_AXES_DEG:
         words = None  # a small mean that does not point along gravity is no acceleration in g
     if words is not None:
         yield Finding(
@@ -110,7 +112,7 @@ def _judged(
             consequence="the transmission to the tool is wrong by that factor",
             remedy='import the columns with their unit (unit = "g"), or convert them',
         )
-    elif ratio < UNCOUPLED * 1.3:
+    elif ratio < UNCOUPLED:
         yield Finding(
             check="gravity",
             severity="note",
@@ -160,7 +162,7 @@ def _turned(
     """Finding for gravity in a wrong direction, with what would explain it."""
     reasons = [*_by_axes(pair), *_by_joints(machine, sensor, pair, blocks, factors)]
     reasons = sorted(r for r in reasons if r[0] <= EXPLAINED_DEG)
-    alike = [words for angle, words in reasons if angle <= reasons[0][0] + 1.0][:3]
+    alike = [words for angle, words in reasons if angle <= reasons[0][0] + ALIKE_DEG][:3]
     explained = f"; explained by {' or by '.join(alike)}" if alike else ""
     return Finding(
         check="axes",

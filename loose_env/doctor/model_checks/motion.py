@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from loose_env.doctor.channels import Channel, Machine
 from loose_env.doctor.entries import positions_in
-from loose_env.doctor.thresholds import BLOCK_S, MOST_BLOCKS, MOST_SAMPLES
+from loose_env.doctor.thresholds import BLOCK_S, MOST_BLOCKS, MOST_SAMPLES, UNEVEN_BLOCK
 from loose_env.importing import median_step
 from loose_env.recording import Run
 from loose_env.typing import Array
@@ -71,7 +71,7 @@ def block_motion(
     }
     time = run.time[: count * size].reshape(count, size).mean(axis=1)
     inner = np.arange(1, count - 1)
-    even = np.abs(np.diff(time) / step - 1) < 0.2
+    even = np.abs(np.diff(time) / step - 1) < UNEVEN_BLOCK
     inner = inner[even[inner - 1] & even[inner]]  # no derivative across a pause
     if len(inner) < 2:
         return None

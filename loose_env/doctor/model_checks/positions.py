@@ -11,6 +11,7 @@ from loose_env.doctor.findings import Finding
 from loose_env.doctor.model_checks.units import ANGLE, LENGTH, inverse, named_unit, ratio_of
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import (
+    LEAST_POSE,
     LEAST_SPREAD_RAD,
     MANY_TURNS_RAD,
     OTHER_UNIT,
@@ -161,7 +162,7 @@ def _by_pose(
     if not pairs:
         return None
     measured, noted = np.array(pairs).T
-    if np.abs(noted).max() < 10 * LEAST_SPREAD_RAD:
+    if np.abs(noted).max() < LEAST_POSE:
         return None
     found = ratio_of(measured, noted)
     if found is None or abs(found.correlation) < SURE_CORRELATION:
