@@ -24,17 +24,15 @@ from loose_env.cli.console import Console, Outcome, add_recording_options, folde
 from loose_env.cli.doctor import add_preflight, check_first
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.gap import (
-    GapResult,
     GapSettings,
     Stages,
     find_gap,
     key_of,
-    quantity_words,
     read_effects,
     write_gap,
 )
 from loose_env.recording import read_recording
-from loose_env.report import ranked_words, unsure, write_gap_report
+from loose_env.report import gap_text, write_gap_report
 
 _OWN = ("threads",)
 """Settings on which the result does not depend."""
@@ -79,43 +77,7 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     folder.note(written)
     shown = [str(path) for path in written if path.parent == folder.path]
     return Outcome(
-        text=f"{summary(result)}\nwritten: {', '.join(shown)}",
+        text=f"{gap_text(result, warnings=False)}\nwritten: {', '.join(shown)}",
         json=result.to_json,
         warnings=tuple(result.warnings),
     )
-
-
-def summary(result: GapResult) -> str:
-    """What was found, in a few lines."""
-    lines = []
-    if result.verdict == "no_gap":
-        lines.append("no model error: within its tolerance the model explains the held-out runs")
-    elif result.verdict == "unexplained":
-        likely = unsure(result)
-        lines.append(
-            "unexplained: an effect is missing that is not in the catalogue"
-            if likely is None
-            else f"unexplained: an effect is missing. {ranked_words(likely)} reduces the residual "
-            f"to {likely.held_out:.2f}, but by only {likely.improvement_z:.1f} standard deviations "
-            "(z-score): not significant in these runs"
-        )
-        lines += [f"  {words}" for words in result.location_words]
-    for effect in result.effects:
-        lines.append(f"{effect.kind} at {effect.where}")
-        for name, value in effect.parameters.items():
-            unit = effect.units.get(name, "")
-            ends = effect.interval_95.get(name)
-            between = "" if ends is None else f" ({ends[0]:.4g} to {ends[1]:.4g})"
-            lines.append(f"  {name} {value:.4g}{between} {unit}".rstrip())
-        if effect.ambiguous_with:
-            others = ", ".join(f"{o.kind} at {o.where}" for o in effect.ambiguous_with)
-            lines.append(f"  confusable with {others}: the held-out runs do not separate them")
-    gap = result.gap
-    if result.verdict == "named" and result.remaining:
-        lines += ["remaining: " + result.remaining[0], *(f"  {w}" for w in result.remaining[1:])]
-    lines.append(
-        f"residual on held-out runs: {gap.before:.2f} before, {gap.after:.2f} after "
-        "(in noise standard deviations)"
-    )
-    lines += [f"  {words}" for words in quantity_words(gap.by_quantity)]
-    return "\n".join(lines)

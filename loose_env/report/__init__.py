@@ -14,7 +14,6 @@ from loose_env.report.diagnosis.trend_page import trend_headline, write_trend_pa
 from loose_env.report.diagnosis.write import write_diagnosis
 from loose_env.report.gap.notebook import gap_html, gap_text
 from loose_env.report.gap.text import headline as gap_headline
-from loose_env.report.gap.text import ranked_words, unsure
 from loose_env.report.gap.write import write_gap_report
 from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.figures import WIDTH, new_figure, quiet_axes
@@ -57,7 +56,6 @@ __all__ = [
     "paragraphs",
     "pyplot",
     "quiet_axes",
-    "ranked_words",
     "read_study",
     "rounded",
     "save_figure",
@@ -70,7 +68,6 @@ __all__ = [
     "to_svg",
     "tool_summary",
     "trend_headline",
-    "unsure",
     "write_comparison",
     "write_diagnosis",
     "write_gap_report",

@@ -25,7 +25,8 @@ PARTS = {
 }
 """Part -> the module of its thresholds, and the page that has their table."""
 _ENTRY = re.compile(
-    r'^(?:# (?P<part>[^\n]+)|(?P<name>[A-Z][A-Z_0-9]+) = (?P<value>[^\n]+)\n"""(?P<meaning>.+?)""")$',
+    r"^(?:# (?P<part>[^\n]+)"
+    r'|(?P<name>[A-Z][A-Z_0-9]+) = (?P<value>[^\n]+)\n"""(?P<meaning>.+?)""")$',
     re.MULTILINE | re.DOTALL,
 )
 

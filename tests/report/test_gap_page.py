@@ -17,7 +17,6 @@ import pytest
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
-from loose_env.cli.gap import summary
 from loose_env.doctor import Finding, Severity
 from loose_env.errors import MissingExtra
 from loose_env.gap import (
@@ -313,7 +312,7 @@ def test_what_short_runs_leave_unsure_is_not_said_to_be_outside_the_catalogue() 
         kind="coulomb_friction", where="joint2", held_out=1.01, bic=-9e3, improvement_z=1.7
     )
     short = result("unexplained", gap=Gap(before=4.8, after=4.8), ranking=(likely,))
-    for words in (headline(short), summary_words(short)[0], summary(short)):
+    for words in (headline(short), summary_words(short)[0], gap_text(short)):
         assert "not in the catalogue" not in words
         assert "joint2" in words
     assert "not significant" in summary_words(short)[0]
@@ -327,7 +326,7 @@ def test_what_short_runs_leave_unsure_is_not_said_to_be_outside_the_catalogue() 
     ):
         outside = replace(short, ranking=(other,), gap=gap)
         assert "not in the catalogue" in headline(outside)
-        assert "not in the catalogue" in summary(outside)
+        assert "not in the catalogue" in gap_text(outside)
         assert not next_steps(outside)[0].startswith("Record more")
 
 
