@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from loose_env import gap, instrument, report
 from loose_env.arms import Arm
@@ -28,16 +28,27 @@ from loose_env.recording import ModelColumns, Recording, read_recording
 __all__ = ["DiagnosisReport", "GapReport", "diagnose", "explain_gap"]
 
 Say = Callable[[str], None]
+Result = TypeVar("Result", Diagnosis, GapResult)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class DiagnosisReport:
-    """Diagnosis of an arm, shown as a headline, a table and the next steps."""
+class _Report(Generic[Result]):
+    """Result with the recording that it is of."""
 
-    result: Diagnosis
+    result: Result
     """All that was found: content of ``result.json``."""
     recording: Recording
-    """What was diagnosed."""
+    """The runs, and the model that they were compared with."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings that limit the validity."""
+        return tuple(self.result.warnings)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DiagnosisReport(_Report[Diagnosis]):
+    """Diagnosis of an arm, shown as a headline, a table and the next steps."""
 
     @cached_property
     def arm(self) -> Arm:
@@ -63,11 +74,6 @@ class DiagnosisReport:
     def posterior(self) -> Mapping[str, float]:
         """Probability of every hypothesis [1]."""
         return self.result.posterior
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings that limit the validity."""
-        return tuple(self.result.warnings)
 
     def write(self, folder: str | Path, *, say: Say = print) -> list[Path]:
         """Write ``report.html`` and ``result.json``, as `loose diagnose` does.
@@ -105,16 +111,12 @@ class DiagnosisReport:
         return report.diagnosis_html(self.result, self.arm, folder=str(self.recording.folder))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class GapReport:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class GapReport(_Report[GapResult]):
     """Effects that a model lacks, shown as a headline and tables of parameters and residual."""
 
-    result: GapResult
-    """All that was found: content of ``result.json``."""
     solution: GapSolution
     """The finished search, from which `write` makes the corrected model."""
-    recording: Recording
-    """What the model was compared with."""
 
     @property
     def headline(self) -> str:
@@ -125,11 +127,6 @@ class GapReport:
     def effects(self) -> tuple[gap.NamedEffect, ...]:
         """Effects that the model lacks, with their parameters and intervals."""
         return self.result.effects
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings that limit the validity."""
-        return tuple(self.result.warnings)
 
     def write(self, folder: str | Path, *, say: Say = print) -> list[Path]:
         """Write ``model.xml``, ``report.html`` and ``result.json``, as `loose gap` does.
