@@ -75,12 +75,11 @@ def within_range(run: Run) -> tuple[Run, list[Finding]]:
 
 def check_quality(machine: Machine, run: Run, channels: Sequence[Channel]) -> Iterator[Finding]:
     """Check every channel of one run by itself."""
-    moves = {c.name: _spread(c.values) > 0 for c in channels}
+    moves = {c.name: bool(c.there.size) and np.ptp(c.there) > 0 for c in channels}
     alive = {c.of: any(moves[d.name] for d in channels if d.of == c.of) for c in channels}
     for channel in channels:
         yield from _missing(run, channel)
-        there = np.isfinite(channel.values)
-        values = channel.values[there]
+        values, there = channel.there, np.isfinite(channel.values)
         if not values.size:
             continue
         if not moves[channel.name]:
@@ -96,11 +95,6 @@ def check_quality(machine: Machine, run: Run, channels: Sequence[Channel]) -> It
             yield from _limited(run, channel, values, machine)
         if channel.kind == "position" and channel.of in run.excited:
             yield from _coarse(run, channel, values, machine)
-
-
-def _spread(values: Array) -> float:
-    there = values[np.isfinite(values)]
-    return float(np.ptp(there)) if there.size else 0.0
 
 
 def _missing(run: Run, channel: Channel) -> Iterator[Finding]:
@@ -126,7 +120,7 @@ def _stuck(
     """Judge a channel that holds one value through the run."""
     if channel.kind in ("command", "other"):
         return  # a command that holds a joint is constant
-    value = float(channel.values[np.isfinite(channel.values)][0])
+    value = float(channel.there[0])
     excited = channel.of in run.excited
     if channel.kind in ("position", "velocity", "torque") and not excited:
         return  # a joint at rest behind a coarse encoder, or a brake

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 
-from loose_env.doctor.channels import Channel, Machine, filled
+from loose_env.doctor.channels import Channel, Machine, Runs, filled, positions
+from loose_env.doctor.entries import positions_in
 from loose_env.doctor.findings import Finding
 from loose_env.doctor.model_checks.forces import recorded_forces
 from loose_env.doctor.model_checks.motion import Motion, carried, sampled_motion
@@ -135,7 +136,7 @@ def delay_between(
 
 def check_clocks(
     machine: Machine,
-    runs: Sequence[tuple[Run, Sequence[Channel]]],
+    runs: Runs,
     factors: Mapping[str, float],
     settings: DoctorSettings,
 ) -> Iterator[Finding]:
@@ -144,7 +145,7 @@ def check_clocks(
     chosen = np.unique(np.linspace(0, len(runs) - 1, MOST_SPECTRA).astype(int))
     for k in chosen:
         run, channels = runs[int(k)]
-        if any(c.kind == "position" for c in channels):
+        if positions(channels):
             motion = sampled_motion(machine, run, channels, factors)
             if len(motion.time) > 16 * SEGMENTS:
                 seen += _seen(machine, run, channels, motion)
@@ -166,7 +167,7 @@ def _seen(
         if channel.kind not in ("acceleration", "turning", "velocity"):
             continue
         if channel.kind == "velocity":
-            if not any(c.kind == "position" and c.of == channel.of for c in channels):
+            if channel.of not in positions(channels):
                 continue
             sensor, axis = channel.name.removeprefix("sensor."), 0
         else:
@@ -201,14 +202,13 @@ def _followed(
     factors: Mapping[str, float],
 ) -> Iterator[_Seen]:
     """Delays of joints behind the commands of their position servos."""
-    positions = {c.of: c for c in channels if c.kind == "position"}
+    measured = positions_in(run, channels, factors)
     for channel in channels:
         drive = machine.drives.get(channel.of) if channel.kind == "command" else None
-        if drive is None or not drive.follows or drive.joint not in positions:
+        if drive is None or not drive.follows or drive.joint not in measured:
             continue
         command = np.interp(motion.time, run.time, filled(run.time, channel.values))
-        own = filled(run.time, positions[drive.joint].values) * factors.get(drive.joint, 1.0)
-        read = np.interp(motion.time, run.time, own)
+        read = np.interp(motion.time, run.time, measured[drive.joint])
         found = delay_between(command, read, motion.step, largest=LARGEST_LAG_S)
         if found is not None:
             found = found._replace(seconds=found.seconds - drive.lag)

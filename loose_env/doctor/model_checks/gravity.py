@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.doctor.channels import Channel, Machine, filled
+from loose_env.doctor.channels import Machine, filled
 from loose_env.doctor.findings import Finding
-from loose_env.doctor.model_checks.motion import Motion, block_motion, carried
+from loose_env.doctor.model_checks.motion import Blocks, block_means, block_motion, carried
 from loose_env.doctor.model_checks.units import ACCELERATION, named_unit
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import (
@@ -24,12 +24,10 @@ from loose_env.doctor.thresholds import (
     UNCOUPLED,
     WRONG_AXES_DEG,
 )
-from loose_env.recording import Run
 from loose_env.typing import Array
 
 __all__ = ["check_gravity"]
 
-Blocks = Sequence[tuple[Run, Sequence[Channel], Motion, Array]]
 _ACCELEROMETER = int(mujoco.mjtSensor.mjSENS_ACCELEROMETER)
 _AXES = "xyz"
 
@@ -69,9 +67,7 @@ def _pair(machine: Machine, sensor: str, blocks: Blocks) -> _Pair | None:
         if (np.nanstd(run.sensors[sensor], axis=0) == 0).any():
             continue  # a dead axis is a finding of its own
         columns = np.stack([filled(run.time, c) for c in run.sensors[sensor].T], axis=1)
-        total = np.concatenate([np.zeros((1, 3)), np.cumsum(columns, axis=0)])
-        count = (rows[:, 1] - rows[:, 0])[:, None]
-        measured.append((total[rows[:, 1]] - total[rows[:, 0]]) / count)
+        measured.append(block_means(columns, rows))
         implied.append(motion.readings[:, at : at + 3])
         runs.append(np.full(len(rows), k))
     if sum(map(len, measured)) < LEAST_BLOCKS:
