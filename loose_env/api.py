@@ -15,11 +15,11 @@ from dataclasses import asdict, dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from loose_env import gap, instrument, report
 from loose_env.arms import Arm
-from loose_env.doctor import examine
+from loose_env.doctor import Finding, examine
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap import GapResult, GapSettings, GapSolution
 from loose_env.instrument import DiagnoseSettings, Diagnosis, Fault
@@ -28,16 +28,27 @@ from loose_env.recording import ModelColumns, Recording, read_recording
 __all__ = ["DiagnosisReport", "GapReport", "diagnose", "explain_gap"]
 
 Say = Callable[[str], None]
+Result = TypeVar("Result", Diagnosis, GapResult)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class DiagnosisReport:
-    """Diagnosis of an arm, shown as a headline, a table and the next steps."""
+class _Report(Generic[Result]):
+    """Result with the recording that it is of."""
 
-    result: Diagnosis
+    result: Result
     """All that was found: content of ``result.json``."""
     recording: Recording
-    """What was diagnosed."""
+    """The runs, and the model that they were compared with."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings that limit the validity."""
+        return tuple(self.result.warnings)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DiagnosisReport(_Report[Diagnosis]):
+    """Diagnosis of an arm, shown as a headline, a table and the next steps."""
 
     @cached_property
     def arm(self) -> Arm:
@@ -63,11 +74,6 @@ class DiagnosisReport:
     def posterior(self) -> Mapping[str, float]:
         """Probability of every hypothesis [1]."""
         return self.result.posterior
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings that limit the validity."""
-        return tuple(self.result.warnings)
 
     def write(self, folder: str | Path, *, say: Say = print) -> list[Path]:
         """Write ``report.html`` and ``result.json``, as `loose diagnose` does.
@@ -105,16 +111,12 @@ class DiagnosisReport:
         return report.diagnosis_html(self.result, self.arm, folder=str(self.recording.folder))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class GapReport:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class GapReport(_Report[GapResult]):
     """Effects that a model lacks, shown as a headline and tables of parameters and residual."""
 
-    result: GapResult
-    """All that was found: content of ``result.json``."""
     solution: GapSolution
     """The finished search, from which `write` makes the corrected model."""
-    recording: Recording
-    """What the model was compared with."""
 
     @property
     def headline(self) -> str:
@@ -125,11 +127,6 @@ class GapReport:
     def effects(self) -> tuple[gap.NamedEffect, ...]:
         """Effects that the model lacks, with their parameters and intervals."""
         return self.result.effects
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings that limit the validity."""
-        return tuple(self.result.warnings)
 
     def write(self, folder: str | Path, *, say: Say = print) -> list[Path]:
         """Write ``model.xml``, ``report.html`` and ``result.json``, as `loose gap` does.
@@ -222,11 +219,11 @@ def diagnose(
     """
     own = _checked(DiagnoseSettings, settings)
     read = _recording(recording, model)
-    _check_first(read, ignore_doctor, say)
-    before = asdict(instrument.session_beside(read.folder).choice)
-    chosen = DiagnoseSettings(**{**before, **own})
-    result = instrument.diagnose(read, chosen, plan=plan, say=say)
-    return DiagnosisReport(result=result, recording=read)
+    preflight = _check_first(read, ignore_doctor, say)
+    before = instrument.session_beside(read.folder)
+    chosen = DiagnoseSettings(**{**asdict(before.choice), **own})
+    result = instrument.diagnose(read, chosen, motion=before.limits, plan=plan, say=say)
+    return DiagnosisReport(result=replace(result, preflight=preflight), recording=read)
 
 
 def explain_gap(
@@ -281,14 +278,14 @@ def explain_gap(
     """
     chosen = GapSettings(**_checked(GapSettings, settings))
     read = _recording(recording, model)
-    _check_first(read, ignore_doctor, say)
-    solution = gap.find_gap(read, chosen, say=say)
+    preflight = _check_first(read, ignore_doctor, say)
+    solution = replace(gap.find_gap(read, chosen, say=say), preflight=preflight)
     result = gap.result_of(solution, gap.diagnose_residuals(solution, say=say))
     return GapReport(result=result, solution=solution, recording=read)
 
 
-def _check_first(recording: Recording, ignore_errors: bool, say: Say) -> None:
-    """Check a recording as `loose doctor` does, and refuse it if there are errors."""
+def _check_first(recording: Recording, ignore_errors: bool, say: Say) -> tuple[Finding, ...]:
+    """Findings of `loose doctor` in a recording, which is refused if there are errors."""
     report = examine(recording)
     for line in report.lines(least="warning"):
         say(line)
@@ -296,6 +293,7 @@ def _check_first(recording: Recording, ignore_errors: bool, say: Say) -> None:
         first = f"such as {report.errors[0].found!r}" if report.errors else ""
         listed = f"{first}; loose_env.doctor.examine lists them"
         report.refuse_errors(listed=listed, remedy="ignore_doctor=True")
+    return report.findings
 
 
 def _recording(given: str | Path | Recording, model: str | Path | None) -> Recording:

@@ -11,6 +11,7 @@ import pytest
 
 import loose_env
 from loose_env.api import DiagnosisReport, GapReport
+from loose_env.doctor import examine
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap import read_result
 from loose_env.instrument import read_diagnosis
@@ -56,6 +57,13 @@ def test_a_diagnosis_shows_headline_table_and_next_steps(diagnosed: DiagnosisRep
     shown = diagnosed._repr_html_()
     assert shown.startswith("<p><strong>Probably link 3 (forearm) is loose.</strong></p>")
     assert "<svg" in shown and shown.count("<table>") == shown.count("</table>") == 1
+
+
+def test_results_have_the_findings_of_the_preflight(
+    diagnosed: DiagnosisReport, explained: GapReport
+) -> None:
+    for report in (diagnosed, explained):
+        assert report.result.preflight == examine(report.recording).findings
 
 
 def test_a_diagnosis_is_written_as_the_command_writes_it(

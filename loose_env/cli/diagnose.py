@@ -38,7 +38,6 @@ from loose_env.instrument import (
     TrendSettings,
     change_since,
     diagnose,
-    joints_and_links,
     read_maintenance,
     read_recorded_arm,
     read_sessions,
@@ -93,19 +92,20 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     if options.maintenance is not None and not options.before:
         raise InvalidSetting("--maintenance needs earlier sessions; give them by --before")
     recording = read_recording(options.recording, model=options.model)
-    check_first(recording, options)
+    arm = read_recorded_arm(recording.model_path)
+    records: tuple[Maintenance, ...] = ()
+    if options.maintenance is not None:
+        records = read_maintenance(options.maintenance, (*arm.joints, *arm.links))
+    preflight = check_first(recording, options)
     name = options.recording.resolve().name
     trend = None
     with folder.worked_in():
         earlier = read_sessions(options.before, partial(_earlier, options, settings, console.say))
-        found = diagnose(recording, settings, say=console.say)
+        found = diagnose(recording, settings, motion=before.limits, say=console.say)
+        found = replace(found, preflight=preflight)
         if options.date is not None:
             found = replace(found, date=options.date)
         if earlier:
-            records: tuple[Maintenance, ...] = ()
-            if options.maintenance is not None:
-                names = [each for names in joints_and_links(found) for each in names]
-                records = read_maintenance(options.maintenance, names)
             trend = change_since(found, earlier, name=name, maintenance=records, settings=compared)
     written = write_diagnosis(
         folder.path,
@@ -117,8 +117,7 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
         say=console.say,
     )
     folder.note(written)
-    arm = read_recorded_arm(recording.model_path).shown
-    text = [diagnosis_text(found, arm, folder=str(options.recording), warnings=False)]
+    text = [diagnosis_text(found, arm.shown, folder=str(options.recording), warnings=False)]
     if trend is not None:
         text.append(trend_summary(trend))
     text.append("written: " + ", ".join(str(path) for path in written))

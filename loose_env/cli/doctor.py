@@ -16,7 +16,7 @@ import sys
 
 from loose_env.cli.console import Console, Outcome, add_recording_options
 from loose_env.cli.options import add_settings, settings_of
-from loose_env.doctor import DoctorSettings, examine
+from loose_env.doctor import DoctorSettings, Finding, examine
 from loose_env.recording import Recording, read_recording
 
 
@@ -42,8 +42,13 @@ def add_preflight(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def check_first(recording: Recording, options: argparse.Namespace) -> None:
+def check_first(recording: Recording, options: argparse.Namespace) -> tuple[Finding, ...]:
     """Check a recording that was read, and print errors and warnings on the error stream.
+
+    Returns
+    -------
+    tuple of Finding
+        All findings, for the result.
 
     Raises
     ------
@@ -55,3 +60,4 @@ def check_first(recording: Recording, options: argparse.Namespace) -> None:
         print(line, file=sys.stderr)
     if not options.ignore_doctor:
         report.refuse_errors(listed="listed above", remedy="--ignore-doctor")
+    return report.findings

@@ -15,7 +15,7 @@ goes on from there.
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -25,23 +25,15 @@ from loose_env.cli.doctor import add_preflight, check_first
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.errors import InvalidSetting
 from loose_env.gap import (
-    GapResult,
     GapSettings,
     Stages,
     find_gap,
     key_of,
-    quantity_words,
     read_effects,
     write_gap,
 )
 from loose_env.recording import read_recording
-from loose_env.report import (
-    ranked_words,
-    require_rerun,
-    unsure,
-    write_gap_report,
-    write_rerun,
-)
+from loose_env.report import gap_text, require_rerun, write_gap_report, write_rerun
 
 _OWN = ("threads",)
 """Settings on which the result does not depend."""
@@ -75,7 +67,7 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     _check_rerun(options.rerun)
     folder = folder_of(options)
     recording = read_recording(options.recording, model=options.model)
-    check_first(recording, options)
+    preflight = check_first(recording, options)
     plain = {k: v for k, v in asdict(settings).items() if k not in _OWN}
     for file in options.effects:
         read_effects(file)
@@ -83,6 +75,7 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     with folder.worked_in() as kept:
         stages = Stages(kept / "stages", key_of(recording, plain))
         found = find_gap(recording, settings, say=console.say, stages=stages)
+        found = replace(found, preflight=preflight)
     if stages.taken_up:
         console.say(f"resumed from checkpoints: {', '.join(stages.taken_up)}")
     # Known as this command's own even if it is cut short while it copies.
@@ -99,7 +92,7 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     if options.rerun is not None and str(options.rerun.resolve()) not in shown:
         shown.append(str(options.rerun))
     return Outcome(
-        text=f"{summary(result)}\nwritten: {', '.join(shown)}",
+        text=f"{gap_text(result, warnings=False)}\nwritten: {', '.join(shown)}",
         json=result.to_json,
         warnings=tuple(result.warnings),
     )
@@ -112,39 +105,3 @@ def _check_rerun(file: Path | None) -> None:
     if file.suffix != ".rrd" or file.is_dir():
         raise InvalidSetting(f"--rerun {file}: give the name of a file that ends with .rrd")
     require_rerun()
-
-
-def summary(result: GapResult) -> str:
-    """What was found, in a few lines."""
-    lines = []
-    if result.verdict == "no_gap":
-        lines.append("no model error: within its tolerance the model explains the held-out runs")
-    elif result.verdict == "unexplained":
-        likely = unsure(result)
-        lines.append(
-            "unexplained: an effect is missing that is not in the catalogue"
-            if likely is None
-            else f"unexplained: an effect is missing. {ranked_words(likely)} reduces the residual "
-            f"to {likely.held_out:.2f}, but by only {likely.improvement_z:.1f} standard deviations "
-            "(z-score): not significant in these runs"
-        )
-        lines += [f"  {words}" for words in result.location_words]
-    for effect in result.effects:
-        lines.append(f"{effect.kind} at {effect.where}")
-        for name, value in effect.parameters.items():
-            unit = effect.units.get(name, "")
-            ends = effect.interval_95.get(name)
-            between = "" if ends is None else f" ({ends[0]:.4g} to {ends[1]:.4g})"
-            lines.append(f"  {name} {value:.4g}{between} {unit}".rstrip())
-        if effect.ambiguous_with:
-            others = ", ".join(f"{o.kind} at {o.where}" for o in effect.ambiguous_with)
-            lines.append(f"  confusable with {others}: the held-out runs do not separate them")
-    gap = result.gap
-    if result.verdict == "named" and result.remaining:
-        lines += ["remaining: " + result.remaining[0], *(f"  {w}" for w in result.remaining[1:])]
-    lines.append(
-        f"residual on held-out runs: {gap.before:.2f} before, {gap.after:.2f} after "
-        "(in noise standard deviations)"
-    )
-    lines += [f"  {words}" for words in quantity_words(gap.by_quantity)]
-    return "\n".join(lines)

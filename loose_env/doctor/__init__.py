@@ -4,8 +4,8 @@ Data flow: thresholds -> settings -> findings -> channels -> sampling -> quality
 model_checks -> preflight.
 """
 
-from loose_env.doctor.findings import Finding, Report, Severity
+from loose_env.doctor.findings import Finding, Report, Severity, graded_findings
 from loose_env.doctor.preflight import examine
 from loose_env.doctor.settings import DoctorSettings
 
-__all__ = ["DoctorSettings", "Finding", "Report", "Severity", "examine"]
+__all__ = ["DoctorSettings", "Finding", "Report", "Severity", "examine", "graded_findings"]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import mujoco
@@ -11,7 +13,7 @@ import numpy as np
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["Channel", "Kind", "Machine", "channels_of", "filled"]
+__all__ = ["Channel", "Kind", "Machine", "Runs", "channels_of", "filled", "positions"]
 
 Kind = Literal["position", "velocity", "acceleration", "turning", "torque", "command", "other"]
 """Quantity of a channel."""
@@ -37,6 +39,16 @@ class Channel:
     """Joint, site sensor or actuator that it belongs to."""
     values: Array
     """Samples, NaN where one is missing, shape (T,)."""
+
+    @cached_property
+    def there(self) -> Array:
+        """Samples that are not missing."""
+        return np.asarray(self.values[np.isfinite(self.values)])
+
+    @property
+    def reach(self) -> float:
+        """Largest size of a sample; 0 where none is there."""
+        return float(np.abs(self.there).max(initial=0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +128,10 @@ class Machine:
         )
 
 
+Runs = Sequence[tuple[Run, Sequence[Channel]]]
+"""Runs with their channels."""
+
+
 def channels_of(machine: Machine, run: Run) -> list[Channel]:
     """All columns of a run but the time, in the order controls, sensors, torques."""
     model = machine.model
@@ -138,6 +154,15 @@ def channels_of(machine: Machine, run: Run) -> list[Channel]:
         Channel(name=f"torque.{joint}", kind="torque", of=joint, values=values)
         for joint, values in run.torques.items()
     ]
+    return found
+
+
+def positions(channels: Sequence[Channel]) -> dict[str, Channel]:
+    """Position of each joint that has one, the first of several."""
+    found: dict[str, Channel] = {}
+    for channel in channels:
+        if channel.kind == "position":
+            found.setdefault(channel.of, channel)
     return found
 
 

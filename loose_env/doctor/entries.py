@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy import signal
 
-from loose_env.doctor.channels import Channel, Machine, filled
+from loose_env.doctor.channels import Channel, Machine, Runs, filled, positions
 from loose_env.doctor.findings import Finding
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import POSE_SPREAD, SILENT_COMMAND
@@ -22,17 +22,15 @@ def positions_in(
     run: Run, channels: Sequence[Channel], factors: Mapping[str, float]
 ) -> dict[str, np.ndarray]:
     """Measured position of each joint, brought to rad or m by the factors found."""
-    found: dict[str, np.ndarray] = {}
-    for channel in channels:
-        if channel.kind == "position" and channel.of not in found:
-            column = filled(run.time, channel.values)
-            found[channel.of] = column * factors.get(channel.of, 1.0)
-    return found
+    return {
+        joint: filled(run.time, channel.values) * factors.get(joint, 1.0)
+        for joint, channel in positions(channels).items()
+    }
 
 
 def check_entries(
     machine: Machine,
-    pairs: Sequence[tuple[Run, Sequence[Channel]]],
+    pairs: Runs,
     factors: Mapping[str, float],
     settings: DoctorSettings,
 ) -> Iterator[Finding]:

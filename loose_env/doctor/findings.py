@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from loose_env.errors import InvalidData
 from loose_env.io import json_text
 
-__all__ = ["Finding", "Report", "Severity"]
+__all__ = ["Finding", "Report", "Severity", "graded_findings"]
 
 Severity = Literal["error", "warning", "note"]
 """``"error"``: a result would be wrong. ``"warning"``: it may be. ``"note"``: worth knowing."""
@@ -17,6 +17,12 @@ Severity = Literal["error", "warning", "note"]
 FORMAT = "loose-doctor/1"
 _RANK: dict[str, int] = {"error": 0, "warning": 1, "note": 2}
 _SHOWN = 3
+_GRADES: Mapping[Severity, Literal["critical", "warning", "note"]] = {
+    "error": "critical",
+    "warning": "warning",
+    "note": "note",
+}
+"""Severity of a finding -> weight of a warning of the result."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,9 +92,9 @@ class Report:
         counts = [
             f"{len(rows)} {word}{'s' * (len(rows) != 1)}"
             for word, rows in (
-                ("error", self._grouped("error")),
-                ("warning", self._grouped("warning")),
-                ("note", self._grouped("note")),
+                ("error", _grouped(self.findings, "error")),
+                ("warning", _grouped(self.findings, "warning")),
+                ("note", _grouped(self.findings, "note")),
             )
             if rows
         ]
@@ -107,7 +113,7 @@ class Report:
         for severity in ("error", "warning", "note"):
             if _RANK[severity] > _RANK[least]:
                 break
-            for group in self._grouped(severity):
+            for group in _grouped(self.findings, severity):
                 found += _lines(severity, group)
         return found
 
@@ -155,13 +161,47 @@ class Report:
         }
         return json_text(whole)
 
-    def _grouped(self, severity: str) -> list[list[Finding]]:
-        """Findings of one severity; those that differ by run or channel alone are together."""
-        groups: dict[tuple[str, str, str], list[Finding]] = {}
-        for each in self.findings:
-            if each.severity == severity:
-                groups.setdefault((each.check, each.consequence, each.remedy), []).append(each)
-        return list(groups.values())
+
+def graded_findings(
+    findings: Sequence[Finding],
+) -> tuple[tuple[Literal["critical", "warning", "note"], str], ...]:
+    """Findings as warnings of a result with their weight, the most severe first.
+
+    A defect that several runs have is written once.
+
+    Examples
+    --------
+    >>> one = Finding(
+    ...     check="pauses",
+    ...     severity="error",
+    ...     channel="time",
+    ...     run="a.csv",
+    ...     found="a pause",
+    ...     consequence="one piece is used",
+    ...     remedy="record it again",
+    ... )
+    >>> graded_findings([one, one])
+    (('critical', 'in a.csv, time: a pause (and 1 more); one piece is used; record it again'),)
+    """
+    return tuple(
+        (
+            _GRADES[severity],
+            f"{'in ' if _place(group[0]) else ''}{_observed(group[0])}"
+            f"{f' (and {len(group) - 1} more)' if len(group) > 1 else ''}; "
+            f"{group[0].consequence}; {group[0].remedy}",
+        )
+        for severity in _GRADES
+        for group in _grouped(findings, severity)
+    )
+
+
+def _grouped(findings: Sequence[Finding], severity: str) -> list[list[Finding]]:
+    """Findings of one severity; those that differ by run or channel alone are together."""
+    groups: dict[tuple[str, str, str], list[Finding]] = {}
+    for each in findings:
+        if each.severity == severity:
+            groups.setdefault((each.check, each.consequence, each.remedy), []).append(each)
+    return list(groups.values())
 
 
 def _lines(severity: str, group: list[Finding]) -> list[str]:
@@ -174,6 +214,10 @@ def _lines(severity: str, group: list[Finding]) -> list[str]:
     return [*lines, f"  consequence: {group[0].consequence}", f"  remedy: {group[0].remedy}"]
 
 
+def _place(one: Finding) -> str:
+    return ", ".join(filter(None, (one.run, one.channel)))
+
+
 def _observed(one: Finding) -> str:
-    place = ", ".join(filter(None, (one.run, one.channel)))
+    place = _place(one)
     return f"{place}: {one.found}" if place else one.found

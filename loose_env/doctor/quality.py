@@ -14,7 +14,10 @@ from loose_env.doctor.thresholds import (
     CLIPPED_LEAST,
     CLIPPED_PILE,
     CLIPPED_SHARE,
+    COARSE_LEVELS,
     COARSE_STEP,
+    FEWEST_LEVELS,
+    FEWEST_PIECES,
     FROZEN_RATIO,
     FROZEN_S,
     FROZEN_SAMPLES,
@@ -25,6 +28,7 @@ from loose_env.doctor.thresholds import (
     LOST_RATIO,
     LOST_VALUE,
     NOTED_NAN,
+    REPEATING_SHARE,
 )
 from loose_env.importing import median_step
 from loose_env.recording import Run
@@ -71,12 +75,11 @@ def within_range(run: Run) -> tuple[Run, list[Finding]]:
 
 def check_quality(machine: Machine, run: Run, channels: Sequence[Channel]) -> Iterator[Finding]:
     """Check every channel of one run by itself."""
-    moves = {c.name: _spread(c.values) > 0 for c in channels}
+    moves = {c.name: bool(c.there.size) and np.ptp(c.there) > 0 for c in channels}
     alive = {c.of: any(moves[d.name] for d in channels if d.of == c.of) for c in channels}
     for channel in channels:
         yield from _missing(run, channel)
-        there = np.isfinite(channel.values)
-        values = channel.values[there]
+        values, there = channel.there, np.isfinite(channel.values)
         if not values.size:
             continue
         if not moves[channel.name]:
@@ -92,11 +95,6 @@ def check_quality(machine: Machine, run: Run, channels: Sequence[Channel]) -> It
             yield from _limited(run, channel, values, machine)
         if channel.kind == "position" and channel.of in run.excited:
             yield from _coarse(run, channel, values, machine)
-
-
-def _spread(values: Array) -> float:
-    there = values[np.isfinite(values)]
-    return float(np.ptp(there)) if there.size else 0.0
 
 
 def _missing(run: Run, channel: Channel) -> Iterator[Finding]:
@@ -122,7 +120,7 @@ def _stuck(
     """Judge a channel that holds one value through the run."""
     if channel.kind in ("command", "other"):
         return  # a command that holds a joint is constant
-    value = float(channel.values[np.isfinite(channel.values)][0])
+    value = float(channel.there[0])
     excited = channel.of in run.excited
     if channel.kind in ("position", "velocity", "torque") and not excited:
         return  # a joint at rest behind a coarse encoder, or a brake
@@ -150,7 +148,7 @@ def _repeats(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 def _held(run: Run, channel: Channel, lengths: NDArray[np.intp]) -> Iterator[Finding]:
     """Note a channel whose values change after every few rows alone."""
-    if len(lengths) < 10 or channel.kind == "command":
+    if len(lengths) < FEWEST_PIECES or channel.kind == "command":
         return
     usual = int(np.median(lengths))
     if usual < 2 or np.mean(np.abs(lengths - usual) <= 0) < HELD_SHARE:
@@ -176,7 +174,7 @@ def _frozen(
     step = median_step(run.time)
     usual = float(np.percentile(lengths, 90))
     least = max(FROZEN_SAMPLES, FROZEN_S / step, FROZEN_RATIO * usual)
-    if np.mean(lengths > 1) > 0.2:
+    if np.mean(lengths > 1) > REPEATING_SHARE:
         return  # coarse or slow: it repeats by itself
     long = np.flatnonzero(lengths >= least)
     if not long.size:
@@ -226,7 +224,7 @@ def _lost(run: Run, channel: Channel, values: Array, time: Array) -> Iterator[Fi
 
 def _clipped(run: Run, channel: Channel, values: Array) -> Iterator[Finding]:
     levels, counts = np.unique(values, return_counts=True)
-    if len(levels) < 16:
+    if len(levels) < FEWEST_LEVELS:
         return  # too coarse to tell
     for extreme, beside in ((0, slice(1, 6)), (-1, slice(-6, -1))):
         count = int(counts[extreme])
@@ -260,7 +258,7 @@ def _limited(run: Run, channel: Channel, values: Array, machine: Machine) -> Ite
     share = float(np.mean((values <= low + slack) | (values >= high - slack)))
     # A joint that rests at the end of its range is commanded to stay there.
     starts, _ = _repeats(((values <= low + slack) | (values >= high - slack)).astype(float))
-    if share > LIMITED_SHARE and len(starts) > 10 and not drive.follows:
+    if share > LIMITED_SHARE and len(starts) > FEWEST_PIECES and not drive.follows:
         yield Finding(
             check="saturation",
             severity="warning",
@@ -277,7 +275,7 @@ def _limited(run: Run, channel: Channel, values: Array, machine: Machine) -> Ite
 
 def _coarse(run: Run, channel: Channel, values: Array, machine: Machine) -> Iterator[Finding]:
     levels = np.unique(values)
-    if len(levels) > 64:
+    if len(levels) > COARSE_LEVELS:
         return
     step = float(np.min(np.diff(levels)))
     motion = float(np.std(values))

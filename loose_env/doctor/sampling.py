@@ -15,6 +15,7 @@ from loose_env.doctor.thresholds import (
     HIGHEST_RATE_HZ,
     LEAST_RATE_HZ,
     LEAST_RUN_S,
+    ODD_RATE,
     PAUSE_S,
     PAUSE_STEPS,
     UNEVEN_STEP,
@@ -159,7 +160,7 @@ def band_top(time: Array, values: Array) -> float | None:
 def check_rates(runs: Sequence[Run]) -> Iterator[Finding]:
     """Compare the rates of all runs."""
     rates = np.array([1 / median_step(run.time) for run in runs])
-    odd = np.flatnonzero(np.abs(rates / np.median(rates) - 1) > 0.2)
+    odd = np.flatnonzero(np.abs(rates / np.median(rates) - 1) > ODD_RATE)
     if odd.size:
         run = runs[int(odd[0])]
         yield Finding(

@@ -113,9 +113,6 @@ from loose_env.instrument.trend.maintenance import (
     read_maintenance,
     time_of,
 )
-from loose_env.instrument.trend.series import (
-    joints_and_links,
-)
 from loose_env.instrument.trend.trend import (
     SeriesTrend,
     SessionSeen,
@@ -164,7 +161,6 @@ __all__ = [
     "diagnose",
     "find_fault",
     "inspect_model",
-    "joints_and_links",
     "next_for",
     "option_words",
     "path_word",

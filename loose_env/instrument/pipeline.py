@@ -24,7 +24,7 @@ from loose_env.instrument.inference.findings.warnings import model_warnings, war
 from loose_env.instrument.inference.posterior import ModelComparison, compare_hypotheses
 from loose_env.instrument.inference.response.frequency_response import with_leakage
 from loose_env.instrument.inference.response.pairing import beside_references
-from loose_env.instrument.inference.response.timing import on_one_clock, servo_timing
+from loose_env.instrument.inference.response.timing import Clocks, clocks_of, servo_timing
 from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm, read_recorded_arm
 from loose_env.instrument.planning.plan import next_for
@@ -39,6 +39,7 @@ from loose_env.instrument.result import (
     Vector,
 )
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.instrument.trend.transmission import spectra_by_fit
 from loose_env.recording import Recording, Run
 from loose_env.version import __version__
@@ -65,6 +66,8 @@ class Workbench:
         MJCF file of the nominal model.
     settings : DiagnoseSettings
         Prior knowledge.
+    motion : MotionSettings, optional
+        Limits of the controller that the next measurement keeps to; none by default.
 
     Raises
     ------
@@ -72,8 +75,11 @@ class Workbench:
         If the model is no serial arm on a fixed base.
     """
 
-    def __init__(self, model: Path, settings: DiagnoseSettings) -> None:
+    def __init__(
+        self, model: Path, settings: DiagnoseSettings, motion: MotionSettings | None = None
+    ) -> None:
         self.settings = settings
+        self.motion = motion
         self.arm = read_recorded_arm(model)
         self.uncertain = UncertainArm(self.arm, settings.tolerances)
         self._taken: list[_Taken] = []
@@ -122,23 +128,24 @@ class Workbench:
         say : callable
             Told what goes on, line by line.
         """
-        lines, clocks = on_one_clock(
-            self.uncertain, beside_references(self.uncertain, self._held(), self._pairs)
-        )
+        paired = beside_references(self.uncertain, self._held(), self._pairs)
+        clocks = clocks_of(self.uncertain, paired)
+        lines = [clocks.corrected(one) for one in paired]
         say(f"weighing {len(self.arm.hypotheses)} hypotheses by {len(lines)} runs")
         comparison = compare_hypotheses(self.uncertain, lines, healthy_prior=self.settings.sound)
         best = comparison.best
         travel = None
         if best != HEALTHY and self.suspect:
             say(f"following the seat of {best}")
-            travel = travel_of(comparison, best, self._whole())
+            travel = travel_of(comparison, best, self._whole(clocks))
         fault = _fault(self.arm, comparison, travel)
         say("following the probabilities from run to run")
-        records = self._records(comparison)
-        verdict = verdict_of(comparison, clocks, sure=self.settings.sure)
+        records = self._records(comparison, clocks)
+        offsets = () if clocks.offset is None else (clocks.offset,)
+        verdict = verdict_of(comparison, offsets, sure=self.settings.sure)
         notes = [n for t in self._taken for n in t.notes]
         servos = servo_timing(self.uncertain, lines)
-        warnings = warnings_of(self.arm, comparison, notes, travel, clocks=clocks, servos=servos)
+        warnings = warnings_of(self.arm, comparison, notes, travel, clocks=offsets, servos=servos)
         found = Diagnosis(
             fault=fault,
             probability=comparison.posterior[best],
@@ -180,23 +187,26 @@ class Workbench:
         used = enumerate(self._taken)
         return {t.lines.number: k for k, t in used if t.lines is not None}
 
-    def _whole(self) -> list[Lines]:
+    def _whole(self, clocks: Clocks) -> list[Lines]:
         """All lines of the runs under test, those that were not excited too."""
-        found = []
-        for taken in self._taken:
-            if taken.held is None or taken.lines is None or taken.lines.healthy:
-                continue
-            held = taken.held
+        found = [self._lines(taken, clocks, whole=True) for taken in self._taken]
+        return [lines for lines in found if lines is not None and not lines.healthy]
+
+    def _lines(self, taken: _Taken, clocks: Clocks, *, whole: bool = False) -> Lines | None:
+        """Lines of a run on one clock; None of a run that cannot be used."""
+        held, lines = taken.held, taken.lines
+        if held is None or lines is None:
+            return None
+        if whole:
             lines = lines_of(
-                self.arm, taken.run, held.pose, held.excited,
-                number=taken.lines.number, whole=True,
-            )  # fmt: skip
-            found.append(with_leakage(self.uncertain.at(held.pose), lines))
-        return found
+                self.arm, taken.run, held.pose, held.excited, number=lines.number, whole=True
+            )
+            lines = with_leakage(self.uncertain.at(held.pose), lines)
+        return clocks.corrected(lines)
 
     def _next(self, found: Diagnosis) -> NextMeasurement:
         recorded = 1 / self.suspect[-1].period if self.suspect else None
-        return next_for(self.arm, found, self.settings.choice(recorded))
+        return next_for(self.arm, found, self.settings.choice(recorded), motion=self.motion)
 
     def _blind(self) -> tuple[str, ...]:
         """Warnings about unknown collisions of a chosen pose."""
@@ -210,7 +220,7 @@ class Workbench:
             "with the arm's own model; look yourself before the arm moves",
         )
 
-    def _records(self, comparison: ModelComparison) -> tuple[RecordSeen, ...]:
+    def _records(self, comparison: ModelComparison, clocks: Clocks) -> tuple[RecordSeen, ...]:
         """Result of each run, with the posterior after it."""
         found: list[RecordSeen] = []
         so_far: list[int] = []
@@ -218,10 +228,11 @@ class Workbench:
             probabilities: dict[str, float] = {}
             direction: Vector | None = None
             angle = None
-            if taken.lines is not None and not taken.lines.healthy:
-                so_far.append(taken.lines.number)
+            lines = self._lines(taken, clocks)
+            if lines is not None and not lines.healthy:
+                so_far.append(lines.number)
                 probabilities = comparison.after(so_far)
-                direction, angle = seen_in_tool(self.uncertain, comparison, taken.lines)
+                direction, angle = seen_in_tool(self.uncertain, comparison, lines)
             pose = (
                 {j: q for j, q in (taken.run.pose or {}).items() if j in self.arm.joints}
                 if taken.held is None
@@ -241,9 +252,7 @@ class Workbench:
                     probabilities=probabilities,
                     direction_tool=direction,
                     half_angle_deg=angle,
-                    loops=()
-                    if taken.lines is None
-                    else loops_of(self.uncertain, comparison, taken.lines),
+                    loops=() if lines is None else loops_of(self.uncertain, comparison, lines),
                     notes=taken.notes,
                 )
             )
@@ -254,6 +263,7 @@ def diagnose(
     recording: Recording,
     settings: DiagnoseSettings | None = None,
     *,
+    motion: MotionSettings | None = None,
     plan: bool = True,
     say: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
@@ -265,6 +275,9 @@ def diagnose(
         Runs that hold a pose each and shake a joint; healthy reference runs, if there are any.
     settings : DiagnoseSettings, optional
         Prior knowledge.
+    motion : MotionSettings, optional
+        Limits of the controller that the next measurement keeps to, such as those of the plan
+        beside the recording: ``session_beside(recording.folder).limits``. None by default.
     plan : bool
         True to propose the next measurement.
     say : callable
@@ -287,7 +300,8 @@ def diagnose(
         ...
     loose_env.errors.InvalidData: ...
     """
-    bench = Workbench(recording.model_path, DiagnoseSettings() if settings is None else settings)
+    chosen = DiagnoseSettings() if settings is None else settings
+    bench = Workbench(recording.model_path, chosen, motion)
     refused: list[str] = []
     for run in recording.runs:
         try:

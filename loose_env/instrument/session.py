@@ -20,6 +20,7 @@ from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.result import Diagnosis, NextMeasurement
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
+from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.recording import Run
 from loose_env.rig import Measurement
 from loose_env.typing import Array
@@ -44,6 +45,8 @@ class Session:
         MJCF file of the nominal model.
     settings : DiagnoseSettings, optional
         Prior knowledge.
+    motion : MotionSettings, optional
+        Limits of the controller that measurements keep to; none by default.
 
     Raises
     ------
@@ -51,9 +54,14 @@ class Session:
         If the model is no serial arm on a fixed base.
     """
 
-    def __init__(self, model: str | Path, settings: DiagnoseSettings | None = None) -> None:
+    def __init__(
+        self,
+        model: str | Path,
+        settings: DiagnoseSettings | None = None,
+        motion: MotionSettings | None = None,
+    ) -> None:
         self.settings = DiagnoseSettings() if settings is None else settings
-        self._bench = Workbench(Path(model), self.settings)
+        self._bench = Workbench(Path(model), self.settings, motion)
         self._last: Diagnosis | None = None
         self._count = 0
 
@@ -133,6 +141,7 @@ def find_fault(
     model: str | Path,
     settings: DiagnoseSettings | None = None,
     *,
+    motion: MotionSettings | None = None,
     most: int = 12,
     say: Callable[[Diagnosis], None] = lambda _: None,
 ) -> Found:
@@ -146,6 +155,8 @@ def find_fault(
         MJCF file of the nominal model.
     settings : DiagnoseSettings, optional
         Prior knowledge.
+    motion : MotionSettings, optional
+        Limits of the controller that measurements keep to; none by default.
     most : int
         Most runs that are taken.
     say : callable
@@ -164,7 +175,7 @@ def find_fault(
     """
     if most < 1:
         raise InvalidSetting(f"most is a number of runs, one or more, got {most!r}")
-    session = Session(model, settings)
+    session = Session(model, settings, motion)
     wanted = session.next()
     found, count = None, 0
     while wanted is not None and count < most:

@@ -15,7 +15,6 @@ from loose_env.report.diagnosis.write import write_diagnosis
 from loose_env.report.gap.notebook import gap_html, gap_text
 from loose_env.report.gap.rerun_file import require_rerun, write_rerun
 from loose_env.report.gap.text import headline as gap_headline
-from loose_env.report.gap.text import ranked_words, unsure
 from loose_env.report.gap.write import write_gap_report
 from loose_env.report.pages.figure_card import FigureCard
 from loose_env.report.pages.figures import WIDTH, new_figure, quiet_axes
@@ -58,7 +57,6 @@ __all__ = [
     "paragraphs",
     "pyplot",
     "quiet_axes",
-    "ranked_words",
     "read_study",
     "require_rerun",
     "rounded",
@@ -72,7 +70,6 @@ __all__ = [
     "to_svg",
     "tool_summary",
     "trend_headline",
-    "unsure",
     "write_comparison",
     "write_diagnosis",
     "write_gap_report",

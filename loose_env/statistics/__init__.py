@@ -35,6 +35,10 @@ from loose_env.statistics.correlation.comparative_index import (
     ComparativeIndex,
     comparative_index,
 )
+from loose_env.statistics.correlation.delay import (
+    PhaseDelay,
+    phase_delay,
+)
 from loose_env.statistics.correlation.zero_correlation import (
     lowest_coherence_of_records,
     uncorrelated_axis,
@@ -131,6 +135,7 @@ __all__ = [
     "HemisphereSearch",
     "LowestCoherence",
     "MaximumCorrelation",
+    "PhaseDelay",
     "RankTest",
     "RecordCovariances",
     "TransferFunction",
@@ -176,6 +181,7 @@ __all__ = [
     "maximum_correlation_from",
     "memory_of",
     "moments_by_direction",
+    "phase_delay",
     "pool_transmissions",
     "rank_test",
     "rank_test_from",

@@ -1,6 +1,6 @@
 """Print the decision thresholds of a part as the table of its page.
 
-Usage: python -m scripts.dev.threshold_table [gap | instrument] [--docs]
+Usage: python -m scripts.dev.threshold_table [doctor | gap | instrument] [--docs]
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ __all__ = ["PARTS", "main", "threshold_table"]
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = {
     "gap": (ROOT / "loose_env/gap/settings.py", ROOT / "docs/gap.md"),
+    "doctor": (ROOT / "loose_env/doctor/thresholds.py", ROOT / "docs/doctor.md"),
     "instrument": (
         ROOT / "loose_env/instrument/settings/thresholds.py",
         ROOT / "docs/instrument.md",
@@ -24,7 +25,8 @@ PARTS = {
 }
 """Part -> the module of its thresholds, and the page that has their table."""
 _ENTRY = re.compile(
-    r'^(?:# (?P<part>[^\n]+)|(?P<name>[A-Z][A-Z_0-9]+) = (?P<value>\S+)\n"""(?P<meaning>.+?)""")$',
+    r"^(?:# (?P<part>[^\n]+)"
+    r'|(?P<name>[A-Z][A-Z_0-9]+) = (?P<value>[^\n]+)\n"""(?P<meaning>.+?)""")$',
     re.MULTILINE | re.DOTALL,
 )
 

@@ -95,6 +95,32 @@ def test_what_makes_no_sense_is_refused_before_anything_is_diagnosed(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "No such file"),
+        ("{", "no JSON from line 1 on; records are as"),
+        ('[{"date": "2026-05-04", "joint": "knee", "work": "oil"}]', "no joint or link 'knee'"),
+        ('[{"date": "May", "joint": "joint1", "work": "oil"}]', "a date is as 2026-05-04"),
+    ],
+)
+def test_maintenance_records_are_checked_before_anything_is_diagnosed(
+    text: str | None,
+    words: str,
+    earlier: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    work = tmp_path / "work.json"
+    if text is not None:
+        work.write_text(text)
+    given = ["diagnose", str(earlier / "m0" / "recording"), "--out", str(tmp_path / "out")]
+    assert main([*given, "--before", str(earlier / "m1"), "--maintenance", str(work)]) == 1
+    said = capsys.readouterr().err
+    assert words in said and "work.json" in said and said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_console_says_what_changed_and_the_rate_of_false_alarms() -> None:
     before = named(10)
     assert trend_summary(change_since(session(10), before)).startswith("no change since 10")

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from loose_env.cli.main import main
-from loose_env.recording import write_recording
-from tests.doctor.machine import record, with_sensors, xml
+from loose_env.doctor import examine
+from loose_env.instrument import read_diagnosis
+from loose_env.recording import read_recording, write_recording
+from tests.doctor.machine import late, record, with_sensors, xml
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +60,25 @@ def test_other_commands_stop_at_errors_before_they_write(
     assert "error: sensor.q_base" in said
     assert "--ignore-doctor" in said.splitlines()[-1]
     assert not out.exists()
+
+
+def test_findings_stand_in_the_result_and_on_the_page_of_a_diagnosis(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("jinja2")
+    pytest.importorskip("matplotlib")
+    recording = with_sensors(record(tmp_path / "right"), "acc", lambda v: late(v, 0.004))
+    write_recording(tmp_path / "late", model_xml=xml(), runs=recording.runs)
+    given = ["diagnose", str(tmp_path / "late"), "--out", str(tmp_path / "out"), "--poses", "2"]
+    assert main([*given, "--quiet"]) == 0
+    assert "the accelerometer's clock is 4." in capsys.readouterr().err
+    result = read_diagnosis(tmp_path / "out")
+    own = examine(read_recording(tmp_path / "late")).findings
+    assert [each.found for each in result.preflight] == [each.found for each in own]
+    assert {each.check for each in result.preflight} == {"clock"}
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    shown = page[page.index("Limits the result") :]
+    assert "may pass for a loose link" in shown
 
 
 def test_what_is_no_recording_is_refused_in_one_line(

@@ -67,7 +67,7 @@ def test_plan_and_diagnosis_take_turns_in_one_folder_under_the_limits_of_the_fir
     model, session = str(written(tmp_path, SERVOED)), tmp_path / "session"
     found = session / "diagnosis"
     limits = ["--most-tool", "4", "--ground-m", "0.1", "--poses", "4", "--seconds", "1.2"]
-    limits += ["--max-speed-rad-s", "1000"]  # the proposal of a diagnosis knows no speed limit
+    limits += ["--max-speed-rad-s", "4"]
     assert main(["plan", model, "--out", str(session), *limits]) == 0
     poses = [read(session / "plan.json")["pose"]]
     for number in (1, 2):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from ast import literal_eval
 from pathlib import Path
 from types import ModuleType
 
@@ -10,11 +11,13 @@ import pytest
 from loose_agents.execution.study import write_between
 
 from loose_env.diagnosis import LinkFindingSettings
+from loose_env.doctor import thresholds as doctor
 from loose_env.gap import settings
 from loose_env.instrument.settings import thresholds
 from scripts.dev.threshold_table import PARTS, threshold_table
 from tests.docs.pages import ROOT
 
+ROW = re.compile(r"^\| `(\w+)` \| ([^|]+) \|", re.MULTILINE)
 METHOD_ROW = re.compile(r"^\| [^|]+ \| ([^|]+) \| `(\w+)` \|", re.MULTILINE)
 
 
@@ -31,7 +34,8 @@ def number(cell: str) -> float:
 
 
 @pytest.mark.parametrize(
-    ("part", "module", "fewest"), [("gap", settings, 50), ("instrument", thresholds, 40)]
+    ("part", "module", "fewest"),
+    [("doctor", doctor, 70), ("gap", settings, 50), ("instrument", thresholds, 40)],
 )
 def test_thresholds_of_a_page_are_those_in_force(
     tmp_path: Path, part: str, module: ModuleType, fewest: int
@@ -40,12 +44,26 @@ def test_thresholds_of_a_page_are_those_in_force(
     table = threshold_table(source.read_text(encoding="utf-8"))
     constants = [name for name in vars(module) if name.isupper() and not name.startswith("_")]
     assert len(constants) > fewest
-    assert all(f"| `{name}` | {getattr(module, name)} |" in table for name in constants)
+    shown = {name: literal_eval(cell) for name, cell in ROW.findall(table)}
+    assert {name: getattr(module, name) for name in constants} == shown
     text = page.read_text(encoding="utf-8")
     again = tmp_path / page.name
     again.write_text(text, encoding="utf-8")
     write_between(again, table)
     assert text == again.read_text("utf-8"), f"python -m scripts.dev.threshold_table {part} --docs"
+
+
+def test_every_threshold_of_the_doctor_has_a_reason_and_is_used() -> None:
+    folder = ROOT / "loose_env" / "doctor"
+    source = (folder / "thresholds.py").read_text("utf-8")
+    code = "".join(
+        path.read_text("utf-8") for path in folder.rglob("*.py") if path.name != "thresholds.py"
+    )
+    rows = re.findall(r"^\| `(\w+)` \| [^|]+ \| (.+) \|$", threshold_table(source), re.MULTILINE)
+    assert len(rows) > 70
+    for name, meaning in rows:
+        assert re.search(rf"\b{name}\b", code), f"{name} is not used"
+        assert ":" in meaning or ". " in meaning, f"{name} has no reason: {meaning}"
 
 
 def test_thresholds_of_link_finding_are_the_defaults() -> None:

@@ -1,8 +1,7 @@
 """Offsets between clocks, and signs, from the phase of two channels of one motion.
 
-Where y(t) = s x(t - d), the cross-spectrum of x and y has the phase -2 pi f d, turned by pi for s
-below zero. d maximises |sum w cos(phase + 2 pi f d)| over the coherent lines, with the weight
-w = coherence / (1 - coherence), the inverse variance of a phase up to a factor.
+Of the coherent lines, each with the weight coherence / (1 - coherence), the inverse variance of its
+phase up to a factor; see `loose_env.statistics.phase_delay`.
 """
 
 from __future__ import annotations
@@ -13,40 +12,42 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 
-from loose_env.doctor.channels import Channel, Machine, filled
+from loose_env.doctor.channels import Channel, Machine, Runs, filled, positions
+from loose_env.doctor.entries import positions_in
 from loose_env.doctor.findings import Finding
 from loose_env.doctor.model_checks.forces import recorded_forces
 from loose_env.doctor.model_checks.motion import Motion, carried, sampled_motion
 from loose_env.doctor.model_checks.units import ACCELERATION, ANGLE, LENGTH, inverse, named_unit
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import (
+    BAND_SHARE,
     COHERENT,
+    DELAY_SCATTER,
     DELAY_Z,
     FEWEST_LINES,
+    FLIPPED_SHARE,
     HIGHEST_LINE_HZ,
     LARGEST_DELAY_S,
     LARGEST_LAG_S,
     LATE_COMMAND_S,
+    LEAST_PHASE_RAD,
+    LEAST_POWER,
     MOST_SPECTRA,
     NOTED_DELAY_S,
     PHASE_FIT,
     RIVAL_FIT,
     SEGMENTS,
+    WEAK_AXIS,
 )
 from loose_env.importing import median_step
 from loose_env.recording import Run
+from loose_env.statistics import phase_delay
 from loose_env.typing import Array
 
 __all__ = ["Delay", "check_clocks", "delay_between"]
 
-_LEAST_PHASE = 0.1
-"""Phase at the middle of the lines that a delay has to make to be told [rad]."""
-_WEAK_AXIS = 0.3
-"""Motion of an axis over that of the strongest, below which its sign is not judged."""
-_FINE = 4
-"""Delays tried per step of the samples, at most."""
-_PER_PERIOD = 24
-"""Delays tried per period of the highest line, at most: the rest is linear in the phase."""
+_NEIGHBOURS = 1.5
+"""Lines of a Hann window that are worth one."""
 
 
 class Delay(NamedTuple):
@@ -113,50 +114,29 @@ def delay_between(
     coherence = np.where(both > 0, np.abs(cross) ** 2 / np.maximum(both, 1e-300), 0.0)
     used = (
         (coherence > COHERENT)
-        & (frequency < min(0.4 / step, HIGHEST_LINE_HZ))
+        & (frequency < min(BAND_SHARE / step, HIGHEST_LINE_HZ))
         & (frequency > 1.5 * frequency[1])
     )
-    used &= own > 1e-4 * own[1:].max(initial=0.0)
+    used &= own > LEAST_POWER * own[1:].max(initial=0.0)
     if np.count_nonzero(used) < FEWEST_LINES:
         return None
     at, share = frequency[used], np.minimum(coherence[used], 0.99)
-    turn = cross[used] / np.abs(cross[used])
     # Lines far above the others would decide alone, though the model errs at them as much.
     weight = share / (1 - share)
     weight = np.minimum(weight, 4 * np.median(weight))
+    found = phase_delay(at, cross[used], weight, largest=largest, either_sign=True)
+    if found is None or found.fit < PHASE_FIT or found.rival > RIVAL_FIT:
+        return None
     weight /= weight.sum()
-    tried = np.arange(-largest, largest, max(step / _FINE, 1 / (_PER_PERIOD * at[-1])))
-    fits = (np.exp(2j * np.pi * np.outer(tried, at)) @ (weight * turn)).real
-    best = int(np.argmax(np.abs(fits)))
-    if abs(fits[best]) < PHASE_FIT or best in (0, len(tried) - 1):
-        return None
-    if _rival(np.abs(fits), best):
-        return None
-    sign = 1 if fits[best] > 0 else -1
-    left = np.angle(sign * turn * np.exp(2j * np.pi * at * tried[best]))
-    normal = float(np.sum(weight * at**2))
-    exact = float(tried[best]) - float(np.sum(weight * at * left)) / (2 * np.pi * normal)
-    scatter = float(np.sqrt(np.sum(weight * left**2)))
-    lines = 1 / float(np.sum(weight**2)) / 1.5  # neighbours share a Hann window
-    sd = scatter / (2 * np.pi * np.sqrt(normal * lines))
     ratio = float(np.median(np.abs(cross[used]) / own[used]))
-    return Delay(exact, max(sd, 0.02 * step), sign, ratio, float(np.sqrt(normal)))
-
-
-def _rival(fits: Array, best: int) -> bool:
-    """Return whether a peak beside the best one is about as high."""
-    left = right = best
-    while left > 0 and fits[left - 1] < fits[left]:
-        left -= 1
-    while right < len(fits) - 1 and fits[right + 1] < fits[right]:
-        right += 1
-    return bool(max(fits[:left].max(initial=0.0), fits[right + 1 :].max(initial=0.0))
-                > RIVAL_FIT * fits[best])  # fmt: skip
+    sd = max(np.sqrt(_NEIGHBOURS) * found.sd, 0.02 * step)
+    middle = float(np.sqrt(np.sum(weight * at**2)))
+    return Delay(found.seconds, sd, found.sign, ratio, middle)
 
 
 def check_clocks(
     machine: Machine,
-    runs: Sequence[tuple[Run, Sequence[Channel]]],
+    runs: Runs,
     factors: Mapping[str, float],
     settings: DoctorSettings,
 ) -> Iterator[Finding]:
@@ -165,7 +145,7 @@ def check_clocks(
     chosen = np.unique(np.linspace(0, len(runs) - 1, MOST_SPECTRA).astype(int))
     for k in chosen:
         run, channels = runs[int(k)]
-        if any(c.kind == "position" for c in channels):
+        if positions(channels):
             motion = sampled_motion(machine, run, channels, factors)
             if len(motion.time) > 16 * SEGMENTS:
                 seen += _seen(machine, run, channels, motion)
@@ -187,7 +167,7 @@ def _seen(
         if channel.kind not in ("acceleration", "turning", "velocity"):
             continue
         if channel.kind == "velocity":
-            if not any(c.kind == "position" and c.of == channel.of for c in channels):
+            if channel.of not in positions(channels):
                 continue
             sensor, axis = channel.name.removeprefix("sensor."), 0
         else:
@@ -198,7 +178,7 @@ def _seen(
         width = int(model.sensor_dim[model.sensor(sensor).id])
         implied = motion.readings[:, at : at + width]
         spread = implied.std(axis=0)
-        if spread[axis] < _WEAK_AXIS * spread.max() or spread.max() == 0.0:
+        if spread[axis] < WEAK_AXIS * spread.max() or spread.max() == 0.0:
             continue
         read = np.interp(motion.time, run.time, filled(run.time, channel.values))
         found = delay_between(implied[:, axis], read, motion.step)
@@ -222,14 +202,13 @@ def _followed(
     factors: Mapping[str, float],
 ) -> Iterator[_Seen]:
     """Delays of joints behind the commands of their position servos."""
-    positions = {c.of: c for c in channels if c.kind == "position"}
+    measured = positions_in(run, channels, factors)
     for channel in channels:
         drive = machine.drives.get(channel.of) if channel.kind == "command" else None
-        if drive is None or not drive.follows or drive.joint not in positions:
+        if drive is None or not drive.follows or drive.joint not in measured:
             continue
         command = np.interp(motion.time, run.time, filled(run.time, channel.values))
-        own = filled(run.time, positions[drive.joint].values) * factors.get(drive.joint, 1.0)
-        read = np.interp(motion.time, run.time, own)
+        read = np.interp(motion.time, run.time, measured[drive.joint])
         found = delay_between(command, read, motion.step, largest=LARGEST_LAG_S)
         if found is not None:
             found = found._replace(seconds=found.seconds - drive.lag)
@@ -241,7 +220,7 @@ def _signs(machine: Machine, kind: str, group: Sequence[_Seen]) -> Iterator[Find
         own = [each.delay for each in group if each.channel == name]
         flipped = sum(d.sign < 0 for d in own)
         # A resonance of one pose turns a phase by pi as well: most runs have to agree.
-        if flipped > 0.75 * len(own) and (len(own) > 1 or kind == "velocity"):
+        if flipped > FLIPPED_SHARE * len(own) and (len(own) > 1 or kind == "velocity"):
             yield Finding(
                 check="sign",
                 severity="error",
@@ -286,7 +265,11 @@ def _offset(
     scatter = 1.4826 * float(np.median(np.abs(delays - late)))
     sd = float(np.hypot(np.median(sds), scatter) / np.sqrt(len(delays)))
     size = abs(late)
-    if size < DELAY_Z * sd or 2 * np.pi * middle * size < _LEAST_PHASE or scatter > 0.5 * size:
+    if (
+        size < DELAY_Z * sd
+        or 2 * np.pi * middle * size < LEAST_PHASE_RAD
+        or scatter > DELAY_SCATTER * size
+    ):
         return
     step = float(np.median([median_step(each.run.time) for each in group]))
     # Simulators and buses differ by up to a sample in what they call one moment.

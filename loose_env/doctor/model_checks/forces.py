@@ -8,9 +8,10 @@ import numpy as np
 
 from loose_env.doctor.channels import Channel, Machine, filled
 from loose_env.doctor.findings import Finding
-from loose_env.doctor.model_checks.motion import Motion
+from loose_env.doctor.model_checks.motion import Blocks, block_means
 from loose_env.doctor.model_checks.units import FORCE, Ratio, named_unit, ratio_of
 from loose_env.doctor.thresholds import (
+    FEWEST_POSES,
     LEAST_BLOCKS,
     LEAST_TORQUE_SHARE,
     SCALE_NOTED,
@@ -22,8 +23,6 @@ from loose_env.recording import Run
 from loose_env.typing import Array
 
 __all__ = ["check_forces", "recorded_forces"]
-
-Blocks = Sequence[tuple[Run, Sequence[Channel], Motion, Array]]
 
 
 def recorded_forces(
@@ -58,8 +57,7 @@ def check_forces(machine: Machine, blocks: Blocks) -> Iterator[Finding]:
             continue  # a joint that is not known may carry the rest
         for joint, (column, values) in recorded_forces(machine, run, channels).items():
             dof = int(machine.model.jnt_dofadr[machine.model.joint(joint).id])
-            total = np.concatenate([[0.0], np.cumsum(values)])
-            mean = (total[rows[:, 1]] - total[rows[:, 0]]) / (rows[:, 1] - rows[:, 0])
+            mean = block_means(values, rows)
             gathered.setdefault(joint, []).append((column, mean, motion.torques[:, dof]))
     for joint, parts in gathered.items():
         yield from _judged(machine, joint, parts)
@@ -100,7 +98,7 @@ def _varied(parts: Sequence[tuple[str, Array, Array]], needed: Array) -> bool:
     """Return whether friction cannot be the reason: the torque changes, or poses do."""
     spread = float(np.std(needed))
     return spread > LEAST_TORQUE_SHARE * _rms(needed) or (
-        len(parts) >= 3 and spread > 0.5 * LEAST_TORQUE_SHARE * _rms(needed)
+        len(parts) >= FEWEST_POSES and spread > 0.5 * LEAST_TORQUE_SHARE * _rms(needed)
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -10,24 +10,24 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.doctor.channels import Channel, Machine, filled
+from loose_env.doctor.channels import Machine, filled
 from loose_env.doctor.findings import Finding
-from loose_env.doctor.model_checks.motion import Motion, block_motion, carried
+from loose_env.doctor.model_checks.motion import Blocks, block_means, block_motion, carried
 from loose_env.doctor.model_checks.units import ACCELERATION, named_unit
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import (
+    ALIKE_DEG,
     EXPLAINED_DEG,
     LEAST_BLOCKS,
+    LEAST_GRAVITY,
     SCALE_NOTED,
     UNCOUPLED,
     WRONG_AXES_DEG,
 )
-from loose_env.recording import Run
 from loose_env.typing import Array
 
 __all__ = ["check_gravity"]
 
-Blocks = Sequence[tuple[Run, Sequence[Channel], Motion, Array]]
 _ACCELEROMETER = int(mujoco.mjtSensor.mjSENS_ACCELEROMETER)
 _AXES = "xyz"
 
@@ -67,9 +67,7 @@ def _pair(machine: Machine, sensor: str, blocks: Blocks) -> _Pair | None:
         if (np.nanstd(run.sensors[sensor], axis=0) == 0).any():
             continue  # a dead axis is a finding of its own
         columns = np.stack([filled(run.time, c) for c in run.sensors[sensor].T], axis=1)
-        total = np.concatenate([np.zeros((1, 3)), np.cumsum(columns, axis=0)])
-        count = (rows[:, 1] - rows[:, 0])[:, None]
-        measured.append((total[rows[:, 1]] - total[rows[:, 0]]) / count)
+        measured.append(block_means(columns, rows))
         implied.append(motion.readings[:, at : at + 3])
         runs.append(np.full(len(rows), k))
     if sum(map(len, measured)) < LEAST_BLOCKS:
@@ -90,13 +88,13 @@ def _judged(
     settings: DoctorSettings,
 ) -> Iterator[Finding]:
     expected = _size(pair.implied)
-    if expected < 1.0:
+    if expected < LEAST_GRAVITY:
         return  # a model without gravity
     ratio = _size(pair.measured) / expected
     channel = f"sensor.{sensor}"
     words = named_unit(ratio, ACCELERATION)
     turned = _angle(pair.measured, pair.implied, pair.runs)
-    if ratio < UNCOUPLED * 1.3 and words is not None and turned > WRONG_AXES_DEG:
+    if ratio < UNCOUPLED and words is not None and turned > WRONG_AXES_DEG:
         words = None  # a small mean that does not point along gravity is no acceleration in g
     if words is not None:
         yield Finding(
@@ -110,7 +108,7 @@ def _judged(
             consequence="the transmission to the tool is wrong by that factor",
             remedy='import the columns with their unit (unit = "g"), or convert them',
         )
-    elif ratio < UNCOUPLED * 1.3:
+    elif ratio < UNCOUPLED:
         yield Finding(
             check="gravity",
             severity="note",
@@ -160,7 +158,7 @@ def _turned(
     """Finding for gravity in a wrong direction, with what would explain it."""
     reasons = [*_by_axes(pair), *_by_joints(machine, sensor, pair, blocks, factors)]
     reasons = sorted(r for r in reasons if r[0] <= EXPLAINED_DEG)
-    alike = [words for angle, words in reasons if angle <= reasons[0][0] + 1.0][:3]
+    alike = [words for angle, words in reasons if angle <= reasons[0][0] + ALIKE_DEG][:3]
     explained = f"; explained by {' or by '.join(alike)}" if alike else ""
     return Finding(
         check="axes",

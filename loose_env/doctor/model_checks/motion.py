@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from loose_env.doctor.channels import Channel, Machine
 from loose_env.doctor.entries import positions_in
-from loose_env.doctor.thresholds import BLOCK_S, MOST_BLOCKS, MOST_SAMPLES
+from loose_env.doctor.thresholds import BLOCK_S, MOST_BLOCKS, MOST_SAMPLES, UNEVEN_BLOCK
 from loose_env.importing import median_step
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["Motion", "block_motion", "carried", "sampled_motion"]
+__all__ = ["Blocks", "Motion", "block_means", "block_motion", "carried", "sampled_motion"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,6 +33,22 @@ class Motion:
     """Generalised force that the motion needs, shape (T, nv) [N·m or N]."""
     known: frozenset[str]
     """Joints whose position is measured or noted."""
+
+
+Blocks = Sequence[tuple[Run, Sequence[Channel], Motion, Array]]
+"""Runs with their motion by block means, and the rows at which blocks begin and end."""
+
+
+def block_means(values: Array, rows: Array) -> Array:
+    """Mean of each block of rows, from its first to before its last, shape (N, ...).
+
+    Examples
+    --------
+    >>> block_means(np.arange(6.0), np.array([[0, 2], [2, 6]])).tolist()
+    [0.5, 3.5]
+    """
+    total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
+    return np.asarray(((total[rows[:, 1]] - total[rows[:, 0]]).T / (rows[:, 1] - rows[:, 0])).T)
 
 
 def carried(machine: Machine, sensor: str, known: frozenset[str]) -> bool:
@@ -71,7 +87,7 @@ def block_motion(
     }
     time = run.time[: count * size].reshape(count, size).mean(axis=1)
     inner = np.arange(1, count - 1)
-    even = np.abs(np.diff(time) / step - 1) < 0.2
+    even = np.abs(np.diff(time) / step - 1) < UNEVEN_BLOCK
     inner = inner[even[inner - 1] & even[inner]]  # no derivative across a pause
     if len(inner) < 2:
         return None

@@ -6,11 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from loose_env.doctor.channels import Channel, Machine, filled
+from loose_env.doctor.channels import Channel, Machine, Runs, filled, positions
+from loose_env.doctor.entries import positions_in
 from loose_env.doctor.findings import Finding
 from loose_env.doctor.model_checks.units import ANGLE, LENGTH, inverse, named_unit, ratio_of
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import (
+    LEAST_POSE,
     LEAST_SPREAD_RAD,
     MANY_TURNS_RAD,
     OTHER_UNIT,
@@ -31,8 +33,6 @@ _WRONG_SIGN = "the model is compared in another pose, and its motion runs backwa
 _POINTS = 200
 """Samples of a run that are looked at."""
 
-Runs = Sequence[tuple[Run, Sequence[Channel]]]
-
 
 def check_positions(
     machine: Machine, runs: Runs, settings: DoctorSettings
@@ -50,12 +50,7 @@ def check_positions(
     found: list[Finding] = []
     factors: dict[str, float] = {}
     for joint in machine.joints:
-        own = [
-            (run, channel)
-            for run, channels in runs
-            for channel in channels
-            if channel.kind == "position" and channel.of == joint
-        ]
+        own = [(run, c[joint]) for run, channels in runs if joint in (c := positions(channels))]
         if not own:
             continue
         reason = _by_pose(machine, joint, own) or _unit(machine, joint, own)
@@ -70,8 +65,7 @@ def check_positions(
 
 
 def _thin(values: Array) -> Array:
-    there = values[np.isfinite(values)]
-    return there[:: max(1, len(there) // _POINTS)]
+    return values[:: max(1, len(values) // _POINTS)]
 
 
 def _units(machine: Machine, joint: str) -> Mapping[str, float]:
@@ -79,12 +73,11 @@ def _units(machine: Machine, joint: str) -> Mapping[str, float]:
 
 
 def _outside(machine: Machine, joint: str, values: Array) -> float:
-    """Excess of a column over the limits of its joint [rad or m]."""
+    """Excess of samples over the limits of its joint [rad or m]."""
     limits = machine.limits(joint)
-    there = values[np.isfinite(values)]
-    if limits is None or not there.size:
+    if limits is None or not values.size:
         return 0.0
-    return float(max(limits[0] - there.min(), there.max() - limits[1], 0.0))
+    return float(max(limits[0] - values.min(), values.max() - limits[1], 0.0))
 
 
 def _slack(machine: Machine, joint: str) -> float:
@@ -95,7 +88,7 @@ def _unit(
     machine: Machine, joint: str, own: Sequence[tuple[Run, Channel]]
 ) -> tuple[float, Finding] | None:
     """Wrong unit by the joint's limits: outside as it stands, inside once converted."""
-    whole = np.concatenate([_thin(channel.values) for _, channel in own])
+    whole = np.concatenate([_thin(channel.there) for _, channel in own])
     if not whole.size:
         return None
     excess = _outside(machine, joint, whole)
@@ -127,7 +120,7 @@ def _unit(
 
 def _range(machine: Machine, joint: str, own: Sequence[tuple[Run, Channel]]) -> Iterator[Finding]:
     for run, channel in own:
-        excess = _outside(machine, joint, channel.values)
+        excess = _outside(machine, joint, channel.there)
         if excess > _slack(machine, joint):
             limits = machine.limits(joint)
             assert limits is not None
@@ -156,12 +149,12 @@ def _by_pose(
         (float(np.mean(there)), run.pose[joint])
         for run, channel in own
         if run.pose is not None and joint in run.pose
-        if (there := _thin(channel.values)).size
+        if (there := _thin(channel.there)).size
     ]
     if not pairs:
         return None
     measured, noted = np.array(pairs).T
-    if np.abs(noted).max() < 10 * LEAST_SPREAD_RAD:
+    if np.abs(noted).max() < LEAST_POSE:
         return None
     found = ratio_of(measured, noted)
     if found is None or abs(found.correlation) < SURE_CORRELATION:
@@ -209,11 +202,8 @@ def _by_pose(
 def _fast(machine: Machine, runs: Runs, settings: DoctorSettings) -> Iterator[Finding]:
     for run, channels in runs:
         for channel in channels:
-            if channel.kind != "velocity":
-                continue
-            there = channel.values[np.isfinite(channel.values)]
-            speed = float(np.abs(there).max(initial=0.0))
-            if speed > settings.fastest:
+            speed = channel.reach
+            if channel.kind == "velocity" and speed > settings.fastest:
                 unit = f"{machine.unit(channel.of)}/s"
                 yield Finding(
                     check="range",
@@ -236,20 +226,14 @@ def _commands(machine: Machine, runs: Runs, factors: Mapping[str, float]) -> Ite
             command = next((c for c in channels if c.name == f"ctrl.{name}"), None)
             if command is None:
                 continue
-            there = command.values[np.isfinite(command.values)]
-            if drive.limits is not None and there.size:
-                largest = max(map(abs, drive.limits))
-                reach = float(np.abs(there).max())
-                if reach > OVER_CONTROL_RANGE * largest and (over is None or reach > over[0]):
-                    over = (reach, run)
-            position = next(
-                (c for c in channels if c.kind == "position" and c.of == drive.joint), None
-            )
-            if position is not None and drive.follows:
-                scale = drive.gear * factors.get(drive.joint, 1.0)
-                step = max(1, run.samples // _POINTS)
-                read = filled(run.time, position.values)[::step] * scale
-                pairs.append((filled(run.time, command.values)[::step], read))
+            largest = np.inf if drive.limits is None else max(map(abs, drive.limits))
+            reach = command.reach
+            if reach > OVER_CONTROL_RANGE * largest and (over is None or reach > over[0]):
+                over = (reach, run)
+            read = positions_in(run, channels, factors).get(drive.joint)
+            if read is not None and drive.follows:
+                given = filled(run.time, command.values)
+                pairs.append((_thin(given), _thin(read) * drive.gear))
         wrong = _following(machine, name, drive.joint, pairs)
         if wrong is not None:
             yield wrong

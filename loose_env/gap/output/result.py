@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from loose_env.doctor import Finding, graded_findings
 from loose_env.errors import InvalidData
 from loose_env.gap.output.evidence_schema import Identifiability, Location, ResidualTest
 from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
@@ -147,6 +148,9 @@ class GapResult:
     """Effects that the recorded motions could not show, or distinguish."""
     warnings: tuple[str, ...] = ()
     """Cautions for the reader."""
+    preflight: tuple[Finding, ...] = ()
+    """Findings of `loose_env.doctor` in the recording, errors first; empty in files of versions
+    that did not say."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Provenance: all inputs of the result besides the recording."""
     format: str = FORMAT
@@ -160,6 +164,12 @@ class GapResult:
             raise InvalidData(
                 f"the verdict is one of {list(get_args(Verdict))}, not {self.verdict!r}"
             )
+
+    @property
+    def graded_warnings(self) -> tuple[tuple[str, str], ...]:
+        """Warnings and findings of the preflight with their severity, the most severe first."""
+        pairs = (*(("warning", words) for words in self.warnings), *graded_findings(self.preflight))
+        return tuple(sorted(pairs, key=lambda pair: ("critical", "warning", "note").index(pair[0])))
 
     def to_json(self) -> str:
         """Format as ``result.json``; numbers that are not finite become null."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loose_env.arms import quiet
+from loose_env.doctor import Finding
 from loose_env.gap.fitting.confidence_intervals import Intervals
 from loose_env.gap.fitting.gauss_newton import Fit, fit
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, explained_share
@@ -58,6 +59,8 @@ class GapSolution:
     """Identified effects, with intervals and confusable effects."""
     ranking: tuple[RankedHypothesis, ...] = ()
     """Ranking of all fitted hypotheses."""
+    preflight: tuple[Finding, ...] = ()
+    """Findings of `loose_env.doctor` in the recording, for the result."""
     warnings: tuple[str, ...] = ()
     """Notes for the reader."""
 

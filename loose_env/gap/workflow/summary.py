@@ -79,6 +79,7 @@ def result_of(solution: GapSolution, evidence: ResidualDiagnostics | None = None
         residual_tests=evidence.residual_tests,
         identifiability=evidence.identifiability,
         warnings=(*solution.warnings, *unnamed_words(solution.unnamed.pairs), *evidence.warnings),
+        preflight=solution.preflight,
         settings=asdict(problem.settings),
     )
 

@@ -10,6 +10,7 @@ standard deviations of what sensors, record length and model leave open, says wh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm, LinearArm, LinearPose
 from loose_env.diagnosis import Proposal, SeatFeatures, predict_seats, propose_excitation
+from loose_env.instrument.result import NextMeasurement
 from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.instrument.settings.thresholds import (
     DETECTABLE_Z,
@@ -33,6 +35,7 @@ __all__ = [
     "sensitivity",
     "tool_noise",
     "torque_of",
+    "unlimited",
 ]
 
 
@@ -74,6 +77,27 @@ def proposed(arm: Arm, pose: Array, settings: NextSettings) -> Proposal:
         for one in found.excitations
     )
     return replace(found, band=(low, high), levels=share * found.levels, excitations=played)
+
+
+def unlimited(
+    arm: Arm,
+    linear: LinearArm,
+    pose: Array,
+    joints: Sequence[int],
+    chosen: NextMeasurement,
+    settings: NextSettings,
+) -> tuple[float, ...]:
+    """Rms torque of a measurement's joints without limits of motion [N·m, N].
+
+    A measurement keeps to the limits in its whole band; in a narrower one more torque does.
+    """
+    proposal = proposed(limited(arm, linear, settings)[0], pose, settings)
+    if not np.allclose(proposal.band, chosen.band_hz):
+        return chosen.torques
+    return tuple(
+        max(torque, float(torque_of(proposal, j, settings)[j]))
+        for j, torque in zip(joints, chosen.torques, strict=True)
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

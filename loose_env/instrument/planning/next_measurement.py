@@ -170,7 +170,8 @@ def next_measurement(
             torque = _capped(proposal, q, j, rules, cap)
             if not torque.any() or _taken(so_far, q, joints[j]):
                 continue
-            found = information.of(faults, q, torque, rules.seconds).information
+            # Rounding of a record that says nothing may be below zero.
+            found = max(information.of(faults, q, torque, rules.seconds).information, 0.0)
             best.append((found, _distance(arm, here, q), j, q, proposal))
     if not best:
         raise InvalidData(
@@ -184,7 +185,7 @@ def next_measurement(
     chosen = min(good, key=lambda one: (round(one[1], 6), -one[0]))
     there = sorted((one for one in best if one[3] is chosen[3]), key=lambda one: -one[0])
     played = [chosen[2], *(one[2] for one in there if one[2] != chosen[2])][: rules.in_turn]
-    torques = [float(torque_of(chosen[4], j, rules)[j]) for j in played]  # signals are limited
+    torques = [float(_capped(chosen[4], chosen[3], j, rules, cap)[j]) for j in played]
     return _written(
         arm, linear, so_far, chosen[3], chosen[4], played, torques, chosen[0], rules, links,
         joints, here,

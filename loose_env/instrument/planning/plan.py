@@ -19,6 +19,7 @@ from loose_env.instrument.model.clearance import Ground
 from loose_env.instrument.model.holding_commands import why_not_held
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm, read_arm
 from loose_env.instrument.model.motion_limits import MotionLimits, motion_limits
+from loose_env.instrument.planning.excitation import unlimited
 from loose_env.instrument.planning.expected_observations import Expected, expected_of
 from loose_env.instrument.planning.next_measurement import next_measurement
 from loose_env.instrument.planning.plan_warnings import plan_warnings, shown_position
@@ -255,6 +256,8 @@ def _signals(
     seed = np.random.SeedSequence([choice.seed, 0 if so_far is None else len(so_far.records), 1])
     children = seed.spawn(len(chosen.joints))
     weights = {} if so_far is None else so_far.probabilities
+    played = [arm.joints.index(joint) for joint in chosen.joints]
+    torques = unlimited(arm.nominal, arm.linear, pose, played, chosen, choice)
 
     def made(number: int, band: tuple[float, float], torque: float) -> Signal:
         return make_signal(
@@ -294,11 +297,11 @@ def _signals(
         lambda band, torque: made(0, band, torque),
         judged,
         chosen.band_hz,
-        chosen.torques[0],
+        torques[0],
         seconds=chosen.seconds,
         most_tool=choice.most_tool,
     )
-    others = (made(k, band, chosen.torques[k]) for k in range(1, len(chosen.joints)))
+    others = (made(k, band, torques[k]) for k in range(1, len(chosen.joints)))
     signals = (first, *others)
     chosen = replace(
         chosen,

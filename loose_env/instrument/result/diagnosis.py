@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from loose_env.doctor import Finding, graded_findings
 from loose_env.errors import InvalidData
 from loose_env.instrument.result.fault import HEALTHY, Fault, SlideDirection
 from loose_env.instrument.result.records import RecordSeen, TransmissionSpectrum
@@ -150,6 +151,9 @@ class Diagnosis:
     """Version of loose-env that wrote it."""
     model_hash: str = ""
     """First 16 hexadecimal digits of the SHA-256 of the model file."""
+    preflight: tuple[Finding, ...] = ()
+    """Findings of `loose_env.doctor` in the recording, errors first; empty in files of versions
+    that did not say."""
     format: str = FORMAT
     """Of the file."""
 
@@ -186,11 +190,12 @@ class Diagnosis:
 
     @property
     def graded_warnings(self) -> tuple[tuple[Severity, str], ...]:
-        """Warnings with their severity, the most severe first."""
+        """Warnings and findings of the preflight with their severity, the most severe first."""
         missing = len(self.warnings) - len(self.severities)
         usual: Severity = "warning"
         severities = (*self.severities, *((usual,) * max(missing, 0)))
-        pairs = zip(severities, self.warnings, strict=False)
+        own = zip(severities, self.warnings, strict=False)
+        pairs = (*own, *graded_findings(self.preflight))
         return tuple(sorted(pairs, key=lambda pair: get_args(Severity).index(pair[0])))
 
     def to_json(self) -> str:

@@ -13,6 +13,7 @@ from loose_env.errors import InvalidData
 
 __all__ = ["Maintenance", "read_maintenance", "time_of"]
 
+_EXAMPLE = '[{"date": "2026-05-04", "joint": "elbow", "work": "gear replaced"}]'
 _KEYS = ("date", "joint", "link", "work", "note")
 
 
@@ -109,18 +110,19 @@ def read_maintenance(path: str | Path, names: Sequence[str] = ()) -> tuple[Maint
     >>> read_maintenance("no/such/file.json")
     Traceback (most recent call last):
     ...
-    loose_env.errors.InvalidData: no/such/file.json: the maintenance records cannot be read: ...
+    loose_env.errors.InvalidData: no/such/file.json: the maintenance records cannot be read: No ...
     """
     file = Path(path)
     try:
-        whole = json.loads(file.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InvalidData(f"{file}: the maintenance records cannot be read: {error}") from None
+        whole = json.loads(file.read_text("utf-8-sig"))
+    except OSError as error:
+        why = error.strerror or error
+        raise InvalidData(f"{file}: the maintenance records cannot be read: {why}") from None
+    except (ValueError, RecursionError) as error:
+        where = f" from line {error.lineno} on" if isinstance(error, json.JSONDecodeError) else ""
+        raise InvalidData(f"{file}: no JSON{where}; records are as {_EXAMPLE}") from None
     if not isinstance(whole, list):
-        raise InvalidData(
-            f'{file}: a list of records is needed, as [{{"date": "2026-05-04", "joint": "elbow", '
-            f'"work": "gear replaced"}}], not {whole!r:.60}'
-        )
+        raise InvalidData(f"{file}: a list of records is needed, as {_EXAMPLE}, not {whole!r:.60}")
     found = []
     for k, entry in enumerate(whole):
         try:

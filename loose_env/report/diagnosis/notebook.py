@@ -47,7 +47,7 @@ def diagnosis_text(
         f"  {words}" for words in [*_measurement(diagnosis, arm), *_commands(diagnosis, folder)]
     ]
     if warnings:
-        lines += [f"warning: {sentence(warning)}" for warning in diagnosis.warnings]
+        lines += [f"{severity}: {sentence(words)}" for severity, words in diagnosis.graded_warnings]
     return "\n".join(lines)
 
 
@@ -72,7 +72,7 @@ def diagnosis_html(diagnosis: Diagnosis, arm: Arm, *, folder: str = "") -> str:
     ]
     first, *others = table[0]
     commands = "\n".join(_commands(diagnosis, folder))
-    warnings = [sentence(with_plain_names(words, names)) for words in diagnosis.warnings]
+    warnings = [sentence(with_plain_names(words, names)) for _, words in diagnosis.graded_warnings]
     return "".join(
         [
             f"<p><strong>{escape(headline(diagnosis, arm))}</strong></p>",

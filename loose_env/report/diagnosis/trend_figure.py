@@ -83,10 +83,7 @@ def chart_figure(
         highest[known] = np.nanmax(rows[:, known], axis=0)
         shown = np.minimum(highest, _HIGHEST)
         axes.axhline(1.0, color=INK, linewidth=1.1, linestyle=(0, (4, 2)), zorder=2)
-        axes.plot(x, shown, "o-", color=MEASURED, markersize=4, linewidth=1.4, zorder=3)
-        standing = _standing(many, len(x)) & known
-        axes.plot(x[standing], shown[standing], "o", color=TRUTH, markersize=6.5, zorder=4)
-        _maintenance(axes, trend, place)
+        _course(axes, trend, place, shown, many)
         axes.set_ylim(-0.08, max(1.35, 1.08 * float(np.nanmax(np.append(shown, 1.0)))))
     return figure
 
@@ -115,14 +112,11 @@ def level_figure(
     for axes, (place, one) in zip(panels, strongest.items(), strict=True):
         change = percent_change(one)
         expected = 200 * np.array(one.scatter)
-        known = np.isfinite(change)
         axes.fill_between(
-            x, -expected, expected, where=known, color=FAINT, alpha=0.45, linewidth=0, zorder=1
-        )
-        axes.plot(x, change, "o-", color=MEASURED, markersize=4, linewidth=1.4, zorder=3)
-        standing = _standing([one], len(x)) & known
-        axes.plot(x[standing], change[standing], "o", color=TRUTH, markersize=6.5, zorder=4)
-        _maintenance(axes, trend, place)
+            x, -expected, expected, where=np.isfinite(change), color=FAINT, alpha=0.45,
+            linewidth=0, zorder=1,
+        )  # fmt: skip
+        _course(axes, trend, place, change, [one])
         axes.margins(y=0.15)
     return figure
 
@@ -158,6 +152,25 @@ def _panels(
     return figure, found
 
 
+def _course(
+    axes: Axes, trend: Trend, place: str, values: Array, many: Sequence[SeriesTrend]
+) -> None:
+    """Draw values by session (n,), alarms of their series, and maintenance.
+
+    Maintenance stands before the first session after it; that of the place itself is darker.
+    """
+    x = np.arange(1, len(values) + 1)
+    axes.plot(x, values, "o-", color=MEASURED, markersize=4, linewidth=1.4, zorder=3)
+    alarmed = _standing(many, len(x)) & np.isfinite(values)
+    axes.plot(x[alarmed], values[alarmed], "o", color=TRUTH, markersize=6.5, zorder=4)
+    for where, sessions in (trend.restarts or {}).items():
+        for session in sessions:
+            axes.axvline(
+                session + 0.5, color=INK if where == place else MUTED,
+                linewidth=1.6 if where == place else 0.9, zorder=1.5,
+            )  # fmt: skip
+
+
 def _standing(many: Sequence[SeriesTrend], count: int) -> Array:
     """True for sessions in which an alarm of one of the series was raised, or still stands (n,)."""
     found = np.zeros(count, dtype=bool)
@@ -167,13 +180,3 @@ def _standing(many: Sequence[SeriesTrend], count: int) -> Array:
         if each.alarm is not None:
             found[each.alarm :] = True
     return found
-
-
-def _maintenance(axes: Axes, trend: Trend, place: str) -> None:
-    """Mark maintenance before the first session after it: that of the place itself is darker."""
-    for where, sessions in (trend.restarts or {}).items():
-        for session in sessions:
-            axes.axvline(
-                session + 0.5, color=INK if where == place else MUTED,
-                linewidth=1.6 if where == place else 0.9, zorder=1.5,
-            )  # fmt: skip

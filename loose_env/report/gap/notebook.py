@@ -17,15 +17,36 @@ _EFFECTS = ("missing effect", "parameter", "value", "95 % interval", "unit", "co
 _RESIDUAL = ("residual on held-out runs", "noise standard deviations")
 
 
-def gap_text(result: GapResult) -> str:
-    """Result of `loose gap` in a few lines of text."""
-    lines = [headline(result)]
+def gap_text(result: GapResult, *, warnings: bool = True) -> str:
+    """Result of `loose gap` in a few lines of text.
+
+    Parameters
+    ----------
+    result : GapResult
+        Result.
+    warnings : bool
+        True to end with the warnings.
+
+    Examples
+    --------
+    >>> from loose_env.gap import Gap
+    >>> print(gap_text(GapResult(verdict="no_gap", gap=Gap(before=1.04, after=1.04))))
+    No model error: the model explains the measurement.
+      residual on held-out runs  noise standard deviations
+      nominal model              1.04
+      corrected model            1.04
+      sensor noise alone         1.00
+    """
+    lines = [headline(result), *(f"  {words}" for words in _where(result))]
     rows = [row for effect in result.effects for row in _rows(effect)]
     if rows:
         lines += [f"  {line}" for line in aligned([_EFFECTS, *rows])]
     residual = [(name, f"{value:.2f}") for name, value in _residual(result)]
     lines += [f"  {line}" for line in aligned([_RESIDUAL, *residual])]
-    lines += [f"warning: {sentence(warning)}" for warning in result.warnings]
+    lines += [f"  {words}" for words in quantity_words(result.gap.by_quantity)]
+    lines += [f"remaining: {words}" for words in _remaining(result)]
+    if warnings:
+        lines += [f"{severity}: {sentence(words)}" for severity, words in result.graded_warnings]
     return "\n".join(lines)
 
 
@@ -39,18 +60,27 @@ def gap_html(result: GapResult) -> str:
             _residual(result), (ink.TRUTH, ink.MEASURED, ink.MUTED), strict=True
         )
     ]
-    where = result.location_words if result.verdict == "unexplained" else ()
     return "".join(
         [
             f"<p><strong>{escape(headline(result))}</strong></p>",
             cells_table(_EFFECTS, rows),
             cells_table((_RESIDUAL[0], "logarithmic", _RESIDUAL[1]), residual, markup=(1,)),
-            bullets("Location of the residual", where),
+            bullets("Location of the residual", _where(result)),
             bullets("In physical units", quantity_words(result.gap.by_quantity)),
-            bullets("Remaining", result.remaining),
-            bullets("Warnings", [sentence(words) for words in result.warnings]),
+            bullets("Remaining", _remaining(result)),
+            bullets("Warnings", [sentence(words) for _, words in result.graded_warnings]),
         ]
     )
+
+
+def _where(result: GapResult) -> tuple[str, ...]:
+    """Location of a residual that nothing explains."""
+    return result.location_words if result.verdict == "unexplained" else ()
+
+
+def _remaining(result: GapResult) -> tuple[str, ...]:
+    """Residual that the identified effects leave; without one the location says it."""
+    return result.remaining if result.verdict == "named" else ()
 
 
 def _residual(result: GapResult) -> list[tuple[str, float]]:

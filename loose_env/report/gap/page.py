@@ -37,7 +37,7 @@ from loose_env.report.gap.text import (
     summary_words,
 )
 from loose_env.report.pages.figure_card import FigureCard
-from loose_env.report.pages.sections import group, signed, spread
+from loose_env.report.pages.sections import graded, group, signed, spread
 from loose_env.report.pages.template import template, write_whole
 
 __all__ = ["render_gap_page", "write_gap_page"]
@@ -90,7 +90,7 @@ def render_gap_page(solution: GapSolution, evidence: ResidualDiagnostics, result
         summary=summary_words(result),
         first=[group for group in first if group],
         questions=_questions(result),
-        warnings=[sentence(warning) for warning in result.warnings],
+        warnings=graded([(s, sentence(w)) for s, w in result.graded_warnings]),
         groups=[group for group in groups if group],
         notes=_notes(result),
     )

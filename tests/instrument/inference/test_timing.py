@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.instrument.inference.response.timing import clock_offset, on_one_clock
+from loose_env.instrument.inference.response.timing import clock_offset, clocks_of
 from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
@@ -56,7 +56,28 @@ def test_a_common_clock_is_left_alone(tmp_path: Path) -> None:
 
 def test_shifting_back_leaves_no_offset(tmp_path: Path) -> None:
     bench = bench_of(tmp_path, 5e-3)
-    lines, clocks = on_one_clock(bench.uncertain, bench.suspect)
-    assert len(clocks) == 1
-    again = clock_offset(bench.uncertain, lines)
+    clocks = clocks_of(bench.uncertain, bench.suspect)
+    assert clocks.offset is not None
+    again = clock_offset(bench.uncertain, [clocks.corrected(one) for one in bench.suspect])
     assert again is not None and abs(again.seconds) < 1e-4
+
+
+def test_correlation_is_drawn_on_one_clock(tmp_path: Path) -> None:
+    prompt, delayed = (bench_of(tmp_path, s, "slide").diagnosis(plan=False) for s in (0.0, 5e-3))
+    assert prompt.fault.hypothesis == delayed.fault.hypothesis
+    for one, other in zip(prompt.records, delayed.records, strict=True):
+        for first, second in zip(one.loops, other.loops, strict=True):
+            assert second.correlation == pytest.approx(first.correlation, abs=0.1)
+
+
+def test_free_travel_is_estimated_on_one_clock(tmp_path: Path) -> None:
+    whole = []
+    for seconds in (0.0, 5e-3):
+        bench = bench_of(tmp_path, seconds, "slide")
+        clocks = clocks_of(bench.uncertain, bench.suspect)
+        whole.append(bench._whole(clocks))
+    for prompt, delayed in zip(*whole, strict=True):
+        sites = [k for k, (r, _) in enumerate(prompt.row) if r.kind == "acceleration"]
+        low = (prompt.frequency > 5) & (prompt.frequency < 60)  # linear interpolation is exact
+        first, second = (x.readings[low][:, sites] for x in (prompt, delayed))
+        assert np.linalg.norm(second - first) < 0.15 * np.linalg.norm(first)

@@ -11,10 +11,12 @@ import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.instrument.model.instrumented_arm import read_arm
+from loose_env.instrument.model.motion_limits import motion_limits
 from loose_env.instrument.planning.files import signal_files
 from loose_env.instrument.planning.files.plan_files import PlanFiles, write_plan
 from loose_env.instrument.planning.next_measurement import NextSettings
 from loose_env.instrument.planning.plan import Plan, next_for, plan
+from loose_env.instrument.planning.signals.band_choice import level_cap
 from loose_env.instrument.result import Diagnosis, Fault, RecordSeen
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
 from loose_env.instrument.settings.motion import MotionSettings
@@ -196,6 +198,23 @@ def test_what_limits_leave_little_of_is_chosen_anew(servoed: Path, first: Plan) 
     slow = MotionSettings(max_acceleration_rad_s2=(20.0,))
     made = plan(servoed, so_far, choice=FEW, motion=slow)
     assert any("the controller's limits leave" in warning for warning in made.warnings)
+    assert all(peak.within for peak in made.signals[0].peaks)
+
+
+def test_what_a_diagnosis_asks_for_within_the_limits_is_planned_as_it_is(
+    servoed: Path, first: Plan
+) -> None:
+    slow = MotionSettings(max_acceleration_rad_s2=(100.0,), command_bandwidth_hz=120.0)
+    free = next_for(first.arm, settings=FEW, motion=MotionSettings(max_speed_rad_s=(1e3,)))
+    wanted = next_for(first.arm, settings=FEW, motion=slow)
+    cap = level_cap(first.arm, first.arm.linear, motion_limits(first.arm, slow), "model")
+    pose, joint = first.arm.pose_of(wanted.pose), first.arm.joints.index(wanted.joints[0])
+    assert wanted.band_hz[1] == 120.0
+    assert wanted.torques[0] == pytest.approx(cap(pose, joint, wanted.band_hz))
+    assert wanted.torques[0] < 0.5 * free.torques[0]
+    made = plan(servoed, replace(known(first, fore_s=0.5), next=wanted), choice=FEW, motion=slow)
+    assert made.next.pose == wanted.pose
+    assert not any("asks for next" in warning for warning in made.warnings)
     assert all(peak.within for peak in made.signals[0].peaks)
 
 

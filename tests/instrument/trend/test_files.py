@@ -31,7 +31,9 @@ def test_records_are_read_by_date(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("whole", "words"),
     [
-        ("[", "cannot be read"),
+        ("[", "no JSON from line 1 on; records are as"),
+        ('[\n{"date": 2026,\n}]', "no JSON from line 3 on; records are as"),
+        ("[" * 100_000, "no JSON; records are as"),
         ({}, "a list of records"),
         ([3], "record 1: an object is needed"),
         ([{"date": "2025-03-01", "joint": "elbow"}], "record 1: 'work' is a text"),
@@ -49,6 +51,18 @@ def test_what_is_no_record_is_refused_with_file_and_entry(
     with pytest.raises(InvalidData, match=words) as refused:
         read_maintenance(written(tmp_path, whole), ["elbow", "forearm"])
     assert "maintenance.json" in str(refused.value)
+
+
+def test_a_file_that_cannot_be_read_is_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "photo.json").write_bytes(b"\xff\xd8\xff\xe0")
+    for name, words in (
+        ("photo.json", "no JSON"),
+        ("none.json", "No such file"),
+        (".", "director"),
+    ):
+        with pytest.raises(InvalidData, match=words) as refused:
+            read_maintenance(tmp_path / name)
+        assert "\n" not in str(refused.value) and "codec" not in str(refused.value)
 
 
 def test_sessions_are_results_folders_or_recordings(tmp_path: Path) -> None:

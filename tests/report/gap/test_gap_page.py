@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ import pytest
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
-from loose_env.cli.gap import summary
+from loose_env.doctor import Finding, Severity
 from loose_env.errors import MissingExtra
 from loose_env.gap import (
     EffectLocation,
@@ -37,6 +38,7 @@ from loose_env.gap.output.evidence_schema import ConfusablePair, UnidentifiableE
 from loose_env.gap.workflow import summary as gap_summary
 from loose_env.report.gap import write as gap_report
 from loose_env.report.gap.figures import channel_bars, residual_panels
+from loose_env.report.gap.notebook import gap_text
 from loose_env.report.gap.overlay import overlay_group
 from loose_env.report.gap.page import render_gap_page, write_gap_page
 from loose_env.report.gap.parameters import parameters_group
@@ -104,6 +106,26 @@ def test_the_page_is_whole_and_loads_nothing_from_elsewhere(page: str) -> None:
     assert not re.search(r"\bnan\b", page, re.IGNORECASE)
 
 
+def test_warnings_and_findings_of_the_preflight_stand_by_severity(
+    solution: GapSolution, evidence: ResidualDiagnostics
+) -> None:
+    found = tuple(
+        Finding(
+            check="sign", severity=severity, channel=f"sensor.{severity}", run="a.csv",
+            found="runs backwards", consequence="it is wrong", remedy="turn it round",
+        )
+        for severity in get_args(Severity)
+    )  # fmt: skip
+    result = result_of(replace(solution, preflight=found), evidence)
+    assert GapResult.from_json(result.to_json()).preflight == found
+    page = render_gap_page(solution, evidence, result)
+    worst, others, notes = (
+        page.index(each) for each in ("Invalidates the result", "Limits the result", "Notes")
+    )
+    assert worst < page.index("sensor.error") < others < page.index("sensor.warning") < notes
+    assert "critical: In a.csv, sensor.error: runs backwards" in gap_text(result)
+
+
 def test_the_table_of_parameters_and_the_overlay_come_before_the_rest(page: str) -> None:
     assert "<h1>The model lacks 2 effects.</h1>" in page
     words = [
@@ -121,6 +143,7 @@ def test_the_table_of_parameters_and_the_overlay_come_before_the_rest(page: str)
         "What to do next",
         "Parameters",
         "Measured, nominal and corrected",
+        "Warnings",
         "Residual before and after correction",
         "Spectra before and after",
         "Residual against motion and load",
@@ -289,7 +312,7 @@ def test_what_short_runs_leave_unsure_is_not_said_to_be_outside_the_catalogue() 
         kind="coulomb_friction", where="joint2", held_out=1.01, bic=-9e3, improvement_z=1.7
     )
     short = result("unexplained", gap=Gap(before=4.8, after=4.8), ranking=(likely,))
-    for words in (headline(short), summary_words(short)[0], summary(short)):
+    for words in (headline(short), summary_words(short)[0], gap_text(short)):
         assert "not in the catalogue" not in words
         assert "joint2" in words
     assert "not significant" in summary_words(short)[0]
@@ -303,7 +326,7 @@ def test_what_short_runs_leave_unsure_is_not_said_to_be_outside_the_catalogue() 
     ):
         outside = replace(short, ranking=(other,), gap=gap)
         assert "not in the catalogue" in headline(outside)
-        assert "not in the catalogue" in summary(outside)
+        assert "not in the catalogue" in gap_text(outside)
         assert not next_steps(outside)[0].startswith("Record more")
 
 

@@ -1,9 +1,8 @@
 """Clock offset of the accelerometers, and delay and bandwidth of the servos.
 
 Recorders of their own have clocks of their own. The acceleration that the measured motion of the
-joints makes at a site is known from the kinematics alone; the shift at which it agrees best with
-what the accelerometer reads is the offset of its clock (generalised cross-correlation; Knapp and
-Carter, IEEE Trans. Acoust. Speech Signal Process. 24, 1976).
+joints makes at a site is known from the kinematics alone; the delay at which it agrees best with
+what the accelerometer reads is the offset of its clock (`loose_env.statistics.phase_delay`).
 """
 
 from __future__ import annotations
@@ -22,14 +21,15 @@ from loose_env.instrument.settings.thresholds import (
     CLOCK_Z,
     LARGEST_CLOCK_OFFSET_S,
 )
+from loose_env.statistics import phase_delay
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["ClockOffset", "ServoTiming", "clock_offset", "on_one_clock", "servo_timing"]
+__all__ = ["ClockOffset", "Clocks", "ServoTiming", "clock_offset", "clocks_of", "servo_timing"]
 
-_STEP_S = 5e-5
-"""Step of the shifts that are tried [s]."""
-_SHIFTS = np.arange(-LARGEST_CLOCK_OFFSET_S, LARGEST_CLOCK_OFFSET_S + _STEP_S / 2, _STEP_S)
-"""Shifts that are tried [s]."""
+_SEARCHED_S = 1.1 * LARGEST_CLOCK_OFFSET_S
+"""Largest offset searched [s]: the largest one has to be a peak too."""
+_LEAST_SD_S = 1e-5
+"""Smallest standard deviation that is believed [s]."""
 _SAME_PEAK_S = 0.002
 """Distance up to which a run's peak is that of all [s]."""
 _LINE_ERROR = 0.1
@@ -95,10 +95,26 @@ def clock_offset(uncertain: UncertainArm, lines: Sequence[Lines]) -> ClockOffset
     return _offset([(frequency, cross) for frequency, cross in found if cross is not None])
 
 
-def on_one_clock(
-    uncertain: UncertainArm, lines: Sequence[Lines]
-) -> tuple[list[Lines], tuple[ClockOffset, ...]]:
-    """Runs without the clock offset of their accelerometers, and the estimated offsets.
+@dataclass(frozen=True, kw_only=True)
+class Clocks:
+    """Clock offsets of a session's runs, and the correction of their lines."""
+
+    offset: ClockOffset | None
+    """Offset that all runs have; None where it cannot be told."""
+    common_s: float = 0.0
+    """Time by which the accelerometers of all runs are late, as it is corrected [s]."""
+    reference_s: float = 0.0
+    """Time by which those of the references are earlier than that [s]."""
+
+    def corrected(self, lines: Lines) -> Lines:
+        """Lines of a run, and of the reference beside it, with stamps of one clock."""
+        beside = None if lines.beside is None else self.corrected(lines.beside)
+        own = shifted(lines, self.common_s - self.reference_s * lines.healthy)
+        return replace(own, beside=beside)
+
+
+def clocks_of(uncertain: UncertainArm, lines: Sequence[Lines]) -> Clocks:
+    """Estimate the clock offsets of a session.
 
     One offset holds for all runs, but for what a session of references differs by: that is measured
     by the runs beside each other, whatever the model says.
@@ -111,15 +127,12 @@ def on_one_clock(
         All runs.
     """
     common = clock_offset(uncertain, lines)
-    late = common.seconds if common is not None and common.significant else 0.0
     between = _offset([cross for one in lines if (cross := _beside(one)) is not None])
-    later = between.seconds if between is not None and between.significant else 0.0
-    made = []
-    for one in lines:
-        beside = None if one.beside is None else shifted(one.beside, late - later)
-        own = shifted(one, late - later * one.healthy)
-        made.append(replace(own, beside=beside))
-    return made, () if common is None else (common,)
+    return Clocks(
+        offset=common,
+        common_s=common.seconds if common is not None and common.significant else 0.0,
+        reference_s=between.seconds if between is not None and between.significant else 0.0,
+    )
 
 
 def shifted(lines: Lines, seconds: float) -> Lines:
@@ -144,7 +157,7 @@ def servo_timing(uncertain: UncertainArm, lines: Sequence[Lines]) -> tuple[Servo
     arm = uncertain.arm
     found = []
     for joint, name in enumerate(arm.joints):
-        curves, bandwidths = [], []
+        crosses, bandwidths = [], []
         for one in lines:
             if joint not in one.excited or one.blind[joint]:
                 continue
@@ -154,19 +167,17 @@ def servo_timing(uncertain: UncertainArm, lines: Sequence[Lines]) -> tuple[Servo
                 continue
             keep = used[:, joint]
             cross = np.conj(response.motion[keep, joint]) * measured[keep, joint]
-            cross = cross / np.maximum(np.abs(cross), 1e-300)
-            curves.append(
-                np.real(np.exp(2j * np.pi * np.outer(_SHIFTS, one.frequency[keep])) @ cross)
-            )
+            crosses.append((one.frequency[keep], cross / np.maximum(np.abs(cross), 1e-300)))
             bandwidths.append(_bandwidth(response, measured, used, joint))
-        if not curves:
+        delay = _delay(crosses)
+        if delay is None:
             continue
         known = [b for b in bandwidths if b is not None]
         found.append(
             ServoTiming(
                 joint=name,
                 bandwidth_hz=float(np.median(known)) if known else None,
-                delay_s=_peak(_SHIFTS, np.sum(curves, axis=0)),
+                delay_s=delay,
             )
         )
     return tuple(found)
@@ -174,21 +185,28 @@ def servo_timing(uncertain: UncertainArm, lines: Sequence[Lines]) -> tuple[Servo
 
 def _offset(crosses: Sequence[tuple[Array, ComplexArray]]) -> ClockOffset | None:
     """Delay of highest cross-correlation over all runs, by frequencies and cross-spectra (K,)."""
-    curves, own = [], []
-    for frequency, cross in crosses:
-        curve = np.real(np.exp(2j * np.pi * np.outer(_SHIFTS, frequency)) @ cross)
-        curve /= max(float(np.sum(np.abs(cross))), 1e-300)
-        curves.append(curve)
-        own.append(_peak(_SHIFTS, curve))
-    if not curves:
+    best = _delay(crosses)
+    if best is None:
         return None
-    best = _peak(_SHIFTS, np.sum(curves, axis=0))
+    own = [delay for each in crosses if (delay := _delay([each])) is not None]
     # Runs that peak elsewhere by a whole period of the band tell nothing of the scatter.
     near = [each for each in own if abs(each - best) < _SAME_PEAK_S]
-    if len(near) < 0.5 * len(own):
+    if len(near) < 0.5 * len(crosses) or not near:
         return None
     scatter = 1.4826 * float(np.median(np.abs(np.array(near) - best))) if len(near) > 1 else 1e-3
-    return ClockOffset(seconds=best, sd=max(1.25 * scatter / np.sqrt(len(near)), 0.2 * _STEP_S))
+    return ClockOffset(seconds=best, sd=max(1.25 * scatter / np.sqrt(len(near)), _LEAST_SD_S))
+
+
+def _delay(crosses: Sequence[tuple[Array, ComplexArray]]) -> float | None:
+    """Delay over all lines of some runs, each run of the same weight [s]."""
+    if not crosses:
+        return None
+    frequency, cross = (np.concatenate(each) for each in zip(*crosses, strict=True))
+    weight = np.concatenate(
+        [np.abs(each) / max(float(np.sum(np.abs(each))), 1e-300) for _, each in crosses]
+    )
+    found = phase_delay(frequency, cross, weight, largest=_SEARCHED_S, either_sign=False)
+    return None if found is None else found.seconds
 
 
 def _beside(lines: Lines) -> tuple[Array, ComplexArray] | None:
@@ -259,13 +277,3 @@ def _bandwidth(
     if not len(below) or below[0] == 0:
         return None
     return float(lines.frequency[below[0]])
-
-
-def _peak(shifts: Array, curve: Array) -> float:
-    """Shift of the highest point, by a parabola through its neighbours [s]."""
-    at = int(np.argmax(curve))
-    if not 0 < at < len(curve) - 1:
-        return float(shifts[at])
-    before, here, after = curve[at - 1 : at + 2]
-    bend = before - 2 * here + after
-    return float(shifts[at] + 0.5 * (shifts[1] - shifts[0]) * (before - after) / min(bend, -1e-300))
