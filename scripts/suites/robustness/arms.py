@@ -109,7 +109,8 @@ def mjcf_arms(draw: st.DrawFn) -> ArmFile:
         fingers = '<body><joint name="wrist" type="ball"/><geom size=".02" mass=".1"/></body>'
     read = draw(st.sets(st.sampled_from(_SENSORS), max_size=3)) | {_SENSORS[0]}
     sensors = "".join(form.format(j=j) for form in _SENSORS if form in read for j in joints)
-    sensors += "".join(sorted(draw(st.sets(st.sampled_from(_TOOL), max_size=2))))
+    placed = draw(st.sets(st.sampled_from(_TOOL), max_size=2))
+    sensors += "".join(sorted(placed | set(draw(st.sampled_from([_TOOL[:1], _TOOL[:1], ()])))))
     step = draw(st.sampled_from(["0.001", "0.002", "0.005", "0.0001"]))
     how = draw(st.sampled_from(["Euler", "implicitfast", "implicit", "RK4"]))
     text = (

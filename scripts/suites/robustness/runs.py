@@ -17,7 +17,7 @@ DAMAGES = (
     "quantised", "stuck", "saturated", "corrupt", "mostly corrupt", "missing", "noisy", "degrees",
 )  # fmt: skip
 """Faults of a channel."""
-_CLOCKS = ("even", "even", "uneven", "pause", "jump", "duplicate", "backwards")
+_CLOCKS = (*["even"] * 8, "uneven", "uneven", "pause", "pause", "jump", "duplicate", "backwards")
 _FASTEST = 50.0
 """Largest simulated speed that counts as motion of an arm [rad/s, m/s]."""
 
@@ -51,7 +51,9 @@ def run_plans() -> st.SearchStrategy[RunPlan]:
         samples=st.sampled_from([10, 16, 40, 150, 400, 1200]),
         clock=st.sampled_from(_CLOCKS),
         columns=st.sampled_from(["ctrl", "ctrl", "torque", "both", "free"]),
-        damages=st.lists(st.sampled_from(DAMAGES), max_size=2).map(tuple),
+        damages=st.one_of(
+            st.just(()), st.lists(st.sampled_from(DAMAGES), min_size=1, max_size=2).map(tuple)
+        ),
         without=st.sampled_from([0.0, 0.0, 0.0, 0.3, 0.9]),
         still=st.sampled_from([False, False, False, False, True]),
     )

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from scripts.suites.robustness.cases import Case, write_case
 
-__all__ = ["OUTCOMES", "Outcome", "run_case", "tried"]
+__all__ = ["MOST_BYTES", "OUTCOMES", "Outcome", "as_row", "run_case", "tried"]
 
 OUTCOMES = ("result", "refused", "traceback", "unclear", "late", "died")
 """Outcomes of a case. "unclear" is a refusal of several lines or none."""
@@ -121,6 +121,6 @@ def _ended(
     return (None if late else status, usage), text
 
 
-def as_row(outcome: Outcome) -> str:
-    """Line of JSON of an outcome."""
-    return json.dumps(asdict(outcome), ensure_ascii=False)
+def as_row(outcome: Outcome, number: int) -> str:
+    """Line of JSON of a numbered case."""
+    return json.dumps({"number": number} | asdict(outcome), ensure_ascii=False)
