@@ -15,7 +15,7 @@ from loose_env.doctor.model_checks.forces import check_forces
 from loose_env.doctor.model_checks.gravity import check_gravity
 from loose_env.doctor.model_checks.motion import block_motion
 from loose_env.doctor.model_checks.positions import check_positions
-from loose_env.doctor.quality import check_quality, within_range
+from loose_env.doctor.quality import check_quality, without_absurd
 from loose_env.doctor.sampling import check_rates, check_sampling
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import HIGHEST_RATE_HZ
@@ -77,7 +77,7 @@ def examine(
     with quiet(), np.errstate(all="ignore"):  # what overflows is not finite, and no finding
         say(f"checking {len(recording.runs)} runs by themselves")
         for whole in recording.runs:
-            run, wrong = within_range(whole)
+            run, wrong = without_absurd(machine, whole)
             found += wrong
             channels = channels_of(machine, run)
             found += check_sampling(machine, run, channels)

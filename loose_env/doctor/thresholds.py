@@ -52,8 +52,6 @@ LOST_RATIO = 8.0
 """Distance of zero from the channel's median [robust standard deviations] for that."""
 
 # Ranges
-LARGEST_VALUE = 1e9
-"""Magnitude of a reading or command in any unit, above which it is no measurement."""
 HIGHEST_RATE_HZ = 1e6
 """Sampling rate above which times are not in seconds [Hz]: recorders of arms reach 100 kHz."""
 OUT_OF_RANGE_RAD = 0.1

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +26,7 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulation.simulator import Simulator
-from loose_env.recording import Recording, Run
+from loose_env.recording import Recording, Run, set_aside
 from loose_env.typing import Array
 
 __all__ = ["GapProblem", "prepare"]
@@ -91,6 +92,8 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
     """
     recording.check_comparison()
     runs, warnings = _suspect(recording.runs)
+    runs, words = _measured(runs, recording.model())
+    warnings += words
     fitted, held = split_runs(
         [run.name for run in runs], share=settings.held_share, held_out=settings.held_out
     )
@@ -199,6 +202,16 @@ def _suspect(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
         f"{len(healthy)} healthy runs are not used ({listed}): the suspect ones are compared. Put "
         "the healthy ones into a recording of their own to compare them with the model"
     ]
+
+
+def _measured(runs: Sequence[Run], model: mujoco.MjModel) -> tuple[list[Run], list[str]]:
+    """Set corrupt samples aside, with notes."""
+    kept, words = [], []
+    for run in runs:
+        clean, corrupt = set_aside(run, model)
+        kept.append(clean)
+        words += [each.words for each in corrupt]
+    return kept, words
 
 
 def _floors(machine: NominalModel, trials: list[Trial], channels: tuple[Channel, ...]) -> Array:

@@ -11,6 +11,7 @@ import mujoco
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
+from loose_env.arms import quiet
 from loose_env.recording import write_csv
 from scripts.suites.robustness.arms import ArmFile, arms, mjcf_arms
 from scripts.suites.robustness.runs import RunPlan, make_run, run_plans
@@ -97,6 +98,12 @@ def write_case(case: Case, folder: Path) -> list[str]:
     if case.command not in _RECORDED:
         more = ["--out", str(folder / "out")] if case.command == "plan" else []
         return [case.command, str(model_file), *more, *out]
+    with quiet():
+        return _written(case, folder, model_file, out)
+
+
+def _written(case: Case, folder: Path, model_file: Path, out: list[str]) -> list[str]:
+    """Write the recording beside its model."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         model = mujoco.MjModel.from_xml_string(case.arm.text)

@@ -17,7 +17,7 @@ DAMAGES = (
     "quantised", "stuck", "saturated", "corrupt", "mostly corrupt", "missing", "noisy", "degrees",
 )  # fmt: skip
 """Faults of a channel."""
-_CLOCKS = (*["even"] * 8, "uneven", "uneven", "pause", "pause", "jump", "duplicate", "backwards")
+_CLOCKS = (*["even"] * 9, "uneven", "uneven", "pause", "pause", "jump", "duplicate", "backwards")
 _FASTEST = 50.0
 """Largest simulated speed that counts as motion of an arm [rad/s, m/s]."""
 
@@ -48,13 +48,13 @@ def run_plans() -> st.SearchStrategy[RunPlan]:
         RunPlan,
         seed=st.integers(0, 2**31),
         rate=st.sampled_from([5.0, 20.0, 50.0, 190.0, 500.0, 1000.0, 4000.0, 20000.0]),
-        samples=st.sampled_from([10, 16, 40, 150, 400, 1200]),
+        samples=st.sampled_from([10, 40, 150, 400, 1000, 1000, 3000]),
         clock=st.sampled_from(_CLOCKS),
         columns=st.sampled_from(["ctrl", "ctrl", "torque", "both", "free"]),
         damages=st.one_of(
             st.just(()), st.lists(st.sampled_from(DAMAGES), min_size=1, max_size=2).map(tuple)
         ),
-        without=st.sampled_from([0.0, 0.0, 0.0, 0.3, 0.9]),
+        without=st.sampled_from([0.0, 0.0, 0.0, 0.0, 0.0, 0.2, 0.8]),
         still=st.sampled_from([False, False, False, False, True]),
     )
 
@@ -106,10 +106,12 @@ def _simulated(
     torque = np.zeros((count, model.nv))
     for k, now in enumerate(time):
         data.ctrl[: model.nu] = sines[k, : model.nu]
-        while data.time < now and not plan.still:
-            mujoco.mj_step(model, data)
+        for _ in range(max(0, round((now - data.time) / model.opt.timestep))):
+            if not plan.still:
+                mujoco.mj_step(model, data)
         mujoco.mj_forward(model, data)
-        if not np.isfinite(data.qacc).all() or np.abs(data.qvel).max(initial=0) > _FASTEST:
+        diverged = data.time < now - 2 * model.opt.timestep  # the engine began anew
+        if diverged or np.abs(data.qvel).max(initial=0) > _FASTEST:
             mujoco.mj_resetData(model, data)
             data.time = now
             mujoco.mj_forward(model, data)
