@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_of
 from loose_env.gap.data.holdout_split import split_runs
+from loose_env.gap.data.measured_runs import measured_runs
 from loose_env.gap.data.noise_floor import channel_floor
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.effects.link_inertia import payload_words
@@ -26,7 +26,7 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulation.simulator import Simulator
-from loose_env.recording import Recording, Run, set_aside
+from loose_env.recording import Recording, Run
 from loose_env.typing import Array
 
 __all__ = ["GapProblem", "prepare"]
@@ -92,11 +92,14 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
     """
     recording.check_comparison()
     runs, warnings = _suspect(recording.runs)
-    runs, words = _measured(runs, recording.model())
+    pieces, words = measured_runs(runs, recording.model())
     warnings += words
-    fitted, held = split_runs(
+    whole_fitted, whole_held = split_runs(
         [run.name for run in runs], share=settings.held_share, held_out=settings.held_out
     )
+    numbers = np.repeat(np.arange(len(runs)), [len(own) for own in pieces])
+    fitted, held = (np.flatnonzero(np.isin(numbers, k)) for k in (whole_fitted, whole_held))
+    runs = [piece for own in pieces for piece in own]
     machine = NominalModel(recording.spec())
     channels = channels_of(runs)
     warnings += naming_words(recording.spec())
@@ -142,10 +145,10 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
             "moments instead of sample by sample"
         )
 
-    def compared(numbers: list[int]) -> ResidualModel:
+    def compared(chosen: NDArray[np.intp]) -> ResidualModel:
         return ResidualModel(
             kept,
-            [trials[k] for k in numbers],
+            [trials[k] for k in chosen],
             channels,
             floors,
             threads=settings.threads,
@@ -202,16 +205,6 @@ def _suspect(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
         f"{len(healthy)} healthy runs are not used ({listed}): the suspect ones are compared. Put "
         "the healthy ones into a recording of their own to compare them with the model"
     ]
-
-
-def _measured(runs: Sequence[Run], model: mujoco.MjModel) -> tuple[list[Run], list[str]]:
-    """Set corrupt samples aside, with notes."""
-    kept, words = [], []
-    for run in runs:
-        clean, corrupt = set_aside(run, model)
-        kept.append(clean)
-        words += [each.words for each in corrupt]
-    return kept, words
 
 
 def _floors(machine: NominalModel, trials: list[Trial], channels: tuple[Channel, ...]) -> Array:
