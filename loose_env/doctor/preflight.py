@@ -10,6 +10,7 @@ from loose_env.arms import quiet
 from loose_env.doctor.channels import Channel, Machine, channels_of
 from loose_env.doctor.entries import check_entries
 from loose_env.doctor.findings import Finding, Report
+from loose_env.doctor.model_checks.alternatives import check_alternatives
 from loose_env.doctor.model_checks.clocks import check_clocks
 from loose_env.doctor.model_checks.forces import check_forces
 from loose_env.doctor.model_checks.gravity import check_gravity
@@ -110,15 +111,16 @@ def _together(
             if made is not None:
                 blocks.append((run, channels, *made))
         yield from check_gravity(machine, blocks, factors, settings)
-        yield from check_forces(machine, blocks)
+        changed = list(check_alternatives(machine, runs, factors))
+        yield from changed or check_forces(machine, blocks)
     say("checking signs and clocks")
     yield from check_clocks(machine, runs, factors, settings)
 
 
 def _needs_motion(machine: Machine, runs: Sequence[Run]) -> bool:
     """Return whether any reading depends on the motion through the model."""
-    motors = {d.name for d in machine.drives.values() if d.gain and not d.follows}
+    drives = {d.name for d in machine.drives.values() if d.gain}
     return any(
-        run.torques or motors & set(run.controls) or any(v.ndim > 1 for v in run.sensors.values())
+        run.torques or drives & set(run.controls) or any(v.ndim > 1 for v in run.sensors.values())
         for run in runs
     )

@@ -111,7 +111,7 @@ def corrupt_mask(values: Array, multiple: float = IMPULSIVE_MULTIPLE) -> NDArray
     kept = values[good]
     middle = float(np.median(kept))
     low, high = np.quantile(kept, (0.05, 0.95))
-    jumps = np.abs(kept - median_filter(kept, _WINDOW, mode="nearest"))
+    jumps = np.abs(kept - median_filter(kept, _WINDOW, mode="mirror"))
     shown = float(high - low) or max(abs(middle), 1.0)  # a column that stands still shows no range
     usual = max(shown, float(np.quantile(jumps, 0.99)))
     found = (np.abs(kept - middle) > multiple * shown) & (jumps > multiple * usual)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -86,7 +87,7 @@ def pieces_of(run: Run) -> list[Run]:
     edges = [0, *map(int, cuts), run.samples]
     pieces = [
         replace(run.part(slice(first, last)), name=f"{run.name}, from {run.time[first]:.10g} s")
-        for first, last in zip(edges[:-1], edges[1:], strict=True)
+        for first, last in pairwise(edges)
         if last - first >= FEWEST_SAMPLES
     ]
     if not pieces:

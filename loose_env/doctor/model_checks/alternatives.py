@@ -1,0 +1,463 @@
+"""Alternative readings of a recording by which the model explains the measured torques.
+
+For the joint positions and torques as recorded, and for each alternative (a reversed sign,
+exchanged joints, another unit, another direction of gravity, a clock offset, a current in place of
+a torque), the torque of joint j is
+
+    tau_j = ID_j(q) + f_j tanh(v_j / v_0) + d_j v_j + a_j dv_j/dt + o_j,   f_j, d_j, a_j >= 0,
+
+with ID the inverse dynamics of the nominal model; friction, rotor inertia and an offset are fitted
+to each joint. The share of the torque's variance that is left tells the alternatives apart: one is
+named where the recording as it stands leaves more than `UNEXPLAINED`, and the alternative leaves at
+most 1 / `CLEARER` of that, and less than `EXPLAINED`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import mujoco
+import numpy as np
+from scipy.optimize import nnls
+from scipy.signal import butter, sosfiltfilt
+
+from loose_env.doctor.channels import Channel, Machine, filled
+from loose_env.doctor.corrections import Correction
+from loose_env.doctor.entries import positions_in
+from loose_env.doctor.findings import Finding
+from loose_env.doctor.model_checks.forces import recorded_forces
+from loose_env.importing import median_step
+from loose_env.recording import Run
+from loose_env.typing import Array
+
+__all__ = ["check_alternatives"]
+
+UNEXPLAINED = 0.1
+"""Share of the torque's variance that the recording as it stands leaves, above which alternatives
+are tried [1]: friction and rotor inertia are fitted, so that payload and gravity errors remain."""
+CLEARER = 5.0
+"""Share left as it stands over that left by an alternative, from which it is named [1]."""
+EXPLAINED = 0.2
+"""Largest share that an alternative may leave to be named [1]."""
+ALIKE = 1.5
+"""Share left by a further alternative over the best one, up to which it is named beside it [1]."""
+LARGEST_GAIN = 2.0
+"""Gain between recorded and needed torque, or its inverse, from which it is no error of masses [1]:
+nominal inertias are off by less."""
+TURNED_GRAVITY_DEG = 15.0
+"""Angle of fitted gravity to the model's, from which it points elsewhere [deg]."""
+GRAVITY_MATCH = 0.3
+"""Relative distance of the fitted gravity's size from the model's, up to which it is believed
+[1]."""
+LARGEST_OFFSET_S = 0.3
+"""Largest clock offset that is tried [s]."""
+LEAST_OFFSET_S = 0.01
+"""Least clock offset that is named [s]: below, rotor inertia and damping explain the same."""
+_CUTOFF_HZ = 5.0
+"""End of the band in which torques are compared [Hz]: that of arm motion."""
+_POINTS = 300
+"""Compared points of a run."""
+_RUNS = 4
+"""Runs that are compared."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Data:
+    """Smoothed motion and torque of all runs: arrays by run, (T, joints)."""
+
+    steps: list[float]
+    positions: list[Array]
+    torques: list[Array]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Alternative:
+    left: float
+    """Share of the variance left [1]."""
+    channel: str
+    words: str
+    check: str
+    fix: Correction
+
+
+def check_alternatives(
+    machine: Machine,
+    runs: Sequence[tuple[Run, Sequence[Channel]]],
+    factors: Mapping[str, float],
+) -> Iterator[Finding]:
+    """Name the change of a recording by which the model explains its torques."""
+    yield from _exchanged_servos(machine, runs)
+    names = _columns(machine, runs)
+    if names is None:
+        return
+    positions, torques = names
+    data = _data(machine, runs, factors, list(torques))
+    if data is None:
+        return
+    dofs = [int(machine.model.jnt_dofadr[machine.model.joint(j).id]) for j in torques]
+    as_is = _left(machine, data, dofs)
+    if as_is <= UNEXPLAINED:
+        return
+    tried = [*_reversed(machine, data, dofs, positions, torques)]
+    tried += _exchanged(machine, data, dofs, positions, torques)
+    tried += _degrees(machine, data, dofs, positions)
+    tried += _late(machine, data, dofs, torques)
+    tried += _gravity(machine, data, dofs)
+    tried += _gains(machine, data, dofs, torques)
+    good = sorted(
+        (a for a in tried if a.left <= min(EXPLAINED, as_is / CLEARER)), key=lambda a: a.left
+    )
+    if not good:
+        return
+    best = good[0]
+    others = [a.words for a in good[1:4] if a.left <= ALIKE * max(best.left, 1e-3)]
+    also = f"; {' and '.join(others)} explain{'s' * (len(others) == 1)} it alike" if others else ""
+    yield Finding(
+        check=best.check,
+        severity="error",
+        channel=best.channel,
+        found=f"{best.words}: the model then leaves {best.left:.1%} of the torques' variance, as "
+        f"recorded {as_is:.0%}{also}",
+        value=best.left,
+        unit="1",
+        consequence="effects found would make up for it",
+        remedy=f"check it at the machine; --fix DIR writes the recording with {best.fix.words}",
+        fix=best.fix,
+    )
+
+
+def _columns(
+    machine: Machine, runs: Sequence[tuple[Run, Sequence[Channel]]]
+) -> tuple[dict[str, str], dict[str, str]] | None:
+    """Position and torque column of each joint; None where a position is not measured."""
+    model = machine.model
+    if model.nv != len(machine.joints) or not runs:
+        return None
+    run, channels = runs[0]
+    positions: dict[str, str] = {}
+    for c in channels:
+        if c.kind == "position":
+            positions.setdefault(c.of, c.name)
+    torques = {j: column for j, (column, _) in recorded_forces(machine, run, channels).items()}
+    ordered = {j: torques[j] for j in machine.joints if j in torques}
+    return (positions, ordered) if set(positions) >= set(machine.joints) and torques else None
+
+
+def _data(
+    machine: Machine,
+    runs: Sequence[tuple[Run, Sequence[Channel]]],
+    factors: Mapping[str, float],
+    joints: list[str],
+) -> _Data | None:
+    steps, positions, torques = [], [], []
+    for run, channels in runs:
+        forces = recorded_forces(machine, run, channels)
+        places = positions_in(run, channels, factors)
+        step = max(median_step(run.time), 0.1 / _CUTOFF_HZ)
+        count = int((run.time[-1] - run.time[0]) / step) + 1
+        if not set(joints) <= set(forces) or not set(machine.joints) <= set(places):
+            continue
+        if not 40 <= count <= 100_000 or step > 0.25 / _CUTOFF_HZ:
+            continue
+        grid = run.time[0] + step * np.arange(count)
+        low = butter(2, _CUTOFF_HZ, fs=1 / step, output="sos")
+
+        def smooth(values: Array, run: Run = run, grid: Array = grid, low: Array = low) -> Array:
+            whole = sosfiltfilt(low, np.interp(grid, run.time, filled(run.time, values)))
+            return np.asarray(whole)[: _POINTS * max(1, len(grid) // _POINTS)]
+
+        steps.append(step)
+        positions.append(np.stack([smooth(places[j]) for j in machine.joints], axis=1))
+        torques.append(np.stack([smooth(forces[j][1]) for j in joints], axis=1))
+        if len(steps) == _RUNS:
+            break
+    if not steps or np.concatenate(torques).std(axis=0).max() == 0:
+        return None
+    return _Data(steps=steps, positions=positions, torques=torques)
+
+
+def _needed(
+    machine: Machine, data: _Data, dofs: list[int], gravity: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """Inverse dynamics torque, velocity and acceleration at the compared points (E, J)."""
+    model = machine.model
+    before, flags = model.opt.gravity.copy(), model.opt.disableflags
+    friction = model.dof_frictionloss.copy()
+    engine = mujoco.MjData(model)
+    addresses = [int(model.jnt_qposadr[model.joint(j).id]) for j in machine.joints]
+    own = [int(model.jnt_dofadr[model.joint(j).id]) for j in machine.joints]
+    torque, speed, change = [], [], []
+    try:
+        model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        model.dof_frictionloss[:] = 0.0
+        if gravity is not None:
+            model.opt.gravity[:] = gravity
+        for step, q in zip(data.steps, data.positions, strict=True):
+            v = np.gradient(q, step, axis=0)
+            a = np.gradient(v, step, axis=0)
+            for k in _chosen(len(q)):
+                engine.qpos[addresses], engine.qvel[own], engine.qacc[own] = q[k], v[k], a[k]
+                mujoco.mj_inverse(model, engine)
+                torque.append(engine.qfrc_inverse[dofs].copy())
+                speed.append(engine.qvel[dofs].copy())
+                change.append(engine.qacc[dofs].copy())
+    finally:
+        model.opt.gravity[:], model.opt.disableflags = before, flags
+        model.dof_frictionloss[:] = friction
+    return np.array(torque), np.array(speed), np.array(change)
+
+
+def _chosen(count: int) -> Array:
+    """Compared points of a run; its ends have no derivative."""
+    return np.unique(np.linspace(4, count - 5, min(_POINTS, count - 8)).astype(int))
+
+
+def _measured(data: _Data) -> Array:
+    return np.concatenate([t[_chosen(len(t))] for t in data.torques])
+
+
+def _left(machine: Machine, data: _Data, dofs: list[int]) -> float:
+    needed, speed, change = _needed(machine, data, dofs)
+    return _share(_measured(data), needed, speed, change)
+
+
+def _share(measured: Array, needed: Array, speed: Array, change: Array) -> float:
+    """Share of the variance that is left, mean over the joints; infinite where it overflows."""
+    if not np.isfinite(needed).all():
+        return np.inf
+    parts = [
+        _fitted(measured[:, j] - needed[:, j], speed[:, j], change[:, j])[1]
+        / max(float(np.var(measured[:, j])), 1e-12 * float(np.var(measured)) + 1e-300)
+        for j in range(measured.shape[1])
+        if np.std(measured[:, j]) > 1e-3 * np.std(measured)
+    ]
+    return float(np.mean(parts)) if parts else 0.0
+
+
+def _fitted(
+    residual: Array, speed: Array, change: Array, more: Sequence[Array] = ()
+) -> tuple[Array, float]:
+    """Non-negative coefficients of friction, rotor inertia, offset; mean square of the rest."""
+    direction = np.tanh(speed / max(0.05 * float(np.std(speed)), 1e-9))
+    ones = np.ones_like(speed)
+    columns = np.stack([*more, direction, speed, change, ones, -ones], axis=1)
+    size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
+    found, norm = nnls(columns / size, residual)
+    return np.asarray(found / size), float(norm**2 / len(residual))
+
+
+def _with(data: _Data, positions: Array | None = None, torques: Array | None = None) -> _Data:
+    """Data with columns mapped by matrices (J, J)."""
+    return _Data(
+        steps=data.steps,
+        positions=data.positions if positions is None else [q @ positions for q in data.positions],
+        torques=data.torques if torques is None else [t @ torques for t in data.torques],
+    )
+
+
+def _reversed(
+    machine: Machine,
+    data: _Data,
+    dofs: list[int],
+    positions: Mapping[str, str],
+    torques: Mapping[str, str],
+) -> Iterator[_Alternative]:
+    measured = list(torques)
+    for k, joint in enumerate(machine.joints):
+        flip = np.ones(len(machine.joints))
+        flip[k] = -1.0
+        turned, both = np.ones(len(measured)), (positions[joint],)
+        if joint in measured:
+            turned[measured.index(joint)] = -1.0
+            both = (positions[joint], torques[joint])
+            left = _left(machine, _with(data, torques=np.diag(turned)), dofs)
+            yield _sign(left, torques[joint])
+        yield _sign(_left(machine, _with(data, positions=np.diag(flip)), dofs), positions[joint])
+        if len(both) > 1:
+            changed = _with(data, positions=np.diag(flip), torques=np.diag(turned))
+            yield _sign(_left(machine, changed, dofs), *both)
+
+
+def _sign(left: float, *columns: str) -> _Alternative:
+    names = " and ".join(columns)
+    return _Alternative(
+        left=left,
+        channel=", ".join(columns),
+        words=f"the opposite sign of {names}",
+        check="sign",
+        fix=Correction(kind="scale", columns=columns, factor=-1.0),
+    )
+
+
+def _exchanged(
+    machine: Machine,
+    data: _Data,
+    dofs: list[int],
+    positions: Mapping[str, str],
+    torques: Mapping[str, str],
+) -> Iterator[_Alternative]:
+    for names, columns in ((machine.joints, positions), (list(torques), torques)):
+        for a, b in combinations(range(len(names)), 2):
+            order = np.eye(len(names))
+            order[:, [a, b]] = order[:, [b, a]]
+            changed = _with(data, **{"positions" if columns is positions else "torques": order})
+            pair = (columns[names[a]], columns[names[b]])
+            yield _Alternative(
+                left=_left(machine, changed, dofs),
+                channel=", ".join(pair),
+                words=f"{pair[0]} and {pair[1]} exchanged",
+                check="names",
+                fix=Correction(kind="exchange", columns=pair),
+            )
+
+
+def _degrees(
+    machine: Machine, data: _Data, dofs: list[int], positions: Mapping[str, str]
+) -> Iterator[_Alternative]:
+    hinges = [j for j in machine.joints if machine.hinge(j)]
+    for joints in ([hinges] if len(hinges) > 1 else []) + [[j] for j in hinges]:
+        factor = np.array([np.pi / 180 if j in joints else 1.0 for j in machine.joints])
+        columns = tuple(positions[j] for j in joints)
+        yield _Alternative(
+            left=_left(machine, _with(data, positions=np.diag(factor)), dofs),
+            channel=", ".join(columns),
+            words=f"{' and '.join(columns)} in degrees",
+            check="units",
+            fix=Correction(kind="scale", columns=columns, factor=float(np.pi / 180)),
+        )
+
+
+def _late(
+    machine: Machine, data: _Data, dofs: list[int], torques: Mapping[str, str]
+) -> Iterator[_Alternative]:
+    needed, speed, change = _needed(machine, data, dofs)
+
+    def left(offset: float) -> float:
+        measured = []
+        for step, own in zip(data.steps, data.torques, strict=True):
+            grid = step * np.arange(len(own))
+            moved = np.stack([np.interp(grid + offset, grid, t) for t in own.T], axis=1)
+            measured.append(moved[_chosen(len(own))])
+        return _share(np.concatenate(measured), needed, speed, change)
+
+    offsets = np.arange(-LARGEST_OFFSET_S, LARGEST_OFFSET_S + 1e-9, 0.01)
+    shares = [left(d) for d in offsets]
+    best = float(offsets[int(np.argmin(shares))])
+    fine = best + np.arange(-0.01, 0.0101, 0.001)
+    offset = float(fine[int(np.argmin([left(d) for d in fine]))])
+    if LEAST_OFFSET_S <= abs(offset) < LARGEST_OFFSET_S:
+        word = "late" if offset > 0 else "early"
+        yield _Alternative(
+            left=left(offset),
+            channel="torques",
+            words=f"the torques {1e3 * abs(offset):.0f} ms {word} against the positions",
+            check="clock",
+            fix=Correction(kind="shift", columns=tuple(torques.values()), seconds=offset),
+        )
+
+
+def _gravity(machine: Machine, data: _Data, dofs: list[int]) -> Iterator[_Alternative]:
+    """Gravity by least squares: the torque is linear in it."""
+    own = machine.model.opt.gravity.copy()
+    size = float(np.linalg.norm(own)) or 9.81
+    free, speed, change = _needed(machine, data, dofs, np.zeros(3))
+    unit = [_needed(machine, data, dofs, axis)[0] - free for axis in np.eye(3)]
+    measured = _measured(data)
+    rows, right = [], []
+    for j in range(measured.shape[1]):
+        direction = np.tanh(speed[:, j] / max(0.05 * float(np.std(speed[:, j])), 1e-9))
+        nuisance = np.stack([direction, speed[:, j], change[:, j], np.ones(len(speed))], axis=1)
+        basis = np.linalg.qr(nuisance)[0]
+        both = np.column_stack([*(u[:, j] for u in unit), measured[:, j] - free[:, j]])
+        both = (both - basis @ (basis.T @ both)) / max(float(np.std(measured[:, j])), 1e-12)
+        rows.append(both[:, :3])
+        right.append(both[:, 3])
+    found = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=1e-6)[0]
+    length = float(np.linalg.norm(found))
+    if not np.isfinite(length) or abs(length / size - 1) > GRAVITY_MATCH:
+        return
+    cosine = float(found @ own) / (length * size) if np.any(own) else -1.0
+    angle = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+    if angle < TURNED_GRAVITY_DEG:
+        return
+    vector = found * size / length
+    needed = free + sum(u * g for u, g in zip(unit, vector, strict=True))
+    x, y, z = (round(float(g), 3) for g in vector)
+    yield _Alternative(
+        left=_share(measured, needed, speed, change),
+        channel="gravity",
+        words=f"gravity along ({x:g}, {y:g}, {z:g}) m/s², {angle:.0f} degrees from the model's",
+        check="gravity",
+        fix=Correction(kind="gravity", vector=(x, y, z)),
+    )
+
+
+def _gains(
+    machine: Machine, data: _Data, dofs: list[int], torques: Mapping[str, str]
+) -> Iterator[_Alternative]:
+    """Recorded values that are the torque times one gain for each joint: currents, other units."""
+    needed, speed, change = _needed(machine, data, dofs)
+    measured = _measured(data)
+    gains, parts = [], []
+    for j in range(measured.shape[1]):
+        found, rest = _fitted(measured[:, j], speed[:, j], change[:, j], [needed[:, j]])
+        gains.append(float(found[0]))
+        parts.append(rest / max(float(np.var(measured[:, j])), 1e-300))
+    for j, (joint, column) in enumerate(torques.items()):
+        gain = gains[j]
+        if gain <= 0 or 1 / LARGEST_GAIN < gain < LARGEST_GAIN:
+            continue
+        others = [k for k in range(len(gains)) if k != j]
+        alone = needed.copy()
+        alone[:, j] *= gain
+        left = _share(measured, alone, speed, change) if others else parts[j]
+        unit = "N·m" if machine.hinge(joint) else "N"
+        yield _Alternative(
+            left=left,
+            channel=column,
+            words=f"{column} is {gain:.3g} times the torque in {unit}: a current or another unit",
+            check="units",
+            fix=Correction(kind="scale", columns=(column,), factor=1 / gain),
+        )
+
+
+def _exchanged_servos(
+    machine: Machine, runs: Sequence[tuple[Run, Sequence[Channel]]]
+) -> Iterator[Finding]:
+    """Name two servos each of which follows the other's command."""
+    followed: dict[tuple[str, str], list[float]] = {}
+    columns: dict[str, str] = {}
+    for run, channels in runs[:_RUNS]:
+        positions = {c.of: c for c in channels if c.kind == "position"}
+        commands = {}
+        for c in channels:
+            drive = machine.drives.get(c.of) if c.kind == "command" else None
+            if drive is not None and drive.follows:
+                commands[drive.joint] = filled(run.time, c.values) * (drive.gear or 1.0)
+        columns |= {joint: c.name for joint, c in positions.items()}
+        for a, command in commands.items():
+            for b, position in positions.items():
+                own = filled(run.time, position.values)
+                if np.std(command) > 0 and np.std(own) > 0:
+                    followed.setdefault((a, b), []).append(float(np.corrcoef(command, own)[0, 1]))
+    mean = {pair: float(np.mean(values)) for pair, values in followed.items()}
+    for a, b in combinations([j for j in machine.joints if (j, j) in mean], 2):
+        across = min(mean.get((a, b), 0.0), mean.get((b, a), 0.0))
+        own = max(abs(mean[a, a]), abs(mean[b, b]))
+        if across < 0.9 or own > 0.6:
+            continue
+        fix = Correction(kind="exchange", columns=(columns[a], columns[b]))
+        yield Finding(
+            check="names",
+            severity="error",
+            channel=f"{columns[a]}, {columns[b]}",
+            found=f"each follows the other's command (correlation {across:.2f}, with its own "
+            f"{own:.2f}): exchanged",
+            value=across,
+            unit="1",
+            consequence="effects found would make up for it",
+            remedy=f"check it at the machine; --fix DIR writes the recording with {fix.words}",
+            fix=fix,
+        )
