@@ -1,7 +1,7 @@
 """Preflight of a recording: units, ranges, signs, sampling, channels, clocks and entries.
 
-Data flow: thresholds -> settings -> corrections -> findings -> channels -> sampling -> quality -> entries ->
-model_checks -> preflight.
+Data flow: thresholds -> settings -> corrections -> findings -> channels -> sampling ->
+quality -> entries -> model_checks -> preflight.
 """
 
 from loose_env.doctor.corrections import Correction, write_corrected

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
+import mujoco
 import numpy as np
 
 from loose_env.arms import quiet
 from loose_env.doctor.channels import Channel, Machine, channels_of
+from loose_env.doctor.corrections import Correction
 from loose_env.doctor.entries import check_entries
 from loose_env.doctor.findings import Finding, Report
 from loose_env.doctor.model_checks.alternatives import check_alternatives
@@ -101,7 +104,7 @@ def _together(
     yield from check_rates([run for run, _ in runs])
     say("checking positions, entries and commands")
     wrong, factors = check_positions(machine, runs, settings)
-    yield from wrong
+    yield from (_with_fix(machine, each, factors) for each in wrong)
     yield from check_entries(machine, runs, factors, settings)
     if _needs_motion(machine, [run for run, _ in runs]):
         say("checking gravity and torques")
@@ -115,6 +118,18 @@ def _together(
         yield from changed or check_forces(machine, blocks)
     say("checking signs and clocks")
     yield from check_clocks(machine, runs, factors, settings)
+
+
+def _with_fix(machine: Machine, finding: Finding, factors: Mapping[str, float]) -> Finding:
+    """Finding on a position column with the factor that was found for its joint."""
+    model, name = machine.model, finding.channel.removeprefix("sensor.")
+    sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
+    if name == finding.channel or sensor < 0 or finding.check not in ("units", "sign"):
+        return finding
+    factor = factors.get(model.joint(int(model.sensor_objid[sensor])).name, 1.0)
+    if factor == 1.0:
+        return finding
+    return replace(finding, fix=Correction(kind="scale", columns=(finding.channel,), factor=factor))
 
 
 def _needs_motion(machine: Machine, runs: Sequence[Run]) -> bool:

@@ -18,19 +18,24 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-import mujoco
 import numpy as np
-from scipy.optimize import nnls
-from scipy.signal import butter, sosfiltfilt
 
 from loose_env.doctor.channels import Channel, Machine, filled
 from loose_env.doctor.corrections import Correction
-from loose_env.doctor.entries import positions_in
 from loose_env.doctor.findings import Finding
 from loose_env.doctor.model_checks.forces import recorded_forces
-from loose_env.importing import median_step
+from loose_env.doctor.model_checks.torque_fit import (
+    TorqueData,
+    compared_points,
+    left_as_recorded,
+    mapped,
+    measured_torque,
+    needed_torque,
+    share_left,
+    torque_data,
+    with_friction,
+)
 from loose_env.recording import Run
-from loose_env.typing import Array
 
 __all__ = ["check_alternatives"]
 
@@ -53,23 +58,12 @@ GRAVITY_MATCH = 0.3
 [1]."""
 LARGEST_OFFSET_S = 0.3
 """Largest clock offset that is tried [s]."""
+_SERVO_RUNS = 8
+"""Runs whose commands are compared with positions."""
 LEAST_OFFSET_S = 0.01
 """Least clock offset that is named [s]: below, rotor inertia and damping explain the same."""
-_CUTOFF_HZ = 5.0
-"""End of the band in which torques are compared [Hz]: that of arm motion."""
-_POINTS = 300
-"""Compared points of a run."""
-_RUNS = 4
-"""Runs that are compared."""
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Data:
-    """Smoothed motion and torque of all runs: arrays by run, (T, joints)."""
-
-    steps: list[float]
-    positions: list[Array]
-    torques: list[Array]
+_MADE_UP = "effects found would make up for it"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,11 +87,12 @@ def check_alternatives(
     if names is None:
         return
     positions, torques = names
-    data = _data(machine, runs, factors, list(torques))
+    data = torque_data(machine, runs, factors, list(torques))
     if data is None:
         return
     dofs = [int(machine.model.jnt_dofadr[machine.model.joint(j).id]) for j in torques]
-    as_is = _left(machine, data, dofs)
+    as_is = left_as_recorded(machine, data, dofs)
+    yield from _by_factors(machine, data, dofs, positions, factors, as_is)
     if as_is <= UNEXPLAINED:
         return
     tried = [*_reversed(machine, data, dofs, positions, torques)]
@@ -122,10 +117,42 @@ def check_alternatives(
         f"recorded {as_is:.0%}{also}",
         value=best.left,
         unit="1",
-        consequence="effects found would make up for it",
+        consequence=_MADE_UP,
         remedy=f"check it at the machine; --fix DIR writes the recording with {best.fix.words}",
         fix=best.fix,
     )
+
+
+def _by_factors(
+    machine: Machine,
+    data: TorqueData,
+    dofs: list[int],
+    positions: Mapping[str, str],
+    factors: Mapping[str, float],
+    corrected: float,
+) -> Iterator[Finding]:
+    """Confirm by the torques what limits and poses say of a position's unit or sign."""
+    found = {j: f for j, f in factors.items() if f != 1.0}
+    if not found:
+        return
+    back = np.diag([1 / found.get(joint, 1.0) for joint in machine.joints])
+    as_is = left_as_recorded(machine, mapped(data, positions=back), dofs)
+    if as_is <= UNEXPLAINED or corrected > as_is / CLEARER:
+        return
+    for joint, factor in found.items():
+        fix = Correction(kind="scale", columns=(positions[joint],), factor=factor)
+        yield Finding(
+            check="units" if factor > 0 else "sign",
+            severity="error",
+            channel=positions[joint],
+            found=f"multiplied by {factor:.4g}, the model leaves {corrected:.1%} of the torques' "
+            f"variance, as recorded {as_is:.0%}",
+            value=factor,
+            unit="1",
+            consequence=_MADE_UP,
+            remedy=f"check it at the machine; --fix DIR writes the recording with {fix.words}",
+            fix=fix,
+        )
 
 
 def _columns(
@@ -145,121 +172,9 @@ def _columns(
     return (positions, ordered) if set(positions) >= set(machine.joints) and torques else None
 
 
-def _data(
-    machine: Machine,
-    runs: Sequence[tuple[Run, Sequence[Channel]]],
-    factors: Mapping[str, float],
-    joints: list[str],
-) -> _Data | None:
-    steps, positions, torques = [], [], []
-    for run, channels in runs:
-        forces = recorded_forces(machine, run, channels)
-        places = positions_in(run, channels, factors)
-        step = max(median_step(run.time), 0.1 / _CUTOFF_HZ)
-        count = int((run.time[-1] - run.time[0]) / step) + 1
-        if not set(joints) <= set(forces) or not set(machine.joints) <= set(places):
-            continue
-        if not 40 <= count <= 100_000 or step > 0.25 / _CUTOFF_HZ:
-            continue
-        grid = run.time[0] + step * np.arange(count)
-        low = butter(2, _CUTOFF_HZ, fs=1 / step, output="sos")
-
-        def smooth(values: Array, run: Run = run, grid: Array = grid, low: Array = low) -> Array:
-            whole = sosfiltfilt(low, np.interp(grid, run.time, filled(run.time, values)))
-            return np.asarray(whole)[: _POINTS * max(1, len(grid) // _POINTS)]
-
-        steps.append(step)
-        positions.append(np.stack([smooth(places[j]) for j in machine.joints], axis=1))
-        torques.append(np.stack([smooth(forces[j][1]) for j in joints], axis=1))
-        if len(steps) == _RUNS:
-            break
-    if not steps or np.concatenate(torques).std(axis=0).max() == 0:
-        return None
-    return _Data(steps=steps, positions=positions, torques=torques)
-
-
-def _needed(
-    machine: Machine, data: _Data, dofs: list[int], gravity: Array | None = None
-) -> tuple[Array, Array, Array]:
-    """Inverse dynamics torque, velocity and acceleration at the compared points (E, J)."""
-    model = machine.model
-    before, flags = model.opt.gravity.copy(), model.opt.disableflags
-    friction = model.dof_frictionloss.copy()
-    engine = mujoco.MjData(model)
-    addresses = [int(model.jnt_qposadr[model.joint(j).id]) for j in machine.joints]
-    own = [int(model.jnt_dofadr[model.joint(j).id]) for j in machine.joints]
-    torque, speed, change = [], [], []
-    try:
-        model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        model.dof_frictionloss[:] = 0.0
-        if gravity is not None:
-            model.opt.gravity[:] = gravity
-        for step, q in zip(data.steps, data.positions, strict=True):
-            v = np.gradient(q, step, axis=0)
-            a = np.gradient(v, step, axis=0)
-            for k in _chosen(len(q)):
-                engine.qpos[addresses], engine.qvel[own], engine.qacc[own] = q[k], v[k], a[k]
-                mujoco.mj_inverse(model, engine)
-                torque.append(engine.qfrc_inverse[dofs].copy())
-                speed.append(engine.qvel[dofs].copy())
-                change.append(engine.qacc[dofs].copy())
-    finally:
-        model.opt.gravity[:], model.opt.disableflags = before, flags
-        model.dof_frictionloss[:] = friction
-    return np.array(torque), np.array(speed), np.array(change)
-
-
-def _chosen(count: int) -> Array:
-    """Compared points of a run; its ends have no derivative."""
-    return np.unique(np.linspace(4, count - 5, min(_POINTS, count - 8)).astype(int))
-
-
-def _measured(data: _Data) -> Array:
-    return np.concatenate([t[_chosen(len(t))] for t in data.torques])
-
-
-def _left(machine: Machine, data: _Data, dofs: list[int]) -> float:
-    needed, speed, change = _needed(machine, data, dofs)
-    return _share(_measured(data), needed, speed, change)
-
-
-def _share(measured: Array, needed: Array, speed: Array, change: Array) -> float:
-    """Share of the variance that is left, mean over the joints; infinite where it overflows."""
-    if not np.isfinite(needed).all():
-        return np.inf
-    parts = [
-        _fitted(measured[:, j] - needed[:, j], speed[:, j], change[:, j])[1]
-        / max(float(np.var(measured[:, j])), 1e-12 * float(np.var(measured)) + 1e-300)
-        for j in range(measured.shape[1])
-        if np.std(measured[:, j]) > 1e-3 * np.std(measured)
-    ]
-    return float(np.mean(parts)) if parts else 0.0
-
-
-def _fitted(
-    residual: Array, speed: Array, change: Array, more: Sequence[Array] = ()
-) -> tuple[Array, float]:
-    """Non-negative coefficients of friction, rotor inertia, offset; mean square of the rest."""
-    direction = np.tanh(speed / max(0.05 * float(np.std(speed)), 1e-9))
-    ones = np.ones_like(speed)
-    columns = np.stack([*more, direction, speed, change, ones, -ones], axis=1)
-    size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
-    found, norm = nnls(columns / size, residual)
-    return np.asarray(found / size), float(norm**2 / len(residual))
-
-
-def _with(data: _Data, positions: Array | None = None, torques: Array | None = None) -> _Data:
-    """Data with columns mapped by matrices (J, J)."""
-    return _Data(
-        steps=data.steps,
-        positions=data.positions if positions is None else [q @ positions for q in data.positions],
-        torques=data.torques if torques is None else [t @ torques for t in data.torques],
-    )
-
-
 def _reversed(
     machine: Machine,
-    data: _Data,
+    data: TorqueData,
     dofs: list[int],
     positions: Mapping[str, str],
     torques: Mapping[str, str],
@@ -272,12 +187,14 @@ def _reversed(
         if joint in measured:
             turned[measured.index(joint)] = -1.0
             both = (positions[joint], torques[joint])
-            left = _left(machine, _with(data, torques=np.diag(turned)), dofs)
+            left = left_as_recorded(machine, mapped(data, torques=np.diag(turned)), dofs)
             yield _sign(left, torques[joint])
-        yield _sign(_left(machine, _with(data, positions=np.diag(flip)), dofs), positions[joint])
+        yield _sign(
+            left_as_recorded(machine, mapped(data, positions=np.diag(flip)), dofs), positions[joint]
+        )
         if len(both) > 1:
-            changed = _with(data, positions=np.diag(flip), torques=np.diag(turned))
-            yield _sign(_left(machine, changed, dofs), *both)
+            changed = mapped(data, positions=np.diag(flip), torques=np.diag(turned))
+            yield _sign(left_as_recorded(machine, changed, dofs), *both)
 
 
 def _sign(left: float, *columns: str) -> _Alternative:
@@ -293,7 +210,7 @@ def _sign(left: float, *columns: str) -> _Alternative:
 
 def _exchanged(
     machine: Machine,
-    data: _Data,
+    data: TorqueData,
     dofs: list[int],
     positions: Mapping[str, str],
     torques: Mapping[str, str],
@@ -302,10 +219,10 @@ def _exchanged(
         for a, b in combinations(range(len(names)), 2):
             order = np.eye(len(names))
             order[:, [a, b]] = order[:, [b, a]]
-            changed = _with(data, **{"positions" if columns is positions else "torques": order})
+            changed = mapped(data, **{"positions" if columns is positions else "torques": order})
             pair = (columns[names[a]], columns[names[b]])
             yield _Alternative(
-                left=_left(machine, changed, dofs),
+                left=left_as_recorded(machine, changed, dofs),
                 channel=", ".join(pair),
                 words=f"{pair[0]} and {pair[1]} exchanged",
                 check="names",
@@ -314,14 +231,14 @@ def _exchanged(
 
 
 def _degrees(
-    machine: Machine, data: _Data, dofs: list[int], positions: Mapping[str, str]
+    machine: Machine, data: TorqueData, dofs: list[int], positions: Mapping[str, str]
 ) -> Iterator[_Alternative]:
     hinges = [j for j in machine.joints if machine.hinge(j)]
     for joints in ([hinges] if len(hinges) > 1 else []) + [[j] for j in hinges]:
         factor = np.array([np.pi / 180 if j in joints else 1.0 for j in machine.joints])
         columns = tuple(positions[j] for j in joints)
         yield _Alternative(
-            left=_left(machine, _with(data, positions=np.diag(factor)), dofs),
+            left=left_as_recorded(machine, mapped(data, positions=np.diag(factor)), dofs),
             channel=", ".join(columns),
             words=f"{' and '.join(columns)} in degrees",
             check="units",
@@ -330,17 +247,17 @@ def _degrees(
 
 
 def _late(
-    machine: Machine, data: _Data, dofs: list[int], torques: Mapping[str, str]
+    machine: Machine, data: TorqueData, dofs: list[int], torques: Mapping[str, str]
 ) -> Iterator[_Alternative]:
-    needed, speed, change = _needed(machine, data, dofs)
+    needed, speed, change = needed_torque(machine, data, dofs)
 
     def left(offset: float) -> float:
         measured = []
         for step, own in zip(data.steps, data.torques, strict=True):
             grid = step * np.arange(len(own))
             moved = np.stack([np.interp(grid + offset, grid, t) for t in own.T], axis=1)
-            measured.append(moved[_chosen(len(own))])
-        return _share(np.concatenate(measured), needed, speed, change)
+            measured.append(moved[compared_points(len(own))])
+        return share_left(np.concatenate(measured), needed, speed, change)
 
     offsets = np.arange(-LARGEST_OFFSET_S, LARGEST_OFFSET_S + 1e-9, 0.01)
     shares = [left(d) for d in offsets]
@@ -358,13 +275,13 @@ def _late(
         )
 
 
-def _gravity(machine: Machine, data: _Data, dofs: list[int]) -> Iterator[_Alternative]:
+def _gravity(machine: Machine, data: TorqueData, dofs: list[int]) -> Iterator[_Alternative]:
     """Gravity by least squares: the torque is linear in it."""
     own = machine.model.opt.gravity.copy()
     size = float(np.linalg.norm(own)) or 9.81
-    free, speed, change = _needed(machine, data, dofs, np.zeros(3))
-    unit = [_needed(machine, data, dofs, axis)[0] - free for axis in np.eye(3)]
-    measured = _measured(data)
+    free, speed, change = needed_torque(machine, data, dofs, np.zeros(3))
+    unit = [needed_torque(machine, data, dofs, axis)[0] - free for axis in np.eye(3)]
+    measured = measured_torque(data)
     rows, right = [], []
     for j in range(measured.shape[1]):
         direction = np.tanh(speed[:, j] / max(0.05 * float(np.std(speed[:, j])), 1e-9))
@@ -386,7 +303,7 @@ def _gravity(machine: Machine, data: _Data, dofs: list[int]) -> Iterator[_Altern
     needed = free + sum(u * g for u, g in zip(unit, vector, strict=True))
     x, y, z = (round(float(g), 3) for g in vector)
     yield _Alternative(
-        left=_share(measured, needed, speed, change),
+        left=share_left(measured, needed, speed, change),
         channel="gravity",
         words=f"gravity along ({x:g}, {y:g}, {z:g}) m/s², {angle:.0f} degrees from the model's",
         check="gravity",
@@ -395,14 +312,14 @@ def _gravity(machine: Machine, data: _Data, dofs: list[int]) -> Iterator[_Altern
 
 
 def _gains(
-    machine: Machine, data: _Data, dofs: list[int], torques: Mapping[str, str]
+    machine: Machine, data: TorqueData, dofs: list[int], torques: Mapping[str, str]
 ) -> Iterator[_Alternative]:
     """Recorded values that are the torque times one gain for each joint: currents, other units."""
-    needed, speed, change = _needed(machine, data, dofs)
-    measured = _measured(data)
+    needed, speed, change = needed_torque(machine, data, dofs)
+    measured = measured_torque(data)
     gains, parts = [], []
     for j in range(measured.shape[1]):
-        found, rest = _fitted(measured[:, j], speed[:, j], change[:, j], [needed[:, j]])
+        found, rest = with_friction(measured[:, j], speed[:, j], change[:, j], [needed[:, j]])
         gains.append(float(found[0]))
         parts.append(rest / max(float(np.var(measured[:, j])), 1e-300))
     for j, (joint, column) in enumerate(torques.items()):
@@ -412,7 +329,7 @@ def _gains(
         others = [k for k in range(len(gains)) if k != j]
         alone = needed.copy()
         alone[:, j] *= gain
-        left = _share(measured, alone, speed, change) if others else parts[j]
+        left = share_left(measured, alone, speed, change) if others else parts[j]
         unit = "N·m" if machine.hinge(joint) else "N"
         yield _Alternative(
             left=left,
@@ -429,7 +346,7 @@ def _exchanged_servos(
     """Name two servos each of which follows the other's command."""
     followed: dict[tuple[str, str], list[float]] = {}
     columns: dict[str, str] = {}
-    for run, channels in runs[:_RUNS]:
+    for run, channels in runs[:_SERVO_RUNS]:
         positions = {c.of: c for c in channels if c.kind == "position"}
         commands = {}
         for c in channels:
@@ -457,7 +374,7 @@ def _exchanged_servos(
             f"{own:.2f}): exchanged",
             value=across,
             unit="1",
-            consequence="effects found would make up for it",
+            consequence=_MADE_UP,
             remedy=f"check it at the machine; --fix DIR writes the recording with {fix.words}",
             fix=fix,
         )
