@@ -1,4 +1,4 @@
-"""A changed unit, sign, order, clock or gravity is named before any effect, and corrected on demand.
+"""A changed unit, sign, order, clock or gravity is named before any effect, and corrected.
 
 The torques come from MuJoCo's inverse dynamics with friction and a payload that the model lacks.
 """

@@ -53,6 +53,7 @@ def torque_data(
     factors: Mapping[str, float],
     joints: list[str],
 ) -> TorqueData | None:
+    """Smoothed positions of all joints and torques of some, of the first runs that have them."""
     steps, positions, torques = [], [], []
     for run, channels in runs:
         forces = recorded_forces(machine, run, channels)
@@ -117,10 +118,12 @@ def compared_points(count: int) -> NDArray[np.intp]:
 
 
 def measured_torque(data: TorqueData) -> Array:
+    """Recorded torque at the compared points of all runs (E, J)."""
     return np.concatenate([t[compared_points(len(t))] for t in data.torques])
 
 
 def left_as_recorded(machine: Machine, data: TorqueData, dofs: list[int]) -> float:
+    """Share of the torque's variance that model, friction and rotor inertia leave [1]."""
     needed, speed, change = needed_torque(machine, data, dofs)
     return share_left(measured_torque(data), needed, speed, change)
 
