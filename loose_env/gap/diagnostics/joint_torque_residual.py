@@ -30,8 +30,9 @@ _COURSE = 5
 _GLITCH = 8.0
 """Deviation from the course over the usual one, from which a sample is left out [1]: white noise
 deviates so far in none of a million samples."""
-_MOST_GLITCHES = 0.1
-"""Share of such samples above which they are the motion [1]."""
+_MOST_GLITCHES = 0.03
+"""Share of such samples above which they are the motion [1]; each spoils three second
+differences."""
 _LOWEST_HZ = 2.0
 """Lowest end of a band [Hz]."""
 _MOTION_SHARE = 0.99
@@ -43,6 +44,8 @@ _RUNG = 1.5
 _NOISE_GROWTH = 2.0
 """Growth of the residual torque's power with the band, as an exponent, from which it is noise [1]:
 that of errors of the readings is 3 to 5, that of a torque levels off."""
+_WHITE_GROWTH = 5.0
+"""The same of white noise of the positions [1]."""
 _TRIED_POINTS = 400
 """Points of a run at which a band is tried."""
 
@@ -117,16 +120,16 @@ def joint_motion(
         smooth = smooth_motion(trial, machine, channels, readings)
     except InvalidData:  # too short
         return _unknown(joints, units, trial)
-    known = np.array(measured, dtype=bool)
+    known, most = np.array(measured, dtype=bool), np.full(len(joints), np.inf)
     if trial.form != "inverse" and known.all() and machine.model.nv == len(joints):
-        smooth = _quiet(machine, trial, channels, readings, smooth)
+        smooth, most = _quiet(machine, trial, channels, readings, smooth)
     shape = smooth.position.shape
     load, missing = np.full(shape, np.nan), np.full(shape, np.nan)
     floor = np.full(len(joints), np.nan)
     if known.all() and machine.model.nv == len(joints):
         needed, applied = _torques(machine, trial, smooth)
         load = smooth.band.smooth(needed)
-        floor = _needed_noise(machine, trial, smooth)
+        floor = np.minimum(_needed_noise(machine, trial, smooth), np.sqrt(most))
         if trial.form != "inverse":
             missing = smooth.band.smooth(applied) - load
         passed = np.sqrt(2 * smooth.band.end / smooth.band.rate)
@@ -172,7 +175,7 @@ def _without_glitches(
             continue
         good = np.flatnonzero(np.isfinite(values))
         away = np.abs(values[good] - median_filter(values[good], _COURSE, mode="mirror"))
-        bend = float(np.median(np.abs(np.diff(values[good], 2))))
+        bend = float(np.quantile(np.abs(np.diff(values[good], 2)), 1 - 3 * _MOST_GLITCHES))
         usual = max(1.4826 * float(np.median(away)), bend, noise_floor(values))
         wrong = good[away > _GLITCH * usual]
         if len(wrong) and len(wrong) < _MOST_GLITCHES * len(good):
@@ -187,8 +190,11 @@ def _quiet(
     channels: Sequence[Channel],
     readings: dict[str, Array],
     widest: Motion,
-) -> Motion:
+) -> tuple[Motion, Array]:
     """Motion in the widest band in which the residual torque does not grow as noise does.
+
+    With it the largest power of noise in the residual torque (J,), which the growth to the next
+    band allows; infinite where the widest band is kept.
 
     Without a measured torque nothing limits the band, and readings that err by more than white
     noise (lost, late, held or glitched samples) pass as motion up to its end. The power of the
@@ -196,36 +202,28 @@ def _quiet(
     torque levels off once the band holds the motion.
     """
     grid = widest.time
-    ends = [_power_end(v, trial.rate) for v in widest.position.T]
-    end = max(_LOWEST_HZ, _MOTION_ROOM * max(ends))
+    end = max(_LOWEST_HZ, _MOTION_ROOM * max(_power_end(v, trial.rate) for v in widest.position.T))
     at = np.unique(np.linspace(0, len(grid) - 1, _TRIED_POINTS).astype(int))
-    best, before = widest, None
-    while end < widest.band.end:
+    at = at[len(at) // 20 : -max(1, len(at) // 20)]
+    before: tuple[Motion, Array] | None = None
+    while True:
+        band = Band(rate=widest.band.rate, end=end)
+        last = end >= widest.band.end
+        end *= _RUNG
         try:
-            tried = smooth_motion(
-                trial, machine, channels, readings, Band(rate=widest.band.rate, end=end)
-            )
+            tried = widest if last else smooth_motion(trial, machine, channels, readings, band)
         except InvalidData:  # too short for so low a band
-            end *= _RUNG
             continue
         needed, applied = _torques(machine, trial, tried, at)
-        inner = slice(len(at) // 20, -max(1, len(at) // 20))
-        power = np.nanmean((applied - needed)[inner] ** 2, axis=0)
-        if before is not None and bool(np.any(power > before * _RUNG**_NOISE_GROWTH)):
-            return best
-        best, before = tried, power
-        end *= _RUNG
-    return best if before is not None and _grows(machine, trial, widest, before, at) else widest
-
-
-def _grows(
-    machine: NominalModel, trial: Trial, widest: Motion, before: Array, at: NDArray[np.intp]
-) -> bool:
-    """Return whether the residual torque in the widest band has grown as noise does."""
-    needed, applied = _torques(machine, trial, widest, at)
-    inner = slice(len(at) // 20, -max(1, len(at) // 20))
-    power = np.nanmean((applied - needed)[inner] ** 2, axis=0)
-    return bool(np.any(power > before * _RUNG**_NOISE_GROWTH))
+        power = np.mean((applied - needed) ** 2, axis=0)
+        if before is not None:
+            motion, own = before
+            ratio = tried.band.end / motion.band.end
+            if np.any(power > own * ratio**_NOISE_GROWTH):
+                return motion, np.maximum(power - own, 0.0) / (ratio**_WHITE_GROWTH - 1)
+        if last:
+            return widest, np.full(len(power), np.inf)
+        before = tried, power
 
 
 def _power_end(values: Array, rate: float) -> float:
