@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter
 from scipy.signal import periodogram
 
@@ -159,9 +160,9 @@ def joint_motion(
 def _without_glitches(
     machine: NominalModel, trial: Trial, channels: Sequence[Channel]
 ) -> dict[str, Array]:
-    """Joint positions (T,) by column, with NaN for samples that leave their course and come back.
+    """Joint positions (T,) by column, with samples that leave their course and come back replaced.
 
-    A sample is one if it differs from the median of `_COURSE` samples about it by more than
+    By a cubic spline through the others. A sample is one if it differs from the median of `_COURSE` samples about it by more than
     `_GLITCH` times the usual deviation or the usual second difference, whichever is larger: at a
     turning point a smooth course differs from the median by half a second difference.
     """
@@ -179,8 +180,11 @@ def _without_glitches(
         usual = max(1.4826 * float(np.median(away)), bend, noise_floor(values))
         wrong = good[away > _GLITCH * usual]
         if len(wrong) and len(wrong) < _MOST_GLITCHES * len(good):
+            kept = np.setdiff1d(good, wrong)
             found[channel.column] = values.copy()
-            found[channel.column][wrong] = np.nan
+            found[channel.column][wrong] = CubicSpline(trial.time[kept], values[kept])(
+                trial.time[wrong]
+            )
     return found
 
 
