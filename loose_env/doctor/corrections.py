@@ -23,8 +23,9 @@ __all__ = ["Correction", "write_corrected"]
 class Correction:
     """One change of a recording that removes a defect."""
 
-    kind: Literal["scale", "exchange", "shift", "gravity"]
-    """``"scale"``: a column is multiplied by ``factor``. ``"exchange"``: two columns change places.
+    kind: Literal["scale", "unwrap", "exchange", "shift", "gravity"]
+    """``"scale"``: a column is multiplied by ``factor``. ``"unwrap"``: turns that an encoder lost
+    are put back. ``"exchange"``: two columns change places.
     ``"shift"``: a column is read ``seconds`` later. ``"gravity"``: the model's gravity is
     ``vector``."""
     columns: tuple[str, ...] = ()
@@ -42,6 +43,8 @@ class Correction:
         names = " and ".join(self.columns)
         if self.kind == "scale":
             return f"{names} multiplied by {self.factor:.6g}"
+        if self.kind == "unwrap":
+            return f"the lost turns of {names} put back"
         if self.kind == "exchange":
             return f"{names} exchanged"
         if self.kind == "shift":
@@ -111,6 +114,12 @@ def _corrected(run: Run, corrections: Sequence[Correction]) -> Run:
         elif each.kind == "scale":
             for group, name in there:
                 group[name] = group[name] * each.factor
+        elif each.kind == "unwrap":
+            for group, name in there:
+                good = np.isfinite(group[name])
+                whole = np.array(group[name])
+                whole[good] = np.unwrap(whole[good])
+                group[name] = whole
         elif each.kind == "shift":
             for group, name in there:
                 group[name] = _shifted(run.time, group[name], each.seconds)

@@ -15,6 +15,7 @@ from loose_env.doctor.entries import check_entries
 from loose_env.doctor.findings import Finding, Report
 from loose_env.doctor.model_checks.alternatives import check_alternatives
 from loose_env.doctor.model_checks.clocks import check_clocks
+from loose_env.doctor.model_checks.encoders import check_encoders
 from loose_env.doctor.model_checks.forces import check_forces
 from loose_env.doctor.model_checks.gravity import check_gravity
 from loose_env.doctor.model_checks.motion import block_motion
@@ -104,6 +105,7 @@ def _together(
     yield from check_rates([run for run, _ in runs])
     say("checking positions, entries and commands")
     wrong, factors = check_positions(machine, runs, settings)
+    yield from check_encoders(machine, runs)
     yield from (_with_fix(machine, each, factors) for each in wrong)
     yield from check_entries(machine, runs, factors, settings)
     if _needs_motion(machine, [run for run, _ in runs]):

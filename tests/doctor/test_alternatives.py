@@ -193,3 +193,51 @@ def test_the_command_corrects_beside_and_only_when_asked(
     with pytest.raises(InvalidSetting, match="not empty"):
         offered = [each.fix for each in examine(read_recording(home)).errors if each.fix]
         write_corrected(read_recording(home), offered, out)
+
+
+def test_an_encoder_that_wraps_round_is_named_and_unwrapped(tmp_path: Path) -> None:
+    time = np.arange(2000) / 200
+    angle = 3.0 * np.sin(time) + 1.0
+    wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
+    made = [Run(name="a.csv", time=time, sensors={"q_pivot": wrapped})]
+    report = examine(recorded(tmp_path / "wrapped", made, PENDULUM))
+    (finding,) = [each for each in report.errors if each.fix is not None]
+    assert "4 times" in finding.found or "jumps by a turn" in finding.found
+    assert finding.fix is not None
+    corrected = write_corrected(
+        read_recording(tmp_path / "wrapped"), [finding.fix], tmp_path / "whole"
+    )
+    np.testing.assert_allclose(corrected.runs[0].sensors["q_pivot"], angle, atol=1e-9)
+    assert not examine(corrected).errors
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_ticks_are_named_and_converted_by_the_commands(tmp_path: Path, sign: int) -> None:
+    servo = PENDULUM.replace(
+        "</mujoco>",
+        '<actuator><position name="s" joint="pivot" kp="5" kv=".1"/></actuator></mujoco>',
+    )
+    time = np.arange(2000) / 200
+    command = np.sin(time) + 0.4 * np.sin(2.3 * time)
+    ticks = np.round(sign * np.interp(time - 0.02, time, command) * 4096 / (2 * np.pi))
+    made = [Run(name="a.csv", time=time, sensors={"q_pivot": ticks}, controls={"s": command})]
+    report = examine(recorded(tmp_path / "ticks", made, servo))
+    found = [each for each in report.errors if each.fix and "4096 ticks" in each.found]
+    assert len(found) == 1 and found[0].fix is not None
+    assert found[0].fix.factor == pytest.approx(sign * 2 * np.pi / 4096)
+
+
+def test_servos_that_follow_each_others_commands_are_exchanged(tmp_path: Path) -> None:
+    servos = "".join(f'<position name="s_{j}" joint="{j}" kp="90" kv="5"/>' for j in JOINTS)
+    model = NOMINAL.replace("</mujoco>", f"<actuator>{servos}</actuator></mujoco>")
+    time = np.arange(2000) / 200
+    moves = {j: 0.5 * np.sin((1.3 + k) * time) for k, j in enumerate(JOINTS)}
+    read = dict(moves) | {"upper": moves["fore"], "fore": moves["upper"]}
+    made = Run(
+        name="a.csv",
+        time=time,
+        controls={f"s_{j}": q for j, q in moves.items()},
+        sensors={f"q_{j}": q for j, q in read.items()},
+    )
+    report = examine(recorded(tmp_path / "crossed", [made], model))
+    assert "sensor.q_upper and sensor.q_fore exchanged" in fixes(report)

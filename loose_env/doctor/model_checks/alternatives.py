@@ -183,7 +183,8 @@ def _reversed(
     for k, joint in enumerate(machine.joints):
         flip = np.ones(len(machine.joints))
         flip[k] = -1.0
-        turned, both = np.ones(len(measured)), (positions[joint],)
+        turned = np.ones(len(measured))
+        both: tuple[str, ...] = (positions[joint],)
         if joint in measured:
             turned[measured.index(joint)] = -1.0
             both = (positions[joint], torques[joint])

@@ -92,8 +92,8 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
     """
     recording.check_comparison()
     runs, warnings = _suspect(recording.runs)
-    pieces, words = measured_runs(runs, recording.model())
-    warnings += words
+    pieces, left_out = measured_runs(runs, recording.model())
+    warnings += left_out
     whole_fitted, whole_held = split_runs(
         [run.name for run in runs], share=settings.held_share, held_out=settings.held_out
     )
