@@ -105,8 +105,13 @@ def _together(
     yield from check_rates([run for run, _ in runs])
     say("checking positions, entries and commands")
     wrong, factors = check_positions(machine, runs, settings)
-    yield from check_encoders(machine, runs)
-    yield from (_with_fix(machine, each, factors) for each in wrong)
+    encoders = list(check_encoders(machine, runs))
+    yield from encoders
+    ticks = {each.channel: each.fix for each in encoders if each.check == "units"}
+    for column, fix in ticks.items():
+        sensor = machine.model.sensor(column.removeprefix("sensor."))
+        factors[machine.model.joint(int(sensor.objid[0])).name] = fix.factor if fix else 1.0
+    yield from (_with_fix(machine, each, factors) for each in wrong if each.channel not in ticks)
     yield from check_entries(machine, runs, factors, settings)
     if _needs_motion(machine, [run for run, _ in runs]):
         say("checking gravity and torques")

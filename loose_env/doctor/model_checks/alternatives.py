@@ -58,6 +58,10 @@ GRAVITY_MATCH = 0.3
 [1]."""
 LARGEST_OFFSET_S = 0.3
 """Largest clock offset that is tried [s]."""
+FOLLOWS_OTHER = 0.9
+"""Correlation of positions with each other's commands, from which two servos are exchanged [1]."""
+FOLLOWS_OWN = 0.6
+"""Largest correlation with the own command for that [1]."""
 _SERVO_RUNS = 8
 """Runs whose commands are compared with positions."""
 LEAST_OFFSET_S = 0.01
@@ -363,8 +367,8 @@ def _exchanged_servos(
     mean = {pair: float(np.mean(values)) for pair, values in followed.items()}
     for a, b in combinations([j for j in machine.joints if (j, j) in mean], 2):
         across = min(mean.get((a, b), 0.0), mean.get((b, a), 0.0))
-        own = max(abs(mean[a, a]), abs(mean[b, b]))
-        if across < 0.9 or own > 0.6:
+        straight = max(abs(mean[a, a]), abs(mean[b, b]))
+        if across < FOLLOWS_OTHER or straight > FOLLOWS_OWN:
             continue
         fix = Correction(kind="exchange", columns=(columns[a], columns[b]))
         yield Finding(
@@ -372,7 +376,7 @@ def _exchanged_servos(
             severity="error",
             channel=f"{columns[a]}, {columns[b]}",
             found=f"each follows the other's command (correlation {across:.2f}, with its own "
-            f"{own:.2f}): exchanged",
+            f"{straight:.2f}): exchanged",
             value=across,
             unit="1",
             consequence=_MADE_UP,

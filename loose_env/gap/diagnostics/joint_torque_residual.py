@@ -163,8 +163,9 @@ def _without_glitches(
     """Joint positions (T,) by column, with samples that leave their course and come back replaced.
 
     By a cubic spline through the others. A sample is one if it differs from the median of
-    `_COURSE` samples about it by more than `_GLITCH` times the usual deviation or the usual second difference, whichever is larger: at a
-    turning point a smooth course differs from the median by half a second difference.
+    `_COURSE` samples about it by more than `_GLITCH` times the usual deviation or the usual second
+    difference, whichever is larger: at a turning point a smooth course differs from the median by
+    half a second difference.
     """
     found = {}
     for k, channel in enumerate(channels):
