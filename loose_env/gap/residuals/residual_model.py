@@ -28,7 +28,7 @@ _WILD = 1e4
 """Residual where a simulation went wild, and the largest that counts [standard deviations]."""
 _PREDICTED_AT_ONCE = 4_000_000
 """Numbers of predictions that are held at a time: 32 MB, and their sensors as much."""
-_FEWEST_AT_ONCE = 4
+_FEWEST_AT_ONCE = 16
 """Hypotheses that are predicted together at least: they share simulations."""
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
 _IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)

@@ -41,8 +41,8 @@ __all__ = ["Simulator"]
 _CHUNK = 2_000_000
 """Numbers recorded at a time."""
 _AT_ONCE = 4_000_000
-"""Numbers of commands, readings and states that are held at a time, 32 MB; more where a thread would
-have no simulation."""
+"""Numbers of commands, readings and states that are held at a time, 32 MB; more where a thread
+would have no simulation."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
