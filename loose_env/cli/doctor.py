@@ -7,30 +7,50 @@ was found, with its number and unit, the consequence and the remedy. 'loose diag
 1 where there are errors.
 
     loose doctor session/recording
+    loose doctor session/recording --fix session/corrected
+
+Where a changed unit, sign, order of joints, clock or direction of gravity explains the torques, the
+finding names it with the share of their variance that is left. --fix writes the corrected
+recording beside; nothing is corrected without it.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 
 from loose_env.cli.console import Console, Outcome, add_recording_options
 from loose_env.cli.options import add_settings, settings_of
-from loose_env.doctor import DoctorSettings, Finding, examine
+from loose_env.doctor import DoctorSettings, Finding, examine, write_corrected
 from loose_env.recording import Recording, read_recording
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     add_recording_options(parser, out=False)
+    parser.add_argument(
+        "--fix",
+        type=Path,
+        metavar="DIR",
+        help="write the recording with the offered corrections of errors and warnings to a new "
+        "folder; the one that is read stays as it is",
+    )
     add_settings(parser, DoctorSettings, title="tolerances")
 
 
 def run(options: argparse.Namespace, console: Console) -> Outcome:
     """Check the recording and print the findings."""
     settings = settings_of(options, DoctorSettings)
-    report = examine(read_recording(options.recording, model=options.model), settings)
-    return Outcome(text=report.text(), json=report.to_json, code=1 if report.errors else 0)
+    recording = read_recording(options.recording, model=options.model)
+    report = examine(recording, settings)
+    text = report.text()
+    if options.fix is not None:
+        found = (*report.errors, *report.warnings)
+        fixes = list(dict.fromkeys(each.fix for each in found if each.fix is not None))
+        made = write_corrected(recording, fixes, options.fix)
+        text += f"\nwritten: {made.folder}, with {'; '.join(fix.words for fix in fixes)}"
+    return Outcome(text=text, json=report.to_json, code=1 if report.errors else 0)
 
 
 def add_preflight(parser: argparse.ArgumentParser) -> None:

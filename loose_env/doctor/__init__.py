@@ -1,11 +1,21 @@
 """Preflight of a recording: units, ranges, signs, sampling, channels, clocks and entries.
 
-Data flow: thresholds -> settings -> findings -> channels -> sampling -> quality -> entries ->
-model_checks -> preflight.
+Data flow: thresholds -> settings -> corrections -> findings -> channels -> sampling ->
+quality -> entries -> model_checks -> preflight.
 """
 
+from loose_env.doctor.corrections import Correction, write_corrected
 from loose_env.doctor.findings import Finding, Report, Severity, graded_findings
 from loose_env.doctor.preflight import examine
 from loose_env.doctor.settings import DoctorSettings
 
-__all__ = ["DoctorSettings", "Finding", "Report", "Severity", "examine", "graded_findings"]
+__all__ = [
+    "Correction",
+    "DoctorSettings",
+    "Finding",
+    "Report",
+    "Severity",
+    "examine",
+    "graded_findings",
+    "write_corrected",
+]

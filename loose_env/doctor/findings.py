@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from loose_env.doctor.corrections import Correction
 from loose_env.errors import InvalidData
 from loose_env.io import json_text
 
@@ -47,6 +48,8 @@ class Finding:
     """The number of the observation."""
     unit: str = ""
     """Its unit."""
+    fix: Correction | None = None
+    """Change of the recording that removes it; None where only a person can tell."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
+import mujoco
 import numpy as np
 
 from loose_env.arms import quiet
 from loose_env.doctor.channels import Channel, Machine, channels_of
+from loose_env.doctor.corrections import Correction
 from loose_env.doctor.entries import check_entries
 from loose_env.doctor.findings import Finding, Report
+from loose_env.doctor.model_checks.alternatives import check_alternatives
 from loose_env.doctor.model_checks.clocks import check_clocks
+from loose_env.doctor.model_checks.encoders import check_encoders
 from loose_env.doctor.model_checks.forces import check_forces
 from loose_env.doctor.model_checks.gravity import check_gravity
 from loose_env.doctor.model_checks.motion import block_motion
 from loose_env.doctor.model_checks.positions import check_positions
-from loose_env.doctor.quality import check_quality, within_range
+from loose_env.doctor.quality import check_quality, without_absurd
 from loose_env.doctor.sampling import check_rates, check_sampling
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import HIGHEST_RATE_HZ
@@ -77,7 +82,7 @@ def examine(
     with quiet(), np.errstate(all="ignore"):  # what overflows is not finite, and no finding
         say(f"checking {len(recording.runs)} runs by themselves")
         for whole in recording.runs:
-            run, wrong = within_range(whole)
+            run, wrong = without_absurd(machine, whole)
             found += wrong
             channels = channels_of(machine, run)
             found += check_sampling(machine, run, channels)
@@ -100,7 +105,13 @@ def _together(
     yield from check_rates([run for run, _ in runs])
     say("checking positions, entries and commands")
     wrong, factors = check_positions(machine, runs, settings)
-    yield from wrong
+    encoders = list(check_encoders(machine, runs))
+    yield from encoders
+    ticks = {each.channel: each.fix for each in encoders if each.check == "units"}
+    for column, fix in ticks.items():
+        sensor = machine.model.sensor(column.removeprefix("sensor."))
+        factors[machine.model.joint(int(sensor.objid[0])).name] = fix.factor if fix else 1.0
+    yield from (_with_fix(machine, each, factors) for each in wrong if each.channel not in ticks)
     yield from check_entries(machine, runs, factors, settings)
     if _needs_motion(machine, [run for run, _ in runs]):
         say("checking gravity and torques")
@@ -110,15 +121,28 @@ def _together(
             if made is not None:
                 blocks.append((run, channels, *made))
         yield from check_gravity(machine, blocks, factors, settings)
-        yield from check_forces(machine, blocks)
+        changed = list(check_alternatives(machine, runs, factors))
+        yield from changed or check_forces(machine, blocks)
     say("checking signs and clocks")
     yield from check_clocks(machine, runs, factors, settings)
 
 
+def _with_fix(machine: Machine, finding: Finding, factors: Mapping[str, float]) -> Finding:
+    """Finding on a position column with the factor that was found for its joint."""
+    model, name = machine.model, finding.channel.removeprefix("sensor.")
+    sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
+    if name == finding.channel or sensor < 0 or finding.check not in ("units", "sign"):
+        return finding
+    factor = factors.get(model.joint(int(model.sensor_objid[sensor])).name, 1.0)
+    if factor == 1.0:
+        return finding
+    return replace(finding, fix=Correction(kind="scale", columns=(finding.channel,), factor=factor))
+
+
 def _needs_motion(machine: Machine, runs: Sequence[Run]) -> bool:
     """Return whether any reading depends on the motion through the model."""
-    motors = {d.name for d in machine.drives.values() if d.gain and not d.follows}
+    drives = {d.name for d in machine.drives.values() if d.gain}
     return any(
-        run.torques or motors & set(run.controls) or any(v.ndim > 1 for v in run.sensors.values())
+        run.torques or drives & set(run.controls) or any(v.ndim > 1 for v in run.sensors.values())
         for run in runs
     )

@@ -23,7 +23,6 @@ from loose_env.doctor.thresholds import (
     FROZEN_SAMPLES,
     HELD_SHARE,
     LARGE_NAN,
-    LARGEST_VALUE,
     LIMITED_SHARE,
     LOST_RATIO,
     LOST_VALUE,
@@ -31,46 +30,51 @@ from loose_env.doctor.thresholds import (
     REPEATING_SHARE,
 )
 from loose_env.importing import median_step
-from loose_env.recording import Run
+from loose_env.recording import Run, without_corrupt
 from loose_env.typing import Array
 
-__all__ = ["check_quality", "within_range"]
+__all__ = ["check_quality", "without_absurd"]
 
 _NOISY = ("acceleration", "turning", "torque", "velocity")
 """Kinds whose readings never repeat for long on a machine that runs."""
 _SITE = ("acceleration", "turning")
+_AXES = ("", ".x", ".y", ".z")
 
 
-def within_range(run: Run) -> tuple[Run, list[Finding]]:
-    """Take out columns whose values are no measurements, with a finding for each."""
-    found: list[Finding] = []
+def without_absurd(machine: Machine, run: Run) -> tuple[Run, list[Finding]]:
+    """Set corrupt samples aside, and columns that are mostly such, with a finding for each."""
+    clean, corrupt = without_corrupt(run, machine.model)
+    found = [
+        Finding(
+            check="range",
+            severity="error" if each.too_many else "warning",
+            run=run.name,
+            channel=each.column,
+            found=f"{each.found}: {each.missing:.0%} would be missing without them"
+            if each.too_many
+            else each.found,
+            value=each.largest,
+            consequence="no reading in SI units is so large, and results overflow"
+            if each.too_many
+            else "they are set aside as missing",
+            remedy="check unit and scale at the import, and look for lost samples",
+        )
+        for each in corrupt
+    ]
+    lost = {each.column for each in corrupt if each.too_many}
 
     def kept(prefix: str, columns: Mapping[str, Array]) -> dict[str, Array]:
-        inside = {}
-        for name, values in columns.items():
-            reach = float(np.nanmax(np.abs(values))) if np.isfinite(values).any() else 0.0
-            if reach <= LARGEST_VALUE:
-                inside[name] = values
-                continue
-            found.append(
-                Finding(
-                    check="range",
-                    severity="error",
-                    run=run.name,
-                    channel=f"{prefix}.{name}",
-                    found=f"reaches {reach:.3g}",
-                    value=reach,
-                    consequence="no reading in SI units is so large, and results overflow",
-                    remedy="check unit and scale at the import, and look for lost samples",
-                )
-            )
-        return inside
+        named = {name: {f"{prefix}.{name}{axis}" for axis in _AXES} for name in columns}
+        return {name: v for name, v in columns.items() if not named[name] & lost}
 
-    controls, torques = kept("ctrl", run.controls), kept("torque", run.torques)
-    sensors = kept("sensor", run.sensors)
-    if found:
-        run = replace(run, controls=controls, sensors=sensors, torques=torques)
-    return run, found
+    if lost:
+        clean = replace(
+            clean,
+            controls=kept("ctrl", clean.controls),
+            sensors=kept("sensor", clean.sensors),
+            torques=kept("torque", clean.torques),
+        )
+    return clean, found
 
 
 def check_quality(machine: Machine, run: Run, channels: Sequence[Channel]) -> Iterator[Finding]:

@@ -75,9 +75,6 @@ LOST_RATIO = 8.0
 the channel is so far away."""
 
 # Ranges
-LARGEST_VALUE = 1e9
-"""Magnitude of a reading or command in any unit, above which it is no measurement: results would
-overflow."""
 HIGHEST_RATE_HZ = 1e6
 """Sampling rate above which times are not in seconds [Hz]: recorders of arms reach 100 kHz."""
 OUT_OF_RANGE_RAD = 0.1
@@ -146,6 +143,61 @@ ALIKE_DEG = 1.0
 """Angle by which a further explanation may be worse than the best to be named too [deg]: less is
 within the scatter of gravity over the poses."""
 
+# Encoders
+TURN_MATCH = 0.1
+"""Relative distance of a jump from a turn, up to which it is one: the joint moves meanwhile."""
+LARGEST_STEP_RAD = 1.5
+"""Largest other step between two samples, up to which jumps by a turn are the encoder's [rad]:
+recorders that lose rows make larger ones of any size."""
+LEAST_TICKS = 50.0
+"""Range of a position of whole numbers, from which they are encoder ticks: as radians they would
+be eight turns."""
+TICKS_MATCH = 0.03
+"""Relative distance of the ticks per turn that commands imply from a power of two, up to which they
+are that: servos follow slow commands to 3 %."""
+FOLLOWS_COMMAND = 0.95
+"""Correlation of a position with its command, from which the command tells its unit: lag and
+friction leave a tenth of the power at most."""
+FOLLOWS_OTHER = 0.9
+"""Correlation of two positions with each other's commands, from which their servos are exchanged:
+a servo that lags by half a radian of phase follows its own so."""
+FOLLOWS_OWN = 0.6
+"""Largest correlation of the same with their own commands for that: commands that are alike tell
+nothing."""
+
+# Alternatives
+UNEXPLAINED = 0.1
+"""Share of the torque's variance that model, friction and rotor inertia leave of the recording as
+it stands, above which alternatives are tried: errors of payload and gravity remain below."""
+CLEARER = 5.0
+"""Share left as it stands over that left by an alternative, from which it is named: a free choice
+among dozens of changes explains some of an unknown effect by chance."""
+EXPLAINED = 0.2
+"""Largest share that an alternative may leave to be named: the right one leaves unmodelled effects
+and noise."""
+ALIKE_SHARE = 1.5
+"""Share left by a further alternative over the best one, up to which it is named beside it: less is
+within the scatter of the runs."""
+LARGEST_GAIN = 2.0
+"""Gain between recorded and needed torque, or its inverse, from which it is another quantity:
+nominal inertias are off by less."""
+TURNED_GRAVITY_DEG = 15.0
+"""Angle of fitted gravity to the model's, from which it points elsewhere [deg]: bases are level to
+a few degrees."""
+GRAVITY_MATCH = 0.3
+"""Relative distance of the fitted gravity's size from the model's, up to which it is believed:
+masses are off by less."""
+LARGEST_OFFSET_S = 0.3
+"""Largest clock offset of torques that is tried [s]: recorders started by hand are told by their
+first motion."""
+LEAST_OFFSET_S = 0.01
+"""Least offset of them that is named [s]: below, rotor inertia and damping explain the same."""
+STANDARD_SPEED = 0.05
+"""Speed at which friction is 76 % of its slow value, over the joint's rms speed: noise of the
+differentiated positions is below."""
+TORQUE_BAND_HZ = 5.0
+"""End of the band in which torques are compared for alternatives [Hz]: that of arm motion."""
+
 # Clocks
 COHERENT = 0.7
 """Coherence of a line, from which its phase is used: its standard deviation over eight averages is
@@ -212,3 +264,9 @@ MOST_SAMPLES = 8192
 """Samples of a run whose spectra are compared: eight segments of a second at 1 kHz."""
 MOST_SPECTRA = 8
 """Runs whose spectra are compared, evenly chosen: the preflight takes seconds."""
+TORQUE_POINTS = 300
+"""Points of a run at which torques are compared for alternatives: twenty coefficients are fitted."""
+TORQUE_RUNS = 4
+"""Runs of that: all are of one recorder."""
+SERVO_RUNS = 8
+"""Runs whose positions are compared with each other's commands: all are of one cabling."""

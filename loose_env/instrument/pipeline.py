@@ -41,7 +41,7 @@ from loose_env.instrument.result import (
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.instrument.trend.transmission import spectra_by_fit
-from loose_env.recording import Recording, Run
+from loose_env.recording import Recording, Run, set_aside
 from loose_env.version import __version__
 
 __all__ = ["Workbench", "diagnose"]
@@ -95,8 +95,8 @@ class Workbench:
         """Lines of the runs under test that can be used."""
         return [t.lines for t in self._taken if t.lines is not None and not t.lines.healthy]
 
-    def add(self, run: Run) -> None:
-        """Take a run up; one that cannot be used is kept with the reason.
+    def add(self, run: Run, *, notes: Sequence[str] = ()) -> None:
+        """Take a run up, with notes on it; one that cannot be used is kept with the reason.
 
         Raises
         ------
@@ -109,7 +109,7 @@ class Workbench:
         number = sum(taken.lines is not None for taken in self._taken)
         lines = lines_of(self.arm, run, held.pose, held.excited, number=number)
         lines = with_leakage(self.uncertain.at(held.pose), lines)
-        notes = (*pauses, *held.notes, *readings_in(self.arm, run)[1])
+        notes = (*notes, *pauses, *held.notes, *readings_in(self.arm, run)[1])
         self._taken.append(_Taken(run=run, held=held, lines=lines, notes=notes))
 
     def leave_out(self, run: Run, why: str) -> None:
@@ -303,9 +303,11 @@ def diagnose(
     chosen = DiagnoseSettings() if settings is None else settings
     bench = Workbench(recording.model_path, chosen, motion)
     refused: list[str] = []
+    model = recording.model()
     for run in recording.runs:
         try:
-            bench.add(run)
+            clean, corrupt = set_aside(run, model)
+            bench.add(clean, notes=[each.words for each in corrupt])
         except InvalidData as error:
             bench.leave_out(run, str(error))
             refused.append(str(error))

@@ -1,12 +1,19 @@
 """The recording format for measured data: description, tables, reading, writing.
 
-Data flow: columns -> folder -> run -> sensor_roles -> table -> parquet_file -> text_file ->
+Data flow: columns -> folder -> run -> corrupt_samples -> sensor_roles -> table -> parquet_file ->
 csv_file -> description -> recording -> writing.
 """
 
 from loose_env.recording.columns import (
     ModelColumns,
     nearest,
+)
+from loose_env.recording.corrupt_samples import (
+    LARGEST_VALUE,
+    Corrupt,
+    corrupt_mask,
+    set_aside,
+    without_corrupt,
 )
 from loose_env.recording.csv_file import (
     write_csv,
@@ -19,6 +26,7 @@ from loose_env.recording.description import (
 )
 from loose_env.recording.folder import (
     existing_file,
+    read_text,
 )
 from loose_env.recording.parquet_file import (
     write_parquet,
@@ -41,9 +49,6 @@ from loose_env.recording.table import (
     FEWEST_SAMPLES,
     MOST_VALUES,
 )
-from loose_env.recording.text_file import (
-    read_text,
-)
 from loose_env.recording.writing import (
     FileFormat,
     check_target,
@@ -54,9 +59,11 @@ __all__ = [
     "DESCRIPTION",
     "FEWEST_SAMPLES",
     "FORMAT",
+    "LARGEST_VALUE",
     "MOST_VALUES",
     "Comparison",
     "Condition",
+    "Corrupt",
     "FileFormat",
     "JointSensors",
     "ModelColumns",
@@ -65,12 +72,15 @@ __all__ = [
     "RunEntry",
     "check_comparison",
     "check_target",
+    "corrupt_mask",
     "existing_file",
     "joint_sensors",
     "nearest",
     "read_description",
     "read_recording",
     "read_text",
+    "set_aside",
+    "without_corrupt",
     "write_csv",
     "write_parquet",
     "write_recording",

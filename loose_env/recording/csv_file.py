@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from loose_env.errors import InvalidData
+from loose_env.recording.folder import read_text
 from loose_env.recording.table import CheckHeader, Table, place, refuse_size
-from loose_env.recording.text_file import read_text
 from loose_env.typing import Array
 
 __all__ = ["read_csv", "write_csv"]

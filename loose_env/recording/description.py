@@ -11,8 +11,8 @@ from typing import Any, get_args
 
 from loose_env.errors import InvalidData
 from loose_env.recording.columns import nearest
+from loose_env.recording.folder import read_text
 from loose_env.recording.run import Condition
-from loose_env.recording.text_file import read_text
 
 __all__ = ["DESCRIPTION", "FORMAT", "Description", "RunEntry", "read_description"]
 

@@ -18,7 +18,12 @@ from loose_env.recording.description import DESCRIPTION, RunEntry, read_descript
 from loose_env.recording.folder import existing_file, inside
 from loose_env.recording.parquet_file import read_parquet
 from loose_env.recording.run import Run
-from loose_env.recording.sensor_roles import JointSensors, check_comparison, joint_sensors
+from loose_env.recording.sensor_roles import (
+    JointSensors,
+    add_joint_columns,
+    check_comparison,
+    joint_sensors,
+)
 from loose_env.recording.table import check_numbers
 
 __all__ = ["ENDINGS", "Recording", "read_recording"]
@@ -184,7 +189,7 @@ def _load(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     except OSError as error:
         raise InvalidData(f"{path.name}: it cannot be read: {error.strerror or error}") from None
     if kind != "mujoco":
-        raise InvalidData(f"{file.name}: a URDF; a recording's model is an MJCF, <mujoco>")
+        add_joint_columns(spec)
     model = compile_spec(spec, file)
     require_numbers(model, (), file)
     for name in _FINITE.split():

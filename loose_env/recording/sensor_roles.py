@@ -10,7 +10,13 @@ import numpy as np
 from loose_env.errors import InvalidData
 from loose_env.recording.run import Run
 
-__all__ = ["JointSensors", "check_comparison", "joint_sensors", "joints_needed"]
+__all__ = [
+    "JointSensors",
+    "add_joint_columns",
+    "check_comparison",
+    "joint_sensors",
+    "joints_needed",
+]
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _WHY = {
@@ -107,6 +113,44 @@ def check_comparison(model: mujoco.MjModel, run: Run) -> None:
         raise InvalidData(
             f"{run.name}: the run {_WHY[run.comparison]}; missing are those of {', '.join(lacking)}"
         )
+
+
+def add_joint_columns(spec: mujoco.MjSpec) -> None:
+    """Give a model without sensors and actuators, such as a URDF, those of its joints.
+
+    Every hinge and slide gets the position sensor ``JOINT_pos``, the velocity sensor ``JOINT_vel``
+    and the motor ``JOINT``, whose command is the joint's torque [N·m] or force [N].
+
+    Parameters
+    ----------
+    spec : mujoco.MjSpec
+        The model, which is changed.
+
+    Examples
+    --------
+    >>> spec = mujoco.MjSpec.from_string(
+    ...     "<mujoco><worldbody><body><joint name='turn'/><geom size='.1'/></body></worldbody>"
+    ...     "</mujoco>"
+    ... )
+    >>> add_joint_columns(spec)
+    >>> [sensor.name for sensor in spec.sensors], [motor.name for motor in spec.actuators]
+    (['turn_pos', 'turn_vel'], ['turn'])
+    """
+    kinds = {"pos": mujoco.mjtSensor.mjSENS_JOINTPOS, "vel": mujoco.mjtSensor.mjSENS_JOINTVEL}
+    for joint in spec.joints:
+        if joint.type not in (_HINGE, _SLIDE) or not joint.name:
+            continue
+        for ending, kind in kinds.items():
+            spec.add_sensor(
+                name=f"{joint.name}_{ending}",
+                type=kind,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                objname=joint.name,
+            )
+        motor = spec.add_actuator(
+            name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
+        motor.set_to_motor()
 
 
 def _reading(model: mujoco.MjModel, kind: mujoco.mjtSensor, joint: int) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import signal
 
 from loose_env.doctor.channels import Channel, Machine, Runs, filled, positions
+from loose_env.doctor.corrections import Correction
 from loose_env.doctor.entries import positions_in
 from loose_env.doctor.findings import Finding
 from loose_env.doctor.model_checks.forces import recorded_forces
@@ -230,6 +231,9 @@ def _signs(machine: Machine, kind: str, group: Sequence[_Seen]) -> Iterator[Find
                 unit="runs",
                 consequence="directions found by it are mirrored",
                 remedy="import the column with sign = -1, or turn the sensor's site in the model",
+                fix=Correction(kind="scale", columns=(name,), factor=-1.0)
+                if kind == "velocity"
+                else None,
             )
         units = {"acceleration": ACCELERATION, "turning": ANGLE, "torque": {}}.get(kind)
         if units is None:

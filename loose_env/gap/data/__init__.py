@@ -1,5 +1,5 @@
-"""Aligned runs, hold-out split, noise floor, initial rest, smoothing.
+"""Runs cut at pauses, aligned runs, hold-out split, noise floor, initial rest, smoothing.
 
-Data flow: actuator_states -> holdout_split -> noise_floor -> initial_rest -> aligned_run ->
-smoothing.
+Data flow: measured_runs -> actuator_states -> holdout_split -> noise_floor -> initial_rest ->
+aligned_run -> smoothing.
 """

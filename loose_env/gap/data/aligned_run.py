@@ -150,7 +150,8 @@ class Trial:
                 continue  # never read: the initial position of the run is the best estimate
             resting &= still
         controls = self.controls[begun : begun + steps]
-        resting &= bool(np.ptp(self.controls[max(begun - 50, 0) : begun + 1], axis=0).max() == 0)
+        before = self.controls[max(begun - 50, 0) : begun + 1]  # no column without actuators
+        resting &= not np.ptp(before, axis=0).any()
         resting &= self.settles
         return replace(
             self,

@@ -7,11 +7,16 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import median_filter
+from scipy.signal import periodogram
 
 from loose_env.errors import InvalidData
 from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Channel, Trial
-from loose_env.gap.data.smoothing import Motion, filled, smooth_motion
+from loose_env.gap.data.noise_floor import noise_floor
+from loose_env.gap.data.smoothing import Band, Motion, filled, smooth_motion
 from loose_env.gap.diagnostics.regressors import direction_of
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
@@ -21,6 +26,29 @@ __all__ = ["JointMotion", "joint_motion"]
 
 _EDGE = 1.0
 """Periods of the filter's end that are left out at the ends of a run."""
+_COURSE = 5
+"""Samples of the median that tells a position's course."""
+_GLITCH = 8.0
+"""Deviation from the course over the usual one, from which a sample is left out [1]: white noise
+deviates so far in none of a million samples."""
+_MOST_GLITCHES = 0.03
+"""Share of such samples above which they are the motion [1]; each spoils three second
+differences."""
+_LOWEST_HZ = 2.0
+"""Lowest end of a band [Hz]."""
+_MOTION_SHARE = 0.99
+"""Share of a position's variance that is its motion [1]."""
+_MOTION_ROOM = 3.0
+"""First band's end over the end of the motion [1]: friction has the third harmonic of a swing."""
+_RUNG = 1.5
+"""Ratio of the ends of bands that are tried [1]."""
+_NOISE_GROWTH = 2.0
+"""Growth of the residual torque's power with the band, as an exponent, from which it is noise [1]:
+that of errors of the readings is 3 to 5, that of a torque levels off."""
+_WHITE_GROWTH = 5.0
+"""The same of white noise of the positions [1]."""
+_TRIED_POINTS = 400
+"""Points of a run at which a band is tried."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,18 +116,21 @@ def joint_motion(
     joints = machine.joints
     units = tuple("N·m" if machine.turns(joint) else "N" for joint in joints)
     measured = [np.isfinite(trial.motion.get(joint, np.nan)).any() for joint in joints]
+    readings = _without_glitches(machine, trial, channels)
     try:
-        smooth = smooth_motion(trial, machine, channels)
+        smooth = smooth_motion(trial, machine, channels, readings)
     except InvalidData:  # too short
         return _unknown(joints, units, trial)
-    known = np.array(measured, dtype=bool)
+    known, most = np.array(measured, dtype=bool), np.full(len(joints), np.inf)
+    if trial.form != "inverse" and known.all() and machine.model.nv == len(joints):
+        smooth, most = _quiet(machine, trial, channels, readings, smooth)
     shape = smooth.position.shape
     load, missing = np.full(shape, np.nan), np.full(shape, np.nan)
     floor = np.full(len(joints), np.nan)
     if known.all() and machine.model.nv == len(joints):
         needed, applied = _torques(machine, trial, smooth)
         load = smooth.band.smooth(needed)
-        floor = _needed_noise(machine, trial, smooth)
+        floor = np.minimum(_needed_noise(machine, trial, smooth), np.sqrt(most))
         if trial.form != "inverse":
             missing = smooth.band.smooth(applied) - load
         passed = np.sqrt(2 * smooth.band.end / smooth.band.rate)
@@ -126,6 +157,89 @@ def joint_motion(
     )
 
 
+def _without_glitches(
+    machine: NominalModel, trial: Trial, channels: Sequence[Channel]
+) -> dict[str, Array]:
+    """Joint positions (T,) by column, with samples that leave their course and come back replaced.
+
+    By a cubic spline through the others. A sample is one if it differs from the median of
+    `_COURSE` samples about it by more than `_GLITCH` times the usual deviation or the usual second
+    difference, whichever is larger: at a turning point a smooth course differs from the median by
+    half a second difference.
+    """
+    found = {}
+    for k, channel in enumerate(channels):
+        prefix, _, name = channel.column.partition(".")
+        values = trial.measured[:, k]
+        if prefix != "sensor" or np.isfinite(values).sum() < 4 * _COURSE:
+            continue
+        if int(machine.model.sensor(name).type[0]) != mujoco.mjtSensor.mjSENS_JOINTPOS:
+            continue
+        good = np.flatnonzero(np.isfinite(values))
+        away = np.abs(values[good] - median_filter(values[good], _COURSE, mode="mirror"))
+        bend = float(np.quantile(np.abs(np.diff(values[good], 2)), 1 - 3 * _MOST_GLITCHES))
+        usual = max(1.4826 * float(np.median(away)), bend, noise_floor(values))
+        wrong = good[away > _GLITCH * usual]
+        if len(wrong) and len(wrong) < _MOST_GLITCHES * len(good):
+            kept = np.setdiff1d(good, wrong)
+            found[channel.column] = values.copy()
+            found[channel.column][wrong] = CubicSpline(trial.time[kept], values[kept])(
+                trial.time[wrong]
+            )
+    return found
+
+
+def _quiet(
+    machine: NominalModel,
+    trial: Trial,
+    channels: Sequence[Channel],
+    readings: dict[str, Array],
+    widest: Motion,
+) -> tuple[Motion, Array]:
+    """Motion in the widest band in which the residual torque does not grow as noise does.
+
+    With it the largest power of noise in the residual torque (J,), which the growth to the next
+    band allows; infinite where the widest band is kept.
+
+    Without a measured torque nothing limits the band, and readings that err by more than white
+    noise (lost, late, held or glitched samples) pass as motion up to its end. The power of the
+    second derivative of such errors grows with the 3rd to 5th power of the band's end, that of a
+    torque levels off once the band holds the motion.
+    """
+    grid = widest.time
+    end = max(_LOWEST_HZ, _MOTION_ROOM * max(_power_end(v, trial.rate) for v in widest.position.T))
+    at = np.unique(np.linspace(0, len(grid) - 1, _TRIED_POINTS).astype(int))
+    at = at[len(at) // 20 : -max(1, len(at) // 20)]
+    before: tuple[Motion, Array] | None = None
+    while True:
+        band = Band(rate=widest.band.rate, end=end)
+        last = end >= widest.band.end
+        end *= _RUNG
+        try:
+            tried = widest if last else smooth_motion(trial, machine, channels, readings, band)
+        except InvalidData:  # too short for so low a band
+            continue
+        needed, applied = _torques(machine, trial, tried, at)
+        power = np.mean((applied - needed) ** 2, axis=0)
+        if before is not None:
+            motion, own = before
+            ratio = tried.band.end / motion.band.end
+            if np.any(power > own * ratio**_NOISE_GROWTH):
+                return motion, np.maximum(power - own, 0.0) / (ratio**_WHITE_GROWTH - 1)
+        if last:
+            return widest, np.full(len(power), np.inf)
+        before = tried, power
+
+
+def _power_end(values: Array, rate: float) -> float:
+    """Frequency below which 99 % of a position's variance lies [Hz]."""
+    frequency, power = periodogram(values, rate, window="hann", detrend="linear")
+    total = np.cumsum(power)
+    if not total[-1] > 0:
+        return 0.0
+    return float(frequency[int(np.searchsorted(total, _MOTION_SHARE * total[-1]))])
+
+
 def _unknown(joints: tuple[str, ...], units: tuple[str, ...], trial: Trial) -> JointMotion:
     """Motion with known times only."""
     empty = np.full((len(trial.time), len(joints)), np.nan)
@@ -142,11 +256,15 @@ def _unknown(joints: tuple[str, ...], units: tuple[str, ...], trial: Trial) -> J
     )
 
 
-def _torques(machine: NominalModel, trial: Trial, motion: Motion) -> tuple[Array, Array]:
+def _torques(
+    machine: NominalModel, trial: Trial, motion: Motion, at: NDArray[np.intp] | None = None
+) -> tuple[Array, Array]:
     """Inverse dynamics torque of the nominal model, and its actuator torque (T, J).
 
-    The latter is NaN in a forward run where an activation is not known.
+    At some points of the grid, or at all. The latter is NaN in a forward run where an activation
+    is not known.
     """
+    at = np.arange(len(motion.time)) if at is None else at
     model = machine.model.__copy__()
     if machine.integrator is not None:
         model.opt.integrator = machine.integrator
@@ -156,7 +274,7 @@ def _torques(machine: NominalModel, trial: Trial, motion: Motion) -> tuple[Array
     friction = model.dof_frictionloss.copy()
     model.dof_frictionloss[:] = 0.0  # a constraint, whose force at rest is not known
     data = mujoco.MjData(model)
-    needed, applied = np.zeros_like(motion.position), np.zeros_like(motion.position)
+    needed, applied = np.zeros((2, len(at), motion.position.shape[1]))
     commanded = _held(trial.controls, trial.step, motion.time)
     forward, acting = trial.form == "forward", None
     if forward:
@@ -164,17 +282,17 @@ def _torques(machine: NominalModel, trial: Trial, motion: Motion) -> tuple[Array
         acting = None if own is None else _held(own, trial.step, motion.time)
         if acting is None:
             applied[:] = np.nan
-    for k in range(len(motion.time)):
+    for row, k in enumerate(at):
         data.qpos[:], data.qvel[:] = motion.position[k], motion.speed[k]
         data.qacc[:] = motion.acceleration[k]
         mujoco.mj_inverse(model, data)
-        needed[k] = data.qfrc_inverse
+        needed[row] = data.qfrc_inverse
         if acting is not None:
             data.act[:] = acting[k]
             data.ctrl[: trial.controls.shape[1]] = commanded[k]
             mujoco.mj_fwdActuation(model, data)
-            applied[k] = data.qfrc_actuator
-    return needed + friction * np.sign(motion.speed), applied
+            applied[row] = data.qfrc_actuator
+    return needed + friction * np.sign(motion.speed[at]), applied
 
 
 def _held(values: Array, step: float, time: Array) -> Array:

@@ -162,13 +162,21 @@ def _joint_gaps(run: str, motion: JointMotion) -> list[JointResidual]:
                 run=run,
                 joint=joint,
                 unit=motion.units[j],
-                residual=float(np.sqrt(np.mean(missing[good] ** 2))),
+                residual=_without_noise(missing[good], float(motion.residual_noise[j])),
                 noise=float(motion.residual_noise[j]),
                 load=float(np.sqrt(np.nanmean(motion.load[:, j] ** 2))),
                 dependences=tuple(d for d in depends if d is not None),
             )
         )
     return found
+
+
+def _without_noise(torque: Array, noise: float) -> float:
+    """Root mean square of a residual torque after the noise of the readings is taken out."""
+    power = float(np.mean(torque**2))
+    return (
+        float(np.sqrt(max(power - noise**2, 0.0))) if np.isfinite(noise) else float(np.sqrt(power))
+    )
 
 
 def strongest(
@@ -301,8 +309,8 @@ def _torque_words(joints: Sequence[JointResidual], most: int) -> list[str]:
     for joint, gaps in ranked[:most]:
         gap = max(gaps, key=lambda g: g.residual)
         words = (
-            f"{joint} has a residual torque of {gap.residual:.3g} {gap.unit} (RMS; model "
-            f"{gap.load:.3g} {gap.unit}, {gap.run}); sensor noise accounts for {gap.noise:.2g} "
+            f"{joint} has a residual torque of {gap.residual:.3g} {gap.unit} (RMS without noise; "
+            f"model {gap.load:.3g} {gap.unit}, {gap.run}); sensor noise adds {gap.noise:.2g} "
             f"{gap.unit}"
         )
         found = strongest(gap.dependences)

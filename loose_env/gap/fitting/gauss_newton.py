@@ -143,7 +143,9 @@ def _differences(
     if not tried:
         return {}
     found = comparison.residuals(tried)
-    return dict(zip(which, (found - residual) / np.array(steps)[:, None], strict=True))
+    found -= residual
+    found /= np.array(steps)[:, None]
+    return dict(zip(which, found, strict=True))
 
 
 def _of_initial_states(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_of
 from loose_env.gap.data.holdout_split import split_runs
+from loose_env.gap.data.measured_runs import measured_runs
 from loose_env.gap.data.noise_floor import channel_floor
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.effects.link_inertia import payload_words
@@ -91,9 +92,14 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
     """
     recording.check_comparison()
     runs, warnings = _suspect(recording.runs)
-    fitted, held = split_runs(
+    pieces, left_out = measured_runs(runs, recording.model())
+    warnings += left_out
+    whole_fitted, whole_held = split_runs(
         [run.name for run in runs], share=settings.held_share, held_out=settings.held_out
     )
+    numbers = np.repeat(np.arange(len(runs)), [len(own) for own in pieces])
+    fitted, held = (np.flatnonzero(np.isin(numbers, k)) for k in (whole_fitted, whole_held))
+    runs = [piece for own in pieces for piece in own]
     machine = NominalModel(recording.spec())
     channels = channels_of(runs)
     warnings += naming_words(recording.spec())
@@ -139,10 +145,10 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
             "moments instead of sample by sample"
         )
 
-    def compared(numbers: list[int]) -> ResidualModel:
+    def compared(chosen: NDArray[np.intp]) -> ResidualModel:
         return ResidualModel(
             kept,
-            [trials[k] for k in numbers],
+            [trials[k] for k in chosen],
             channels,
             floors,
             threads=settings.threads,

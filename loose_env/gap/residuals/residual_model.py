@@ -26,6 +26,10 @@ _ASTRAY = 100.0
 deviations], where it is larger than what is to be explained."""
 _WILD = 1e4
 """Residual where a simulation went wild, and the largest that counts [standard deviations]."""
+_PREDICTED_AT_ONCE = 4_000_000
+"""Numbers of predictions that are held at a time: 32 MB, and their sensors as much."""
+_FEWEST_AT_ONCE = 16
+"""Hypotheses that are predicted together at least: they share simulations."""
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
 _IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 BURN_IN = 0.1
@@ -307,10 +311,14 @@ class ResidualModel:
     def residuals(self, hypotheses: Sequence[Hypothesis]) -> Array:
         """Measured less predicted, in noise standard deviations (hypotheses, N)."""
         found = np.empty((len(hypotheses), len(self.measured)))
-        for h, predicted in enumerate(self.predict(hypotheses)):
-            found[h] = self.measured - self.flatten(predicted)
+        # Predictions are many times as large as their residuals, which are kept.
+        each = sum(t.measured.size for t in self.trials) + len(self.machine.joints)
+        size = max(_FEWEST_AT_ONCE, _PREDICTED_AT_ONCE // each)
+        for first in range(0, len(hypotheses), size):
+            for h, predicted in enumerate(self.predict(hypotheses[first : first + size]), first):
+                found[h] = self.measured - self.flatten(predicted)
         found[~np.isfinite(found)] = _WILD
-        return np.clip(found, -_WILD, _WILD)
+        return np.clip(found, -_WILD, _WILD, out=found)
 
     def levels(self, hypothesis: Hypothesis) -> Array:
         """Noise under a hypothesis, relative to that of the rigid arm (N,).

@@ -6,7 +6,8 @@ samples of the run, channel by channel.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -39,6 +40,9 @@ __all__ = ["Simulator"]
 
 _CHUNK = 2_000_000
 """Numbers recorded at a time."""
+_AT_ONCE = 4_000_000
+"""Numbers of commands, readings and states that are held at a time, 32 MB; more where a thread
+would have no simulation."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,9 +115,10 @@ class Simulator:
                 alike.setdefault(group, []).append(slot)
         seen: dict[tuple[object, int], tuple[mujoco.MjModel, Array]] = {}
         with quiet():
-            for slots in alike.values():
-                for slot, whole in zip(slots, self._simulate(slots), strict=True):
-                    seen[slot.key, slot.number] = slot.model, whole
+            for together in alike.values():
+                for slots in _held_at_once(together, self.threads or os.cpu_count() or 1):
+                    for slot, whole in zip(slots, self._simulate(slots), strict=True):
+                        seen[slot.key, slot.number] = slot.model, whole
         return [
             [
                 self._columns(hypothesis, *seen[self._motion(hypothesis), t], trial)
@@ -162,8 +167,8 @@ class Simulator:
         late = [late_sensors(slot.hypothesis, self.channels) for slot in slots]
         names = STATES if parts > 1 or any(late) else ()
         states: dict[str, list[Array]] = {name: [] for name in names}
-        size = max(1, min(steps, _CHUNK // max(1, len(slots) * width)))
-        kept = np.empty((len(slots), steps, width))
+        size = max(1, min(steps, _CHUNK // max(1, len(slots) * width)) // parts) * parts
+        kept = np.empty((len(slots), -(-steps // parts), width))
         for start in range(0, steps, size):
             count = min(size, steps - start)
             records: dict[str, Array] = {}
@@ -174,8 +179,8 @@ class Simulator:
             )
             for name, found in states.items():
                 found += [before[name][:, None], records[name][:, :-1]]
-            kept[:, chunk] = records["sensordata"]
-        kept = kept[:, ::parts]
+            found_here = records["sensordata"][:, ::parts]
+            kept[:, start // parts : start // parts + found_here.shape[1]] = found_here
         begun = {name: np.concatenate(found, axis=1) for name, found in states.items()}
         for k in np.flatnonzero(~diverged).tolist():
             passed = {name: found[k] for name, found in begun.items()}
@@ -258,6 +263,16 @@ class Simulator:
             ],
             axis=1,
         )
+
+
+def _held_at_once(slots: list[_Slot], threads: int) -> Iterator[list[_Slot]]:
+    """Parts of some slots that fit into the memory of `_AT_ONCE`, one for each thread at least."""
+    model, parts = slots[0].model, slots[0].parts
+    width = model.nsensordata + parts * (model.nu + model.nq + model.nv + model.na)
+    each = slots[0].trial.steps * max(width, 1)
+    size = max(threads, _AT_ONCE // each)
+    for start in range(0, len(slots), size):
+        yield slots[start : start + size]
 
 
 def _layout(model: mujoco.MjModel) -> tuple[object, ...]:

@@ -354,6 +354,7 @@ def _telling(rows: tuple[tuple[Reading, int], ...], frequency: Array, noise: Arr
 
 
 def _smoothed(power: Array, width: int) -> Array:
+    width = min(width, len(power))  # beyond, numpy gives back the kernel's length
     kernel = np.ones(width) / width
     return np.stack([np.convolve(column, kernel, mode="same") for column in power.T], axis=1)
 

@@ -133,7 +133,7 @@ class Evidence:
             own = np.abs(np.diagonal(mass, axis1=1, axis2=2))
             floating = np.abs(load) / np.maximum(own, 1e-12)
             power = np.concatenate([np.abs(response.drive_force()), floating], axis=1) ** 2
-            width = max(1, round(3.0 / one.spacing))
+            width = min(max(1, round(3.0 / one.spacing)), len(one.frequency))
             kernel = np.ones(width) / width
             smooth = np.stack([np.convolve(p, kernel, mode="same") for p in power.T], axis=1)
             smooth = np.maximum(smooth, 0.01 * smooth.max(axis=1, keepdims=True))

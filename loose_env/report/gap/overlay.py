@@ -90,7 +90,8 @@ def _overlay(solution: GapSolution, pair: _Pair, joint: str) -> Overlay:
     column = next(c for c, each in enumerate(held.channels) if each.name == one.channel)
     scale = float(held.scales[one.trial, column])
     measured: Array = trial.measured[one.sample, column]
-    smooth = np.convolve(np.abs(one.residual), np.ones(25) / 25, mode="same")
+    width = min(25, len(one.residual))
+    smooth = np.convolve(np.abs(one.residual), np.ones(width) / width, mode="same")
     centre = float(one.time[int(np.argmax(smooth))])
     start = min(max(centre - _SECONDS / 2, one.time[0]), max(one.time[-1] - _SECONDS, one.time[0]))
     inside = np.flatnonzero((one.time >= start) & (one.time <= start + _SECONDS))

@@ -266,7 +266,7 @@ def _bandwidth(
     if not drives.stiffness[joint] > 0:
         return None
     command = lines.command @ drives.force[joint] / drives.stiffness[joint]
-    width = max(3, round(4.0 / lines.spacing))
+    width = min(max(3, round(4.0 / lines.spacing)), len(lines.frequency))
     kernel = np.ones(width) / width
     power = np.convolve(np.abs(command) ** 2, kernel, mode="same")
     answer = np.convolve(

@@ -1,0 +1,98 @@
+"""Runs as they can be compared: corrupt samples set aside, recordings cut at their pauses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+
+from loose_env.errors import InvalidData
+from loose_env.importing import median_step
+from loose_env.recording import FEWEST_SAMPLES, Run, set_aside
+
+__all__ = ["measured_runs", "pieces_of"]
+
+_PAUSE_S = 1.0
+"""Shortest time without a row that is a pause [s]: what the machine does in a second without
+record is unknown, and a clock that jumps would be simulated through."""
+_PAUSE_STEPS = 20.0
+"""The same in median steps [1]: a slow recorder does not pause between its rows."""
+
+
+def measured_runs(
+    runs: Sequence[Run], model: mujoco.MjModel
+) -> tuple[list[list[Run]], tuple[str, ...]]:
+    """Pieces of every run that are compared, with a note on what was left out.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Runs as recorded.
+    model : mujoco.MjModel
+        The nominal model.
+
+    Returns
+    -------
+    list of list of Run
+        Pieces of each run; most runs are one piece.
+    tuple of str
+        Notes.
+
+    Raises
+    ------
+    InvalidData
+        If a column is mostly corrupt, or no piece of a run is long enough.
+    """
+    found, words = [], []
+    for run in runs:
+        clean, corrupt = set_aside(run, model)
+        pieces = pieces_of(clean)
+        words += [each.words for each in corrupt]
+        if pieces[0] is not clean:
+            lost = run.samples - sum(piece.samples for piece in pieces)
+            longest = float(np.max(np.diff(run.time)))
+            words.append(
+                f"{run.name}: no sample for up to {longest:.4g} s; compared as {len(pieces)} "
+                f"piece{'s' * (len(pieces) > 1)} between the pauses"
+                + (f", without {lost} samples of shorter ones" if lost else "")
+            )
+        found.append(pieces)
+    return found, tuple(words)
+
+
+def pieces_of(run: Run) -> list[Run]:
+    """Cut a run where its recorder paused or its clock jumped.
+
+    Pieces of fewer than `FEWEST_SAMPLES` are left out.
+
+    Raises
+    ------
+    InvalidData
+        If no piece is longer.
+
+    Examples
+    --------
+    >>> time = np.concatenate([np.arange(100), np.arange(5000, 5200)]) / 100
+    >>> run = Run(name="a.csv", time=time, sensors={"q": np.sin(time)})
+    >>> [(piece.name, piece.samples) for piece in pieces_of(run)]
+    [('a.csv, from 0 s', 100), ('a.csv, from 50 s', 200)]
+    """
+    steps = np.diff(run.time)
+    cuts = np.flatnonzero(steps > max(_PAUSE_S, _PAUSE_STEPS * median_step(run.time))) + 1
+    if not len(cuts):
+        return [run]
+    edges = [0, *map(int, cuts), run.samples]
+    pieces = [
+        replace(run.part(slice(first, last)), name=f"{run.name}, from {run.time[first]:.10g} s")
+        for first, last in pairwise(edges)
+        if last - first >= FEWEST_SAMPLES
+    ]
+    if not pieces:
+        raise InvalidData(
+            f"{run.name}: {len(cuts)} pauses of up to {steps.max():.4g} s leave no piece of "
+            f"{FEWEST_SAMPLES} samples; record the run again, or correct its time stamps"
+        )
+    return pieces
