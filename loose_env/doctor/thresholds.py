@@ -265,7 +265,8 @@ MOST_SAMPLES = 8192
 MOST_SPECTRA = 8
 """Runs whose spectra are compared, evenly chosen: the preflight takes seconds."""
 TORQUE_POINTS = 300
-"""Points of a run at which torques are compared for alternatives: twenty coefficients are fitted."""
+"""Points of a run at which torques are compared for alternatives: four coefficients of a joint are
+fitted."""
 TORQUE_RUNS = 4
 """Runs of that: all are of one recorder."""
 SERVO_RUNS = 8
