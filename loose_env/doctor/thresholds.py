@@ -172,15 +172,22 @@ it stands, above which alternatives are tried: errors of payload and gravity rem
 CLEARER = 5.0
 """Share left as it stands over that left by an alternative, from which it is named: a free choice
 among dozens of changes explains some of an unknown effect by chance."""
+BETTER = 2.0
+"""Share left by the best single error of the model (masses, a gain, a spring, an encoder's zero, a
+tilted base) over that left by an alternative, from which the alternative is named: where both
+explain the torques, the recording need not be wrong."""
 EXPLAINED = 0.2
 """Largest share that an alternative may leave to be named: the right one leaves unmodelled effects
 and noise."""
 ALIKE_SHARE = 1.5
 """Share left by a further alternative over the best one, up to which it is named beside it: less is
 within the scatter of the runs."""
-LARGEST_GAIN = 2.0
-"""Gain between recorded and needed torque, or its inverse, from which it is another quantity:
-nominal inertias are off by less."""
+LARGEST_GAIN = 4.0
+"""Gain between recorded and needed torque, or its inverse, from which it is another quantity: gains
+of drives and nominal inertias are off by less."""
+LARGEST_ZERO_RAD = 0.5
+"""Largest error of an encoder's zero that is tried beside the alternatives [rad]: the torque is
+linear in it up to there."""
 TURNED_GRAVITY_DEG = 15.0
 """Angle of fitted gravity to the model's, from which it points elsewhere [deg]: bases are level to
 a few degrees."""

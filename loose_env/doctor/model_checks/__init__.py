@@ -1,5 +1,5 @@
 """Checks of readings against the model and against each other: units, signs, axes, clocks.
 
 Data flow: units -> encoders -> positions -> motion -> forces -> torque_fit ->
-alternatives -> gravity -> clocks.
+model_errors -> alternatives -> gravity -> clocks.
 """

@@ -9,11 +9,13 @@ a torque), the torque of joint j is
 with ID the inverse dynamics of the nominal model; friction, rotor inertia and an offset are fitted
 to each joint. The share of the torque's variance that is left tells the alternatives apart: one is
 named where the recording as it stands leaves more than `UNEXPLAINED`, and the alternative leaves at
-most 1 / `CLEARER` of that, and less than `EXPLAINED`.
+most 1 / `CLEARER` of that, less than `EXPLAINED`, and at most 1 / `BETTER` of what the best single
+error of the model leaves: what a payload or a gain explains is left to `loose gap`.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
@@ -24,6 +26,7 @@ from loose_env.doctor.channels import Machine, Runs, filled, positions
 from loose_env.doctor.corrections import Correction
 from loose_env.doctor.findings import Finding
 from loose_env.doctor.model_checks.forces import recorded_forces
+from loose_env.doctor.model_checks.model_errors import left_by_model_errors
 from loose_env.doctor.model_checks.torque_fit import (
     TorqueData,
     compared_points,
@@ -31,12 +34,14 @@ from loose_env.doctor.model_checks.torque_fit import (
     mapped,
     measured_torque,
     needed_torque,
+    nuisance,
     share_left,
     torque_data,
     with_friction,
 )
 from loose_env.doctor.thresholds import (
     ALIKE_SHARE,
+    BETTER,
     CLEARER,
     EXPLAINED,
     FOLLOWS_OTHER,
@@ -46,7 +51,6 @@ from loose_env.doctor.thresholds import (
     LARGEST_OFFSET_S,
     LEAST_OFFSET_S,
     SERVO_RUNS,
-    STANDARD_SPEED,
     TURNED_GRAVITY_DEG,
     UNEXPLAINED,
 )
@@ -91,9 +95,11 @@ def check_alternatives(
     tried += _late(machine, data, dofs, torques)
     tried += _gravity(machine, data, dofs)
     tried += _gains(machine, data, dofs, torques)
-    good = sorted(
-        (a for a in tried if a.left <= min(EXPLAINED, as_is / CLEARER)), key=lambda a: a.left
-    )
+    most = min(EXPLAINED, as_is / CLEARER)
+    if all(a.left > most for a in tried):
+        return
+    most = min(most, left_by_model_errors(machine, data, dofs) / BETTER)
+    good = sorted((a for a in tried if a.left <= most), key=lambda a: a.left)
     if not good:
         return
     best = good[0]
@@ -265,14 +271,17 @@ def _gravity(machine: Machine, data: TorqueData, dofs: list[int]) -> Iterator[_A
     """Gravity by least squares: the torque is linear in it."""
     own = machine.model.opt.gravity.copy()
     size = float(np.linalg.norm(own)) or 9.81
-    free, speed, change = needed_torque(machine, data, dofs, np.zeros(3))
-    unit = [needed_torque(machine, data, dofs, axis)[0] - free for axis in np.eye(3)]
+    changed = copy.copy(machine.model)
+    changed.opt.gravity[:] = 0.0
+    free, speed, change = needed_torque(machine, data, dofs, changed)
+    unit = []
+    for axis in np.eye(3):
+        changed.opt.gravity[:] = axis
+        unit.append(needed_torque(machine, data, dofs, changed)[0] - free)
     measured = measured_torque(data)
     rows, right = [], []
     for j in range(measured.shape[1]):
-        direction = np.tanh(speed[:, j] / max(STANDARD_SPEED * float(np.std(speed[:, j])), 1e-9))
-        nuisance = np.stack([direction, speed[:, j], change[:, j], np.ones(len(speed))], axis=1)
-        basis = np.linalg.qr(nuisance)[0]
+        basis = np.linalg.qr(nuisance(speed[:, j], change[:, j]))[0]
         both = np.column_stack([*(u[:, j] for u in unit), measured[:, j] - free[:, j]])
         both = (both - basis @ (basis.T @ both)) / max(float(np.std(measured[:, j])), 1e-12)
         rows.append(both[:, :3])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -24,8 +25,10 @@ __all__ = [
     "compared_points",
     "left_as_recorded",
     "mapped",
+    "measured_positions",
     "measured_torque",
     "needed_torque",
+    "nuisance",
     "share_left",
     "torque_data",
     "with_friction",
@@ -76,33 +79,31 @@ def torque_data(
 
 
 def needed_torque(
-    machine: Machine, data: TorqueData, dofs: list[int], gravity: Array | None = None
+    machine: Machine,
+    data: TorqueData,
+    dofs: list[int],
+    changed: mujoco.MjModel | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Inverse dynamics torque, velocity and acceleration at the compared points (E, J)."""
-    model = machine.model
-    before, flags = model.opt.gravity.copy(), model.opt.disableflags
-    friction = model.dof_frictionloss.copy()
+    """Inverse dynamics torque, velocity and acceleration at the compared points (E, J).
+
+    The dynamics are those of the machine's model, or of a changed copy of it.
+    """
+    model = copy.copy(machine.model if changed is None else changed)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    model.dof_frictionloss[:] = 0.0
     engine = mujoco.MjData(model)
     addresses = [int(model.jnt_qposadr[model.joint(j).id]) for j in machine.joints]
     own = [int(model.jnt_dofadr[model.joint(j).id]) for j in machine.joints]
     torque, speed, change = [], [], []
-    try:
-        model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        model.dof_frictionloss[:] = 0.0
-        if gravity is not None:
-            model.opt.gravity[:] = gravity
-        for step, q in zip(data.steps, data.positions, strict=True):
-            v = np.gradient(q, step, axis=0)
-            a = np.gradient(v, step, axis=0)
-            for k in compared_points(len(q)):
-                engine.qpos[addresses], engine.qvel[own], engine.qacc[own] = q[k], v[k], a[k]
-                mujoco.mj_inverse(model, engine)
-                torque.append(engine.qfrc_inverse[dofs].copy())
-                speed.append(engine.qvel[dofs].copy())
-                change.append(engine.qacc[dofs].copy())
-    finally:
-        model.opt.gravity[:], model.opt.disableflags = before, flags
-        model.dof_frictionloss[:] = friction
+    for step, q in zip(data.steps, data.positions, strict=True):
+        v = np.gradient(q, step, axis=0)
+        a = np.gradient(v, step, axis=0)
+        for k in compared_points(len(q)):
+            engine.qpos[addresses], engine.qvel[own], engine.qacc[own] = q[k], v[k], a[k]
+            mujoco.mj_inverse(model, engine)
+            torque.append(engine.qfrc_inverse[dofs].copy())
+            speed.append(engine.qvel[dofs].copy())
+            change.append(engine.qacc[dofs].copy())
     return np.array(torque), np.array(speed), np.array(change)
 
 
@@ -114,6 +115,11 @@ def compared_points(count: int) -> NDArray[np.intp]:
 def measured_torque(data: TorqueData) -> Array:
     """Recorded torque at the compared points of all runs (E, J)."""
     return np.concatenate([t[compared_points(len(t))] for t in data.torques])
+
+
+def measured_positions(data: TorqueData) -> Array:
+    """Position at the compared points of all runs (E, joints)."""
+    return np.concatenate([q[compared_points(len(q))] for q in data.positions])
 
 
 def left_as_recorded(machine: Machine, data: TorqueData, dofs: list[int]) -> float:
@@ -135,13 +141,18 @@ def share_left(measured: Array, needed: Array, speed: Array, change: Array) -> f
     return float(np.mean(parts)) if parts else 0.0
 
 
+def nuisance(speed: Array, change: Array) -> Array:
+    """Torque of friction, damping and rotor inertia of one each, and an offset (E, 4)."""
+    direction = np.tanh(speed / max(STANDARD_SPEED * float(np.std(speed)), 1e-9))
+    return np.stack([direction, speed, change, np.ones_like(speed)], axis=1)
+
+
 def with_friction(
     residual: Array, speed: Array, change: Array, more: Sequence[Array] = ()
 ) -> tuple[Array, float]:
     """Non-negative coefficients of friction, rotor inertia, offset; mean square of the rest."""
-    direction = np.tanh(speed / max(STANDARD_SPEED * float(np.std(speed)), 1e-9))
-    ones = np.ones_like(speed)
-    columns = np.stack([*more, direction, speed, change, ones, -ones], axis=1)
+    own = nuisance(speed, change)
+    columns = np.column_stack([*more, own, -own[:, 3]])
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
     found, norm = nnls(columns / size, residual)
     return np.asarray(found / size), float(norm**2 / len(residual))
