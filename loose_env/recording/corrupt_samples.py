@@ -5,7 +5,8 @@ deviations exceed a multiple m of what the channel shows otherwise:
 
     |v_k - median(v)| > m R   and   |v_k - median(v_{k-3} ... v_{k+3})| > m D
 
-R is the range of the middle 90 % of the samples, and D the larger of R and the 99 % quantile of the
+R is the range of the middle 90 % of the samples (where it is below `STANDSTILL`, the size of the
+median, at least 1), and D the larger of R and the 99 % quantile of the
 deviations from the local median. The second condition keeps motion: the local median follows every
 monotone course. m is `MULTIPLE` for positions, which are continuous, and `IMPULSIVE_MULTIPLE` for
 quantities that impacts and pulses raise for one sample.
@@ -34,6 +35,9 @@ MULTIPLE = 20.0
 not leave the range of its motion twentyfold and come back within three samples."""
 IMPULSIVE_MULTIPLE = 1000.0
 """The same of other quantities [1]: an impact of 500 m/s² on noise of 1 m/s² is no error."""
+STANDSTILL = 1e-6
+"""Range of a column in any SI unit, below which it stands still and its range tells nothing:
+encoders resolve no less."""
 MOST_CORRUPT = 0.2
 """Share of corrupt and missing samples of a column, above which it is refused [1]: the format's
 share of missing samples."""
@@ -112,7 +116,9 @@ def corrupt_mask(values: Array, multiple: float = IMPULSIVE_MULTIPLE) -> NDArray
     middle = float(np.median(kept))
     low, high = np.quantile(kept, (0.05, 0.95))
     jumps = np.abs(kept - median_filter(kept, _WINDOW, mode="mirror"))
-    shown = float(high - low) or max(abs(middle), 1.0)  # a column that stands still shows no range
+    shown = float(high - low)
+    if shown < STANDSTILL:
+        shown = max(abs(middle), 1.0)  # a column that stands still shows no range
     usual = max(shown, float(np.quantile(jumps, 0.99)))
     found = (np.abs(kept - middle) > multiple * shown) & (jumps > multiple * usual)
     absurd[good[found]] = True

@@ -167,6 +167,25 @@ def test_a_payload_and_friction_are_no_change_of_the_recording(tmp_path: Path, m
     assert not report.errors
 
 
+@pytest.mark.parametrize(
+    ("truth", "gains"),
+    [
+        (NOMINAL, {"fore": 3.3}),
+        (NOMINAL, {"base": 0.28}),
+        (NOMINAL.replace('name="upper"', 'name="upper" stiffness="40"'), {}),
+    ],
+)
+def test_an_error_of_the_model_is_no_change_of_the_recording(
+    tmp_path: Path, truth: str, gains: dict[str, float]
+) -> None:
+    made = [
+        replace(run, torques={j: t * gains.get(j, 1.0) for j, t in run.torques.items()})
+        for run in runs(truth, count=1, seconds=6.0)
+    ]
+    report = examine(recorded(tmp_path / "model", made))
+    assert fixes(report) == [] and not report.errors, report.text()
+
+
 def test_a_pendulum_has_two_names_for_a_reversed_sign(tmp_path: Path) -> None:
     made = [
         replace(run, torques={"pivot": -run.torques["pivot"]}) for run in runs(PENDULUM, count=2)

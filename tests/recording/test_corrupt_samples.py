@@ -46,12 +46,16 @@ def test_real_readings_are_not_corrupt() -> None:
     pulse = np.zeros(len(TIME))
     pulse[500] = 40.0
     steps = np.where(TIME < 2, 0.0, 90.0)
+    slip = np.zeros(len(TIME))  # at rest, but for a slip of a few samples
+    slip[500:503] = [2e-3, 1e-3, 5e-4]
+    slip[503:] = 1e-20 * 0.9 ** np.arange(len(TIME) - 503)
     for given in (
         run(acc=impacts),
         run(q=np.round(SWING, 2)),
         run(q=move),
         run(m=pulse),
         run(torque=steps),
+        run(torque=slip),
         run(q=np.full(len(TIME), 0.3)),
         run(q=np.degrees(SWING)),
     ):
