@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
-from loose_env.doctor import Finding, Severity
+from loose_env.doctor import Correction, Finding, Severity
 from loose_env.errors import MissingExtra
 from loose_env.gap import (
     EffectLocation,
@@ -113,6 +113,7 @@ def test_warnings_and_findings_of_the_preflight_stand_by_severity(
         Finding(
             check="sign", severity=severity, channel=f"sensor.{severity}", run="a.csv",
             found="runs backwards", consequence="it is wrong", remedy="turn it round",
+            fix=Correction(kind="gravity", columns=("gravity",), vector=(0.0, 6.9, -6.9)),
         )
         for severity in get_args(Severity)
     )  # fmt: skip
