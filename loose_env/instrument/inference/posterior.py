@@ -13,9 +13,8 @@ from loose_env.instrument.inference.laplace_fit import Fit, fit_hypothesis, seat
 from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.thresholds import (
-    COARSENED_MISFIT,
+    COARSENED_RUNS,
     REFINED_WITHIN,
-    RUN_INFLUENCE,
     UNEXPLAINED,
 )
 from loose_env.typing import Array
@@ -28,8 +27,9 @@ _COARSE, _FINE = 32, 96
 of a model are correlated over neighbouring lines, so that more would add little."""
 _MOST = 4
 """Most hypotheses that are fitted to more lines."""
-_FIRST_STEPS, _COARSE_STEPS, _FINE_STEPS = 8, 5, 5
-"""Gauss-Newton steps of the healthy arm, of the others from there, and on more lines."""
+_FIRST_STEPS, _COARSE_STEPS, _FINE_STEPS = 25, 8, 8
+"""Gauss-Newton steps in all on few lines, those before unlikely hypotheses are left, and on more
+lines."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,10 +110,7 @@ def compare_hypotheses(
     fine = Evidence(uncertain=uncertain, lines=[thinned(one, _FINE) for one in whole])
     if len(lines):
         first = fits[order[0]]
-        again = {
-            name: fit_hypothesis(fine, name, seats[name], start=fits[name], steps=_FINE_STEPS)
-            for name in likely
-        }
+        again = {name: _from_best_start(fine, name, seats[name], fits, first) for name in likely}
         again[HEALTHY] = _as_far_as_others(fine, again)
         # Hypotheses that were left out keep their distance from the best of those looked at.
         fits = {
@@ -140,15 +137,23 @@ def _first_look(
         taken = [_as_sampled(one, sampled, folded) for one in few]
         return Evidence(uncertain=uncertain, lines=taken)
 
-    def fits_of(evidence: Evidence, start: Fit) -> dict[str, Fit]:
-        return {
-            name: fit_hypothesis(evidence, name, seat, start=start, steps=_COARSE_STEPS)
-            for name, seat in seats.items()
-        }
-
     filtered = of(0.0, 0.0)
-    healthy = fit_hypothesis(filtered, HEALTHY, None, steps=_FIRST_STEPS)
-    fits = fits_of(filtered, healthy)
+    # The healthy arm's own runs know its parameters without any fault that would spoil them.
+    references = [one for one in filtered.lines if one.healthy]
+    start = None
+    if references:
+        known = Evidence(uncertain=uncertain, lines=references, known_runs=filtered.runs)
+        start = fit_hypothesis(known, HEALTHY, None, steps=_FIRST_STEPS)
+    fits = {
+        name: fit_hypothesis(filtered, name, seat, start=start, steps=_COARSE_STEPS)
+        for name, seat in seats.items()
+    }
+    top = max(fit.evidence for fit in fits.values())
+    for name, fit in fits.items():
+        if fit.evidence > top - REFINED_WITHIN:
+            fits[name] = fit_hypothesis(
+                filtered, name, seats[name], start=fit, steps=_FIRST_STEPS - _COARSE_STEPS
+            )
     if not lines or not any(np.any(one.command) for one in lines):
         return filtered, fits
     # Compared with the same allowance for errors, or the wider one would pay for it.
@@ -165,8 +170,24 @@ def _first_look(
     ]
     if best[0] <= best[1]:
         return filtered, fits
-    healthy = fit_hypothesis(stepped, HEALTHY, None, start=healthy, steps=_FIRST_STEPS)
-    return stepped, fits_of(stepped, healthy)
+    return stepped, {
+        name: fit_hypothesis(stepped, name, seat, start=fits[name], steps=_COARSE_STEPS)
+        for name, seat in seats.items()
+    }
+
+
+def _from_best_start(
+    evidence: Evidence, name: str, seat: Seat | None, fits: Mapping[str, Fit], best: Fit
+) -> Fit:
+    """Fit from its own parameters, and from those of the best hypothesis: the arm is the same."""
+    own = fits[name]
+    starts = [own]
+    if name != best.hypothesis:
+        starts.append(replace(best, hypothesis=name, axis=None))
+    found = [
+        fit_hypothesis(evidence, name, seat, start=start, steps=_FINE_STEPS) for start in starts
+    ]
+    return max(found, key=lambda fit: fit.evidence)
 
 
 def _as_far_as_others(evidence: Evidence, fits: Mapping[str, Fit]) -> Fit:
@@ -212,11 +233,8 @@ def posterior_of(
 ) -> dict[str, float]:
     """Probabilities of all hypotheses from their fits, for models that are not exact.
 
-    A run may have been disturbed by something outside all hypotheses: its log-likelihood ratio to
-    the best hypothesis is bounded by ``RUN_INFLUENCE``. Likelihoods against the model are raised to
-    the power 1 / (1 + (misfit / COARSENED_MISFIT)²): a coarsened posterior. A run beside the same
-    run of the healthy arm needs no model to tell whether anything has changed, and counts in full
-    for that; where it has changed is the model's to say.
+    Errors outside the model are alike in all runs and do not average out: n runs count as
+    n / (1 + n / COARSENED_RUNS) (coarsened posterior).
 
     Parameters
     ----------
@@ -231,22 +249,11 @@ def posterior_of(
     -------
     dict of str to float
     """
-    best = max(fits.values(), key=lambda fit: fit.evidence)
-    terms = {name: _by_run(fit, [one.number for one in lines]) for name, fit in fits.items()}
-    first, most = terms[best.hypothesis], RUN_INFLUENCE
-    behind = {name: most * np.tanh((values - first) / most) for name, values in terms.items()}
-    of_model = _mean_misfit(best, [one.number for one in lines if one.beside is None])
-    of_pairs = _mean_misfit(best, [one.number for one in lines if one.beside is not None])
-    power = 1 / (1 + (max(of_model, of_pairs) / COARSENED_MISFIT) ** 2)
-    paired = np.array([one.beside is not None for one in lines], dtype=bool)
-    weights = np.where(paired, 1.0, power)
-    changed = {name: float(weights @ values) for name, values in behind.items()}
-    located = {name: power * float(values.sum()) for name, values in behind.items()}
-    faults = [name for name in fits if name != HEALTHY]
-    loose = np.logaddexp.reduce([changed[name] for name in faults]) - np.log(len(faults))
-    where = np.logaddexp.reduce([located[name] for name in faults]) - np.log(len(faults))
-    evidence = {name: located[name] - where + loose for name in faults}
-    return probabilities_of({HEALTHY: changed[HEALTHY], **evidence}, healthy_prior=healthy_prior)
+    numbers = [one.number for one in lines]
+    suspect = sum(not one.healthy for one in lines)
+    power = 1 / (1 + suspect / COARSENED_RUNS)
+    evidence = {name: power * float(_by_run(fit, numbers).sum()) for name, fit in fits.items()}
+    return probabilities_of(evidence, healthy_prior=healthy_prior)
 
 
 def _by_run(fit: Fit, numbers: Sequence[int]) -> Array:

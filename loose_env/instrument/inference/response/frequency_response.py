@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.response.uncertain_linear_arm import PoseModel
+from loose_env.instrument.settings.thresholds import STIFFNESS_SD
 from loose_env.typing import Array, ComplexArray
 
 __all__ = ["Response", "respond", "with_leakage"]
@@ -134,9 +135,11 @@ class Response:
         push = self.rows @ self.compliance  # readings per force (K, c, m)
         sampled = lines.sampled
         inertia, jacobian = at.parts(self.errors)
-        force = -_each(at.inertia[:, :m], whole)
-        eased = -_each(at.inertia[:, :m, :m], sampled * self.jump)
-        stepped = np.linalg.solve(inertia[:m, :m], eased[..., None])[..., 0]
+        force = -_each(at.inertia_by_row, whole)
+        ease, r = _ease(at, inertia), at.rigid
+        jump = np.zeros_like(whole)
+        jump[:, :r] = sampled * self.jump[:, :r]
+        stepped = -_each(at.inertia_by_row, jump)[:, :, :m] @ ease if sampled else None
         slopes[:, :, of.bodies] = push @ force.swapaxes(1, 2)
         sensing = _sensing(self)
         for k, (reading, axis) in enumerate(lines.row):
@@ -145,7 +148,8 @@ class Response:
                 slopes[:, k, of.bodies] += whole @ along.T
                 slopes[:, k, of.bodies] += sampled * (self.jump @ along[:, :m].T)
                 own = sensing.get(reading.sensor, np.eye(3))[axis] @ jacobian[reading.at, :, :m]
-                slopes[:, k, of.bodies] += stepped @ own
+                if stepped is not None:
+                    slopes[:, k, of.bodies] += stepped @ own
         drives = arm.actuators
         driving = self.force[:, :n] - self.pushed[:, :n]
         of_drive = ~(lines.measured | lines.blind)
@@ -159,8 +163,9 @@ class Response:
         for j in range(n):
             for part, values in enumerate(kept):
                 slopes[:, :, of.springs.start + part * n + j] = push[:, :, j] * values[:, j, None]
+        stretched = -STIFFNESS_SD * at.elastic_stiffness(self.errors) * motion[:, at.rigid :]
+        slopes[:, :, of.stiffnesses] = push[:, :, at.rigid :] * stretched[:, None, :]
         # Gains and delays act on what steps as on what is held.
-        ease = np.asarray(np.linalg.inv(inertia[:m, :m]))
         per_force = _stepping(self, jacobian, sensing, ease)
         hold = _held(omega, lines.period)
         noted = lines.force * _late(self.at, lines, self.errors)[0][:, None]
@@ -242,7 +247,7 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
         rows[:, k] = late_site[:, None, None] * (matrix @ rows[:, k])
         own[:, k] = late_site[:, None, None] * (matrix @ own[:, k])
     columns = own + rows @ by_seat
-    jump = np.asarray(np.linalg.solve(inertia[:m, :m], jump.T).T, dtype=complex)
+    jump = np.asarray(jump @ _ease(at, inertia), dtype=complex)
     step = _stepped(at, lines, jacobian, jump, motion)
     for sensor, matrix in sensing.items():
         k = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
@@ -265,9 +270,10 @@ def _late(at: PoseModel, lines: Lines, errors: Array) -> tuple[ComplexArray, Com
 
 
 def _each(matrices: Array, rows: ComplexArray) -> ComplexArray:
-    """Product of every matrix (G, i, j) with every row (K, j): (K, G, i)."""
-    flat = rows @ matrices.reshape(-1, matrices.shape[-1]).T
-    return np.asarray(flat.reshape(len(rows), *matrices.shape[:2]))
+    """Product of every matrix (j, G, i) with every row (K, j): (K, G, i)."""
+    wide = matrices.reshape(len(matrices), -1)
+    flat = np.ascontiguousarray(rows.real) @ wide + 1j * (np.ascontiguousarray(rows.imag) @ wide)
+    return np.asarray(flat.reshape(len(rows), *matrices.shape[1:]))
 
 
 def with_leakage(at: PoseModel, lines: Lines) -> Lines:
@@ -298,13 +304,18 @@ def _held(omega: Array, period: float) -> ComplexArray:
     return np.asarray(np.exp(-half) * np.sinc(omega * period / (2 * np.pi)))
 
 
+def _ease(at: PoseModel, inertia: Array) -> Array:
+    """Acceleration per sudden force on the coordinates (m, m); see `PoseModel.rigid`."""
+    found, r = np.zeros((at.size, at.size)), at.rigid
+    found[:r, :r] = np.linalg.inv(inertia[:r, :r])
+    return found
+
+
 def _sudden(
     response: Response, inertia: Array, jacobian: Array, sensing: dict[str, Array]
 ) -> Array:
     lines, m = response.lines, response.at.size
-    whole = np.vstack(
-        [-np.linalg.solve(inertia[:m, :m], inertia[:m, m:]), np.eye(len(inertia) - m)]
-    )
+    whole = np.vstack([-_ease(response.at, inertia) @ inertia[:m, m:], np.eye(len(inertia) - m)])
     found = np.zeros((len(lines.row), whole.shape[1]))
     for k, (reading, axis) in enumerate(lines.row):
         if reading.kind == "acceleration":
