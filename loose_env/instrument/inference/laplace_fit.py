@@ -26,12 +26,9 @@ __all__ = ["Fit", "RunTerm", "best_powers", "fit_hypothesis", "fitted_pieces", "
 _AXES = 150
 _STEPS = 8
 _HALVINGS = 4
-_FIRST = 3.0
+_FIRST = 10.0
 """Standard deviations of the components with which a fit starts, over the scales of their priors:
 no single line dominates before the parameters fit."""
-_STIFF = 2.0
-"""Stiffness with which a fit starts, in standard deviations of its prior: modes above the band, which
-come down to where they are. From below they would have to pass those of other springs."""
 _CONVERGED = 0.2
 """Gain of a step below which a fit ends [nats]."""
 _UNSEEN = 1.0
@@ -131,7 +128,6 @@ def fit_hypothesis(
     """
     count = evidence.count
     errors = np.zeros(count)
-    errors[evidence.uncertain.stiffnesses] = _STIFF
     variances = evidence.index.start(_FIRST)
     if start is not None:
         errors[: len(start.errors)] = start.errors[:count]
@@ -197,7 +193,7 @@ def _state(
     evidence: Evidence, seat: Seat | None, errors: Array, variances: Array, axis: Array | None
 ) -> _State:
     pieces = evidence.pieces(errors, variances)
-    cost = sum(piece.base for piece in pieces) - float(np.sum(_cost_of(errors)))
+    cost = sum(piece.base for piece in pieces) - float(np.sum(_cost_of(errors - evidence.expected)))
     cost += evidence.index.log_prior(variances)
     if seat is not None and axis is not None:
         cost += float(evidence.seat_terms(pieces, seat, axis[None])[0])
@@ -274,10 +270,11 @@ def _system(evidence: Evidence, now: _State, seat: Seat | None) -> _System:
     )
     size = count + (0 if across is None else len(across))
     normal, drive = np.zeros((size, size)), np.zeros(size)
-    precision = PARAMETER_TAIL / np.maximum(np.abs(now.errors), PARAMETER_TAIL)
+    off = now.errors - evidence.expected
+    precision = PARAMETER_TAIL / np.maximum(np.abs(off), PARAMETER_TAIL)
     normal[np.arange(count), np.arange(count)] = precision
     normal[np.arange(count, size), np.arange(count, size)] = _UNSEEN
-    drive[:count] = -precision * now.errors
+    drive[:count] = -precision * off
     explained, expected = np.zeros((2, len(now.variances)))
     misfit: dict[int, list[tuple[float, float, float]]] = {}
     for piece in now.pieces:
@@ -306,9 +303,9 @@ def _system(evidence: Evidence, now: _State, seat: Seat | None) -> _System:
             turn = response.columns[:, :, seat.columns] @ across.T if seat is not None else slopes
             slopes = np.concatenate([slopes, turn * motion[:, None, None]], axis=2)
         heavy = weight @ slopes
-        flat, heavy = _as_real(slopes.reshape(-1, size)), _as_real(heavy.reshape(-1, size))
-        normal += 2 * piece.temper * (flat.T @ heavy)
-        drive += 2 * piece.temper * (heavy.T @ _as_real(residual.ravel()))
+        flat, weighed = _as_real(slopes.reshape(-1, size)), _as_real(heavy.reshape(-1, size))
+        normal += 2 * piece.temper * (flat.T @ weighed)
+        drive += 2 * piece.temper * (weighed.T @ _as_real(residual.ravel()))
         pulled = weight @ residual[:, :, None]
         along = np.abs(piece.patterns.conj().swapaxes(1, 2) @ pulled)[:, :, 0] ** 2
         alone = np.einsum(

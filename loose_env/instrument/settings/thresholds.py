@@ -89,12 +89,16 @@ tolerances are guesses."""
 
 # Elasticity of gears, links and base: priors of their stiffness
 GEAR_HZ = 200.0
-"""Mode of the arm beyond a gear on that gear's spring, median of the prior [Hz]: arms have 20 to
-1000."""
+"""Mode of the arm beyond a gear on that gear's spring, median of the prior [Hz]: arms have modes
+from 20 Hz to 1 kHz."""
 BENDING_HZ = 300.0
 """The same of a link's bending and of the base [Hz]."""
 STIFFNESS_SD = 1.5
 """Standard deviation of a stiffness' logarithm [1]: a factor of two in the mode."""
+RIGID_SD = 2.0
+"""Stiffness above the median at which fits start [standard deviations]: modes of 900 Hz and more,
+rigid in the usual bands, come down to where the runs show them; from below they would have to pass
+one another."""
 ELASTIC_LOSS = 0.05
 """Loss factor of these springs [1]: a damping ratio of 2.5 %."""
 

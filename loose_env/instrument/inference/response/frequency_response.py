@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines
+from loose_env.instrument.inference.response.sensor_rows import rows_of, sensing_of, stepped_of
 from loose_env.instrument.inference.response.uncertain_linear_arm import PoseModel
 from loose_env.instrument.settings.thresholds import STIFFNESS_SD
 from loose_env.typing import Array, ComplexArray
@@ -141,7 +142,7 @@ class Response:
         jump[:, :r] = sampled * self.jump[:, :r]
         stepped = -_each(at.inertia_by_row, jump)[:, :, :m] @ ease if sampled else None
         slopes[:, :, of.bodies] = push @ force.swapaxes(1, 2)
-        sensing = _sensing(self)
+        sensing = sensing_of(at, lines, self.errors)
         for k, (reading, axis) in enumerate(lines.row):
             if reading.kind == "acceleration":
                 along = sensing.get(reading.sensor, np.eye(3))[axis] @ at.jacobian[:, reading.at]
@@ -214,8 +215,9 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     stiffness[:n] -= np.where(free, drives.stiffness * (1 + t.figures * held), 0.0)
     damping[:n] -= np.where(free, drives.damping * (1 + t.figures * slow), 0.0)
     # Gravity's stiffness is all of the load's change but for what the servo's target takes.
-    dynamic = -(omega**2)[:, None, None] * inertia[:m, :m] + at.weight[:m]
-    dynamic = dynamic.astype(complex)
+    dynamic: ComplexArray = np.asarray(
+        -(omega**2)[:, None, None] * inertia[:m, :m] + at.weight[:m], dtype=complex
+    )
     dynamic[:, np.arange(m), np.arange(m)] += stiffness + s[:, None] * damping
     compliance: ComplexArray = np.asarray(np.linalg.inv(dynamic), dtype=complex)
     hold = _held(omega, lines.period)
@@ -234,21 +236,21 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     coupling = inertia[:m, m:] - at.weight[m:].T / (omega**2)[:, None, None]
     by_seat = np.asarray(-compliance @ coupling, dtype=complex)
     motion = np.asarray((compliance @ force[:, :, None])[:, :, 0], dtype=complex)
-    rows, own = _rows(at, lines, jacobian, s)
+    rows, own = rows_of(at, lines, jacobian, s)
     made = Response(
         at=at, lines=lines, errors=errors, compliance=compliance, rows=rows, columns=own,
         sudden=np.zeros(own.shape[1:]),
         by_seat=by_seat, force=force, pushed=pushed, motion=motion,
         jump=force, step=np.zeros_like(lines.readings), mean=np.zeros_like(lines.readings),
     )  # fmt: skip
-    sensing = _sensing(made)
+    sensing = sensing_of(at, lines, errors)
     for sensor, matrix in sensing.items():
         k = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
         rows[:, k] = late_site[:, None, None] * (matrix @ rows[:, k])
         own[:, k] = late_site[:, None, None] * (matrix @ own[:, k])
     columns = own + rows @ by_seat
     jump = np.asarray(jump @ _ease(at, inertia), dtype=complex)
-    step = _stepped(at, lines, jacobian, jump, motion)
+    step = stepped_of(at, lines, jacobian, jump, motion)
     for sensor, matrix in sensing.items():
         k = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
         step[:, k] = late_site[:, None] * (step[:, k] @ matrix.T)
@@ -333,65 +335,6 @@ def _stepping(response: Response, jacobian: Array, sensing: dict[str, Array], ea
             along = sensing.get(reading.sensor, np.eye(3))[axis]
             rows[0, k] = along @ jacobian[reading.at, :, :m] @ ease
     return rows
-
-
-def _stepped(
-    at: PoseModel, lines: Lines, jacobian: Array, jump: ComplexArray, moved: ComplexArray
-) -> ComplexArray:
-    """Channels just after a command step, less their zero-order-hold mean (K, c).
-
-    ``jump`` is the sudden acceleration of the moving coordinates, ``moved`` their motion (K, m).
-    """
-    step = np.zeros_like(lines.readings)
-    half = np.pi * lines.frequency * lines.period
-    for k, (reading, axis) in enumerate(lines.row):
-        if reading.kind == "acceleration":
-            step[:, k] = jump @ jacobian[reading.at, axis, : at.size]
-        elif reading.kind == "velocity":
-            # Of a path of parabolas from sample to sample, as a held force makes it.
-            step[:, k] = 2j * half / lines.period * (np.tan(half) / half - 1) * moved[:, reading.at]
-    return step
-
-
-def _rows(
-    at: PoseModel, lines: Lines, jacobian: Array, s: ComplexArray
-) -> tuple[ComplexArray, ComplexArray]:
-    """Channels per displacement (K, c, m), feedthrough of the seats (K, c, s)."""
-    n, m = at.of.arm.n, at.size
-    seats = at.nominal.inertia.shape[0] - m
-    rows = np.zeros((len(s), len(lines.row), m), dtype=complex)
-    own = np.zeros((len(s), len(lines.row), seats), dtype=complex)
-    for k, (reading, axis) in enumerate(lines.row):
-        if reading.kind == "acceleration":
-            turned = at.turned[reading.at, axis]
-            rows[:, k] = (s**2)[:, None] * jacobian[reading.at, axis, :m] + turned
-            own[:, k] = jacobian[reading.at, axis, m:]
-            # play turns the tool against gravity as the joint itself does
-            own[:, k, at.of.plays] += turned[:n] / (s**2)[:, None]
-        elif reading.kind == "turning":
-            rows[:, k] = s[:, None] * at.nominal.turning[reading.at, axis, :m]
-            own[:, k] = at.nominal.turning[reading.at, axis, m:] / s[:, None]
-        elif reading.kind == "position":
-            rows[:, k, reading.at] = 1.0
-        else:
-            rows[:, k, reading.at] = s
-    return rows, own
-
-
-def _sensing(response: Response) -> dict[str, Array]:
-    """Gain matrix (3, 3) of every sensor on a site, by the sensor's name."""
-    of, t = response.at.of, response.at.of.tolerances
-    found = {}
-    rows = [r.sensor for r, _ in response.lines.row]
-    for at_sensor, k in enumerate(of.sensors):
-        sensor = of.arm.readings[k].sensor
-        if rows.count(sensor) != 3:
-            continue
-        start = of.sensing.start + 9 * at_sensor
-        size = np.full((3, 3), t.cross_axis)
-        np.fill_diagonal(size, t.sensor_gain)
-        found[sensor] = np.eye(3) + size * response.errors[start : start + 9].reshape(3, 3)
-    return found
 
 
 def _own_damping(at: PoseModel, n: int) -> Array:

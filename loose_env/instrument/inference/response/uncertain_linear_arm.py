@@ -23,7 +23,7 @@ import numpy as np
 from loose_env.arms import LinearArm, MismatchDraw
 from loose_env.instrument.inference.response.elastic_coordinates import elastic_coordinates
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
-from loose_env.instrument.settings.thresholds import ELASTIC_LOSS, STIFFNESS_SD
+from loose_env.instrument.settings.thresholds import ELASTIC_LOSS, RIGID_SD, STIFFNESS_SD
 from loose_env.instrument.settings.tolerances import Tolerances
 from loose_env.typing import Array, ComplexArray
 
@@ -70,9 +70,7 @@ class UncertainArm:
         self.linear = linear = LinearArm(nominal, rotations=True)
         self.moving = np.concatenate([linear.joint_dofs, linear.flexible_dofs])
         self.seats = _seat_columns(linear)
-        self.elastic = elastic_coordinates(
-            linear, self.seats, joints=arm.joints, links=arm.links
-        )
+        self.elastic = elastic_coordinates(linear, self.seats, joints=arm.joints, links=arm.links)
         self.slides = np.arange(3 * n).reshape(n, 3)
         self.plays = np.arange(3 * n, 4 * n)
         self.bendings = np.arange(4 * n, 7 * n).reshape(n, 3)
@@ -121,6 +119,12 @@ class UncertainArm:
     def count(self, runs: int) -> int:
         """Number of nuisance parameters: those shared, then the delays of each run."""
         return len(self.names) + len(DELAYS) * runs
+
+    def expected(self, runs: int) -> Array:
+        """Prior medians of all parameters: zero but for stiffness, whose zero is a rigid arm."""
+        found = np.zeros(self.count(runs))
+        found[self.stiffnesses] = -RIGID_SD
+        return found
 
     def delays(self, run: int) -> slice:
         """Indices of a run's own delay parameters; see `DELAYS`."""
@@ -267,7 +271,7 @@ class PoseModel:
     @property
     def size(self) -> int:
         """Number of coordinates."""
-        return self.rigid + self.of.elastic.columns.shape[1]
+        return self.rigid + len(self.of.elastic.names)
 
     def seat_load(self) -> Array:
         """Static force on each seat's columns (7 n,) [N or N·m]."""
@@ -303,5 +307,5 @@ class PoseModel:
 
     def elastic_stiffness(self, errors: Array) -> ComplexArray:
         """Stiffness of gears, base and links for given nuisance parameters (E,)."""
-        factor = np.exp(STIFFNESS_SD * errors[self.of.stiffnesses])
+        factor = np.exp(STIFFNESS_SD * (RIGID_SD + errors[self.of.stiffnesses]))
         return np.asarray(self.of.elastic.stiffness * factor * (1 + 1j * ELASTIC_LOSS))
