@@ -126,10 +126,10 @@ class Evidence:
 
     def __post_init__(self) -> None:
         """Scale the patterns of the components by the motion of the nominal arm."""
-        none = np.zeros(len(self.uncertain.names))
+        nominal = self.uncertain.nominal
         n = self.uncertain.arm.n
         for one in self.lines:
-            response = respond(self.uncertain.at(one.pose), one, none)
+            response = respond(self.uncertain.at(one.pose), one, nominal)
             load, mass = response.across_seat(np.arange(7 * n))
             own = np.abs(np.diagonal(mass, axis1=1, axis2=2))
             floating = np.abs(load) / np.maximum(own, 1e-12)

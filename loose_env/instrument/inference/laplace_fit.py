@@ -26,9 +26,9 @@ __all__ = ["Fit", "RunTerm", "best_powers", "fit_hypothesis", "fitted_pieces", "
 _AXES = 150
 _STEPS = 8
 _HALVINGS = 4
-_FIRST = 10.0
-"""Standard deviations of the components with which a fit starts, over the scales of their priors:
-no single line dominates before the parameters fit."""
+_FIRST, _AGAIN = 10.0, 3.0
+"""Standard deviations of the components with which a first fit and one from known parameters start,
+over the scales of their priors: no single line dominates before the parameters fit."""
 _CONVERGED = 0.2
 """Gain of a step below which a fit ends [nats]."""
 _UNSEEN = 1.0
@@ -122,17 +122,16 @@ def fit_hypothesis(
     seat : Seat or None
         Loose seat; None for a healthy arm.
     start : Fit, optional
-        A fit of the same hypothesis to fewer runs.
+        Fit whose parameters, and direction if it has one, the search starts from. Its variance
+        components are not taken over: small ones would hold the search where it is.
     steps : int
         Most Gauss-Newton steps.
     """
     count = evidence.count
     errors = np.zeros(count)
-    variances = evidence.index.start(_FIRST)
+    variances = evidence.index.start(_FIRST if start is None else _AGAIN)
     if start is not None:
         errors[: len(start.errors)] = start.errors[:count]
-        if len(start.variances) == len(variances):
-            variances = start.variances
     axis = None
     if seat is not None:
         axis = np.ones(1)

@@ -37,7 +37,7 @@ def errors_with(evidence: Evidence, name: str, value: float, others: float = 8.0
 def test_every_gear_link_and_the_base_have_springs(evidence: Evidence) -> None:
     names = evidence.uncertain.elastic.names
     joints = evidence.uncertain.arm.joints
-    assert len(names) == 3 * len(joints) + 3
+    assert len(names) == 3 * len(joints) + 5
     assert {f"gear_stiffness@{joint}" for joint in joints} < set(names)
     assert (evidence.uncertain.elastic.stiffness > 0).all()
 

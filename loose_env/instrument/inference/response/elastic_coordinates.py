@@ -2,7 +2,7 @@
 
 Every real arm is elastic. Each gear turns; each link bends about the two axes across its length, as
 a hinge at a third of it (a beam that is clamped at its root and loaded at its end, by Euler and
-Bernoulli); the base slides, and rocks as the first link and its gear turn. A stiffness is known by
+Bernoulli); the base slides, and rocks about the axes across the first joint's. A stiffness is known by
 its order of magnitude alone: its logarithm is distributed about that of a given mode, and the runs
 say more. A spring answers every force alike, in all runs: that tells it from a seat with play,
 whose motion is free at every line.
@@ -57,15 +57,19 @@ def elastic_coordinates(
     model, data = linear.model, mujoco.MjData(linear.model)
     mujoco.mj_forward(model, data)
     lengths = _lengths(linear, data)
-    columns = [*plays.T, *seats[:, :3].T]
+    axes = [
+        np.linalg.lstsq(turns[:, 3 * k : 3 * k + 3], plays[:, k], rcond=None)[0] for k in range(n)
+    ]
+    rocking = _across(axes[0]) @ turns[:, :3].T
+    columns = [*plays.T, *seats[:, :3].T, *rocking]
     names = [f"gear_stiffness@{joint}" for joint in joints]
     names += [f"base_stiffness_{axis}" for axis in "xyz"]
-    hertz = [GEAR_HZ] * n + [BENDING_HZ] * 3
+    names += [f"base_rocking_stiffness_{k + 1}" for k in range(len(rocking))]
+    hertz = [GEAR_HZ] * n + [BENDING_HZ] * (3 + len(rocking))
     for link in range(n):
         own, slides = turns[:, 3 * link : 3 * link + 3], seats[:, 3 * link : 3 * link + 3]
-        axis = np.linalg.lstsq(own, plays[:, link], rcond=None)[0]
-        along = lengths[link] if np.linalg.norm(lengths[link]) > _SHORT else axis
-        across = tangents(along) if np.linalg.norm(along) > 0 else np.eye(3)
+        long = np.linalg.norm(lengths[link]) > _SHORT
+        across = _across(lengths[link] if long else axes[link])
         # A turn about a point away from the origin moves the origin.
         columns += [own @ turn - slides @ np.cross(turn, lengths[link] / 3) for turn in across]
         names += [f"bending_stiffness_{k + 1}@{links[link]}" for k in range(len(across))]
@@ -79,6 +83,11 @@ def elastic_coordinates(
         stiffness=np.asarray((2 * np.pi * np.array(hertz)) ** 2 * carried),
         names=tuple(names),
     )
+
+
+def _across(direction: Array) -> Array:
+    """Axes across a direction (2, 3); all three where there is none, as of a prismatic joint."""
+    return tangents(direction) if np.linalg.norm(direction) > _SHORT else np.eye(3)
 
 
 def _lengths(linear: LinearArm, data: mujoco.MjData) -> list[Array]:

@@ -286,15 +286,15 @@ def with_leakage(at: PoseModel, lines: Lines) -> Lines:
     the slope of the answer times what the neighbours differ by. The nominal arm is good enough, but
     for the size of its answer: a joint that friction locks leaks as little as it moves.
     """
-    none = np.zeros(len(at.of.names))
+    nominal = at.of.nominal
     command, force = lines.lean
     here = replace(
         lines, command=command, force=force, tool_force=lines.tool_lean,
         leaked=np.zeros_like(lines.readings),
     )  # fmt: skip
     there = replace(here, frequency=lines.frequency + lines.next)
-    mean = respond(at, here, none).mean
-    leaked = respond(at, there, none).mean - mean
+    mean = respond(at, here, nominal).mean
+    leaked = respond(at, there, nominal).mean - mean
     measured, predicted = (np.linalg.norm(lines.read * x, axis=0) for x in (lines.readings, mean))
     share = np.minimum(measured / np.maximum(predicted, 1e-150), 1.0)
     return replace(lines, leaked=share * leaked)

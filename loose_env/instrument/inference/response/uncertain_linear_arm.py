@@ -33,6 +33,8 @@ __all__ = ["DELAYS", "PoseModel", "UncertainArm"]
 DELAYS = ("command_delay", "sensor_delay")
 """Errors drawn anew for every run: player, encoders and accelerometers start on their own clocks;
 named as in `Tolerances`."""
+_RIGID = 6.0
+"""Stiffness of a rigid arm above that with which fits start [standard deviations]."""
 _STEP = 1e-4
 """Turn by which gravity's stiffness is found [rad or m]."""
 
@@ -124,6 +126,13 @@ class UncertainArm:
         """Prior medians of all parameters: zero but for stiffness, whose zero is a rigid arm."""
         found = np.zeros(self.count(runs))
         found[self.stiffnesses] = -RIGID_SD
+        return found
+
+    @property
+    def nominal(self) -> Array:
+        """Errors of the arm as its model has it, rigid (P,)."""
+        found = np.zeros(len(self.names))
+        found[self.stiffnesses] = _RIGID
         return found
 
     def delays(self, run: int) -> slice:
