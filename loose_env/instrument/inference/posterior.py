@@ -27,9 +27,9 @@ _COARSE, _FINE = 32, 96
 of a model are correlated over neighbouring lines, so that more would add little."""
 _MOST = 4
 """Most hypotheses that are fitted to more lines."""
-_FIRST_STEPS, _COARSE_STEPS, _MORE_STEPS = 25, 12, 12
-"""Gauss-Newton steps on the references, of all hypotheses, and of the likely ones from each of
-their starts."""
+_FIRST_STEPS, _COARSE_STEPS, _FINE_STEPS = 25, 8, 8
+"""Gauss-Newton steps in all on few lines, those before unlikely hypotheses are left, and on more
+lines."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,16 +148,18 @@ def _first_look(
         name: fit_hypothesis(filtered, name, seat, start=start, steps=_COARSE_STEPS)
         for name, seat in seats.items()
     }
-    best = max(fits.values(), key=lambda fit: fit.evidence)
+    top = max(fit.evidence for fit in fits.values())
     for name, fit in fits.items():
-        if fit.evidence > best.evidence - REFINED_WITHIN:
-            fits[name] = _from_best_start(filtered, name, seats[name], fits, best)
+        if fit.evidence > top - REFINED_WITHIN:
+            fits[name] = fit_hypothesis(
+                filtered, name, seats[name], start=fit, steps=_FIRST_STEPS - _COARSE_STEPS
+            )
     if not lines or not any(np.any(one.command) for one in lines):
         return filtered, fits
     # Compared with the same allowance for errors, or the wider one would pay for it.
     stepped, alike = of(1.0, 1.0), of(0.0, 1.0)
     probed = {HEALTHY, max(fits, key=lambda name: fits[name].evidence)}
-    with_steps, without = (
+    best = [
         max(
             fit_hypothesis(
                 evidence, name, seats[name], start=fits[name], steps=_COARSE_STEPS
@@ -165,8 +167,8 @@ def _first_look(
             for name in probed
         )
         for evidence in (stepped, alike)
-    )
-    if with_steps <= without:
+    ]
+    if best[0] <= best[1]:
         return filtered, fits
     return stepped, {
         name: fit_hypothesis(stepped, name, seat, start=fits[name], steps=_COARSE_STEPS)
@@ -183,7 +185,7 @@ def _from_best_start(
     if name != best.hypothesis:
         starts.append(replace(best, hypothesis=name, axis=None))
     found = [
-        fit_hypothesis(evidence, name, seat, start=start, steps=_MORE_STEPS) for start in starts
+        fit_hypothesis(evidence, name, seat, start=start, steps=_FINE_STEPS) for start in starts
     ]
     return max(found, key=lambda fit: fit.evidence)
 
@@ -196,7 +198,7 @@ def _as_far_as_others(evidence: Evidence, fits: Mapping[str, Fit]) -> Fit:
     """
     own = fits[HEALTHY]
     best = max(fits.values(), key=lambda fit: fit.evidence)
-    other = fit_hypothesis(evidence, HEALTHY, None, start=best, steps=_MORE_STEPS)
+    other = fit_hypothesis(evidence, HEALTHY, None, start=best, steps=_FINE_STEPS)
     return max((own, other), key=lambda fit: fit.evidence)
 
 
