@@ -160,6 +160,11 @@ class Evidence:
         """Number of nuisance parameters: of the arm, and delays of every run."""
         return self.uncertain.count(self.runs)
 
+    @cached_property
+    def expected(self) -> Array:
+        """Prior medians of the nuisance parameters (P,)."""
+        return self.uncertain.expected(self.runs)
+
     def _responses(self, errors: Array) -> list[Response]:
         """Responses of all lines; those of the last errors are kept."""
         key = errors.tobytes()

@@ -16,7 +16,7 @@ from loose_env.instrument.inference.evidence import (
     force_readings,
     seat_powers,
 )
-from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD, PARAMETER_DOF
+from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD, PARAMETER_TAIL
 from loose_env.statistics import axes_grid, tangents
 from loose_env.typing import Array, ComplexArray
 
@@ -24,14 +24,8 @@ __all__ = ["Fit", "RunTerm", "best_powers", "fit_hypothesis", "fitted_pieces", "
 
 
 _AXES = 150
-_STEPS = 8
+_STEPS = 15
 _HALVINGS = 4
-_FIRST = 3.0
-"""Standard deviations of the components with which a fit starts, over the scales of their priors:
-no single line dominates before the parameters fit."""
-_STIFF = 2.0
-"""Stiffness with which a fit starts above the median [standard deviations]: modes above the band
-come down to where they are. From below they would have to pass those of other springs."""
 _CONVERGED = 0.2
 """Gain of a step below which a fit ends [nats]."""
 _UNSEEN = 1.0
@@ -112,6 +106,7 @@ def fit_hypothesis(
     seat: Seat | None,
     *,
     start: Fit | None = None,
+    width: float = 3.0,
     steps: int = _STEPS,
 ) -> Fit:
     """Fit nuisance parameters and direction, and marginalise the rest.
@@ -125,18 +120,19 @@ def fit_hypothesis(
     seat : Seat or None
         Loose seat; None for a healthy arm.
     start : Fit, optional
-        A fit of the same hypothesis to fewer runs.
+        Fit whose parameters, and direction if it has one, the search starts from. Its variance
+        components are not taken over: small ones would hold the search where it is.
+    width : float
+        Standard deviations of the components with which the fit starts, over the scales of their
+        priors: no single line dominates before the parameters fit.
     steps : int
         Most Gauss-Newton steps.
     """
     count = evidence.count
     errors = np.zeros(count)
-    errors[evidence.uncertain.stiffnesses] = _STIFF
-    variances = evidence.index.start(_FIRST)
+    variances = evidence.index.start(width)
     if start is not None:
         errors[: len(start.errors)] = start.errors[:count]
-        if len(start.variances) == len(variances):
-            variances = start.variances
     axis = None
     if seat is not None:
         axis = np.ones(1)
@@ -181,19 +177,23 @@ def fit_hypothesis(
 
 
 def _cost_of(errors: Array) -> Array:
-    """Negative log prior of each parameter, but for a constant: Student's t.
+    """Negative log prior of each parameter, but for a constant (Huber).
 
-    A tolerance is a guess of its own; a parameter that is off by several times that is rare, not
-    impossible.
+    A tolerance is a guess of its own: beyond `PARAMETER_TAIL` the density falls exponentially.
     """
-    return np.asarray(0.5 * (PARAMETER_DOF + 1) * np.log1p(errors**2 / PARAMETER_DOF))
+    size = np.abs(errors)
+    return np.asarray(
+        np.where(
+            size < PARAMETER_TAIL, 0.5 * errors**2, PARAMETER_TAIL * (size - 0.5 * PARAMETER_TAIL)
+        )
+    )
 
 
 def _state(
     evidence: Evidence, seat: Seat | None, errors: Array, variances: Array, axis: Array | None
 ) -> _State:
     pieces = evidence.pieces(errors, variances)
-    cost = sum(piece.base for piece in pieces) - float(np.sum(_cost_of(errors)))
+    cost = sum(piece.base for piece in pieces) - float(np.sum(_cost_of(errors - evidence.expected)))
     cost += evidence.index.log_prior(variances)
     if seat is not None and axis is not None:
         cost += float(evidence.seat_terms(pieces, seat, axis[None])[0])
@@ -270,10 +270,11 @@ def _system(evidence: Evidence, now: _State, seat: Seat | None) -> _System:
     )
     size = count + (0 if across is None else len(across))
     normal, drive = np.zeros((size, size)), np.zeros(size)
-    precision = (PARAMETER_DOF + 1) / (PARAMETER_DOF + now.errors**2)
+    off = now.errors - evidence.expected
+    precision = PARAMETER_TAIL / np.maximum(np.abs(off), PARAMETER_TAIL)
     normal[np.arange(count), np.arange(count)] = precision
     normal[np.arange(count, size), np.arange(count, size)] = _UNSEEN
-    drive[:count] = -precision * now.errors
+    drive[:count] = -precision * off
     explained, expected = np.zeros((2, len(now.variances)))
     misfit: dict[int, list[tuple[float, float, float]]] = {}
     for piece in now.pieces:

@@ -22,14 +22,12 @@ from loose_env.typing import Array
 __all__ = ["ModelComparison", "compare_hypotheses", "posterior_of", "probabilities_of"]
 
 
-_COARSE, _FINE = 32, 96
-"""Lines of a run in the coarse fit of all hypotheses and in the fine fit of the likely ones: errors
-of a model are correlated over neighbouring lines, so that more would add little."""
-_MOST = 4
-"""Most hypotheses that are fitted to more lines."""
-_FIRST_STEPS, _COARSE_STEPS, _FINE_STEPS = 25, 8, 8
-"""Gauss-Newton steps in all on few lines, those before unlikely hypotheses are left, and on more
-lines."""
+_LINES = 40
+"""Lines of a run that are fitted: errors of a model are correlated over neighbouring lines, so that
+more would add little."""
+_WIDTHS = (10.0, 30.0, 3.0)
+"""Widths of the model error with which fits start (`fit_hypothesis`): modes that the model has
+elsewhere make local optima, and none of the widths leads past all of them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,9 +38,7 @@ class ModelComparison:
     fits: Mapping[str, Fit]
     """Best fit of each hypothesis."""
     evidence: Evidence
-    """Of the likely hypotheses, on more lines."""
-    coarse: Evidence
-    """Of all hypotheses, on few lines."""
+    """Of all hypotheses, on the lines that were fitted."""
     lines: tuple[Lines, ...]
     """All lines of all runs."""
     healthy_prior: float
@@ -95,34 +91,22 @@ def compare_hypotheses(
     healthy_prior : float
         Prior probability that nothing is loose.
     """
-    hypotheses = uncertain.arm.hypotheses
-    seats = seats_of(hypotheses, uncertain.arm.n)
-    coarse, fits = _first_look(uncertain, lines, seats)
-    top = max(fit.evidence for fit in fits.values())
-    order = sorted(fits, key=lambda name: -fits[name].evidence)
-    likely = [name for name in order if fits[name].evidence > top - REFINED_WITHIN][:_MOST]
-    if HEALTHY not in likely:
-        likely.append(HEALTHY)
-    whole = [
-        _as_sampled(one, few.sampled, few.folded)
-        for one, few in zip(lines, coarse.lines, strict=True)
-    ]
-    fine = Evidence(uncertain=uncertain, lines=[thinned(one, _FINE) for one in whole])
-    if len(lines):
-        first = fits[order[0]]
-        again = {name: _from_best_start(fine, name, seats[name], fits, first) for name in likely}
-        again[HEALTHY] = _as_far_as_others(fine, again)
-        # Hypotheses that were left out keep their distance from the best of those looked at.
-        fits = {
-            name: again[name] if name in again else _shifted(fit, first, again[order[0]])
-            for name, fit in fits.items()
-        }
+    seats = seats_of(uncertain.arm.hypotheses, uncertain.arm.n)
+    few = [thinned(one, _LINES) for one in lines]
+    evidence, fits = _first_look(uncertain, few, seats)
+    best = max(fits.values(), key=lambda fit: fit.evidence)
+    for name, fit in fits.items():
+        if name == HEALTHY or fit.evidence > best.evidence - REFINED_WITHIN:
+            fits[name] = _searched(evidence, seats[name], fit, best)
+    whole = tuple(
+        _as_sampled(one, used.sampled, used.folded)
+        for one, used in zip(lines, evidence.lines, strict=True)
+    )
     return ModelComparison(
         posterior=posterior_of(fits, whole, healthy_prior=healthy_prior),
         fits=fits,
-        evidence=fine,
-        coarse=coarse,
-        lines=tuple(whole),
+        evidence=evidence,
+        lines=whole,
         healthy_prior=healthy_prior,
     )
 
@@ -130,11 +114,10 @@ def compare_hypotheses(
 def _first_look(
     uncertain: UncertainArm, lines: Sequence[Lines], seats: Mapping[str, Seat | None]
 ) -> tuple[Evidence, dict[str, Fit]]:
-    """Fit all hypotheses to few lines and identify the sensor sampling."""
-    few = [thinned(one, _COARSE) for one in lines]
+    """Fit all hypotheses once and identify the sensor sampling."""
 
     def of(sampled: float, folded: float) -> Evidence:
-        taken = [_as_sampled(one, sampled, folded) for one in few]
+        taken = [_as_sampled(one, sampled, folded) for one in lines]
         return Evidence(uncertain=uncertain, lines=taken)
 
     filtered = of(0.0, 0.0)
@@ -143,63 +126,41 @@ def _first_look(
     start = None
     if references:
         known = Evidence(uncertain=uncertain, lines=references, known_runs=filtered.runs)
-        start = fit_hypothesis(known, HEALTHY, None, steps=_FIRST_STEPS)
+        fit = fit_hypothesis(known, HEALTHY, None, width=_WIDTHS[0])
+        start = _searched(known, None, fit, fit)
     fits = {
-        name: fit_hypothesis(filtered, name, seat, start=start, steps=_COARSE_STEPS)
+        name: fit_hypothesis(filtered, name, seat, start=start, width=_WIDTHS[0])
         for name, seat in seats.items()
     }
-    top = max(fit.evidence for fit in fits.values())
-    for name, fit in fits.items():
-        if fit.evidence > top - REFINED_WITHIN:
-            fits[name] = fit_hypothesis(
-                filtered, name, seats[name], start=fit, steps=_FIRST_STEPS - _COARSE_STEPS
-            )
     if not lines or not any(np.any(one.command) for one in lines):
         return filtered, fits
     # Compared with the same allowance for errors, or the wider one would pay for it.
     stepped, alike = of(1.0, 1.0), of(0.0, 1.0)
     probed = {HEALTHY, max(fits, key=lambda name: fits[name].evidence)}
-    best = [
+    with_steps, without = (
         max(
-            fit_hypothesis(
-                evidence, name, seats[name], start=fits[name], steps=_COARSE_STEPS
-            ).evidence
+            fit_hypothesis(evidence, name, seats[name], start=fits[name]).evidence
             for name in probed
         )
         for evidence in (stepped, alike)
-    ]
-    if best[0] <= best[1]:
+    )
+    if with_steps <= without:
         return filtered, fits
     return stepped, {
-        name: fit_hypothesis(stepped, name, seat, start=fits[name], steps=_COARSE_STEPS)
-        for name, seat in seats.items()
+        name: fit_hypothesis(stepped, name, seat, start=fits[name]) for name, seat in seats.items()
     }
 
 
-def _from_best_start(
-    evidence: Evidence, name: str, seat: Seat | None, fits: Mapping[str, Fit], best: Fit
-) -> Fit:
-    """Fit from its own parameters, and from those of the best hypothesis: the arm is the same."""
-    own = fits[name]
-    starts = [own]
-    if name != best.hypothesis:
-        starts.append(replace(best, hypothesis=name, axis=None))
-    found = [
-        fit_hypothesis(evidence, name, seat, start=start, steps=_FINE_STEPS) for start in starts
-    ]
-    return max(found, key=lambda fit: fit.evidence)
+def _searched(evidence: Evidence, seat: Seat | None, own: Fit, best: Fit) -> Fit:
+    """Best of the fits from other starts: other widths, and the arm of the best hypothesis.
 
-
-def _as_far_as_others(evidence: Evidence, fits: Mapping[str, Fit]) -> Fit:
-    """Fit of the healthy arm, from the parameters of the best fault too.
-
-    Every fault fits as well as no fault where its seat is shut: a search that ended early must not
-    count against the healthy arm.
+    All hypotheses are about the same arm. A search that ended early must not count against one.
     """
-    own = fits[HEALTHY]
-    best = max(fits.values(), key=lambda fit: fit.evidence)
-    other = fit_hypothesis(evidence, HEALTHY, None, start=best, steps=_FINE_STEPS)
-    return max((own, other), key=lambda fit: fit.evidence)
+    name = own.hypothesis
+    found = [own, *(fit_hypothesis(evidence, name, seat, width=width) for width in _WIDTHS[1:])]
+    start = own if best is own else replace(best, hypothesis=name, axis=None)
+    found.append(fit_hypothesis(evidence, name, seat, start=start))
+    return max(found, key=lambda fit: fit.evidence)
 
 
 def _as_sampled(lines: Lines, sampled: float, folded: float) -> Lines:
@@ -207,20 +168,6 @@ def _as_sampled(lines: Lines, sampled: float, folded: float) -> Lines:
     if beside is not None:
         beside = replace(beside, sampled=sampled, folded=folded)
     return replace(lines, sampled=sampled, folded=folded, beside=beside)
-
-
-def _shifted(fit: Fit, coarse: Fit, fine: Fit) -> Fit:
-    """Fit whose evidence by run is moved as that of the best hypothesis was."""
-    runs = {
-        number: replace(
-            term,
-            log_likelihood=term.log_likelihood
-            + fine.runs[number].log_likelihood
-            - coarse.runs[number].log_likelihood,
-        )
-        for number, term in fit.runs.items()
-    }
-    return replace(fit, runs=runs, evidence=fit.evidence + fine.evidence - coarse.evidence)
 
 
 def _mean_misfit(fit: Fit, runs: Collection[int]) -> float:

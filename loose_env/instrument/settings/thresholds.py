@@ -83,8 +83,9 @@ DIRECTION_SD_FACTOR = 2.0
 """Standard deviation of a direction over that by the curvature of the likelihood, which lacks the
 errors outside the model."""
 
-PARAMETER_DOF = 4.0
-"""Degrees of freedom of the prior of a model's parameters (Student's t): tolerances are guesses."""
+PARAMETER_TAIL = 2.0
+"""Error of a model's parameter from which its prior falls exponentially only [standard deviations]:
+tolerances are guesses."""
 
 # Elasticity of gears, links and base: priors of their stiffness
 GEAR_HZ = 200.0
@@ -94,6 +95,10 @@ BENDING_HZ = 300.0
 """The same of a link's bending and of the base [Hz]."""
 STIFFNESS_SD = 1.5
 """Standard deviation of a stiffness' logarithm [1]: a factor of two in the mode."""
+RIGID_SD = 2.0
+"""Stiffness above the median at which fits start [standard deviations]: modes of 900 Hz and more,
+rigid in the usual bands, come down to where the runs show them; from below they would have to pass
+one another."""
 ELASTIC_LOSS = 0.05
 """Loss factor of these springs [1]: a damping ratio of 2.5 %."""
 

@@ -23,7 +23,7 @@ import numpy as np
 from loose_env.arms import LinearArm, MismatchDraw
 from loose_env.instrument.inference.response.elastic_coordinates import elastic_coordinates
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
-from loose_env.instrument.settings.thresholds import ELASTIC_LOSS, STIFFNESS_SD
+from loose_env.instrument.settings.thresholds import ELASTIC_LOSS, RIGID_SD, STIFFNESS_SD
 from loose_env.instrument.settings.tolerances import Tolerances
 from loose_env.typing import Array, ComplexArray
 
@@ -34,7 +34,7 @@ DELAYS = ("command_delay", "sensor_delay")
 """Errors drawn anew for every run: player, encoders and accelerometers start on their own clocks;
 named as in `Tolerances`."""
 _RIGID = 6.0
-"""Stiffness of a rigid arm above the median of its prior [standard deviations]."""
+"""Stiffness of a rigid arm above that with which fits start [standard deviations]."""
 _STEP = 1e-4
 """Turn by which gravity's stiffness is found [rad or m]."""
 
@@ -121,6 +121,12 @@ class UncertainArm:
     def count(self, runs: int) -> int:
         """Number of nuisance parameters: those shared, then the delays of each run."""
         return len(self.names) + len(DELAYS) * runs
+
+    def expected(self, runs: int) -> Array:
+        """Prior medians of all parameters: zero but for stiffness, whose zero is a rigid arm."""
+        found = np.zeros(self.count(runs))
+        found[self.stiffnesses] = -RIGID_SD
+        return found
 
     @property
     def nominal(self) -> Array:
@@ -310,5 +316,5 @@ class PoseModel:
 
     def elastic_stiffness(self, errors: Array) -> ComplexArray:
         """Stiffness of gears, base and links for given nuisance parameters (E,)."""
-        factor = np.exp(STIFFNESS_SD * errors[self.of.stiffnesses])
+        factor = np.exp(STIFFNESS_SD * (RIGID_SD + errors[self.of.stiffnesses]))
         return np.asarray(self.of.elastic.stiffness * factor * (1 + 1j * ELASTIC_LOSS))
