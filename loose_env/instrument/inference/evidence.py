@@ -122,13 +122,14 @@ class Evidence:
     known_runs: int = 0
     """Number of runs to allow for, if more than the lines have."""
     _amplitude: list[Array] = field(default_factory=list)
+    _last: tuple[bytes, list[Response]] = (b"", [])
 
     def __post_init__(self) -> None:
         """Scale the patterns of the components by the motion of the nominal arm."""
-        none = np.zeros(len(self.uncertain.names))
+        nominal = self.uncertain.nominal
         n = self.uncertain.arm.n
         for one in self.lines:
-            response = respond(self.uncertain.at(one.pose), one, none)
+            response = respond(self.uncertain.at(one.pose), one, nominal)
             load, mass = response.across_seat(np.arange(7 * n))
             own = np.abs(np.diagonal(mass, axis1=1, axis2=2))
             floating = np.abs(load) / np.maximum(own, 1e-12)
@@ -159,15 +160,32 @@ class Evidence:
         """Number of nuisance parameters: of the arm, and delays of every run."""
         return self.uncertain.count(self.runs)
 
+    @cached_property
+    def expected(self) -> Array:
+        """Prior medians of the nuisance parameters (P,)."""
+        return self.uncertain.expected(self.runs)
+
+    def _responses(self, errors: Array) -> list[Response]:
+        """Responses of all lines; those of the last errors are kept."""
+        key = errors.tobytes()
+        if self._last[0] != key:
+            found = []
+            for one in self.lines:
+                response = respond(self.uncertain.at(one.pose), one, errors)
+                if one.beside is not None:
+                    reference = respond(self.uncertain.at(one.beside.pose), one.beside, errors)
+                    response = replace(response, beside=reference)
+                found.append(response)
+            self._last = (key, found)
+        return self._last[1]
+
     def pieces(self, errors: Array, variances: Array) -> list[Piece]:
         """Responses and weights for given nuisance parameters and variance components."""
         found = []
-        for one, amplitude in zip(self.lines, self._amplitude, strict=True):
-            response = respond(self.uncertain.at(one.pose), one, errors)
+        responses = self._responses(errors)
+        for one, amplitude, response in zip(self.lines, self._amplitude, responses, strict=True):
             noise, change = one.noise, one.beside is not None
             if one.beside is not None:
-                reference = respond(self.uncertain.at(one.beside.pose), one.beside, errors)
-                response = replace(response, beside=reference)
                 noise = noise + one.beside.noise
             # Readings of what is faster than the samples fold back; more of it the higher the line.
             folded = one.folded * (one.frequency * one.period / _FOLDS) ** 2

@@ -16,7 +16,7 @@ from loose_env.instrument.inference.evidence import (
     force_readings,
     seat_powers,
 )
-from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD
+from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD, PARAMETER_TAIL
 from loose_env.statistics import axes_grid, tangents
 from loose_env.typing import Array, ComplexArray
 
@@ -24,12 +24,9 @@ __all__ = ["Fit", "RunTerm", "best_powers", "fit_hypothesis", "fitted_pieces", "
 
 
 _AXES = 150
-_STEPS = 8
+_STEPS = 15
 _HALVINGS = 4
-_FIRST = 3.0
-"""Standard deviations of the components with which a fit starts, over the scales of their priors:
-no single line dominates before the parameters fit."""
-_CONVERGED = 0.05
+_CONVERGED = 0.2
 """Gain of a step below which a fit ends [nats]."""
 _UNSEEN = 1.0
 """Precision of a direction of which nothing is known [1/rad²]."""
@@ -109,6 +106,7 @@ def fit_hypothesis(
     seat: Seat | None,
     *,
     start: Fit | None = None,
+    width: float = 3.0,
     steps: int = _STEPS,
 ) -> Fit:
     """Fit nuisance parameters and direction, and marginalise the rest.
@@ -122,17 +120,19 @@ def fit_hypothesis(
     seat : Seat or None
         Loose seat; None for a healthy arm.
     start : Fit, optional
-        A fit of the same hypothesis to fewer runs.
+        Fit whose parameters, and direction if it has one, the search starts from. Its variance
+        components are not taken over: small ones would hold the search where it is.
+    width : float
+        Standard deviations of the components with which the fit starts, over the scales of their
+        priors: no single line dominates before the parameters fit.
     steps : int
         Most Gauss-Newton steps.
     """
     count = evidence.count
     errors = np.zeros(count)
-    variances = evidence.index.start(_FIRST)
+    variances = evidence.index.start(width)
     if start is not None:
         errors[: len(start.errors)] = start.errors[:count]
-        if len(start.variances) == len(variances):
-            variances = start.variances
     axis = None
     if seat is not None:
         axis = np.ones(1)
@@ -176,11 +176,24 @@ def fit_hypothesis(
     )
 
 
+def _cost_of(errors: Array) -> Array:
+    """Negative log prior of each parameter, but for a constant (Huber).
+
+    A tolerance is a guess of its own: beyond `PARAMETER_TAIL` the density falls exponentially.
+    """
+    size = np.abs(errors)
+    return np.asarray(
+        np.where(
+            size < PARAMETER_TAIL, 0.5 * errors**2, PARAMETER_TAIL * (size - 0.5 * PARAMETER_TAIL)
+        )
+    )
+
+
 def _state(
     evidence: Evidence, seat: Seat | None, errors: Array, variances: Array, axis: Array | None
 ) -> _State:
     pieces = evidence.pieces(errors, variances)
-    cost = sum(piece.base for piece in pieces) - 0.5 * float(errors @ errors)
+    cost = sum(piece.base for piece in pieces) - float(np.sum(_cost_of(errors - evidence.expected)))
     cost += evidence.index.log_prior(variances)
     if seat is not None and axis is not None:
         cost += float(evidence.seat_terms(pieces, seat, axis[None])[0])
@@ -257,9 +270,11 @@ def _system(evidence: Evidence, now: _State, seat: Seat | None) -> _System:
     )
     size = count + (0 if across is None else len(across))
     normal, drive = np.zeros((size, size)), np.zeros(size)
-    normal[np.arange(count), np.arange(count)] = 1.0
+    off = now.errors - evidence.expected
+    precision = PARAMETER_TAIL / np.maximum(np.abs(off), PARAMETER_TAIL)
+    normal[np.arange(count), np.arange(count)] = precision
     normal[np.arange(count, size), np.arange(count, size)] = _UNSEEN
-    drive[:count] = -now.errors
+    drive[:count] = -precision * off
     explained, expected = np.zeros((2, len(now.variances)))
     misfit: dict[int, list[tuple[float, float, float]]] = {}
     for piece in now.pieces:
@@ -288,9 +303,9 @@ def _system(evidence: Evidence, now: _State, seat: Seat | None) -> _System:
             turn = response.columns[:, :, seat.columns] @ across.T if seat is not None else slopes
             slopes = np.concatenate([slopes, turn * motion[:, None, None]], axis=2)
         heavy = weight @ slopes
-        flat = slopes.reshape(-1, size)
-        normal += 2 * piece.temper * (flat.conj().T @ heavy.reshape(-1, size)).real
-        drive += 2 * piece.temper * (heavy.reshape(-1, size).conj().T @ residual.ravel()).real
+        flat, weighed = _as_real(slopes.reshape(-1, size)), _as_real(heavy.reshape(-1, size))
+        normal += 2 * piece.temper * (flat.T @ weighed)
+        drive += 2 * piece.temper * (weighed.T @ _as_real(residual.ravel()))
         pulled = weight @ residual[:, :, None]
         along = np.abs(piece.patterns.conj().swapaxes(1, 2) @ pulled)[:, :, 0] ** 2
         alone = np.einsum(
@@ -315,6 +330,11 @@ def _system(evidence: Evidence, now: _State, seat: Seat | None) -> _System:
     return _System(
         normal=normal, drive=drive, explained=explained, expected=expected, misfit=misfit
     )
+
+
+def _as_real(values: ComplexArray) -> Array:
+    """Real parts, then imaginary ones: products of these are real parts of complex ones."""
+    return np.concatenate([values.real, values.imag])
 
 
 def _unexplained(

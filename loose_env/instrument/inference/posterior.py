@@ -13,9 +13,8 @@ from loose_env.instrument.inference.laplace_fit import Fit, fit_hypothesis, seat
 from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.thresholds import (
-    COARSENED_MISFIT,
+    COARSENED_RUNS,
     REFINED_WITHIN,
-    RUN_INFLUENCE,
     UNEXPLAINED,
 )
 from loose_env.typing import Array
@@ -23,13 +22,12 @@ from loose_env.typing import Array
 __all__ = ["ModelComparison", "compare_hypotheses", "posterior_of", "probabilities_of"]
 
 
-_COARSE, _FINE = 32, 96
-"""Lines of a run in the coarse fit of all hypotheses and in the fine fit of the likely ones: errors
-of a model are correlated over neighbouring lines, so that more would add little."""
-_MOST = 4
-"""Most hypotheses that are fitted to more lines."""
-_FIRST_STEPS, _COARSE_STEPS, _FINE_STEPS = 8, 5, 5
-"""Gauss-Newton steps of the healthy arm, of the others from there, and on more lines."""
+_LINES = 40
+"""Lines of a run that are fitted: errors of a model are correlated over neighbouring lines, so that
+more would add little."""
+_WIDTHS = (10.0, 30.0, 3.0)
+"""Widths of the model error with which fits start (`fit_hypothesis`): modes that the model has
+elsewhere make local optima, and none of the widths leads past all of them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,9 +38,7 @@ class ModelComparison:
     fits: Mapping[str, Fit]
     """Best fit of each hypothesis."""
     evidence: Evidence
-    """Of the likely hypotheses, on more lines."""
-    coarse: Evidence
-    """Of all hypotheses, on few lines."""
+    """Of all hypotheses, on the lines that were fitted."""
     lines: tuple[Lines, ...]
     """All lines of all runs."""
     healthy_prior: float
@@ -95,37 +91,22 @@ def compare_hypotheses(
     healthy_prior : float
         Prior probability that nothing is loose.
     """
-    hypotheses = uncertain.arm.hypotheses
-    seats = seats_of(hypotheses, uncertain.arm.n)
-    coarse, fits = _first_look(uncertain, lines, seats)
-    top = max(fit.evidence for fit in fits.values())
-    order = sorted(fits, key=lambda name: -fits[name].evidence)
-    likely = [name for name in order if fits[name].evidence > top - REFINED_WITHIN][:_MOST]
-    if HEALTHY not in likely:
-        likely.append(HEALTHY)
-    whole = [
-        _as_sampled(one, few.sampled, few.folded)
-        for one, few in zip(lines, coarse.lines, strict=True)
-    ]
-    fine = Evidence(uncertain=uncertain, lines=[thinned(one, _FINE) for one in whole])
-    if len(lines):
-        first = fits[order[0]]
-        again = {
-            name: fit_hypothesis(fine, name, seats[name], start=fits[name], steps=_FINE_STEPS)
-            for name in likely
-        }
-        again[HEALTHY] = _as_far_as_others(fine, again)
-        # Hypotheses that were left out keep their distance from the best of those looked at.
-        fits = {
-            name: again[name] if name in again else _shifted(fit, first, again[order[0]])
-            for name, fit in fits.items()
-        }
+    seats = seats_of(uncertain.arm.hypotheses, uncertain.arm.n)
+    few = [thinned(one, _LINES) for one in lines]
+    evidence, fits = _first_look(uncertain, few, seats)
+    best = max(fits.values(), key=lambda fit: fit.evidence)
+    for name, fit in fits.items():
+        if name == HEALTHY or fit.evidence > best.evidence - REFINED_WITHIN:
+            fits[name] = _searched(evidence, seats[name], fit, best)
+    whole = tuple(
+        _as_sampled(one, used.sampled, used.folded)
+        for one, used in zip(lines, evidence.lines, strict=True)
+    )
     return ModelComparison(
         posterior=posterior_of(fits, whole, healthy_prior=healthy_prior),
         fits=fits,
-        evidence=fine,
-        coarse=coarse,
-        lines=tuple(whole),
+        evidence=evidence,
+        lines=whole,
         healthy_prior=healthy_prior,
     )
 
@@ -133,52 +114,53 @@ def compare_hypotheses(
 def _first_look(
     uncertain: UncertainArm, lines: Sequence[Lines], seats: Mapping[str, Seat | None]
 ) -> tuple[Evidence, dict[str, Fit]]:
-    """Fit all hypotheses to few lines and identify the sensor sampling."""
-    few = [thinned(one, _COARSE) for one in lines]
+    """Fit all hypotheses once and identify the sensor sampling."""
 
     def of(sampled: float, folded: float) -> Evidence:
-        taken = [_as_sampled(one, sampled, folded) for one in few]
+        taken = [_as_sampled(one, sampled, folded) for one in lines]
         return Evidence(uncertain=uncertain, lines=taken)
 
-    def fits_of(evidence: Evidence, start: Fit) -> dict[str, Fit]:
-        return {
-            name: fit_hypothesis(evidence, name, seat, start=start, steps=_COARSE_STEPS)
-            for name, seat in seats.items()
-        }
-
     filtered = of(0.0, 0.0)
-    healthy = fit_hypothesis(filtered, HEALTHY, None, steps=_FIRST_STEPS)
-    fits = fits_of(filtered, healthy)
+    # The healthy arm's own runs know its parameters without any fault that would spoil them.
+    references = [one for one in filtered.lines if one.healthy]
+    start = None
+    if references:
+        known = Evidence(uncertain=uncertain, lines=references, known_runs=filtered.runs)
+        fit = fit_hypothesis(known, HEALTHY, None, width=_WIDTHS[0])
+        start = _searched(known, None, fit, fit)
+    fits = {
+        name: fit_hypothesis(filtered, name, seat, start=start, width=_WIDTHS[0])
+        for name, seat in seats.items()
+    }
     if not lines or not any(np.any(one.command) for one in lines):
         return filtered, fits
     # Compared with the same allowance for errors, or the wider one would pay for it.
     stepped, alike = of(1.0, 1.0), of(0.0, 1.0)
     probed = {HEALTHY, max(fits, key=lambda name: fits[name].evidence)}
-    best = [
+    with_steps, without = (
         max(
-            fit_hypothesis(
-                evidence, name, seats[name], start=fits[name], steps=_COARSE_STEPS
-            ).evidence
+            fit_hypothesis(evidence, name, seats[name], start=fits[name]).evidence
             for name in probed
         )
         for evidence in (stepped, alike)
-    ]
-    if best[0] <= best[1]:
+    )
+    if with_steps <= without:
         return filtered, fits
-    healthy = fit_hypothesis(stepped, HEALTHY, None, start=healthy, steps=_FIRST_STEPS)
-    return stepped, fits_of(stepped, healthy)
+    return stepped, {
+        name: fit_hypothesis(stepped, name, seat, start=fits[name]) for name, seat in seats.items()
+    }
 
 
-def _as_far_as_others(evidence: Evidence, fits: Mapping[str, Fit]) -> Fit:
-    """Fit of the healthy arm, from the parameters of the best fault too.
+def _searched(evidence: Evidence, seat: Seat | None, own: Fit, best: Fit) -> Fit:
+    """Best of the fits from other starts: other widths, and the arm of the best hypothesis.
 
-    Every fault fits as well as no fault where its seat is shut: a search that ended early must not
-    count against the healthy arm.
+    All hypotheses are about the same arm. A search that ended early must not count against one.
     """
-    own = fits[HEALTHY]
-    best = max(fits.values(), key=lambda fit: fit.evidence)
-    other = fit_hypothesis(evidence, HEALTHY, None, start=best, steps=_FINE_STEPS)
-    return max((own, other), key=lambda fit: fit.evidence)
+    name = own.hypothesis
+    found = [own, *(fit_hypothesis(evidence, name, seat, width=width) for width in _WIDTHS[1:])]
+    start = own if best is own else replace(best, hypothesis=name, axis=None)
+    found.append(fit_hypothesis(evidence, name, seat, start=start))
+    return max(found, key=lambda fit: fit.evidence)
 
 
 def _as_sampled(lines: Lines, sampled: float, folded: float) -> Lines:
@@ -186,20 +168,6 @@ def _as_sampled(lines: Lines, sampled: float, folded: float) -> Lines:
     if beside is not None:
         beside = replace(beside, sampled=sampled, folded=folded)
     return replace(lines, sampled=sampled, folded=folded, beside=beside)
-
-
-def _shifted(fit: Fit, coarse: Fit, fine: Fit) -> Fit:
-    """Fit whose evidence by run is moved as that of the best hypothesis was."""
-    runs = {
-        number: replace(
-            term,
-            log_likelihood=term.log_likelihood
-            + fine.runs[number].log_likelihood
-            - coarse.runs[number].log_likelihood,
-        )
-        for number, term in fit.runs.items()
-    }
-    return replace(fit, runs=runs, evidence=fit.evidence + fine.evidence - coarse.evidence)
 
 
 def _mean_misfit(fit: Fit, runs: Collection[int]) -> float:
@@ -212,11 +180,8 @@ def posterior_of(
 ) -> dict[str, float]:
     """Probabilities of all hypotheses from their fits, for models that are not exact.
 
-    A run may have been disturbed by something outside all hypotheses: its log-likelihood ratio to
-    the best hypothesis is bounded by ``RUN_INFLUENCE``. Likelihoods against the model are raised to
-    the power 1 / (1 + (misfit / COARSENED_MISFIT)²): a coarsened posterior. A run beside the same
-    run of the healthy arm needs no model to tell whether anything has changed, and counts in full
-    for that; where it has changed is the model's to say.
+    Errors outside the model are alike in all runs and do not average out: n runs count as
+    n / (1 + n / COARSENED_RUNS) (coarsened posterior).
 
     Parameters
     ----------
@@ -231,22 +196,11 @@ def posterior_of(
     -------
     dict of str to float
     """
-    best = max(fits.values(), key=lambda fit: fit.evidence)
-    terms = {name: _by_run(fit, [one.number for one in lines]) for name, fit in fits.items()}
-    first, most = terms[best.hypothesis], RUN_INFLUENCE
-    behind = {name: most * np.tanh((values - first) / most) for name, values in terms.items()}
-    of_model = _mean_misfit(best, [one.number for one in lines if one.beside is None])
-    of_pairs = _mean_misfit(best, [one.number for one in lines if one.beside is not None])
-    power = 1 / (1 + (max(of_model, of_pairs) / COARSENED_MISFIT) ** 2)
-    paired = np.array([one.beside is not None for one in lines], dtype=bool)
-    weights = np.where(paired, 1.0, power)
-    changed = {name: float(weights @ values) for name, values in behind.items()}
-    located = {name: power * float(values.sum()) for name, values in behind.items()}
-    faults = [name for name in fits if name != HEALTHY]
-    loose = np.logaddexp.reduce([changed[name] for name in faults]) - np.log(len(faults))
-    where = np.logaddexp.reduce([located[name] for name in faults]) - np.log(len(faults))
-    evidence = {name: located[name] - where + loose for name in faults}
-    return probabilities_of({HEALTHY: changed[HEALTHY], **evidence}, healthy_prior=healthy_prior)
+    numbers = [one.number for one in lines]
+    suspect = sum(not one.healthy for one in lines)
+    power = 1 / (1 + suspect / COARSENED_RUNS)
+    evidence = {name: power * float(_by_run(fit, numbers).sum()) for name, fit in fits.items()}
+    return probabilities_of(evidence, healthy_prior=healthy_prior)
 
 
 def _by_run(fit: Fit, numbers: Sequence[int]) -> Array:

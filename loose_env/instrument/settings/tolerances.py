@@ -24,7 +24,7 @@ class Tolerances:
 
     figures: float = 0.02
     """Masses, inertias, rotor inertias and gains of drives, relative."""
-    damping: float = 0.05
+    damping: float = 0.1
     """Damping of joints, relative."""
     length: float = 0.002
     """Lengths of links, relative."""
@@ -36,7 +36,7 @@ class Tolerances:
     """Gain of each accelerometer axis, relative."""
     cross_axis: float = 0.03
     """Leakage of each accelerometer axis into each other one, mounting included, relative."""
-    sensor_offset: float = 0.0005
+    sensor_offset: float = 0.002
     """Place of each accelerometer, along each axis [m]."""
     command_delay: float = 0.0005
     """Delay of the commands and torques against the readings, beside half a sample; in every run

@@ -116,6 +116,6 @@ def test_two_runs_of_one_name_are_two_runs(tmp_path: Path) -> None:
         assert seat is not None
         evidence = Evidence(uncertain=bench.uncertain, lines=bench.suspect)
         variances = evidence.index.scales**2
-        pieces = evidence.pieces(np.zeros(len(bench.uncertain.names)), variances)
+        pieces = evidence.pieces(bench.uncertain.nominal, variances)
         terms.append(evidence.seat_terms(pieces, seat, np.eye(3)))
     np.testing.assert_allclose(*terms)

@@ -53,7 +53,7 @@ def test_the_healthy_arm_answers_a_blow_as_the_model_says(
     assert setup.excited.size == 0
     at = bench.uncertain.at(setup.pose)
     lines = with_leakage(at, lines_of(bench.arm, run, setup.pose, setup.excited))
-    answer = respond(at, lines, np.zeros(len(bench.uncertain.names)))
+    answer = respond(at, lines, bench.uncertain.nominal)
     tool = [k for k, (r, _) in enumerate(lines.row) if r.kind == "acceleration"]
     missed = np.linalg.norm(answer.residual[:, tool]) / np.linalg.norm(lines.readings[:, tool])
     assert missed < 0.05

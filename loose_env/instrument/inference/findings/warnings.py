@@ -75,7 +75,8 @@ def model_warnings(comparison: ModelComparison) -> list[str]:
     """Warnings that the model is not that of the arm: they invalidate a result."""
     fit = comparison.fits[comparison.best]
     names = comparison.evidence.uncertain.names
-    errors = np.abs(fit.errors[: len(names)])
+    expected = comparison.evidence.uncertain.expected(0)
+    errors = np.abs(fit.errors[: len(names)] - expected[: len(names)])
     worst = int(np.argmax(errors)) if len(errors) else 0
     strain = float(errors[worst]) if len(errors) else 0.0
     misfit = float(np.sqrt(comparison.misfit))

@@ -1,4 +1,5 @@
 """Frequency response of an arm with nuisance parameters, and its timing.
 
-Data flow: uncertain_linear_arm -> frequency_response -> timing -> pairing.
+Data flow: elastic_coordinates -> uncertain_linear_arm -> sensor_rows -> frequency_response ->
+timing -> pairing.
 """

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines
+from loose_env.instrument.inference.response.sensor_rows import rows_of, sensing_of, stepped_of
 from loose_env.instrument.inference.response.uncertain_linear_arm import PoseModel
+from loose_env.instrument.settings.thresholds import STIFFNESS_SD
 from loose_env.typing import Array, ComplexArray
 
 __all__ = ["Response", "respond", "with_leakage"]
@@ -134,18 +136,21 @@ class Response:
         push = self.rows @ self.compliance  # readings per force (K, c, m)
         sampled = lines.sampled
         inertia, jacobian = at.parts(self.errors)
-        force = -_each(at.inertia[:, :m], whole)
-        eased = -_each(at.inertia[:, :m, :m], sampled * self.jump)
-        stepped = np.linalg.solve(inertia[:m, :m], eased[..., None])[..., 0]
+        force = -_each(at.inertia_by_row, whole)
+        ease, r = _ease(at, inertia), at.rigid
+        jump = np.zeros_like(whole)
+        jump[:, :r] = sampled * self.jump[:, :r]
+        stepped = -_each(at.inertia_by_row, jump)[:, :, :m] @ ease if sampled else None
         slopes[:, :, of.bodies] = push @ force.swapaxes(1, 2)
-        sensing = _sensing(self)
+        sensing = sensing_of(at, lines, self.errors)
         for k, (reading, axis) in enumerate(lines.row):
             if reading.kind == "acceleration":
                 along = sensing.get(reading.sensor, np.eye(3))[axis] @ at.jacobian[:, reading.at]
                 slopes[:, k, of.bodies] += whole @ along.T
                 slopes[:, k, of.bodies] += sampled * (self.jump @ along[:, :m].T)
                 own = sensing.get(reading.sensor, np.eye(3))[axis] @ jacobian[reading.at, :, :m]
-                slopes[:, k, of.bodies] += stepped @ own
+                if stepped is not None:
+                    slopes[:, k, of.bodies] += stepped @ own
         drives = arm.actuators
         driving = self.force[:, :n] - self.pushed[:, :n]
         of_drive = ~(lines.measured | lines.blind)
@@ -159,8 +164,9 @@ class Response:
         for j in range(n):
             for part, values in enumerate(kept):
                 slopes[:, :, of.springs.start + part * n + j] = push[:, :, j] * values[:, j, None]
+        stretched = -STIFFNESS_SD * at.elastic_stiffness(self.errors) * motion[:, at.rigid :]
+        slopes[:, :, of.stiffnesses] = push[:, :, at.rigid :] * stretched[:, None, :]
         # Gains and delays act on what steps as on what is held.
-        ease = np.asarray(np.linalg.inv(inertia[:m, :m]))
         per_force = _stepping(self, jacobian, sensing, ease)
         hold = _held(omega, lines.period)
         noted = lines.force * _late(self.at, lines, self.errors)[0][:, None]
@@ -209,8 +215,9 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     stiffness[:n] -= np.where(free, drives.stiffness * (1 + t.figures * held), 0.0)
     damping[:n] -= np.where(free, drives.damping * (1 + t.figures * slow), 0.0)
     # Gravity's stiffness is all of the load's change but for what the servo's target takes.
-    dynamic = -(omega**2)[:, None, None] * inertia[:m, :m] + at.weight[:m]
-    dynamic = dynamic.astype(complex)
+    dynamic: ComplexArray = np.asarray(
+        -(omega**2)[:, None, None] * inertia[:m, :m] + at.weight[:m], dtype=complex
+    )
     dynamic[:, np.arange(m), np.arange(m)] += stiffness + s[:, None] * damping
     compliance: ComplexArray = np.asarray(np.linalg.inv(dynamic), dtype=complex)
     hold = _held(omega, lines.period)
@@ -229,21 +236,21 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     coupling = inertia[:m, m:] - at.weight[m:].T / (omega**2)[:, None, None]
     by_seat = np.asarray(-compliance @ coupling, dtype=complex)
     motion = np.asarray((compliance @ force[:, :, None])[:, :, 0], dtype=complex)
-    rows, own = _rows(at, lines, jacobian, s)
+    rows, own = rows_of(at, lines, jacobian, s)
     made = Response(
         at=at, lines=lines, errors=errors, compliance=compliance, rows=rows, columns=own,
         sudden=np.zeros(own.shape[1:]),
         by_seat=by_seat, force=force, pushed=pushed, motion=motion,
         jump=force, step=np.zeros_like(lines.readings), mean=np.zeros_like(lines.readings),
     )  # fmt: skip
-    sensing = _sensing(made)
+    sensing = sensing_of(at, lines, errors)
     for sensor, matrix in sensing.items():
         k = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
         rows[:, k] = late_site[:, None, None] * (matrix @ rows[:, k])
         own[:, k] = late_site[:, None, None] * (matrix @ own[:, k])
     columns = own + rows @ by_seat
-    jump = np.asarray(np.linalg.solve(inertia[:m, :m], jump.T).T, dtype=complex)
-    step = _stepped(at, lines, jacobian, jump, motion)
+    jump = np.asarray(jump @ _ease(at, inertia), dtype=complex)
+    step = stepped_of(at, lines, jacobian, jump, motion)
     for sensor, matrix in sensing.items():
         k = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
         step[:, k] = late_site[:, None] * (step[:, k] @ matrix.T)
@@ -265,9 +272,10 @@ def _late(at: PoseModel, lines: Lines, errors: Array) -> tuple[ComplexArray, Com
 
 
 def _each(matrices: Array, rows: ComplexArray) -> ComplexArray:
-    """Product of every matrix (G, i, j) with every row (K, j): (K, G, i)."""
-    flat = rows @ matrices.reshape(-1, matrices.shape[-1]).T
-    return np.asarray(flat.reshape(len(rows), *matrices.shape[:2]))
+    """Product of every matrix (j, G, i) with every row (K, j): (K, G, i)."""
+    wide = matrices.reshape(len(matrices), -1)
+    flat = np.ascontiguousarray(rows.real) @ wide + 1j * (np.ascontiguousarray(rows.imag) @ wide)
+    return np.asarray(flat.reshape(len(rows), *matrices.shape[1:]))
 
 
 def with_leakage(at: PoseModel, lines: Lines) -> Lines:
@@ -278,15 +286,15 @@ def with_leakage(at: PoseModel, lines: Lines) -> Lines:
     the slope of the answer times what the neighbours differ by. The nominal arm is good enough, but
     for the size of its answer: a joint that friction locks leaks as little as it moves.
     """
-    none = np.zeros(len(at.of.names))
+    nominal = at.of.nominal
     command, force = lines.lean
     here = replace(
         lines, command=command, force=force, tool_force=lines.tool_lean,
         leaked=np.zeros_like(lines.readings),
     )  # fmt: skip
     there = replace(here, frequency=lines.frequency + lines.next)
-    mean = respond(at, here, none).mean
-    leaked = respond(at, there, none).mean - mean
+    mean = respond(at, here, nominal).mean
+    leaked = respond(at, there, nominal).mean - mean
     measured, predicted = (np.linalg.norm(lines.read * x, axis=0) for x in (lines.readings, mean))
     share = np.minimum(measured / np.maximum(predicted, 1e-150), 1.0)
     return replace(lines, leaked=share * leaked)
@@ -298,13 +306,18 @@ def _held(omega: Array, period: float) -> ComplexArray:
     return np.asarray(np.exp(-half) * np.sinc(omega * period / (2 * np.pi)))
 
 
+def _ease(at: PoseModel, inertia: Array) -> Array:
+    """Acceleration per sudden force on the coordinates (m, m); see `PoseModel.rigid`."""
+    found, r = np.zeros((at.size, at.size)), at.rigid
+    found[:r, :r] = np.linalg.inv(inertia[:r, :r])
+    return found
+
+
 def _sudden(
     response: Response, inertia: Array, jacobian: Array, sensing: dict[str, Array]
 ) -> Array:
     lines, m = response.lines, response.at.size
-    whole = np.vstack(
-        [-np.linalg.solve(inertia[:m, :m], inertia[:m, m:]), np.eye(len(inertia) - m)]
-    )
+    whole = np.vstack([-_ease(response.at, inertia) @ inertia[:m, m:], np.eye(len(inertia) - m)])
     found = np.zeros((len(lines.row), whole.shape[1]))
     for k, (reading, axis) in enumerate(lines.row):
         if reading.kind == "acceleration":
@@ -322,65 +335,6 @@ def _stepping(response: Response, jacobian: Array, sensing: dict[str, Array], ea
             along = sensing.get(reading.sensor, np.eye(3))[axis]
             rows[0, k] = along @ jacobian[reading.at, :, :m] @ ease
     return rows
-
-
-def _stepped(
-    at: PoseModel, lines: Lines, jacobian: Array, jump: ComplexArray, moved: ComplexArray
-) -> ComplexArray:
-    """Channels just after a command step, less their zero-order-hold mean (K, c).
-
-    ``jump`` is the sudden acceleration of the moving coordinates, ``moved`` their motion (K, m).
-    """
-    step = np.zeros_like(lines.readings)
-    half = np.pi * lines.frequency * lines.period
-    for k, (reading, axis) in enumerate(lines.row):
-        if reading.kind == "acceleration":
-            step[:, k] = jump @ jacobian[reading.at, axis, : at.size]
-        elif reading.kind == "velocity":
-            # Of a path of parabolas from sample to sample, as a held force makes it.
-            step[:, k] = 2j * half / lines.period * (np.tan(half) / half - 1) * moved[:, reading.at]
-    return step
-
-
-def _rows(
-    at: PoseModel, lines: Lines, jacobian: Array, s: ComplexArray
-) -> tuple[ComplexArray, ComplexArray]:
-    """Channels per displacement (K, c, m), feedthrough of the seats (K, c, s)."""
-    n, m = at.of.arm.n, at.size
-    seats = at.nominal.inertia.shape[0] - m
-    rows = np.zeros((len(s), len(lines.row), m), dtype=complex)
-    own = np.zeros((len(s), len(lines.row), seats), dtype=complex)
-    for k, (reading, axis) in enumerate(lines.row):
-        if reading.kind == "acceleration":
-            turned = at.turned[reading.at, axis]
-            rows[:, k] = (s**2)[:, None] * jacobian[reading.at, axis, :m] + turned
-            own[:, k] = jacobian[reading.at, axis, m:]
-            # play turns the tool against gravity as the joint itself does
-            own[:, k, at.of.plays] += turned[:n] / (s**2)[:, None]
-        elif reading.kind == "turning":
-            rows[:, k] = s[:, None] * at.nominal.turning[reading.at, axis, :m]
-            own[:, k] = at.nominal.turning[reading.at, axis, m:] / s[:, None]
-        elif reading.kind == "position":
-            rows[:, k, reading.at] = 1.0
-        else:
-            rows[:, k, reading.at] = s
-    return rows, own
-
-
-def _sensing(response: Response) -> dict[str, Array]:
-    """Gain matrix (3, 3) of every sensor on a site, by the sensor's name."""
-    of, t = response.at.of, response.at.of.tolerances
-    found = {}
-    rows = [r.sensor for r, _ in response.lines.row]
-    for at_sensor, k in enumerate(of.sensors):
-        sensor = of.arm.readings[k].sensor
-        if rows.count(sensor) != 3:
-            continue
-        start = of.sensing.start + 9 * at_sensor
-        size = np.full((3, 3), t.cross_axis)
-        np.fill_diagonal(size, t.sensor_gain)
-        found[sensor] = np.eye(3) + size * response.errors[start : start + 9].reshape(3, 3)
-    return found
 
 
 def _own_damping(at: PoseModel, n: int) -> Array:

@@ -220,7 +220,7 @@ def _beside(lines: Lines) -> tuple[Array, ComplexArray] | None:
 
 
 def _nominal(uncertain: UncertainArm, lines: Lines) -> Response:
-    return respond(uncertain.at(lines.pose), lines, np.zeros(len(uncertain.names)))
+    return respond(uncertain.at(lines.pose), lines, uncertain.nominal)
 
 
 def _measured_motion(response: Response) -> tuple[ComplexArray, NDArray[np.bool_]]:

@@ -7,21 +7,25 @@ With x the small motion of joints and elastic parts, and s that of a seat, the a
 M its inertia, K what servos, springs and gravity add, D what dampers add, F the forces of the
 drives, a_s the seat's acceleration. Accelerometers read the proper acceleration, so that gravity
 turns with the tool. The change of every reading by each error of the model follows from the
-motion alone.
+motion alone. Elastic parts are those of the model, and gears, links and the base as
+`elastic_coordinates` has them, with stiffness among the errors.
 """
 
 from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import mujoco
 import numpy as np
 
 from loose_env.arms import LinearArm, MismatchDraw
+from loose_env.instrument.inference.response.elastic_coordinates import elastic_coordinates
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
+from loose_env.instrument.settings.thresholds import ELASTIC_LOSS, RIGID_SD, STIFFNESS_SD
 from loose_env.instrument.settings.tolerances import Tolerances
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray
 
 __all__ = ["DELAYS", "PoseModel", "UncertainArm"]
 
@@ -29,6 +33,8 @@ __all__ = ["DELAYS", "PoseModel", "UncertainArm"]
 DELAYS = ("command_delay", "sensor_delay")
 """Errors drawn anew for every run: player, encoders and accelerometers start on their own clocks;
 named as in `Tolerances`."""
+_RIGID = 6.0
+"""Stiffness of a rigid arm above that with which fits start [standard deviations]."""
 _STEP = 1e-4
 """Turn by which gravity's stiffness is found [rad or m]."""
 
@@ -66,6 +72,7 @@ class UncertainArm:
         self.linear = linear = LinearArm(nominal, rotations=True)
         self.moving = np.concatenate([linear.joint_dofs, linear.flexible_dofs])
         self.seats = _seat_columns(linear)
+        self.elastic = elastic_coordinates(linear, self.seats, joints=arm.joints, links=arm.links)
         self.slides = np.arange(3 * n).reshape(n, 3)
         self.plays = np.arange(3 * n, 4 * n)
         self.bendings = np.arange(4 * n, 7 * n).reshape(n, 3)
@@ -101,10 +108,12 @@ class UncertainArm:
         self.springs = slice(self.bodies.stop, len(names))
         names += [f"drive_gain@{joint}" for joint in joints]
         self.gains = slice(self.springs.stop, len(names))
+        names += self.elastic.names
+        self.stiffnesses = slice(self.gains.stop, len(names))
         self.sensors = tuple(k for k, r in enumerate(arm.readings) if r.on_site)
         for k in self.sensors:
             names += [f"{arm.readings[k].sensor}[{i}{j}]" for i in "xyz" for j in "xyz"]
-        self.sensing = slice(self.gains.stop, len(names))
+        self.sensing = slice(self.stiffnesses.stop, len(names))
         self.names = tuple(names)
         """Name of each error that all runs share (P,)."""
         self._remembered: dict[bytes, PoseModel] = {}
@@ -112,6 +121,19 @@ class UncertainArm:
     def count(self, runs: int) -> int:
         """Number of nuisance parameters: those shared, then the delays of each run."""
         return len(self.names) + len(DELAYS) * runs
+
+    def expected(self, runs: int) -> Array:
+        """Prior medians of all parameters: zero but for stiffness, whose zero is a rigid arm."""
+        found = np.zeros(self.count(runs))
+        found[self.stiffnesses] = -RIGID_SD
+        return found
+
+    @property
+    def nominal(self) -> Array:
+        """Errors of the arm as its model has it, rigid (P,)."""
+        found = np.zeros(len(self.names))
+        found[self.stiffnesses] = _RIGID
+        return found
 
     def delays(self, run: int) -> slice:
         """Indices of a run's own delay parameters; see `DELAYS`."""
@@ -145,7 +167,7 @@ class UncertainArm:
                 moved_site[k] = np.cross(nominal.turning[k], away[:, None], axis=0)
                 inertia.append(np.zeros(size))
                 jacobian.append(moved_site)
-        m = len(self.moving)
+        m = size[0] - self.seats.shape[1]
         weight, turned = np.zeros((size[0], m)), np.zeros((*nominal.gravity.shape, m))
         for j in range(n):
             step = _STEP * np.eye(n)[j]
@@ -170,7 +192,9 @@ class UncertainArm:
         mujoco.mj_forward(model, data)
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
-        basis = np.concatenate([np.eye(model.nv)[:, self.moving], self.seats], axis=1)
+        basis = np.concatenate(
+            [np.eye(model.nv)[:, self.moving], self.elastic.columns, self.seats], axis=1
+        )
         sites = (linear.arm.tool, *linear.arm.probes)
         jacobian = np.zeros((len(sites), 3, basis.shape[1]))
         turning, gravity = np.zeros_like(jacobian), np.zeros((len(sites), 3))
@@ -240,10 +264,23 @@ class PoseModel:
     turned: Array
     """Change of gravity's reading by each moving coordinate (S, 3, m)."""
 
+    @cached_property
+    def inertia_by_row(self) -> Array:
+        """Change of the inertia that acts on moving coordinates, by row (m + s, G, m)."""
+        return np.ascontiguousarray(self.inertia[:, : self.size].transpose(2, 0, 1))
+
+    @property
+    def rigid(self) -> int:
+        """Number of coordinates of the model: joints and its own elastic parts, which come first.
+
+        They alone answer a sudden force: what is beyond a spring follows later.
+        """
+        return len(self.of.moving)
+
     @property
     def size(self) -> int:
         """Number of coordinates."""
-        return len(self.of.moving)
+        return self.rigid + len(self.of.elastic.names)
 
     def seat_load(self) -> Array:
         """Static force on each seat's columns (7 n,) [N or N·m]."""
@@ -257,14 +294,27 @@ class PoseModel:
             self.nominal.jacobian + np.tensordot(some, self.jacobian, 1),
         )
 
-    def springs(self, errors: Array) -> tuple[Array, Array]:
-        """Coordinate stiffness and damping for given nuisance parameters (m,)."""
+    def springs(self, errors: Array) -> tuple[ComplexArray, Array]:
+        """Coordinate stiffness, its loss the imaginary part, and damping (m,).
+
+        Parameters
+        ----------
+        errors : ndarray (P,)
+            Nuisance parameters.
+        """
         arm, t = self.of.arm, self.of.tolerances
         n, drives = arm.n, arm.actuators
         stiffness, damping = (v[self.of.moving] for v in self.of.linear.springs)
-        stiffness, damping = stiffness.copy(), damping.copy()
+        elastic = self.elastic_stiffness(errors)
+        stiffness = np.concatenate([stiffness, elastic])
+        damping = np.concatenate([damping, np.zeros(len(elastic))])
         own, held, slow = np.split(errors[self.of.springs], 3)
         damping[:n] *= 1 + t.damping * own
         stiffness[:n] += drives.stiffness * (1 + t.figures * held)
         damping[:n] += drives.damping * (1 + t.figures * slow)
         return stiffness, damping
+
+    def elastic_stiffness(self, errors: Array) -> ComplexArray:
+        """Stiffness of gears, base and links for given nuisance parameters (E,)."""
+        factor = np.exp(STIFFNESS_SD * (RIGID_SD + errors[self.of.stiffnesses]))
+        return np.asarray(self.of.elastic.stiffness * factor * (1 + 1j * ELASTIC_LOSS))
