@@ -22,12 +22,12 @@ from loose_env.typing import Array
 __all__ = ["ModelComparison", "compare_hypotheses", "posterior_of", "probabilities_of"]
 
 
-_LINES = 40
+_LINES = 32
 """Lines of a run that are fitted: errors of a model are correlated over neighbouring lines, so that
 more would add little."""
-_WIDTHS = (10.0, 30.0, 3.0)
+_WIDTHS = (10.0, 3.0)
 """Widths of the model error with which fits start (`fit_hypothesis`): modes that the model has
-elsewhere make local optima, and none of the widths leads past all of them."""
+elsewhere make local optima, and neither of the widths leads past all of them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

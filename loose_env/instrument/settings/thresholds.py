@@ -63,8 +63,8 @@ PROBABLE = 0.6
 """Probability from which the report calls an unsettled fault probable [probability]."""
 MENTIONED = 0.02
 """Probability below which a plan does not mention a hypothesis [probability]."""
-REFINED_WITHIN = 120.0
-"""Log-evidence behind the best coarse fit, up to which a hypothesis is fitted to more lines."""
+REFINED_WITHIN = 60.0
+"""Log-evidence behind the best first fit, up to which a hypothesis is fitted from more starts."""
 OPEN_SEAT_SHARE = 0.03
 """Motion of a seat over that of a floating one, from which it is open: tight ones give less."""
 OPENING_FORCE = 0.6
