@@ -157,7 +157,8 @@ def readings_at(
         batch.ctrl[:count, : controls.shape[1]] = controls[part]
         if has_terms(hypothesis):
             at = states["qpos"][part][:, places], states["qvel"][part][:, dofs]
-            batch.qfrc_applied[:count, dofs] = torque_terms(hypothesis, *at)
+            given = None if model.opt.disableactuator else controls[part]
+            batch.qfrc_applied[:count, dofs] = torque_terms(hypothesis, *at, given)
         batch.forward()
         found[part] = sensed[:count]
     return found

@@ -1,15 +1,17 @@
-"""Joint torque terms defined by an effect as a function of position and speed.
+"""Joint torque terms and dry frictions that an effect defines as functions of the state.
 
 MJCF cannot express them, so that Python adds them to a simulation step by step. A torque held over
 a step and evaluated at its beginning is late by half a step, so that a spring adds energy. Under a
 Runge-Kutta method the mean of the term along the step is held instead, over positions and speeds
 predicted from the acceleration at its beginning; the error of that mean is known after the step,
 and the next one corrects it. Sensors at the beginning of a step are computed with the instantaneous
-term.
+term. A dry friction that depends on the drives' torques is set before each step from those at its
+beginning.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import mujoco
@@ -18,12 +20,15 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
+from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-__all__ = ["BatchWithTerms", "has_terms", "torque_terms", "with_terms"]
+__all__ = [
+    "BatchWithTerms", "driven_frictions", "has_terms", "rubs", "torque_terms", "with_terms",
+]  # fmt: skip
 
 State = tuple[Array, Array]
 """Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
@@ -35,11 +40,34 @@ _STATE = ("qpos", "qvel", "act")
 
 
 def has_terms(hypothesis: Hypothesis) -> bool:
-    """Return whether any effect of a hypothesis is a torque term."""
-    return any(type(effect).torque is not Effect.torque for effect in hypothesis.effects)
+    """Return whether any effect of a hypothesis has to be applied step by step."""
+    return any(
+        isinstance(effect, DrivenEffect) or type(effect).torque is not Effect.torque
+        for effect in hypothesis.effects
+    )
 
 
-def torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array:
+def rubs(hypothesis: Hypothesis) -> bool:
+    """Return whether any effect of a hypothesis is a dry friction that is set step by step."""
+    return any(
+        isinstance(effect, DrivenEffect)
+        and type(effect).dry_friction is not DrivenEffect.dry_friction
+        for effect in hypothesis.effects
+    )
+
+
+def driven_frictions(hypothesis: Hypothesis, drive: Array, speed: Array) -> Array:
+    """Sum of the dry frictions that depend on drive torques (..., joints) [N·m, N]."""
+    found = np.zeros(drive.shape)
+    for effect, values in hypothesis.pairs:
+        if isinstance(effect, DrivenEffect):
+            found += effect.dry_friction(drive, speed, values)
+    return found
+
+
+def torque_terms(
+    hypothesis: Hypothesis, position: Array, speed: Array, command: Array | None = None
+) -> Array:
     """Sum of the torque terms of a hypothesis (..., joints) [N·m, N].
 
     Parameters
@@ -48,6 +76,9 @@ def torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array
         Effects with their values.
     position, speed : ndarray (..., joints)
         State of the machine's joints [rad, m], [rad/s, m/s].
+    command : ndarray (..., actuators), optional
+        Commands at the actuators; without, terms of the drives are left out: the drives are off, or
+        their torques are measured.
 
     Raises
     ------
@@ -57,6 +88,8 @@ def torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array
     found = np.zeros(position.shape)
     with np.errstate(all="ignore"):  # a diverging simulation is detected from its state
         for effect, values in hypothesis.pairs:
+            if isinstance(effect, DrivenEffect) and command is not None:
+                found += effect.drive_torque(command, position, speed, values)
             if type(effect).torque is Effect.torque:
                 continue
             given = np.asarray(effect.torque(position, speed, values))
@@ -104,6 +137,16 @@ class BatchWithTerms:
         joints = [batch.model.joint(name) for name in machine.joints]
         self._places = np.array([int(joint.qposadr[0]) for joint in joints])
         self._dofs = np.array([int(joint.dofadr[0]) for joint in joints])
+        self._actuators = len(machine.actuators)
+        self._own_models: list[mujoco.MjModel] = []
+        if any(map(rubs, hypotheses)):
+            models = batch.models
+            several = models if isinstance(models, (list, tuple)) else [models] * batch.nsim
+            # each simulation has its own friction
+            self._own_models = [copy.deepcopy(model) for model in several]
+            batch.set_models(self._own_models)
+            self._losses = [model.dof_frictionloss for model in self._own_models]
+            self._base = np.array([loss[self._dofs] for loss in self._losses])
 
     @property
     def nsim(self) -> int:
@@ -148,7 +191,8 @@ class BatchWithTerms:
         """
         batch = self.batch
         # requested first: a field is computed from the next call on
-        fields = {name: batch.bind(name) for name in (*record, "qpos", "qvel", "qacc")}
+        needed = (*record, "qpos", "qvel", "qacc", "qfrc_actuator")
+        fields = {name: batch.bind(name) for name in needed}
         commands, applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
         found = {name: np.empty((len(ids), count, *fields[name].shape[1:])) for name in record}
         read = [name for name in record if name not in _STATE]
@@ -159,25 +203,32 @@ class BatchWithTerms:
         models = batch.models if isinstance(batch.models, tuple) else (batch.model,)
         step = float(models[0].opt.timestep)
         looks_ahead = int(models[0].opt.integrator) == _RUNGE_KUTTA
+        powered = not models[0].opt.disableactuator
+        if self._own_models and not looks_ahead:
+            batch.forward(called)  # drive torques of the first step
+        command: Array | None = None
         owed = mean = np.zeros((len(ids), len(self._dofs)))
         before: State | None = None
         for k in range(count):
             commands[own] = control[:, k]
+            last, command = command, control[:, k, : self._actuators] if powered else None
             now = fields["qpos"][own][:, self._places], fields["qvel"][own][:, self._dofs]
-            passed = [] if before is None else [_nodes_between(before, now, step)]
-            here, *along = self._terms(rows, [(now[0][None], now[1][None]), *passed])
+            here = self._terms(rows, (now[0][None], now[1][None]), command)[0]
             applied[acting] = here
             if looks_ahead:
                 batch.forward(called)
                 for name in read:
                     found[name][:, k] = fields[name][own]
-                if along:
+                if before is not None:
+                    along = self._terms(rows, _nodes_between(before, now, step), last)
                     owed = 0.5 * (along[0] + along[1]) - mean
                 rate = fields["qacc"][own][:, self._dofs]
-                first, second = self._terms(rows, [_nodes_ahead(now, rate, step)])
+                first, second = self._terms(rows, _nodes_ahead(now, rate, step), command)
                 mean = 0.5 * (first + second)
                 applied[acting] = mean + owed
                 before = now
+            if self._own_models:
+                self._set_friction(ids, fields["qfrc_actuator"][own][:, self._dofs], now[1])
             batch.step(called)
             for name in record:
                 if not (looks_ahead and name in read):
@@ -201,17 +252,26 @@ class BatchWithTerms:
 
     @staticmethod
     def _terms(
-        rows: Sequence[tuple[Hypothesis, slice | NDArray[np.intp]]], states: Sequence[State]
+        rows: Sequence[tuple[Hypothesis, slice | NDArray[np.intp]]],
+        state: State,
+        command: Array | None,
     ) -> Array:
-        """Terms in some states, one after the other (states, sims, joints)."""
-        position, speed = states[0]
-        if len(states) > 1:
-            position = np.concatenate([one for one, _ in states])
-            speed = np.concatenate([one for _, one in states])
+        """Terms in some states (states, sims, joints) under one command (sims, actuators)."""
+        position, speed = state
         found = np.zeros(position.shape)
         for hypothesis, own in rows:
-            found[:, own] = torque_terms(hypothesis, position[:, own], speed[:, own])
+            given = None if command is None else command[own]
+            found[:, own] = torque_terms(hypothesis, position[:, own], speed[:, own], given)
         return found
+
+    def _set_friction(self, ids: NDArray[np.intp], drive: Array, speed: Array) -> None:
+        """Set the dry friction of some simulations from their drive torques (ids, joints)."""
+        friction = self._base[ids]
+        for hypothesis, own in self._rows(ids):
+            friction[own] += driven_frictions(hypothesis, drive[own], speed[own])
+        for number, row in zip(ids, friction, strict=True):
+            self._losses[number][self._dofs] = row
+        self.batch.set_models(self._own_models)
 
 
 def _nodes_ahead(now: State, rate: Array, step: float) -> State:

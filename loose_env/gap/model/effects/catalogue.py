@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.actuators import ActuatorGain, ActuatorLag, CommandDelay
+from loose_env.gap.model.effects.drives.actuators import ActuatorGain, ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.backlash import Backlash
 from loose_env.gap.model.effects.drivetrain import RotorInertia, TorqueRipple
 from loose_env.gap.model.effects.friction import (
@@ -26,6 +26,7 @@ from loose_env.gap.model.effects.friction import (
 from loose_env.gap.model.effects.joint_elasticity import JointCompliance, JointSpring
 from loose_env.gap.model.effects.link_flexibility import LinkFlexibility
 from loose_env.gap.model.effects.link_inertia import BaseTilt, LinkCom, LinkMass, Payload
+from loose_env.gap.model.effects.drives.load_friction import LoadFriction
 from loose_env.gap.model.effects.sensors import (
     EncoderOffset,
     SensorBias,
@@ -66,6 +67,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         BaseTilt,
         TorqueRipple,
         JointSpring,
+        LoadFriction,
     )
 }
 """Identifier, as in the result file -> class."""

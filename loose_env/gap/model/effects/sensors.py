@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from loose_env.gap.model.effect import Effect, Readings
-from loose_env.gap.model.effects.actuators import held_delay
+from loose_env.gap.model.effects.drives.actuators import held_delay
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, angle_unit
 from loose_env.gap.model.effects.mjcf.sensor_columns import (
     column_of,

@@ -1,0 +1,4 @@
+"""Effects of drives: gains, lags, delays, limits, dead zones, and friction under load.
+
+Data flow: actuators -> load_friction.
+"""
