@@ -23,25 +23,23 @@ class DrivenEffect(Effect):
 
     @property
     def drives(self) -> bool:
-        """True if it changes the drives' torques; a friction acts beside them."""
-        return type(self).drive_torque is not DrivenEffect.drive_torque or super().drives
+        """True if it changes the drives; a friction acts beside them."""
+        return type(self).feedback is not DrivenEffect.feedback or super().drives
 
     @property
     def moves(self) -> bool:
         """True: it changes the motion."""
         return True
 
-    def drive_torque(
-        self, command: Array, position: Array, speed: Array, values: Array
-    ) -> Array:
-        """Compute joint torques beyond those of the model's actuators, while these are on.
+    def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
+        """Compute the commands that reach the actuators in some states.
 
-        A function of commands and state, held over a step at its mean, as `Effect.torque` is.
+        A simulation holds them over each step, at its middle.
 
         Parameters
         ----------
         command : ndarray (..., actuators)
-            Commands that reach the actuators.
+            Commands without the effect.
         position, speed : ndarray (..., joints)
             State of the machine's joints [rad, m], [rad/s, m/s].
         values : ndarray (P,)
@@ -49,10 +47,10 @@ class DrivenEffect(Effect):
 
         Returns
         -------
-        ndarray (..., joints)
-            [N·m, N]; zero where it does not act.
+        ndarray (..., actuators)
+            A new array.
         """
-        return np.zeros_like(position)
+        return command
 
     def dry_friction(self, drive: Array, speed: Array, values: Array) -> Array:
         """Compute dry friction beyond the joints' friction loss; it holds a joint at rest.
@@ -73,10 +71,10 @@ class DrivenEffect(Effect):
         """
         return np.zeros_like(drive)
 
-    def drive_code(self, values: Array) -> str:
-        """Python lines that add `drive_torque` to ``torque``; "" if none.
+    def feedback_code(self, values: Array) -> str:
+        """Python lines that change ``command`` (actuators,) as `feedback` does; "" if none.
 
-        They read ``command`` (actuators,), ``position`` and ``speed`` (joints,).
+        They read ``position`` and ``speed`` (joints,).
         """
         return ""
 

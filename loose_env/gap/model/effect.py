@@ -329,6 +329,13 @@ class Effect:
         """Python lines that apply effects which MJCF cannot express; "" if none."""
         return ""
 
+    def propose_from(self, readings: Array) -> tuple[tuple[float, ...], ...]:
+        """Propose starts from the readings (T,) of its sensor; none where they are uninformative.
+
+        A sensor whose readings give none is no candidate.
+        """
+        return ()
+
     def propose_along(self, residual: ResidualAccelerations) -> tuple[tuple[float, ...], ...]:
         """Propose starts from accelerometer residuals; none where they are uninformative."""
         return ()

@@ -109,9 +109,9 @@ def correction_code(hypothesis: Hypothesis) -> str:
     terms = [line for effect, own in pairs if (line := effect.torque_code(own))]
     readings = [line for effect, own in pairs if (line := effect.code(own))]
     driven = [(e, own) for e, own in pairs if isinstance(e, DrivenEffect)]
-    terms += [line for effect, own in driven if (line := effect.drive_code(own))]
+    feedback = [line for effect, own in driven if (line := effect.feedback_code(own))]
     frictions = [line for effect, own in driven if (line := effect.friction_code(own))]
-    if not terms and not frictions:
+    if not (terms or feedback or frictions):
         return "\n".join(readings)
     machine = pairs[0][0].machine
     lines = [
@@ -123,10 +123,14 @@ def correction_code(hypothesis: Hypothesis) -> str:
         "speed, torque = data.qvel[dofs], np.zeros(len(joints))",
         "position = data.qpos[[int(joint.qposadr[0]) for joint in joints]]",
         "position = position + 0.5 * model.opt.timestep * speed",
-        f"command = data.ctrl[:{len(machine.actuators)}]",
         *terms,
         "data.qfrc_applied[dofs] = torque",
     ]
+    if feedback:
+        lines += [
+            f"command = data.ctrl[:{len(machine.actuators)}]  # as commanded, set anew each step",
+            *feedback,
+        ]
     if frictions:
         spec = machine.fresh()
         hypothesis.edit(spec)

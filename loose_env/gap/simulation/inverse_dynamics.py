@@ -178,7 +178,7 @@ class InverseDynamics:
         Of a sensor only those of joint positions and speeds do. A bias of a position is the same as
         an offset of the encoder, which represents both.
         """
-        if effect.drives:
+        if effect.drives or type(effect).sensed_torque is not Effect.sensed_torque:
             start, lone = np.array(effect.starts[0]), np.ones(1)
             return any(effect.sensed_torque(j, lone, start)[0] != 1.0 for j in self.machine.joints)
         if effect.moves:

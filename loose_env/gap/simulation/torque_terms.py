@@ -27,12 +27,15 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 __all__ = [
-    "BatchWithTerms", "driven_frictions", "has_terms", "rubs", "torque_terms", "with_terms",
+    "BatchWithTerms", "driven_frictions", "fed_back", "has_terms", "rubs", "torque_terms",
+    "with_terms",
 ]  # fmt: skip
 
 State = tuple[Array, Array]
 """Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
 
+Row = tuple[Hypothesis, slice | NDArray[np.intp]]
+"""A hypothesis and the indices of its simulations."""
 _NODES = (0.5 + 0.5 / np.sqrt(3.0) * np.array([-1.0, 1.0]))[:, None, None]
 """Parts of a step at which a term is taken: Gauss's two nodes, whose mean is exact for a cubic."""
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
@@ -65,9 +68,15 @@ def driven_frictions(hypothesis: Hypothesis, drive: Array, speed: Array) -> Arra
     return found
 
 
-def torque_terms(
-    hypothesis: Hypothesis, position: Array, speed: Array, command: Array | None = None
-) -> Array:
+def fed_back(hypothesis: Hypothesis, command: Array, position: Array, speed: Array) -> Array:
+    """Commands (..., actuators) that reach the actuators in some states (..., joints)."""
+    for effect, values in hypothesis.pairs:
+        if isinstance(effect, DrivenEffect):
+            command = effect.feedback(command, position, speed, values)
+    return command
+
+
+def torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array:
     """Sum of the torque terms of a hypothesis (..., joints) [N·m, N].
 
     Parameters
@@ -76,9 +85,6 @@ def torque_terms(
         Effects with their values.
     position, speed : ndarray (..., joints)
         State of the machine's joints [rad, m], [rad/s, m/s].
-    command : ndarray (..., actuators), optional
-        Commands at the actuators; without, terms of the drives are left out: the drives are off, or
-        their torques are measured.
 
     Raises
     ------
@@ -88,8 +94,6 @@ def torque_terms(
     found = np.zeros(position.shape)
     with np.errstate(all="ignore"):  # a diverging simulation is detected from its state
         for effect, values in hypothesis.pairs:
-            if isinstance(effect, DrivenEffect) and command is not None:
-                found += effect.drive_torque(command, position, speed, values)
             if type(effect).torque is Effect.torque:
                 continue
             given = np.asarray(effect.torque(position, speed, values))
@@ -138,9 +142,15 @@ class BatchWithTerms:
         self._places = np.array([int(joint.qposadr[0]) for joint in joints])
         self._dofs = np.array([int(joint.dofadr[0]) for joint in joints])
         self._actuators = len(machine.actuators)
+        self._feeds = any(
+            isinstance(effect, DrivenEffect)
+            and type(effect).feedback is not DrivenEffect.feedback
+            for hypothesis in hypotheses
+            for effect in hypothesis.effects
+        )
         self._own_models: list[mujoco.MjModel] = []
         if any(map(rubs, hypotheses)):
-            models = batch.models
+            models = batch.model if batch.models is None else batch.models
             several = models if isinstance(models, (list, tuple)) else [models] * batch.nsim
             # each simulation has its own friction
             self._own_models = [copy.deepcopy(model) for model in several]
@@ -203,30 +213,30 @@ class BatchWithTerms:
         models = batch.models if isinstance(batch.models, tuple) else (batch.model,)
         step = float(models[0].opt.timestep)
         looks_ahead = int(models[0].opt.integrator) == _RUNGE_KUTTA
-        powered = not models[0].opt.disableactuator
         if self._own_models and not looks_ahead:
             batch.forward(called)  # drive torques of the first step
-        command: Array | None = None
         owed = mean = np.zeros((len(ids), len(self._dofs)))
         before: State | None = None
         for k in range(count):
-            commands[own] = control[:, k]
-            last, command = command, control[:, k, : self._actuators] if powered else None
             now = fields["qpos"][own][:, self._places], fields["qvel"][own][:, self._dofs]
-            here = self._terms(rows, (now[0][None], now[1][None]), command)[0]
-            applied[acting] = here
+            commands[own] = self._fed(rows, control[:, k], now)
+            applied[acting] = self._terms(rows, (now[0][None], now[1][None]))[0]
+            ahead = 0.0 * now[1]
             if looks_ahead:
                 batch.forward(called)
                 for name in read:
                     found[name][:, k] = fields[name][own]
                 if before is not None:
-                    along = self._terms(rows, _nodes_between(before, now, step), last)
+                    along = self._terms(rows, _nodes_between(before, now, step))
                     owed = 0.5 * (along[0] + along[1]) - mean
-                rate = fields["qacc"][own][:, self._dofs]
-                first, second = self._terms(rows, _nodes_ahead(now, rate, step), command)
+                ahead = fields["qacc"][own][:, self._dofs]
+                first, second = self._terms(rows, _nodes_ahead(now, ahead, step))
                 mean = 0.5 * (first + second)
                 applied[acting] = mean + owed
                 before = now
+            if self._feeds:
+                middle = _ahead(now, ahead, 0.5 * step)
+                commands[own] = self._fed(rows, control[:, k], middle)
             if self._own_models:
                 self._set_friction(ids, fields["qfrc_actuator"][own][:, self._dofs], now[1])
             batch.step(called)
@@ -239,7 +249,7 @@ class BatchWithTerms:
             values[diverged] = np.nan
         return found
 
-    def _rows(self, ids: NDArray[np.intp]) -> list[tuple[Hypothesis, slice | NDArray[np.intp]]]:
+    def _rows(self, ids: NDArray[np.intp]) -> list[Row]:
         """Hypotheses with terms, and the indices of their simulations."""
         known = {id(self.hypotheses[i]): self.hypotheses[i] for i in ids}
         if len(known) == 1:
@@ -251,17 +261,23 @@ class BatchWithTerms:
         ]
 
     @staticmethod
-    def _terms(
-        rows: Sequence[tuple[Hypothesis, slice | NDArray[np.intp]]],
-        state: State,
-        command: Array | None,
-    ) -> Array:
-        """Terms in some states (states, sims, joints) under one command (sims, actuators)."""
+    def _terms(rows: Sequence[Row], state: State) -> Array:
+        """Terms in some states, one after the other (states, sims, joints)."""
         position, speed = state
         found = np.zeros(position.shape)
         for hypothesis, own in rows:
-            given = None if command is None else command[own]
-            found[:, own] = torque_terms(hypothesis, position[:, own], speed[:, own], given)
+            found[:, own] = torque_terms(hypothesis, position[:, own], speed[:, own])
+        return found
+
+    def _fed(self, rows: Sequence[Row], command: Array, state: State) -> Array:
+        """Commands (sims, actuators) that reach the actuators in a state."""
+        if not self._feeds:
+            return command
+        found, (position, speed) = command.copy(), state
+        for hypothesis, own in rows:
+            found[own, : self._actuators] = fed_back(
+                hypothesis, command[own, : self._actuators], position[own], speed[own]
+            )
         return found
 
     def _set_friction(self, ids: NDArray[np.intp], drive: Array, speed: Array) -> None:
@@ -276,8 +292,12 @@ class BatchWithTerms:
 
 def _nodes_ahead(now: State, rate: Array, step: float) -> State:
     """Positions and speeds at the nodes of the next step, at constant acceleration."""
+    return _ahead(now, rate, step * _NODES)
+
+
+def _ahead(now: State, rate: Array, time: Array | float) -> State:
+    """Positions and speeds some time later, at constant acceleration."""
     position, speed = now
-    time = step * _NODES
     return position + time * (speed + 0.5 * time * rate), speed + time * rate
 
 

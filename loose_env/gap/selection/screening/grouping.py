@@ -84,12 +84,18 @@ def frictions(screened: Sequence[Screened], named: Sequence[Effect]) -> list[lis
 
 _ALIKE = (
     ("command_delay", "actuator_lag", "joint_compliance", "sensor_delay"),
-    ("joint_compliance", "link_flexibility"),
+    ("joint_compliance", "link_flexibility", "base_compliance"),
     ("joint_compliance", "backlash", "structural_looseness"),
     ("coulomb_friction", "stribeck_friction", "load_friction", "backlash"),
     ("viscous_friction", "coulomb_friction", "load_friction", "actuator_gain"),
+    ("coulomb_friction", "load_friction", "asymmetric_friction", "joint_spring"),
+    ("dead_zone", "backlash", "coulomb_friction", "actuator_gain"),
+    ("torque_limit", "voltage_limit", "actuator_gain", "actuator_lag", "viscous_friction"),
+    ("torque_constant", "actuator_gain"),
+    ("gear_eccentricity", "encoder_offset", "sensor_gain", "joint_spring"),
     ("viscous_friction", "quadratic_drag", "actuator_gain", "actuator_lag"),
     ("payload", "link_mass", "link_com", "actuator_gain", "joint_spring", "rotor_inertia"),
+    ("payload", "link_mass", "link_com", "gravity_compensation", "joint_spring", "base_tilt"),
     ("base_tilt", "sensor_bias", "encoder_offset"),
     ("sensor_gain", "actuator_gain", "sensor_misalignment"),
 )

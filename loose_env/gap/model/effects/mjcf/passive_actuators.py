@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-__all__ = ["add_cogging", "add_limited_damper", "make_it_stick"]
+__all__ = ["add_cogging", "add_constant", "add_limited_damper", "make_it_stick"]
 
 _STIFF = 0.9999  # MuJoCo's largest constraint impedance
 _OPEN_CIRCUIT = 1e12
@@ -27,6 +27,23 @@ def add_cogging(spec: mujoco.MjSpec, joint: str, name: str, cogging: Sequence[fl
         Amplitude A [N·m], N and phase of the torque A sin(N q + phase).
     """
     _drive(spec, joint, name, cogging=list(np.asarray(cogging, dtype=float)))
+
+
+def add_constant(spec: mujoco.MjSpec, joint: str, name: str, torque: float) -> None:
+    """Add a constant torque [N·m] or force [N] on a joint.
+
+    Parameters
+    ----------
+    spec : MjSpec
+        The model.
+    joint, name : str
+        The joint; the added actuator.
+    torque : float
+        In the joint's direction.
+    """
+    drive = _drive(spec, joint, name)
+    drive.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    drive.biasprm = [torque, *np.zeros(9)]
 
 
 def add_limited_damper(
