@@ -329,11 +329,8 @@ class Effect:
         """Python lines that apply effects which MJCF cannot express; "" if none."""
         return ""
 
-    def propose_from(self, readings: Array) -> tuple[tuple[float, ...], ...]:
-        """Propose starts from the readings (T,) of its sensor; none where they are uninformative.
-
-        A sensor whose readings give none is no candidate.
-        """
+    def propose_from(self, resolution: float) -> tuple[tuple[float, ...], ...]:
+        """Propose starts from the resolution of its sensor's readings; 0 if they have none."""
         return ()
 
     def propose_along(self, residual: ResidualAccelerations) -> tuple[tuple[float, ...], ...]:

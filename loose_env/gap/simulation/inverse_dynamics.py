@@ -29,7 +29,7 @@ from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.simulator import _layout
-from loose_env.gap.simulation.torque_terms import driven_frictions, has_terms, rubs, torque_terms
+from loose_env.gap.simulation.torque_terms import has_terms, rubbing, rubs, torque_terms
 from loose_env.gap.simulation.unmeasured_dofs import Drive
 from loose_env.typing import Array
 
@@ -42,8 +42,6 @@ _MOVES = 10.0
 """Largest speed of a joint that counts as moving [standard deviations of its noise]."""
 _REPEATS = 12
 """Steps in which a reading is followed back to what was there."""
-_ROUNDS = 100
-"""Iterations for a friction of the drive torque: of a share of 0.9 an error of 3e-5 remains."""
 _SEED = 20
 """Of the noise that is added to see what becomes of it."""
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
@@ -230,7 +228,7 @@ class InverseDynamics:
             found = [r + e for r, e in zip(rigid, extra, strict=True)]
         if rubs(hypothesis):
             pairs = zip(found, self._motions, strict=True)
-            found = [torque + self._rubbing(hypothesis, m, torque) for torque, m in pairs]
+            found = [torque + rubbing(hypothesis, m, torque) for torque, m in pairs]
         for effect, own in hypothesis.pairs:
             if type(effect).sensed_torque is Effect.sensed_torque:
                 continue
@@ -278,20 +276,6 @@ class InverseDynamics:
         if not found.any():
             return found[motion.chosen]
         return motion.band.smooth(found)[motion.chosen]
-
-    def _rubbing(self, hypothesis: Hypothesis, motion: Motion, torque: Array) -> Array:
-        """Dry friction that depends on the drive torques (E, joints), these included.
-
-        A drive gives what the rest of the model needs (E, joints) and this friction, which grows
-        with what it gives: solved by fixed-point iteration.
-        """
-        grid, kept = np.arange(len(motion.time)), motion.chosen
-        rest = np.stack([np.interp(grid, kept, column) for column in torque.T], axis=1)
-        direction = np.tanh(motion.speed / np.maximum(motion.noise[1], 1e-12))
-        friction = np.zeros_like(rest)
-        for _ in range(_ROUNDS):
-            friction = direction * driven_frictions(hypothesis, rest + friction, motion.speed)
-        return motion.band.smooth(friction)[kept]
 
     def _motions_for(self, hypothesis: Hypothesis) -> list[Motion]:
         """Motions, corrected for a hypothesis' sensor effects."""

@@ -20,6 +20,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
+from loose_env.gap.data.smoothing import Motion
 from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -27,9 +28,15 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 __all__ = [
-    "BatchWithTerms", "driven_frictions", "fed_back", "has_terms", "rubs", "torque_terms",
+    "BatchWithTerms",
+    "driven_frictions",
+    "fed_back",
+    "has_terms",
+    "rubbing",
+    "rubs",
+    "torque_terms",
     "with_terms",
-]  # fmt: skip
+]
 
 State = tuple[Array, Array]
 """Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
@@ -38,6 +45,8 @@ Row = tuple[Hypothesis, slice | NDArray[np.intp]]
 """A hypothesis and the indices of its simulations."""
 _NODES = (0.5 + 0.5 / np.sqrt(3.0) * np.array([-1.0, 1.0]))[:, None, None]
 """Parts of a step at which a term is taken: Gauss's two nodes, whose mean is exact for a cubic."""
+_ROUNDS = 100
+"""Iterations for a friction of the drive torque: of a share of 0.9 an error of 3e-5 remains."""
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
 _STATE = ("qpos", "qvel", "act")
 
@@ -66,6 +75,21 @@ def driven_frictions(hypothesis: Hypothesis, drive: Array, speed: Array) -> Arra
         if isinstance(effect, DrivenEffect):
             found += effect.dry_friction(drive, speed, values)
     return found
+
+
+def rubbing(hypothesis: Hypothesis, motion: Motion, torque: Array) -> Array:
+    """Dry friction that depends on the drive torques of a measured motion (E, joints) [N·m, N].
+
+    A drive gives what the rest of the model needs, ``torque`` (E, joints) at the compared points,
+    and this friction, which grows with what it gives: solved by fixed-point iteration.
+    """
+    grid, kept = np.arange(len(motion.time)), motion.chosen
+    rest = np.stack([np.interp(grid, kept, column) for column in torque.T], axis=1)
+    direction = np.tanh(motion.speed / np.maximum(motion.noise[1], 1e-12))
+    friction = np.zeros_like(rest)
+    for _ in range(_ROUNDS):
+        friction = direction * driven_frictions(hypothesis, rest + friction, motion.speed)
+    return np.asarray(motion.band.smooth(friction)[kept])
 
 
 def fed_back(hypothesis: Hypothesis, command: Array, position: Array, speed: Array) -> Array:
@@ -143,8 +167,7 @@ class BatchWithTerms:
         self._dofs = np.array([int(joint.dofadr[0]) for joint in joints])
         self._actuators = len(machine.actuators)
         self._feeds = any(
-            isinstance(effect, DrivenEffect)
-            and type(effect).feedback is not DrivenEffect.feedback
+            isinstance(effect, DrivenEffect) and type(effect).feedback is not DrivenEffect.feedback
             for hypothesis in hypotheses
             for effect in hypothesis.effects
         )

@@ -14,8 +14,8 @@ from typing import TypeVar
 
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.drives.actuators import ActuatorGain, ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.backlash import Backlash
+from loose_env.gap.model.effects.drives.actuators import ActuatorGain, ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.drives.dead_zone import DeadZone
 from loose_env.gap.model.effects.drives.limits import TorqueLimit, VoltageLimit
 from loose_env.gap.model.effects.drives.load_friction import LoadFriction

@@ -2,8 +2,8 @@
 
 Viscous friction is proportional to speed. Coulomb friction is a constant torque against the motion,
 which holds a joint at rest. Stribeck friction is larger near rest than in motion, so that a slow
-joint sticks and slips. Quadratic drag is proportional to the speed squared. Asymmetric friction is a
-Coulomb friction that differs by direction.
+joint sticks and slips. Quadratic drag is proportional to the speed squared. Asymmetric friction is
+a Coulomb friction that differs by direction.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from loose_env.gap.model.effects.mjcf.extra_joint import (
     keep_motor_side,
     last_joints,
 )
-from loose_env.gap.model.effects.mjcf.geometry import normal_of
+from loose_env.gap.model.effects.mjcf.geometry import normal_of, reach_of
 from loose_env.gap.model.effects.mjcf.joint_effect import (
     JointEffect,
     added_name,
@@ -234,6 +234,10 @@ class JointSpring(JointEffect):
         return ((stiffness.clipped(rate), reference.clipped(rests)),)
 
 
+_SAME = 0.999
+"""Cosine between two axes from which they are parallel."""
+_APART = 0.02
+"""Distance of parallel axes that makes them two, in lengths of the machine."""
 _MOST_JOINTS = 5
 """Joints of the first link beside which there is room for another: a body has six at most."""
 
@@ -243,7 +247,8 @@ class BaseCompliance(Effect):
 
     The hinge passes through the foot of the base: the origin of the body that is fixed to the
     world, or of the world itself. Its axis is the variant; in a machine that moves in a plane only
-    the one across it is tried.
+    the one across it is tried. About the axis of the first joint itself a base yields as that
+    joint does: such a variant is left out.
     """
 
     kind = "base_compliance"
@@ -257,13 +262,31 @@ class BaseCompliance(Effect):
     def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return the base, if its first link has room for another joint."""
         first = int(machine.model.jnt_bodyid[0])
-        return ("base",) if machine.model.body_jntnum[first] <= _MOST_JOINTS else ()
+        room = machine.model.body_jntnum[first] <= _MOST_JOINTS
+        return ("base",) if room and cls._axes(machine) else ()
 
     @classmethod
     def forms(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
-        """Return all axes in space, one in a plane."""
+        """Return all axes in space, one in a plane, without that of the first joint."""
+        return cls._axes(machine)
+
+    @classmethod
+    def _axes(cls, machine: NominalModel) -> tuple[str, ...]:
         normal = normal_of(machine)
-        return cls.variants if normal is None else (cls.variants[int(np.argmax(np.abs(normal)))],)
+        axes = cls.variants if normal is None else (cls.variants[int(np.argmax(np.abs(normal)))],)
+        data = mujoco.MjData(machine.model)
+        mujoco.mj_kinematics(machine.model, data)
+        if machine.model.jnt_type[0] != mujoco.mjtJoint.mjJNT_HINGE:
+            return axes
+        away = data.xanchor[0] - _foot(machine, data)
+        kept = []
+        for axis in axes:
+            along = _axis(machine, axis)
+            parallel = abs(along @ data.xaxis[0]) > _SAME
+            apart = float(np.linalg.norm(away - along * (away @ along)))
+            if not parallel or apart > _APART * reach_of(machine):
+                kept.append(axis)
+        return tuple(kept)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -287,19 +310,15 @@ class BaseCompliance(Effect):
         model = self.machine.model
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
-        first = int(model.jnt_bodyid[0])
-        foot = int(model.body_rootid[first])
-        pivot = data.xpos[foot] if foot != first else np.zeros(3)
+        first, pivot = int(model.jnt_bodyid[0]), _foot(self.machine, data)
         turn = data.xmat[first].reshape(3, 3)
         name = added_name(spec, "base", f"{self.kind}_{self.variant}")
         body = spec.body(model.body(first).name)
-        normal = normal_of(self.machine)
-        axis = np.eye(3)["xyz".index(self.variant)] if normal is None else normal
         add_extra_joint(
             body,
             name,
             turns=True,
-            axis=turn.T @ axis,
+            axis=turn.T @ _axis(self.machine, self.variant),
             pos=turn.T @ (pivot - data.xpos[first]),
             stiffness=stiffness,
             damping=damping,
@@ -319,3 +338,16 @@ class BaseCompliance(Effect):
         mujoco.mj_fullM(model, data, mass)
         dof = int(model.joint(name).dofadr[0])
         return float(mass[dof, dof]), float(model.dof_invweight0[dof])
+
+
+def _foot(machine: NominalModel, data: mujoco.MjData) -> Array:
+    """Foot of the base (3,) in the world [m]: of what is fixed to it, or the world's origin."""
+    first = int(machine.model.jnt_bodyid[0])
+    foot = int(machine.model.body_rootid[first])
+    return np.array(data.xpos[foot]) if foot != first else np.zeros(3)
+
+
+def _axis(machine: NominalModel, variant: str) -> Array:
+    """Axis of a variant (3,) in the world: exactly across the plane of a planar machine."""
+    normal = normal_of(machine)
+    return np.eye(3)["xyz".index(variant)] if normal is None else normal

@@ -316,3 +316,7 @@ class GravityCompensation(Effect):
         links = links_with_mass(self.machine) if self.where == _ALL else (self.where,)
         for link in links:
             spec.body(link).gravcomp += float(values[0])
+        if any(spec.body(link).gravcomp < 0 for link in links):
+            # MuJoCo compensates no gravity at all unless some body has a positive share
+            aside = spec.worldbody.add_body(name=added_name(spec, self.where, self.kind))
+            aside.gravcomp = 1.0

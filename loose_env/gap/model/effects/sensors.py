@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.data.noise_floor import resolution_of
 from loose_env.gap.model.effect import Effect, Readings
 from loose_env.gap.model.effects.drives.actuators import held_delay
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, angle_unit
@@ -163,10 +162,9 @@ class SensorQuantisation(Effect):
         scale, _ = reading_scale(self.machine, self.where)
         return tuple((share * scale,) for share in _STEPS)
 
-    def propose_from(self, readings: Array) -> tuple[tuple[float, ...], ...]:
-        """Propose the step that the readings show (T,)."""
-        step = resolution_of(readings)
-        return ((self.parameters[0].clipped(step),),) if step > 0 else ()
+    def propose_from(self, resolution: float) -> tuple[tuple[float, ...], ...]:
+        """Propose the step that the readings show."""
+        return ((self.parameters[0].clipped(resolution),),) if resolution > 0 else ()
 
     def read(self, time: Array, readings: Readings, values: Array) -> Readings:
         """Round the sensor's column."""

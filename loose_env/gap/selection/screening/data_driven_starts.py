@@ -16,6 +16,7 @@ import numpy as np
 from loose_env.errors import InvalidData
 from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Trial
+from loose_env.gap.data.noise_floor import resolution_of
 from loose_env.gap.data.smoothing import Motion, smooth_motion
 from loose_env.gap.model.effect import Effect, ResidualAccelerations
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
@@ -72,11 +73,11 @@ def proposals(
 
 
 def _from_readings(comparison: ResidualModel, effect: Effect) -> tuple[tuple[float, ...], ...]:
-    """Starts that a sensor's readings give in every run; none where one of them gives none."""
+    """Starts from the coarsest resolution of a sensor's readings; none if some run has none."""
     column = column_of(effect.where)
     numbers = [k for k, channel in enumerate(comparison.channels) if channel.column == column]
-    found = [effect.propose_from(run.measured[:, k]) for run in comparison.trials for k in numbers]
-    return min(found) if found and all(found) else ()
+    steps = [resolution_of(run.measured[:, k]) for run in comparison.trials for k in numbers]
+    return effect.propose_from(max(steps)) if steps and all(steps) else ()
 
 
 def missing_torque(

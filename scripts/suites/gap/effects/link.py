@@ -199,13 +199,12 @@ def _carried(
     system.bodies[int(system.proximal[place.index]), CARRIED] += p["share"]
 
 
-_BASE_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_BASE_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
 
 
 def _draw_base(rng: np.random.Generator, figures: Figures, place: Place) -> Parameters:
-    planar = len(moved_axes(figures)) < 3
     return {
-        "axis": "y" if planar else str(rng.choice(list("xyz"))),
+        "axis": str(rng.choice(list("xy"))),
         "damping_ratio": log_uniform(rng, 0.02, 0.1),
         "stiffening": rng.uniform(0.0, 0.05),
     }
@@ -220,8 +219,12 @@ def _on_a_spring(
 
 def _base_bounds(figures: Figures, place: Place) -> tuple[float, float]:
     system = build(figures, Factors.ones(figures.joints))
-    axis = "y" if len(moved_axes(figures)) < 3 else "z"
-    return spring_bounds(system, free_base(system, np.array(_BASE_AXES[axis])), figures)
+    return spring_bounds(system, free_base(system, np.array(_BASE_AXES["y"])), figures)
+
+
+def _foot(figures: Figures) -> list[Place]:
+    # a base that rocks about the axis of its first joint is that joint on a spring
+    return _base(figures) if len(moved_axes(figures)) == 3 else []
 
 
 KINDS = (
@@ -243,7 +246,7 @@ KINDS = (
     Kind(name="gravity_compensation", places=links, draw=either_sign,
          bounds=lambda figures, place: (1e-4, 0.9), size=scalar("share"), apply=_carried,
          forms=(FORWARD, INVERSE, FREE)),
-    Kind(name="base_compliance", places=_base, draw=_draw_base, bounds=_base_bounds,
+    Kind(name="base_compliance", places=_foot, draw=_draw_base, bounds=_base_bounds,
          size=_size_flexibility, apply=_on_a_spring, forms=(FORWARD, RANDOM)),
 )  # fmt: skip
 """Kinds of this file."""

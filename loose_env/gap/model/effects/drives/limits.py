@@ -90,7 +90,9 @@ class TorqueLimit(_Limit):
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts around the typical torque."""
         (limit,) = self.parameters
-        found = dict.fromkeys(limit.clipped(min(s * limit.scale, 0.8 * limit.high)) for s in _STARTS)
+        found = dict.fromkeys(
+            limit.clipped(min(s * limit.scale, 0.8 * limit.high)) for s in _STARTS
+        )
         return tuple((value,) for value in found)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
@@ -126,7 +128,9 @@ class VoltageLimit(_Limit):
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts around the typical torque and speed."""
         stall, speed = self.parameters
-        found = dict.fromkeys(stall.clipped(min(s * stall.scale, 0.8 * stall.high)) for s in _STARTS)
+        found = dict.fromkeys(
+            stall.clipped(min(s * stall.scale, 0.8 * stall.high)) for s in _STARTS
+        )
         return tuple((value, s * speed.scale) for value in found for s in _SPEEDS)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:

@@ -80,6 +80,8 @@ class LoadFriction(DrivenEffect, JointEffect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Give the joint a trace of dry friction, whose size follows the load step by step."""
+        if values[0] == 0:
+            return
         joint = spec.joint(self.where)
         joint.frictionloss = max(joint.frictionloss, _TRACE * self.load)
         make_it_stick(joint, spec.option.timestep)
