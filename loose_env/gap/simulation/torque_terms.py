@@ -12,7 +12,7 @@ beginning.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
@@ -53,9 +53,8 @@ _STATE = ("qpos", "qvel", "act")
 
 def has_terms(hypothesis: Hypothesis) -> bool:
     """Return whether any effect of a hypothesis has to be applied step by step."""
-    return any(
-        isinstance(effect, DrivenEffect) or type(effect).torque is not Effect.torque
-        for effect in hypothesis.effects
+    return _has_torque(hypothesis) or any(
+        isinstance(effect, DrivenEffect) for effect in hypothesis.effects
     )
 
 
@@ -71,7 +70,7 @@ def rubs(hypothesis: Hypothesis) -> bool:
 def driven_frictions(hypothesis: Hypothesis, drive: Array, speed: Array) -> Array:
     """Sum of the dry frictions that depend on drive torques (..., joints) [N·m, N]."""
     found = np.zeros(drive.shape)
-    for effect, values in hypothesis.pairs:
+    for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True):
         if isinstance(effect, DrivenEffect):
             found += effect.dry_friction(drive, speed, values)
     return found
@@ -232,7 +231,9 @@ class BatchWithTerms:
         every = len(ids) == batch.nsim
         own, called = (slice(None), None) if every else (ids, ids)
         acting = (own, self._dofs) if every else (ids[:, None], self._dofs)
-        rows, warned = self._rows(ids), np.array(batch.warning[ids])
+        rows, rubbing_rows = self._rows(ids, has_terms), self._rows(ids, rubs)
+        terms = [row for row in rows if _has_torque(row[0])]
+        warned = np.array(batch.warning[ids])
         models = batch.models if isinstance(batch.models, tuple) else (batch.model,)
         step = float(models[0].opt.timestep)
         looks_ahead = int(models[0].opt.integrator) == _RUNGE_KUTTA
@@ -243,25 +244,28 @@ class BatchWithTerms:
         for k in range(count):
             now = fields["qpos"][own][:, self._places], fields["qvel"][own][:, self._dofs]
             commands[own] = self._fed(rows, control[:, k], now)
-            applied[acting] = self._terms(rows, (now[0][None], now[1][None]))[0]
+            if terms:
+                applied[acting] = self._terms(terms, (now[0][None], now[1][None]))[0]
             ahead = 0.0 * now[1]
             if looks_ahead:
                 batch.forward(called)
                 for name in read:
                     found[name][:, k] = fields[name][own]
-                if before is not None:
-                    along = self._terms(rows, _nodes_between(before, now, step))
-                    owed = 0.5 * (along[0] + along[1]) - mean
                 ahead = fields["qacc"][own][:, self._dofs]
-                first, second = self._terms(rows, _nodes_ahead(now, ahead, step))
-                mean = 0.5 * (first + second)
-                applied[acting] = mean + owed
+                if terms and before is not None:
+                    along = self._terms(terms, _nodes_between(before, now, step))
+                    owed = 0.5 * (along[0] + along[1]) - mean
+                if terms:
+                    first, second = self._terms(terms, _nodes_ahead(now, ahead, step))
+                    mean = 0.5 * (first + second)
+                    applied[acting] = mean + owed
                 before = now
             if self._feeds:
                 middle = _ahead(now, ahead, 0.5 * step)
                 commands[own] = self._fed(rows, control[:, k], middle)
             if self._own_models:
-                self._set_friction(ids, fields["qfrc_actuator"][own][:, self._dofs], now[1])
+                drive = fields["qfrc_actuator"][own][:, self._dofs]
+                self._set_friction(ids, rubbing_rows, drive, now[1])
             batch.step(called)
             for name in record:
                 if not (looks_ahead and name in read):
@@ -272,15 +276,19 @@ class BatchWithTerms:
             values[diverged] = np.nan
         return found
 
-    def _rows(self, ids: NDArray[np.intp]) -> list[Row]:
-        """Hypotheses with terms, and the indices of their simulations."""
+    def _rows(self, ids: NDArray[np.intp], chosen: Callable[[Hypothesis], bool]) -> list[Row]:
+        """Chosen hypotheses, and the indices of their simulations."""
         known = {id(self.hypotheses[i]): self.hypotheses[i] for i in ids}
-        if len(known) == 1:
-            return [(hypothesis, slice(None)) for hypothesis in known.values()]
+        whole = len(known) == 1
         return [
-            (hypothesis, np.flatnonzero([self.hypotheses[i] is hypothesis for i in ids]))
+            (
+                hypothesis,
+                slice(None)
+                if whole
+                else np.flatnonzero([self.hypotheses[i] is hypothesis for i in ids]),
+            )
             for hypothesis in known.values()
-            if has_terms(hypothesis)
+            if chosen(hypothesis)
         ]
 
     @staticmethod
@@ -303,14 +311,21 @@ class BatchWithTerms:
             )
         return found
 
-    def _set_friction(self, ids: NDArray[np.intp], drive: Array, speed: Array) -> None:
+    def _set_friction(
+        self, ids: NDArray[np.intp], rows: Sequence[Row], drive: Array, speed: Array
+    ) -> None:
         """Set the dry friction of some simulations from their drive torques (ids, joints)."""
         friction = self._base[ids]
-        for hypothesis, own in self._rows(ids):
+        for hypothesis, own in rows:
             friction[own] += driven_frictions(hypothesis, drive[own], speed[own])
-        for number, row in zip(ids, friction, strict=True):
+        for number, row in zip(ids.tolist(), friction, strict=True):
             self._losses[number][self._dofs] = row
         self.batch.set_models(self._own_models)
+
+
+def _has_torque(hypothesis: Hypothesis) -> bool:
+    """Return whether any effect of a hypothesis is a torque term."""
+    return any(type(effect).torque is not Effect.torque for effect in hypothesis.effects)
 
 
 def _nodes_ahead(now: State, rate: Array, step: float) -> State:
