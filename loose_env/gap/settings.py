@@ -118,6 +118,17 @@ SWAP_CANDIDATES_THERE = 2
 SWAPPED_EFFECTS = 3
 """Most identified effects for which swaps are tried."""
 
+# Deletion test
+WORSE = 1.02
+"""Error of a quantity on held-out runs with an answer over that without, above which it predicts
+worse and is not given: rounding and the fit of initial states make less."""
+WORSE_BY_IMPACTS = 1.45
+"""The same of accelerations and forces beside parts with stops: two signals that are equally strong
+and mistimed differ by the root of two."""
+AT_BOUND = 1e-3
+"""Distance to a bound over the width of both, in free numbers, within which a parameter sits at
+it."""
+
 # Verdict and intervals
 UNEXPLAINED_Z = 4.0
 """Autocorrelation (z) of a residual above which something is missing: stricter than to search."""

@@ -42,6 +42,7 @@ class RotorInertia(JointEffect):
                 low=-float(self.machine.model.dof_armature[self._dof]),
                 high=100 * moved,
                 scale=0.1 * moved,
+                natural_low=True,
             ),
         )
 

@@ -48,6 +48,7 @@ class ViscousFriction(JointEffect):
                 low=-self._nominal,
                 high=self._nominal + 50 * per_speed,
                 scale=0.1 * per_speed,
+                natural_low=True,
             ),
         )
 
@@ -115,6 +116,7 @@ class CoulombFriction(JointEffect):
                 low=-nominal,
                 high=nominal + 20 * self.load,
                 scale=0.1 * self.load,
+                natural_low=True,
             ),
         )
 
@@ -243,7 +245,7 @@ class StribeckFriction(JointEffect):
                 scale=0.1 * self.load,
                 log=True,
             ),
-            Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5),
+            Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5, natural_low=True),
             Parameter(
                 name="speed",
                 unit=f"{self.angle_unit}/s",
