@@ -72,6 +72,9 @@ FAMILY_SHARE = 0.8
 for another effect."""
 FAMILY_LOCATIONS = 3
 """Locations from which an effect is one of the whole arm."""
+PAIRS = 6
+"""Pairs of effects at a joint that are fitted jointly, if no other fit is accepted and the residual
+is large: a matter of cost."""
 FAMILIES = 6
 """Kinds that are tried at several locations: a matter of cost."""
 
