@@ -128,7 +128,7 @@ worse and is not given: rounding and the fit of initial states make less."""
 WORSE_BY_IMPACTS = 1.45
 """The same of accelerations and forces beside parts with stops: two signals that are equally strong
 and mistimed differ by the root of two."""
-AT_BOUND = 1e-3
+AT_BOUND = 0.001
 """Distance to a bound over the width of both, in free numbers, within which a parameter sits at
 it."""
 

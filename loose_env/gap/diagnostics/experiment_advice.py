@@ -134,8 +134,8 @@ _PAIRS = {
     (
         "load_friction",
         "coulomb_friction",
-    ): "Reverse slowly under several loads: a share of the load "
-    "grows with it, dry friction does not.",
+    ): "Reverse slowly under several loads: one share grows "
+    "with the load, dry friction does not.",
     ("asymmetric_friction", "joint_spring"): "Move slowly both ways at many angles: a friction has "
     "its sign from the direction, a spring from the angle.",
     ("gravity_compensation", "link_mass"): "Hold poses, then accelerate hard where the link is "
@@ -143,8 +143,8 @@ _PAIRS = {
     (
         "torque_limit",
         "voltage_limit",
-    ): "Stall the drive, then move at its highest speed: a limit of "
-    "the torque is the same at both.",
+    ): "Stall the drive, then move at its highest speed: a limit "
+    "of the torque is the same at both.",
     ("torque_constant", "actuator_gain"): "Hold a known load and read the torque: a wrong constant "
     "shows another one.",
     ("structural_looseness", "backlash"): "Shake one joint at a time with an accelerometer at the "
@@ -186,7 +186,7 @@ _SEE = {
     "dead_zone": "command tiny steps about several poses, under small loads",
     "gravity_compensation": _GRAVITY,
     "torque_constant": "hold known loads at rest",
-    "base_compliance": "accelerate the first joints hard and stop, with an accelerometer at the tool",
+    "base_compliance": "accelerate the first joints hard and stop; read accelerations at the tool",
     "gear_eccentricity": "turn slowly over a whole turn or as far as it goes",
     "sensor_quantisation": "move slowly over many of the sensor's steps",
 }
