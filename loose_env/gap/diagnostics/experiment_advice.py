@@ -134,8 +134,7 @@ _PAIRS = {
     (
         "load_friction",
         "coulomb_friction",
-    ): "Reverse slowly under several loads: one share grows "
-    "with the load, dry friction does not.",
+    ): "Reverse slowly under several loads: one share grows with the load, dry friction does not.",
     ("asymmetric_friction", "joint_spring"): "Move slowly both ways at many angles: a friction has "
     "its sign from the direction, a spring from the angle.",
     ("gravity_compensation", "link_mass"): "Hold poses, then accelerate hard where the link is "

@@ -260,9 +260,12 @@ class BaseCompliance(Effect):
 
     @classmethod
     def places(cls, machine: NominalModel) -> tuple[str, ...]:
-        """Return the base, if its first link has room for another joint."""
+        """Return the base, if its first link has room for another joint and is not the only one.
+
+        Under a single joint a base that gives way is not told from a compliant drive.
+        """
         first = int(machine.model.jnt_bodyid[0])
-        room = machine.model.body_jntnum[first] <= _MOST_JOINTS
+        room = machine.model.body_jntnum[first] <= _MOST_JOINTS and len(machine.joints) > 1
         return ("base",) if room and cls._axes(machine) else ()
 
     @classmethod

@@ -91,7 +91,7 @@ def _drive(
     return drive
 
 
-def make_it_stick(joint: mujoco.MjsJoint, step: float) -> None:
-    """Set a joint's friction to the largest stiffness that is stable at a step [s]."""
+def make_it_stick(joint: mujoco.MjsJoint | mujoco.MjsTendon, step: float) -> None:
+    """Set a joint's or tendon's friction to the largest stiffness stable at a step [s]."""
     joint.solimp_friction = [_STIFF, _STIFF, 0.001, 0.5, 2]
     joint.solref_friction = [2 * step, 1.0]
