@@ -215,8 +215,8 @@ class GearEccentricity(DrivenEffect, JointEffect):
             ]
             for kind in (_POSITION, _SPEED)
         }
-        self._servos = [
-            (k, float(model.actuator_gear[k, 0]), *(float(v) for v in self._gains(k)))
+        self._servos: list[tuple[int, float, float, float]] = [
+            (k, float(model.actuator_gear[k, 0]), *self._gains(k))
             for k, name in enumerate(machine.actuators)
             if machine.actuated_joint.get(name) == where and model.actuator_biasprm[k, 1] != 0
         ]
@@ -226,7 +226,7 @@ class GearEccentricity(DrivenEffect, JointEffect):
         model = self.machine.model
         gain = model.actuator_gainprm[actuator, 0] or 1.0
         bias = model.actuator_biasprm[actuator]
-        return bias[1] / gain, bias[2] / gain
+        return float(bias[1] / gain), float(bias[2] / gain)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
