@@ -72,6 +72,9 @@ FAMILY_SHARE = 0.8
 for another effect."""
 FAMILY_LOCATIONS = 3
 """Locations from which an effect is one of the whole arm."""
+PAIRS = 6
+"""Pairs of effects at a joint that are fitted jointly, if no other fit is accepted and the residual
+is large: a matter of cost."""
 FAMILIES = 6
 """Kinds that are tried at several locations: a matter of cost."""
 
@@ -117,6 +120,17 @@ SWAP_CANDIDATES_THERE = 2
 """Further ones at the same joint."""
 SWAPPED_EFFECTS = 3
 """Most identified effects for which swaps are tried."""
+
+# Deletion test
+WORSE = 1.02
+"""Error of a quantity on held-out runs with an answer over that without, above which it predicts
+worse and is not given: rounding and the fit of initial states make less."""
+WORSE_BY_IMPACTS = 1.45
+"""The same of accelerations and forces beside parts with stops: two signals that are equally strong
+and mistimed differ by the root of two."""
+AT_BOUND = 0.001
+"""Distance to a bound over the width of both, in free numbers, within which a parameter sits at
+it."""
 
 # Verdict and intervals
 UNEXPLAINED_Z = 4.0

@@ -184,7 +184,7 @@ def test_the_effect_of_the_gap_page_is_one_and_acts() -> None:
     assert code.splitlines()[0] in text
     exec(compile(code, "gap.md", "exec"), {"__name__": "gap"})
     machine = NominalModel(mujoco.MjSpec.from_string(PLANAR))
-    effect = CATALOGUE["gravity_compensation"](machine, "link2")
+    effect = CATALOGUE["balancer"](machine, "link2")
     spec = machine.fresh()
     effect.edit(spec, np.array([1.0]))
     torques = []

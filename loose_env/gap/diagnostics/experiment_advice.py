@@ -131,6 +131,21 @@ _PAIRS = {
         "joint_compliance",
     ): "Reverse slowly under small and under large load: a gap has the "
     "same size at both, a compliance yields in proportion.",
+    (
+        "load_friction",
+        "coulomb_friction",
+    ): "Reverse slowly under several loads: one share grows with the load, dry friction does not.",
+    ("asymmetric_friction", "joint_spring"): "Move slowly both ways at many angles: a friction has "
+    "its sign from the direction, a spring from the angle.",
+    ("gravity_compensation", "link_mass"): "Hold poses, then accelerate hard where the link is "
+    "upright: a carried weight leaves the inertia as it is.",
+    (
+        "torque_limit",
+        "voltage_limit",
+    ): "Stall the drive, then move at its highest speed: a limit "
+    "of the torque is the same at both.",
+    ("torque_constant", "actuator_gain"): "Hold a known load and read the torque: a wrong constant "
+    "shows another one.",
     ("structural_looseness", "backlash"): "Shake one joint at a time with an accelerometer at the "
     "tool: a loose link moves along a direction of its own, a joint about its axis.",
 }
@@ -163,6 +178,16 @@ _SEE = {
     "base_tilt": _GRAVITY,
     "torque_ripple": "turn slowly at a constant speed over a whole turn or as far as it goes",
     "joint_spring": "hold the joint at many angles over its whole range",
+    "load_friction": "reverse slowly under several loads, a large one among them",
+    "asymmetric_friction": "move slowly at a constant speed in either direction, many times",
+    "torque_limit": "accelerate as hard as the drive allows, with the largest load",
+    "voltage_limit": "move at the highest speed the drive reaches, and stall it",
+    "dead_zone": "command tiny steps about several poses, under small loads",
+    "gravity_compensation": _GRAVITY,
+    "torque_constant": "hold known loads at rest",
+    "base_compliance": "accelerate the first joints hard and stop; read accelerations at the tool",
+    "gear_eccentricity": "turn slowly over a whole turn or as far as it goes",
+    "sensor_quantisation": "move slowly over many of the sensor's steps",
 }
 
 

@@ -329,6 +329,10 @@ class Effect:
         """Python lines that apply effects which MJCF cannot express; "" if none."""
         return ""
 
+    def propose_from(self, resolution: float) -> tuple[tuple[float, ...], ...]:
+        """Propose starts from the resolution of its sensor's readings; 0 if they have none."""
+        return ()
+
     def propose_along(self, residual: ResidualAccelerations) -> tuple[tuple[float, ...], ...]:
         """Propose starts from accelerometer residuals; none where they are uninformative."""
         return ()

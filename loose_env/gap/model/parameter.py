@@ -45,6 +45,9 @@ class Parameter:
     spread: float | None = None
     """Prior standard deviation about ``centre``, in free units."""
 
+    natural_low: bool = False
+    """Whether nothing below ``low`` exists: a fit may end there. Zero is such a bound by itself."""
+
     def __post_init__(self) -> None:
         """Check the values."""
         if not self.low < self.high or self.scale <= 0 or (self.log and self.low <= 0):

@@ -17,6 +17,7 @@ import numpy as np
 
 from loose_env.arms import files_of
 from loose_env.errors import InvalidData
+from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, set_step
@@ -107,20 +108,40 @@ def correction_code(hypothesis: Hypothesis) -> str:
     pairs = hypothesis.pairs
     terms = [line for effect, own in pairs if (line := effect.torque_code(own))]
     readings = [line for effect, own in pairs if (line := effect.code(own))]
-    if not terms:
+    driven = [(e, own) for e, own in pairs if isinstance(e, DrivenEffect)]
+    feedback = [line for effect, own in driven if (line := effect.feedback_code(own))]
+    frictions = [line for effect, own in driven if (line := effect.friction_code(own))]
+    if not (terms or feedback or frictions):
         return "\n".join(readings)
-    names = ", ".join(map(repr, pairs[0][0].machine.joints))
-    laid_out = (
+    machine = pairs[0][0].machine
+    lines = [
         "# before every mj_step",
+        "import mujoco",
         "import numpy as np",
-        f"joints = [model.joint(name) for name in [{names}]]",
+        f"joints = [model.joint(name) for name in [{', '.join(map(repr, machine.joints))}]]",
         "dofs = [int(joint.dofadr[0]) for joint in joints]",
         "speed, torque = data.qvel[dofs], np.zeros(len(joints))",
         "position = data.qpos[[int(joint.qposadr[0]) for joint in joints]]",
         "position = position + 0.5 * model.opt.timestep * speed",
-    )
-    after = ("# after every mj_step", *readings) if readings else ()
-    return "\n".join((*laid_out, *terms, "data.qfrc_applied[dofs] = torque", *after))
+        *terms,
+        "data.qfrc_applied[dofs] = torque",
+    ]
+    if feedback:
+        lines += [
+            f"command = data.ctrl[:{len(machine.actuators)}]  # as commanded, set anew each step",
+            *feedback,
+        ]
+    if frictions:
+        spec = machine.fresh()
+        hypothesis.edit(spec)
+        own = [spec.joint(name).frictionloss for name in machine.joints]
+        lines += [
+            "mujoco.mj_forward(model, data)",
+            f"drive, friction = data.qfrc_actuator[dofs], np.array({own})",
+            *frictions,
+            "model.dof_frictionloss[dofs] = friction",
+        ]
+    return "\n".join((*lines, *(("# after every mj_step", *readings) if readings else ())))
 
 
 def write_model(

@@ -15,6 +15,7 @@ from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.negligible import negligible
 from loose_env.gap.selection.screening.grouping import joint_of
+from loose_env.gap.selection.tenable import at_bound, worse_quantity
 from loose_env.gap.settings import (
     ACCEPTED_SHARE,
     ACCEPTED_SHARE_OF_NOMINAL,
@@ -117,6 +118,12 @@ class Acceptance:
 
     def objection(self, scored: ScoredFit) -> str:
         """Return the objection to a hypothesis that improves by enough; "" if none."""
+        new = scored.fitted.effects[-self._new(scored) :]
+        for effect, name in at_bound(scored.fitted.structure, scored.fitted.free):
+            if any(effect is each for each in new):
+                return f"{name} is at its bound"
+        if quantity := worse_quantity(self.scorer.held_out, scored, self.base):
+            return f"predicts the {quantity.partition(' [')[0]} worse than the nominal model"
         if not self.better_than_limit(scored):
             return "not better than its rigid limit"
         if not self.above_the_noise(scored):

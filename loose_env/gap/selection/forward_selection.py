@@ -16,7 +16,7 @@ from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits
 from loose_env.gap.selection.revision import SwapStep
 from loose_env.gap.selection.screening.data_driven_starts import proposals
-from loose_env.gap.selection.screening.grouping import frictions
+from loose_env.gap.selection.screening.grouping import frictions, pairs
 from loose_env.gap.selection.screening.screening import screen
 from loose_env.gap.settings import (
     FAMILY_LOCATIONS,
@@ -24,6 +24,7 @@ from loose_env.gap.settings import (
     LARGE_RESIDUAL,
     LARGE_RMS,
     NOISE_RMS,
+    PAIRS,
     SCREENING_RUNS,
     SCREENING_S,
     SEARCH_Z,
@@ -227,6 +228,10 @@ def _step(
         groups = frictions(screened, best.fitted.effects)
         if groups and best.held_out_rms > NOISE_RMS and not have_stops(best.fitted.effects):
             say("  none accepted: all frictions of a joint together")
+            wave = candidate_fits.fit_jointly(groups, wave.best)
+            yield wave.scored
+        if much and (groups := pairs(screened, PAIRS)):
+            say("  none accepted: pairs of effects at a joint")
             yield candidate_fits.fit_jointly(groups, wave.best).scored
 
     acceptance = Acceptance(comparison, scorer, found.base, best, settings)

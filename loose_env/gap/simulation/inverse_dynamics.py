@@ -29,7 +29,7 @@ from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.simulator import _layout
-from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
+from loose_env.gap.simulation.torque_terms import has_terms, rubbing, rubs, torque_terms
 from loose_env.gap.simulation.unmeasured_dofs import Drive
 from loose_env.typing import Array
 
@@ -176,7 +176,7 @@ class InverseDynamics:
         Of a sensor only those of joint positions and speeds do. A bias of a position is the same as
         an offset of the encoder, which represents both.
         """
-        if effect.drives:
+        if effect.drives or type(effect).sensed_torque is not Effect.sensed_torque:
             start, lone = np.array(effect.starts[0]), np.ones(1)
             return any(effect.sensed_torque(j, lone, start)[0] != 1.0 for j in self.machine.joints)
         if effect.moves:
@@ -226,6 +226,9 @@ class InverseDynamics:
             rigid = self._rigid(model, motions)
             extra = [self._dry(hypothesis, model, m) for m in motions]
             found = [r + e for r, e in zip(rigid, extra, strict=True)]
+        if rubs(hypothesis):
+            pairs = zip(found, self._motions, strict=True)
+            found = [torque + rubbing(hypothesis, m, torque) for torque, m in pairs]
         for effect, own in hypothesis.pairs:
             if type(effect).sensed_torque is Effect.sensed_torque:
                 continue

@@ -108,7 +108,9 @@ class Simulator:
                     step = trial.step / parts
                     models[which] = hypothesis.model(self.machine, step, released=which[1])
                 model = models[which]
-                group = (_layout(model), which, trial.steps, parts, has_terms(hypothesis))
+                # what is stepped from Python costs by steps, whatever the number of simulations
+                apart = -1 if has_terms(hypothesis) else trial.steps
+                group = (_layout(model), which, apart, parts)
                 slot = _Slot(
                     key=key, hypothesis=hypothesis, model=model, number=t, trial=trial, parts=parts
                 )
@@ -146,16 +148,18 @@ class Simulator:
         batch = self._batch(slots)
         moved = with_terms(batch, self.machine, [slot.hypothesis for slot in slots])
         parts = slots[0].parts
-        first = slots[0].trial.finer(parts)
+        first = max((slot.trial for slot in slots), key=lambda trial: trial.steps).finer(parts)
         steps, settle = first.steps, round(SETTLE / first.step)
         self._set_start(batch, slots)
         controls = np.zeros((len(slots), steps, slots[0].model.nu))
         clock: Array = np.arange(steps, dtype=float) * first.step
         for k, slot in enumerate(slots):
             values, hypothesis = slot.trial.finer(parts).controls, slot.hypothesis
+            count = len(values)
             for effect, own in hypothesis.pairs:
-                values = effect.command(clock, values, own)
-            controls[k, :, : values.shape[1]] = values
+                values = effect.command(clock[:count], values, own)
+            controls[k, :count, : values.shape[1]] = values
+            controls[k, count:] = controls[k, count - 1]  # a shorter run ends there
         diverged = np.zeros(len(slots), dtype=bool)
         resting = np.array([slot.trial.resting for slot in slots])
         if resting.any() and settle:  # the clock runs on, since delayed commands are stored by time
@@ -183,15 +187,17 @@ class Simulator:
             kept[:, start // parts : start // parts + found_here.shape[1]] = found_here
         begun = {name: np.concatenate(found, axis=1) for name, found in states.items()}
         for k in np.flatnonzero(~diverged).tolist():
-            passed = {name: found[k] for name, found in begun.items()}
+            own_steps = slots[k].trial.steps
+            passed = {name: found[k, : own_steps * parts] for name, found in begun.items()}
             if parts > 1:
                 at_steps = {name: found[::parts] for name, found in passed.items()}
-                commands = commands_at(slots[k].hypothesis, clock[::parts], slots[k].trial.controls)
-                kept[k] = self._readings(slots[k], at_steps, commands)
+                own_clock = clock[: own_steps * parts : parts]
+                commands = commands_at(slots[k].hypothesis, own_clock, slots[k].trial.controls)
+                kept[k, :own_steps] = self._readings(slots[k], at_steps, commands)
             for name, delay in late[k].items():
                 sensor = slots[k].model.sensor(name)
                 columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
-                kept[k][:, columns] = self._late(slots[k], passed, delay)[:, columns]
+                kept[k, :own_steps, columns] = self._late(slots[k], passed, delay)[:, columns]
         kept[diverged] = np.nan
         return [slot.trial.at_samples(k) for slot, k in zip(slots, kept, strict=True)]
 

@@ -25,8 +25,9 @@ from loose_env.gap.selection.checkpoint_codec import StepFiles
 from loose_env.gap.selection.forward_selection import StepStore
 from loose_env.gap.selection.impacts.impact_pass import impact_pass
 from loose_env.gap.selection.impacts.impact_search import ImpactFit
-from loose_env.gap.selection.revision import drop_insignificant
+from loose_env.gap.selection.revision import drop_insignificant, refit_without
 from loose_env.gap.selection.reweighted_search import search
+from loose_env.gap.selection.tenable import at_bound, worse_quantity
 from loose_env.gap.settings import (
     EXPLAINED,
     EXPLAINED_AT_MANY,
@@ -142,10 +143,16 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
         stops, kept = best, keep("", best.fitted.structure.nuisance)
         best = kept.scored("settled", lambda: scorer.score(settled(reweighted.fit, stops.fitted)))
     best, intervals = drop_insignificant(best, reweighted, scorer, settings.seed, say=say)
-    best = found.rescored(best) if best.fitted.effects else base
+    fitted, best = best, found.rescored(best) if best.fitted.effects else base
+    while untenable := _untenable(whole, base, best):
+        effect, reason = untenable
+        say(f"  dropped {effect!r}: {reason}")
+        fitted = refit_without(effect, fitted, reweighted, scorer)
+        fitted, intervals = drop_insignificant(fitted, reweighted, scorer, settings.seed, say=say)
+        best = found.rescored(fitted) if fitted.fitted.effects else base
     verdict, impact_fit = _verdict(base, best), None
     if verdict == "unexplained":
-        again = impact_pass(problem, whole, best, sought, settings, say=say)
+        again = impact_pass(problem, whole, base, best, sought, settings, say=say)
         if again is not None:
             best, intervals, impact_fit, verdict = (
                 again.best,
@@ -171,6 +178,18 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
         ranking=found.ranking,
         warnings=(*problem.warnings, *([] if impact_fit is None else [impact_fit.words])),
     )
+
+
+def _untenable(scorer: Scorer, base: ScoredFit, best: ScoredFit) -> tuple[Effect, str] | None:
+    """Return an effect that must not stay in an answer, and the reason; None if all may."""
+    if not best.fitted.effects:
+        return None
+    for effect, name in at_bound(best.fitted.structure, best.fitted.free):
+        return effect, f"{name} is at its bound"
+    worse = worse_quantity(scorer.held_out, best, base)
+    if not worse:
+        return None
+    return best.fitted.effects[-1], f"the {worse} is predicted worse than by the nominal model"
 
 
 def _refit(problem: GapProblem, scored: ScoredFit, nuisance: Nuisance) -> Fit:

@@ -18,12 +18,13 @@ _ZERO = frozenset(
     {
         "amplitude", "damping", "delay", "drag", "gap", "inertia", "mass", "offset",
         "time_constant", "torque",
+        "backward", "cosine", "forward", "share", "sine", "width",
     }
 )  # fmt: skip
 """Parameters that are zero where the effect is absent."""
 _VECTORS = frozenset({"link_com", "sensor_misalignment", "sensor_bias", "base_tilt"})
 """Effects whose components are all zero where the effect is absent."""
-_ONE = frozenset({"gain", "static_ratio"})
+_ONE = frozenset({"factor", "gain", "static_ratio"})
 """Parameters that are one where the effect is absent."""
 
 

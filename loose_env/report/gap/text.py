@@ -59,11 +59,23 @@ _PLAIN = {
     "base_tilt": "a tilted base",
     "torque_ripple": "torque ripple",
     "joint_spring": "a spring",
+    "load_friction": "friction that grows with the load",
+    "asymmetric_friction": "dry friction that differs by direction",
+    "torque_limit": "a limit of the torque",
+    "voltage_limit": "a limit of the voltage",
+    "dead_zone": "a dead zone",
+    "gravity_compensation": "a weight that is carried",
+    "torque_constant": "another torque constant",
+    "base_compliance": "a base that gives way",
+    "gear_eccentricity": "an eccentric gear",
+    "sensor_quantisation": "a coarse sensor",
 }
 _PLACES = {
     ("payload", "tool"): "at the tool",
     ("base_tilt", "base"): "",
     ("command_delay", "all"): "at all actuators",
+    ("base_compliance", "base"): "",
+    ("gravity_compensation", "all"): "of all links",
 }
 """Places that are no names of the model; a joint or a link may be called so, too."""
 

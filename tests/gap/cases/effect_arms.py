@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect, Readings
 from loose_env.gap.model.effects.sensors import delayed
 from loose_env.gap.model.nominal_model import NominalModel
@@ -128,12 +129,27 @@ def commands(machine: NominalModel, time: Array) -> Array:
     return np.asarray(limits * np.sin(np.outer(time, 3.0 + 2.0 * number)))
 
 
-def simulate(model: mujoco.MjModel, controls: Array) -> Readings:
-    """Readings of every sensor, one row a step."""
+def simulate(
+    model: mujoco.MjModel,
+    controls: Array,
+    effect: Effect | None = None,
+    values: Array | None = None,
+) -> Readings:
+    """Readings of every sensor, one row a step; an effect of the drives acts step by step."""
     data = mujoco.MjData(model)
     rows = np.zeros((len(controls), model.nsensordata))
+    base = model.dof_frictionloss.copy()
     for k, row in enumerate(controls):
         data.ctrl[: len(row)] = row
+        if isinstance(effect, DrivenEffect) and values is not None:
+            joints = [model.joint(name) for name in effect.machine.joints]
+            dofs = [int(joint.dofadr[0]) for joint in joints]
+            at, speed = data.qpos[[int(j.qposadr[0]) for j in joints]], data.qvel[dofs]
+            data.ctrl[: len(row)] = effect.feedback(row, at, speed, values)
+            mujoco.mj_forward(model, data)
+            drive = data.qfrc_actuator[dofs]
+            friction = effect.dry_friction(drive, speed, values)
+            model.dof_frictionloss[dofs] = base[dofs] + friction
         mujoco.mj_step(model, data)
         rows[k] = data.sensordata
     found: Readings = {}
@@ -150,7 +166,7 @@ def with_effect(machine: NominalModel, effect: Effect, values: Array) -> Reading
     effect.edit(spec, values)
     time = clock(machine)
     controls = effect.command(time, commands(machine, time), values)
-    readings = effect.read(time, simulate(spec.compile(), controls), values)
+    readings = effect.read(time, simulate(spec.compile(), controls, effect, values), values)
     late = effect.lateness(values)
     if late is None:
         return readings

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from loose_env.gap.model.effects.actuators import ActuatorGain, ActuatorLag, CommandDelay
 
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.actuators import ActuatorGain, ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.backlash import Backlash
 from loose_env.gap.model.effects.drivetrain import RotorInertia
 from loose_env.gap.model.effects.friction import (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.actuators import ActuatorLag, CommandDelay
+from loose_env.gap.model.effects.drives.actuators import ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.sensors import SensorGain
 from loose_env.gap.model.hypothesis import Hypothesis

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from loose_env.gap.data.aligned_run import channels_of
-from loose_env.gap.model.effects.actuators import ActuatorGain
+from loose_env.gap.model.effects.drives.actuators import ActuatorGain
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.preparation.integrator_choice import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.selection.screening.grouping import families, frictions
+from loose_env.gap.selection.screening.grouping import families, frictions, pairs
 from loose_env.gap.selection.screening.screening import Screened
 from tests.gap.cases.effect_arms import machine_of
 
@@ -76,3 +76,23 @@ def test_the_frictions_that_are_missing_at_a_joint_make_a_group() -> None:
     ]
     assert frictions(candidates, [mass]) == []
     assert frictions(candidates[:3], [oil]) == []  # a single one was tried by itself
+
+
+def test_pairs_are_of_two_kinds_at_one_joint_the_most_promising_first() -> None:
+    machine = machine_of("planar")
+    found = pairs(
+        [
+            screened(machine, "load_friction", "joint1", 0.5),
+            screened(machine, "load_friction", "joint1", 0.4, "stribeck"),
+            screened(machine, "actuator_gain", "servo1", 0.3),
+            screened(machine, "coulomb_friction", "joint2", 0.2),
+            screened(machine, "backlash", "joint2", 0.01),
+            screened(machine, "command_delay", "all", 0.9),
+            screened(machine, "viscous_friction", "joint3", 0.1),
+        ],
+        most=5,
+    )
+    assert [[(s.effect.kind, s.effect.where) for s in pair] for pair in found] == [
+        [("load_friction", "joint1"), ("actuator_gain", "servo1")],
+        [("coulomb_friction", "joint2"), ("backlash", "joint2")],
+    ]

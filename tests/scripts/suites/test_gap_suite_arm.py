@@ -25,7 +25,18 @@ from scripts.suites.gap.effects.types import Effect, Readings
 from scripts.suites.gap.simulator.arms import ARMS, GRAVITY, planar3, spatial3
 from scripts.suites.gap.simulator.build import Factors, build
 from scripts.suites.gap.simulator.chain import add_mass, free_link, mass_matrix, split_link
-from scripts.suites.gap.simulator.laws import DEAD, FRICTION, SMOOTH_SPEED, STRIBECK_SPEED
+from scripts.suites.gap.simulator.dynamics import CARRIED
+from scripts.suites.gap.simulator.laws import (
+    BACK_EMF,
+    DEAD,
+    FRICTION,
+    LIMIT,
+    LOADED,
+    LOADED_SMOOTH,
+    LOADED_SPEED,
+    SMOOTH_SPEED,
+    STRIBECK_SPEED,
+)
 from scripts.suites.gap.simulator.model_xml import model_xml
 from scripts.suites.gap.simulator.simulate import System, simulate
 
@@ -224,12 +235,47 @@ def test_a_tilted_planar_arm_is_one_whose_first_encoder_is_off():
     np.testing.assert_allclose(one.acceleration, other.acceleration, atol=1e-5)
 
 
-def test_a_dead_zone_takes_the_start_of_the_torque():
+def test_a_dead_zone_takes_the_start_of_the_error():
     figures = planar3()
     system = build(figures, Factors.ones(3))
     system.drives[:, DEAD] = 1e4
     trace = simulate(system, swing(figures))
-    assert np.all(trace.torque == 0.0)
+    damping = np.array([link.kv for link in figures.links])
+    np.testing.assert_allclose(trace.torque, -damping * trace.velocity, atol=1e-9)
+
+
+def test_friction_under_load_is_a_share_of_the_torque_that_holds_the_arm():
+    figures = planar3()
+    system = build(figures, Factors.ones(3))
+    time = np.arange(3000) * 1e-3
+    slow = figures.home + 0.05 * (time[:, None] / 3.0 - 0.5)
+    back = slow[::-1].copy()
+    row = system.drives[0]
+    row[[LOADED, LOADED_SPEED, LOADED_SMOOTH]] = 0.2, 1.0, 1e-4
+    inside = steps_inside(system, figures, 10)
+    up, down = (simulate(system, c, inside=inside).torque[1500, 0] for c in (slow, back))
+    lighter, heavier = sorted((abs(up), abs(down)))
+    # of the torque that moves the arm 0.2 is lost, of the one that is moved by it too
+    assert heavier * 0.8 == pytest.approx(lighter * 1.2, rel=0.03)
+
+
+def test_what_carries_all_links_leaves_nothing_to_hold():
+    figures = planar3()
+    system = build(figures, Factors.ones(3))
+    system.bodies[:, CARRIED] = 1.0
+    torque = simulate(system, np.tile(figures.home, (50, 1)), settle=3.0).torque
+    np.testing.assert_allclose(torque, 0.0, atol=1e-6)
+
+
+def test_a_motor_at_its_voltage_gives_what_the_back_emf_leaves():
+    figures = planar3()
+    arm = exact(figures, some_effect("voltage_limit", figures, at=0.6))
+    system, _ = arm.assemble()
+    stall, back = system.drives[0, [LIMIT, BACK_EMF]]
+    trace = simulate(system, figures.home + 0.8 * np.sign(swing(figures) - figures.home))
+    most = stall - back * trace.velocity[:, 0]
+    assert np.all(trace.torque[:, 0] <= most + 1e-9)
+    assert np.isclose(trace.torque[:, 0], most).any()
 
 
 def test_stiff_laws_take_more_steps():

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("numba")
 
 from loose_env.gap import Effect, GapSolution, NamedEffect
-from loose_env.gap.model.effects.actuators import ActuatorLag, CommandDelay
+from loose_env.gap.model.effects.drives.actuators import ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.joint_elasticity import JointCompliance
 from loose_env.gap.model.effects.sensors import SensorGain

@@ -11,6 +11,7 @@ import numpy as np
 from loose_env.gap.model.effects.joint_elasticity import SplitJoint
 from loose_env.gap.model.effects.mjcf.extra_joint import set_stops
 from loose_env.gap.model.effects.mjcf.geometry import reach_of
+from loose_env.gap.model.effects.mjcf.passive_actuators import make_it_stick
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
@@ -29,6 +30,10 @@ _STARTS = (0.02, 0.06, 0.15, 0.3, 0.7, 3.0)
 _CLOSE_STARTS = tuple(0.02 * 1.5**k for k in range(14))
 """The same where the motion of the motor is given: then a gap too wide by a third fits worse than
 none."""
+_TRAVEL_S = 0.5
+"""Time in which a slide travels a typical distance at its typical speed [s]."""
+_RUBBING_STARTS = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""The same for play in front of a friction, where a wide gap is common."""
 SOFTER = (1.0, 0.3, 0.1)
 """Stiffnesses of stops from which fits start, over the usual one: on soft stops a wrong gap or
 friction is told from none, and a fit finds the right ones from further off."""
@@ -37,16 +42,36 @@ _DAMPING = 0.3
 
 
 class Backlash(SplitJoint):
-    """Backlash: an extra joint between stops, which are spring-dampers."""
+    """Backlash: an extra joint between stops, which are spring-dampers.
+
+    Variant "rubbing": what lies beyond the play is held by dry friction, as in a damper or a brake
+    with slack. Either explains little alone: friction at the motor side acts in the gap as well,
+    and play in front of a free link hardly shows in a torque. It is the friction of a tendon over
+    both joints, whose length is the position of the link.
+    """
 
     kind = "backlash"
     has_stops = True
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("gap", "low"), ("stiffness", "high"))
+    variants: ClassVar[tuple[str, ...]] = ("", "rubbing")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Clearance, stiffness of the stops, damping ratio on them."""
-        length = 1.0 if self.machine.turns(self.where) else reach_of(self.machine)
+        """Clearance, stiffness of the stops, damping ratio on them, friction beyond the play."""
+        if not self.variant:
+            return self._play
+        friction = Parameter(
+            name="friction", unit=self.torque_unit, low=1e-3 * self.load, high=20 * self.load,
+            scale=0.3 * self.load, log=True,
+        )  # fmt: skip
+        return (*self._play, friction)
+
+    @property
+    def _play(self) -> tuple[Parameter, ...]:
+        length = 1.0
+        if not self.machine.turns(self.where):
+            # a lone slide has no reach, but it travels
+            length = max(reach_of(self.machine), _TRAVEL_S * self.speed)
         return (
             Parameter(
                 name="gap",
@@ -70,17 +95,34 @@ class Backlash(SplitJoint):
         return self._starts(_CLOSE_STARTS)
 
     def _starts(self, shares: Sequence[float]) -> tuple[tuple[float, ...], ...]:
-        gap, stiffness, ratio = self.parameters
+        gap, stiffness, ratio = self._play
+        if self.variant:
+            return tuple(
+                (share * gap.scale, stiffness.scale, ratio.scale, size * self.load)
+                for share in _RUBBING_STARTS
+                for size in (0.3, 1.0)
+            )
         return tuple(
             (share * gap.scale, softer * stiffness.scale, ratio.scale)
             for softer in SOFTER
             for share in shares
         )
 
+    def resistance(self, speed: float, values: Array) -> float:
+        """Friction beyond the play."""
+        return float(values[3]) if self.variant else 0.0
+
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add the clearance behind the joint."""
         joint = self._split(spec, damping=_DRAG_RATE * self.carried)
-        gap, stiffness, ratio = (float(v) for v in values)
+        gap, stiffness, ratio, *friction = (float(v) for v in values)
+        if friction:
+            tendon = spec.add_tendon(
+                name=f"{joint.name}_{self.variant}", frictionloss=friction[0], limited=False
+            )
+            tendon.wrap_joint(self.where, 1.0)
+            tendon.wrap_joint(joint.name, 1.0)
+            make_it_stick(tendon, spec.option.timestep)
         set_stops(
             joint,
             0.5 * gap,

@@ -14,24 +14,40 @@ from typing import TypeVar
 
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.actuators import ActuatorGain, ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.backlash import Backlash
-from loose_env.gap.model.effects.drivetrain import RotorInertia, TorqueRipple
+from loose_env.gap.model.effects.drives.actuators import ActuatorGain, ActuatorLag, CommandDelay
+from loose_env.gap.model.effects.drives.dead_zone import DeadZone
+from loose_env.gap.model.effects.drives.limits import TorqueLimit, VoltageLimit
+from loose_env.gap.model.effects.drives.load_friction import LoadFriction
+from loose_env.gap.model.effects.drives.torque_constant import TorqueConstant
+from loose_env.gap.model.effects.drivetrain import GearEccentricity, RotorInertia, TorqueRipple
 from loose_env.gap.model.effects.friction import (
+    AsymmetricFriction,
     CoulombFriction,
     QuadraticDrag,
     StribeckFriction,
     ViscousFriction,
 )
-from loose_env.gap.model.effects.joint_elasticity import JointCompliance, JointSpring
+from loose_env.gap.model.effects.joint_elasticity import (
+    BaseCompliance,
+    JointCompliance,
+    JointSpring,
+)
 from loose_env.gap.model.effects.link_flexibility import LinkFlexibility
-from loose_env.gap.model.effects.link_inertia import BaseTilt, LinkCom, LinkMass, Payload
+from loose_env.gap.model.effects.link_inertia import (
+    BaseTilt,
+    GravityCompensation,
+    LinkCom,
+    LinkMass,
+    Payload,
+)
 from loose_env.gap.model.effects.sensors import (
     EncoderOffset,
     SensorBias,
     SensorDelay,
     SensorGain,
     SensorMisalignment,
+    SensorQuantisation,
 )
 from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
 from loose_env.gap.model.nominal_model import NominalModel
@@ -66,6 +82,16 @@ CATALOGUE: dict[str, type[Effect]] = {
         BaseTilt,
         TorqueRipple,
         JointSpring,
+        LoadFriction,
+        AsymmetricFriction,
+        TorqueLimit,
+        VoltageLimit,
+        DeadZone,
+        GravityCompensation,
+        TorqueConstant,
+        BaseCompliance,
+        GearEccentricity,
+        SensorQuantisation,
     )
 }
 """Identifier, as in the result file -> class."""

@@ -1,6 +1,7 @@
-"""Rotor inertia, the same in every pose, and torque ripple.
+"""Rotor inertia, the same in every pose, torque ripple, and gear eccentricity.
 
-Torque ripple is periodic in the joint's angle, from cogging or gear teeth.
+Torque ripple is periodic in the joint's angle, from cogging or gear teeth. An eccentric gear makes
+an error of the measured angle once a turn.
 """
 
 from __future__ import annotations
@@ -12,12 +13,16 @@ import mujoco
 import numpy as np
 from scipy.signal import lombscargle
 
+from loose_env.gap.model.driven_effect import DrivenEffect
+from loose_env.gap.model.effect import Readings
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, fitted_rate
 from loose_env.gap.model.effects.mjcf.passive_actuators import add_cogging
+from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["RotorInertia", "TorqueRipple"]
+__all__ = ["GearEccentricity", "RotorInertia", "TorqueRipple"]
 
 
 class RotorInertia(JointEffect):
@@ -37,6 +42,7 @@ class RotorInertia(JointEffect):
                 low=-float(self.machine.model.dof_armature[self._dof]),
                 high=100 * moved,
                 scale=0.1 * moved,
+                natural_low=True,
             ),
         )
 
@@ -171,3 +177,132 @@ class TorqueRipple(JointEffect):
                 )
             )
         return tuple(found)
+
+
+_POSITION, _SPEED = mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL
+
+
+class GearEccentricity(DrivenEffect, JointEffect):
+    """Once-per-turn error of the measured angle: a gear or a code wheel that turns off its centre.
+
+    The encoder shows q + sine · sin q + cosine · cos q, and the servo closes its loop on that.
+    """
+
+    kind = "gear_eccentricity"
+    adds_up: ClassVar[bool] = True
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
+
+    @classmethod
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return hinges with an encoder."""
+        model = machine.model
+        seen = {
+            int(model.sensor_objid[k])
+            for k in range(model.nsensor)
+            if model.sensor_type[k] == int(_POSITION)
+        }
+        return tuple(n for k, n in enumerate(machine.joints) if k in seen and machine.turns(n))
+
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        model, joint = machine.model, machine.joint_number(where)
+        self._joint = joint
+        self._columns = {
+            kind: [
+                column_of(model.sensor(k).name)
+                for k in range(model.nsensor)
+                if model.sensor_type[k] == int(kind) and model.sensor_objid[k] == joint
+            ]
+            for kind in (_POSITION, _SPEED)
+        }
+        self._servos: list[tuple[int, float, float, float]] = [
+            (k, float(model.actuator_gear[k, 0]), *self._gains(k))
+            for k, name in enumerate(machine.actuators)
+            if machine.actuated_joint.get(name) == where and model.actuator_biasprm[k, 1] != 0
+        ]
+
+    def _gains(self, actuator: int) -> tuple[float, float]:
+        """Position and velocity feedback of a servo over the gain of its command."""
+        model = self.machine.model
+        gain = model.actuator_gainprm[actuator, 0] or 1.0
+        bias = model.actuator_biasprm[actuator]
+        return float(bias[1] / gain), float(bias[2] / gain)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Amplitudes of both phases."""
+        return tuple(
+            Parameter(name=name, unit="rad", low=-0.5, high=0.5, scale=0.005)
+            for name in ("sine", "cosine")
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: a third of a degree in either phase, which add up."""
+        return ((0.005, 0.005),)
+
+    def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
+        """Shift the commands of the joint's servos as the shown position and speed do."""
+        error, slope = _eccentric(position[..., self._joint], values)
+        found = command.copy()
+        for number, gear, per_angle, per_speed in self._servos:
+            shift = per_angle * error + per_speed * slope * speed[..., self._joint]
+            found[..., number] += gear * shift
+        return found
+
+    def feedback_code(self, values: Array) -> str:
+        """Python lines: the commands shifted by the error of what the servo sees."""
+        joint, (sine, cosine) = self._joint, (float(v) for v in values)
+        angle, speed = f"position[{joint}]", f"speed[{joint}]"
+        error = f"({sine!r} * np.sin({angle}) + {cosine!r} * np.cos({angle}))"
+        slope = f"({sine!r} * np.cos({angle}) - {cosine!r} * np.sin({angle}))"
+        return "\n".join(
+            f"command[{number}] += {gear!r} * ({p!r} * {error} + {d!r} * {slope} * {speed})"
+            for number, gear, p, d in self._servos
+        )
+
+    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
+        """Add the error to the encoder's reading, its rate to that of the speed.
+
+        A speed is shown by its own slope of the error where the position is shown too.
+        """
+        found = dict(readings)
+        shown = [column for column in self._columns[_POSITION] if column in readings]
+        angle = readings[shown[0]] if shown else None
+        for column in shown:
+            found[column] = readings[column] + _eccentric(readings[column], values)[0]
+        for column in self._columns[_SPEED]:
+            if column in readings and angle is not None:
+                found[column] = readings[column] * (1 + _eccentric(angle, values)[1])
+        return found
+
+    def code(self, values: Array) -> str:
+        """Python lines: the readings with the error."""
+        sine, cosine = (float(v) for v in values)
+        names = [column.removeprefix("sensor.") for column in self._columns[_POSITION]]
+        rates = [column.removeprefix("sensor.") for column in self._columns[_SPEED]]
+        return "\n".join(
+            (
+                "import numpy as np",
+                f"angle = float(data.sensor({names[0]!r}).data[0])",
+                *(
+                    f"data.sensor({name!r}).data *= "
+                    f"1 + {sine!r} * np.cos(angle) - {cosine!r} * np.sin(angle)"
+                    for name in rates
+                ),
+                *(
+                    f"data.sensor({name!r}).data += "
+                    f"{sine!r} * np.sin(angle) + {cosine!r} * np.cos(angle)"
+                    for name in names
+                ),
+            )
+        )
+
+
+def _eccentric(angle: Array, values: Array) -> tuple[Array, Array]:
+    """Error of the shown angle, and its slope."""
+    sine, cosine = (float(v) for v in values)
+    return (
+        sine * np.sin(angle) + cosine * np.cos(angle),
+        sine * np.cos(angle) - cosine * np.sin(angle),
+    )

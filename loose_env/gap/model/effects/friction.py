@@ -2,7 +2,8 @@
 
 Viscous friction is proportional to speed. Coulomb friction is a constant torque against the motion,
 which holds a joint at rest. Stribeck friction is larger near rest than in motion, so that a slow
-joint sticks and slips. Quadratic drag is proportional to the speed squared.
+joint sticks and slips. Quadratic drag is proportional to the speed squared. Asymmetric friction is
+a Coulomb friction that differs by direction.
 """
 
 from __future__ import annotations
@@ -13,11 +14,16 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, fitted_rate
-from loose_env.gap.model.effects.mjcf.passive_actuators import add_limited_damper, make_it_stick
+from loose_env.gap.model.effects.mjcf.passive_actuators import (
+    add_constant,
+    add_limited_damper,
+    make_it_stick,
+)
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
 __all__ = [
+    "AsymmetricFriction",
     "CoulombFriction",
     "QuadraticDrag",
     "StribeckFriction",
@@ -42,6 +48,7 @@ class ViscousFriction(JointEffect):
                 low=-self._nominal,
                 high=self._nominal + 50 * per_speed,
                 scale=0.1 * per_speed,
+                natural_low=True,
             ),
         )
 
@@ -109,6 +116,7 @@ class CoulombFriction(JointEffect):
                 low=-nominal,
                 high=nominal + 20 * self.load,
                 scale=0.1 * self.load,
+                natural_low=True,
             ),
         )
 
@@ -136,6 +144,70 @@ class CoulombFriction(JointEffect):
         moving = np.abs(speed) > 0.05 * np.nanmax(np.abs(speed), initial=0.0)
         rate = fitted_rate(np.sign(speed[moving]), torque[moving])
         return ((self.parameters[0].clipped(rate),),)
+
+
+class AsymmetricFriction(JointEffect):
+    """Coulomb friction that differs by direction: a gear, a seal or a screw under preload.
+
+    Equal to a Coulomb friction of the mean of both directions and a constant torque of half their
+    difference, at rest as well.
+    """
+
+    kind = "asymmetric_friction"
+    sharp: ClassVar[bool] = True
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Friction in the positive and in the negative direction."""
+        return tuple(
+            Parameter(
+                name=name,
+                unit=self.torque_unit,
+                low=0.0,
+                high=20 * self.load,
+                scale=0.1 * self.load,
+            )
+            for name in ("forward", "backward")
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: a weak and a strong one, each larger in either direction."""
+        weak, strong = 0.03 * self.load, 0.2 * self.load
+        return tuple(
+            sides for size in (weak, strong) for sides in ((size, 0.3 * size), (0.3 * size, size))
+        )
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add friction loss and a constant torque."""
+        forward, backward = float(values[0]), float(values[1])
+        if forward + backward <= 0:
+            return
+        joint = spec.joint(self.where)
+        joint.frictionloss += 0.5 * (forward + backward)
+        make_it_stick(joint, spec.option.timestep)
+        name = added_name(spec, self.where, self.kind)
+        add_constant(spec, self.where, name, 0.5 * (backward - forward))
+
+    def resistance(self, speed: float, values: Array) -> float:
+        """Mean of both directions."""
+        return 0.5 * float(values[0] + values[1])
+
+    def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
+        """Torque against the constant one."""
+        return np.full_like(angle, 0.5 * float(values[0] - values[1]))
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Propose a start by the mean torque in either direction, without rest."""
+        least = 0.05 * np.nanmax(np.abs(speed), initial=0.0)
+        ahead, back = torque[speed > least], torque[speed < -least]
+        if not (np.isfinite(ahead).any() and np.isfinite(back).any()):
+            return ()
+        sides = self.parameters
+        return ((sides[0].clipped(np.nanmean(ahead)), sides[1].clipped(-np.nanmean(back))),)
 
 
 _START_SPEED = 0.3
@@ -173,7 +245,7 @@ class StribeckFriction(JointEffect):
                 scale=0.1 * self.load,
                 log=True,
             ),
-            Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5),
+            Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5, natural_low=True),
             Parameter(
                 name="speed",
                 unit=f"{self.angle_unit}/s",

@@ -1,7 +1,7 @@
-"""Joint elasticity: compliant drives, and springs across joints.
+"""Elasticity: compliant drives, a compliant base, and springs across joints.
 
 A compliant drive is a spring and a damper between motor side and link side of a joint. Springs
-across a joint are cables, hoses, balancers.
+across a joint are cables, hoses, balancers. A base on rubber feet, or not bolted down, rocks.
 """
 
 from __future__ import annotations
@@ -13,23 +13,27 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.extra_joint import (
     FASTEST,
     add_extra_joint,
     keep_motor_side,
     last_joints,
 )
+from loose_env.gap.model.effects.mjcf.geometry import normal_of, reach_of
 from loose_env.gap.model.effects.mjcf.joint_effect import (
     JointEffect,
     added_name,
     angle_unit,
     fitted_rate,
 )
+from loose_env.gap.model.effects.mjcf.split_body import insert_first
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
 __all__ = [
+    "BaseCompliance",
     "JointCompliance",
     "JointSpring",
     "SplitJoint",
@@ -228,3 +232,125 @@ class JointSpring(JointEffect):
             return ()
         rests = float(np.nanmean(angle) - np.nanmean(torque) / rate)
         return ((stiffness.clipped(rate), reference.clipped(rests)),)
+
+
+_SAME = 0.999
+"""Cosine between two axes from which they are parallel."""
+_APART = 0.02
+"""Distance of parallel axes that makes them two, in lengths of the machine."""
+_MOST_JOINTS = 5
+"""Joints of the first link beside which there is room for another: a body has six at most."""
+
+
+class BaseCompliance(Effect):
+    """Base compliance: the base rocks on a spring and a damper about one axis of the world.
+
+    The hinge passes through the foot of the base: the origin of the body that is fixed to the
+    world, or of the world itself. Its axis is the variant; in a machine that moves in a plane only
+    the one across it is tried. About the axis of the first joint itself a base yields as that
+    joint does: such a variant is left out.
+    """
+
+    kind = "base_compliance"
+    acts_on: ClassVar[str] = "arm"
+    adds_motion: ClassVar[bool] = True
+    sharp: ClassVar[bool] = True
+    limit: ClassVar[tuple[tuple[str, str], ...]] = (("stiffness", "high"),)
+    variants: ClassVar[tuple[str, ...]] = ("x", "y", "z")
+
+    @classmethod
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return the base, if its first link has room for another joint and is not the only one.
+
+        Under a single joint a base that gives way is not told from a compliant drive.
+        """
+        first = int(machine.model.jnt_bodyid[0])
+        room = machine.model.body_jntnum[first] <= _MOST_JOINTS and len(machine.joints) > 1
+        return ("base",) if room and cls._axes(machine) else ()
+
+    @classmethod
+    def forms(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
+        """Return all axes in space, one in a plane, without that of the first joint."""
+        return cls._axes(machine)
+
+    @classmethod
+    def _axes(cls, machine: NominalModel) -> tuple[str, ...]:
+        normal = normal_of(machine)
+        axes = cls.variants if normal is None else (cls.variants[int(np.argmax(np.abs(normal)))],)
+        data = mujoco.MjData(machine.model)
+        mujoco.mj_kinematics(machine.model, data)
+        if machine.model.jnt_type[0] != mujoco.mjtJoint.mjJNT_HINGE:
+            return axes
+        away = data.xanchor[0] - _foot(machine, data)
+        kept = []
+        for axis in axes:
+            along = _axis(machine, axis)
+            parallel = abs(along @ data.xaxis[0]) > _SAME
+            apart = float(np.linalg.norm(away - along * (away @ along)))
+            if not parallel or apart > _APART * reach_of(machine):
+                kept.append(axis)
+        return tuple(kept)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness, and the damping ratio of the arm on it with its joints locked."""
+        carried, weight = self._figures
+        step = self.machine.step or float(self.machine.model.opt.timestep)
+        return (stiffness_between(carried, weight, step, "N·m/rad"), damping_ratio())
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: modes from slow to fast."""
+        return stiffness_starts(self._figures[0], self.parameters[0])
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Insert the hinge before the first joint."""
+        stiffness, ratio = float(values[0]), float(values[1])
+        self._rock(spec, stiffness, 2 * ratio * sqrt(stiffness * self._figures[0]))
+
+    def _rock(self, spec: mujoco.MjSpec, stiffness: float, damping: float) -> str:
+        """Insert the hinge; return its name."""
+        model = self.machine.model
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        first, pivot = int(model.jnt_bodyid[0]), _foot(self.machine, data)
+        turn = data.xmat[first].reshape(3, 3)
+        name = added_name(spec, "base", f"{self.kind}_{self.variant}")
+        body = spec.body(model.body(first).name)
+        add_extra_joint(
+            body,
+            name,
+            turns=True,
+            axis=turn.T @ _axis(self.machine, self.variant),
+            pos=turn.T @ (pivot - data.xpos[first]),
+            stiffness=stiffness,
+            damping=damping,
+        )
+        insert_first(spec, body, name)
+        return name
+
+    @cached_property
+    def _figures(self) -> tuple[float, float]:
+        """Inertia on the hinge [kg·m²], and its inverse weight with all joints free."""
+        spec = self.machine.fresh()
+        name = self._rock(spec, 0.0, 0.0)
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        dof = int(model.joint(name).dofadr[0])
+        return float(mass[dof, dof]), float(model.dof_invweight0[dof])
+
+
+def _foot(machine: NominalModel, data: mujoco.MjData) -> Array:
+    """Foot of the base (3,) in the world [m]: of what is fixed to it, or the world's origin."""
+    first = int(machine.model.jnt_bodyid[0])
+    foot = int(machine.model.body_rootid[first])
+    return np.array(data.xpos[foot]) if foot != first else np.zeros(3)
+
+
+def _axis(machine: NominalModel, variant: str) -> Array:
+    """Axis of a variant (3,) in the world: exactly across the plane of a planar machine."""
+    normal = normal_of(machine)
+    return np.eye(3)["xyz".index(variant)] if normal is None else normal

@@ -1,6 +1,6 @@
-"""Link inertia: mass and centre of a link, payload at the tool, and base tilt.
+"""Link inertia: mass and centre of a link, payload at the tool, base tilt, and carried weight.
 
-A tilted base changes the direction of gravity.
+A tilted base changes the direction of gravity. A balancer or the drives carry the weight of links.
 """
 
 from __future__ import annotations
@@ -20,7 +20,15 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["BaseTilt", "LinkCom", "LinkMass", "Payload", "links_with_mass", "payload_words"]
+__all__ = [
+    "BaseTilt",
+    "GravityCompensation",
+    "LinkCom",
+    "LinkMass",
+    "Payload",
+    "links_with_mass",
+    "payload_words",
+]
 
 
 def links_with_mass(machine: NominalModel) -> tuple[str, ...]:
@@ -269,3 +277,46 @@ class BaseTilt(Effect):
         turn = Rotation.from_rotvec(np.asarray(values, dtype=float) @ self._axes)
         # Gravity in the base frame rotates opposite to the base.
         spec.option.gravity = turn.inv().apply(np.array(spec.option.gravity))
+
+
+_ALL = "all"
+
+
+class GravityCompensation(Effect):
+    """Share of a link's weight that a balancer or the drives carry, beyond that of the model.
+
+    At "all": of every link alike, as software compensates gravity. Negative where the model has a
+    compensation that the machine lacks, or more of it than the machine has.
+    """
+
+    kind = "gravity_compensation"
+    acts_on: ClassVar[str] = "link"
+    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+
+    @classmethod
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return links that have mass, and "all" if there are several; none without gravity."""
+        if not BaseTilt.places(machine):
+            return ()
+        links = links_with_mass(machine)
+        return (*links, _ALL) if len(links) > 1 and _ALL not in links else links
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Share of the weight."""
+        return (Parameter(name="share", unit="", low=-1.5, high=1.5, scale=0.1),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: a quarter, missing or too much, and all of it."""
+        return ((-0.25,), (0.25,), (1.0,))
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add to the gravity compensation of the bodies."""
+        links = links_with_mass(self.machine) if self.where == _ALL else (self.where,)
+        for link in links:
+            spec.body(link).gravcomp += float(values[0])
+        if any(spec.body(link).gravcomp < 0 for link in links):
+            # MuJoCo compensates no gravity at all unless some body has a positive share
+            aside = spec.worldbody.add_body(name=added_name(spec, self.where, self.kind))
+            aside.gravcomp = 1.0

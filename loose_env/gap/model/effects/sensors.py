@@ -1,4 +1,4 @@
-"""Effects of sensors: bias, gain, delay, misalignment, and encoder offset.
+"""Effects of sensors: bias, gain, quantisation, delay, misalignment, and encoder offset.
 
 An encoder offset shifts the zero of a joint's reading and of its servo.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from loose_env.gap.model.effect import Effect, Readings
-from loose_env.gap.model.effects.actuators import held_delay
+from loose_env.gap.model.effects.drives.actuators import held_delay
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, angle_unit
 from loose_env.gap.model.effects.mjcf.sensor_columns import (
     column_of,
@@ -30,6 +30,7 @@ __all__ = [
     "SensorDelay",
     "SensorGain",
     "SensorMisalignment",
+    "SensorQuantisation",
     "delayed",
 ]
 
@@ -125,6 +126,61 @@ class SensorGain(Effect):
     def code(self, values: Array) -> str:
         """Python line: the reading times the gain."""
         return f"data.sensor({self.where!r}).data *= {float(values[0])!r}"
+
+
+_STEPS = (0.2, 1.0)
+"""Steps of a sensor from which fits start where the data show none, over a change that matters."""
+
+
+class SensorQuantisation(Effect):
+    """Quantisation of a sensor: its reading is rounded to whole steps; servos see the joint itself.
+
+    The step is found in the readings: their distances are multiples of it.
+    """
+
+    kind = "sensor_quantisation"
+    acts_on: ClassVar[str] = "sensor"
+    in_model: ClassVar[bool] = False
+    limit: ClassVar[tuple[tuple[str, str], ...]] = (("step", "low"),)
+
+    @classmethod
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return sensors of one axis."""
+        dims = machine.model.sensor_dim
+        return tuple(n for k, n in enumerate(machine.sensors) if n and int(dims[k]) == 1)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Step of the reading."""
+        scale, unit = reading_scale(self.machine, self.where)
+        low, high = 1e-4 * scale, 1e3 * scale
+        return (Parameter(name="step", unit=unit, low=low, high=high, scale=scale, log=True),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: visible steps."""
+        scale, _ = reading_scale(self.machine, self.where)
+        return tuple((share * scale,) for share in _STEPS)
+
+    def propose_from(self, resolution: float) -> tuple[tuple[float, ...], ...]:
+        """Propose the step that the readings show."""
+        return ((self.parameters[0].clipped(resolution),),) if resolution > 0 else ()
+
+    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
+        """Round the sensor's column."""
+        column, step = column_of(self.where), float(values[0])
+        if column not in readings:
+            return readings
+        return {**readings, column: step * np.round(readings[column] / step)}
+
+    def code(self, values: Array) -> str:
+        """Python lines: the reading in whole steps."""
+        step = float(values[0])
+        return (
+            "import numpy as np\n"
+            f"data.sensor({self.where!r}).data[:] = "
+            f"{step!r} * np.round(data.sensor({self.where!r}).data / {step!r})"
+        )
 
 
 _LONGEST = 0.25

@@ -23,6 +23,7 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.impacts.impact_power import ImpactPower
 from loose_env.gap.selection.impacts.impact_search import ImpactFit, find_impacts
 from loose_env.gap.selection.revision import drop_insignificant, refit_without
+from loose_env.gap.selection.tenable import at_bound, worse_quantity
 from loose_env.gap.settings import GapSettings
 
 __all__ = ["ImpactPassResult", "impact_pass"]
@@ -43,6 +44,7 @@ class ImpactPassResult:
 def impact_pass(
     problem: GapProblem,
     scorer: Scorer,
+    base: ScoredFit,
     best: ScoredFit,
     sought: Sequence[Effect],
     settings: GapSettings,
@@ -57,8 +59,8 @@ def impact_pass(
         The runs.
     judge : Scorer
         Scores fits to ``problem.fit``.
-    best : ScoredFit
-        The best hypothesis, which does not explain enough.
+    base, best : ScoredFit
+        The nominal model, and the best hypothesis, which does not explain enough.
     sought : sequence of Effect
         The catalogue at every location.
     settings : GapSettings
@@ -89,8 +91,15 @@ def impact_pass(
         say(f"  dropped {effect!r}: a proxy for the part with stops")
         rigid = refit_without(effect, rigid, weighed, own)
     rigid, intervals = drop_insignificant(rigid, weighed, own, settings.seed, say=say)
+    found = scorer.score(_with_struck(problem.fit, rigid.fitted, impact_fit))
+    bounded = at_bound(found.fitted.structure, found.fitted.free)
+    worse = worse_quantity(scorer.held_out, found, base)
+    if bounded or worse:
+        reason = f"{bounded[0][1]} is at its bound" if bounded else f"the {worse} is worse"
+        say(f"  rejected {impact_fit.effect!r}: {reason}")
+        return None
     return ImpactPassResult(
-        best=scorer.score(_with_struck(problem.fit, rigid.fitted, impact_fit)),
+        best=found,
         intervals=joined(intervals, impact_fit.intervals),
         impact_fit=impact_fit,
     )

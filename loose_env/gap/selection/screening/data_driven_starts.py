@@ -16,11 +16,13 @@ import numpy as np
 from loose_env.errors import InvalidData
 from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Trial
+from loose_env.gap.data.noise_floor import resolution_of
 from loose_env.gap.data.smoothing import Motion, smooth_motion
 from loose_env.gap.model.effect import Effect, ResidualAccelerations
+from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.simulation.torque_terms import torque_terms
+from loose_env.gap.simulation.torque_terms import driven_frictions, torque_terms
 from loose_env.typing import Array
 
 __all__ = ["missing_torque", "proposals", "residual_accelerations"]
@@ -52,6 +54,9 @@ def proposals(
     residual = residual_accelerations(comparison, hypothesis) if along else None
     if residual is not None:
         starts |= {e.key: own for e in along if (own := e.propose_along(residual))}
+    for effect in candidates:
+        if type(effect).propose_from is not Effect.propose_from:
+            starts[effect.key] = _from_readings(comparison, effect)
     searching = [effect for effect in candidates if effect.searches]
     found = missing_torque(comparison, hypothesis) if searching else None
     if found is None:
@@ -65,6 +70,14 @@ def proposals(
                 angle[:, k], speed[:, k], acceleration[:, k], torque[:, k]
             )
     return starts
+
+
+def _from_readings(comparison: ResidualModel, effect: Effect) -> tuple[tuple[float, ...], ...]:
+    """Starts from the coarsest resolution of a sensor's readings; none if some run has none."""
+    column = column_of(effect.where)
+    numbers = [k for k, channel in enumerate(comparison.channels) if channel.column == column]
+    steps = [resolution_of(run.measured[:, k]) for run in comparison.trials for k in numbers]
+    return effect.propose_from(max(steps)) if steps and all(steps) else ()
 
 
 def missing_torque(
@@ -132,8 +145,9 @@ def _missing(
         mujoco.mj_inverse(model, data)
         needed = data.qfrc_inverse[:joints].copy()
         mujoco.mj_fwdActuation(model, data)
-        needed += friction * np.tanh(motion.speed[k] / slow)
-        row[:] = data.qfrc_actuator[:joints] - needed
+        drive = data.qfrc_actuator[:joints]
+        rubbing = friction + driven_frictions(known, drive, motion.speed[k])
+        row[:] = drive - needed - rubbing * np.tanh(motion.speed[k] / slow)
     torque += torque_terms(known, motion.position[chosen], motion.speed[chosen])
     return (
         motion.position[chosen], motion.speed[chosen], motion.acceleration[chosen], torque,

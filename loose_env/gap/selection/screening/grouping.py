@@ -7,17 +7,20 @@ all friction at one joint, since oil, seals and air act together.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import mujoco
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.selection.screening.screening import Screened
 
-__all__ = ["confusable", "families", "frictions", "joint_of"]
+__all__ = ["confusable", "families", "frictions", "joint_of", "pairs"]
 
 _ALL = "all"
 _LEAST = 0.02
 """Promise of a member, as a share of the most promising one of its family."""
+_PAIRED = 5
+"""Kinds of a joint of which pairs are made, the most promising ones."""
 _FRICTIONS = ("viscous_friction", "coulomb_friction", "quadratic_drag")
 """What grows with no power of the speed, the first and the second. One of them, fitted to all
 three, leaves a little that neither of the others is any good for alone."""
@@ -82,13 +85,49 @@ def frictions(screened: Sequence[Screened], named: Sequence[Effect]) -> list[lis
     return [group for group in groups if len(group) > 1]
 
 
+def pairs(screened: Sequence[Screened], most: int) -> list[list[Screened]]:
+    """Group candidates of two kinds at one joint, which may explain only together.
+
+    Friction behind play, a gain beside a load friction: alone, either leaves the residual as large
+    as it was, or makes it larger.
+
+    Parameters
+    ----------
+    screened : sequence of Screened
+        Candidates, the most promising first.
+    most : int
+        Maximum number of groups.
+
+    Returns
+    -------
+    list of list of Screened
+        Pairs with the highest total predicted explained variance.
+    """
+    at: dict[int, list[Screened]] = {}
+    for each in screened:
+        joint = joint_of(each.effect)
+        kinds = {other.effect.kind for other in at.get(joint, [])} if joint is not None else set()
+        if joint is not None and each.effect.kind not in kinds and len(kinds) < _PAIRED:
+            at.setdefault(joint, []).append(each)
+    found = [list(pair) for there in at.values() for pair in combinations(there, 2)]
+    found.sort(key=lambda pair: -sum(each.predicted for each in pair))
+    return found[:most]
+
+
 _ALIKE = (
     ("command_delay", "actuator_lag", "joint_compliance", "sensor_delay"),
-    ("joint_compliance", "link_flexibility"),
+    ("joint_compliance", "link_flexibility", "base_compliance"),
     ("joint_compliance", "backlash", "structural_looseness"),
-    ("coulomb_friction", "stribeck_friction", "backlash"),
+    ("coulomb_friction", "stribeck_friction", "load_friction", "backlash"),
+    ("viscous_friction", "coulomb_friction", "load_friction", "actuator_gain"),
+    ("coulomb_friction", "load_friction", "asymmetric_friction", "joint_spring"),
+    ("dead_zone", "backlash", "coulomb_friction", "actuator_gain"),
+    ("torque_limit", "voltage_limit", "actuator_gain", "actuator_lag", "viscous_friction"),
+    ("torque_constant", "actuator_gain"),
+    ("gear_eccentricity", "encoder_offset", "sensor_gain", "joint_spring"),
     ("viscous_friction", "quadratic_drag", "actuator_gain", "actuator_lag"),
     ("payload", "link_mass", "link_com", "actuator_gain", "joint_spring", "rotor_inertia"),
+    ("payload", "link_mass", "link_com", "gravity_compensation", "joint_spring", "base_tilt"),
     ("base_tilt", "sensor_bias", "encoder_offset"),
     ("sensor_gain", "actuator_gain", "sensor_misalignment"),
 )

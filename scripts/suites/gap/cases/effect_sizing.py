@@ -224,8 +224,9 @@ class Visibility:
                 for at in rival.places(self.arm.figures):
                     if place.index in (-1, at.index) or drawn.get("other") == at.index:
                         columns += self._columns_of(rival, at)
-            self._kept[key] = np.stack(columns, axis=1)
-        return self._kept[key]
+            # none of them may be there: a wheel about the vertical has no zero that matters
+            self._kept[key] = np.stack(columns, axis=1) if columns else np.empty((0, 0))
+        return self._kept[key] if self._kept[key].size else None
 
     def _columns_of(self, kind: Kind, place: Place) -> list[Array]:
         """Changes of the readings with the free numbers of a kind, each of shape (features,)."""

@@ -12,7 +12,7 @@ import numpy as np
 from loose_env.recording import Run, write_recording
 from scripts.suites.gap.cases.cases import SEED, Case
 from scripts.suites.gap.cases.motions import Motion
-from scripts.suites.gap.cases.sensing import Signals, add_noise
+from scripts.suites.gap.cases.sensing import Signals, add_noise, rounded
 from scripts.suites.gap.effects.sensor import ACCELEROMETER
 from scripts.suites.gap.effects.types import FREE, INVERSE, RANDOM
 from scripts.suites.gap.simulator.build import FACTORS
@@ -26,9 +26,10 @@ FORMAT = "gap-truth/1"
 def runs_of(case: Case) -> list[Run]:
     """Readings of a case with noise."""
     runs = []
+    readings = case.arm.assemble()[1]
     for i, motion in enumerate(case.motions):
         rng = np.random.default_rng(np.random.SeedSequence([SEED, 2, case.number, i]))
-        signals = add_noise(case.arm.run(motion), case.noise, rng)
+        signals = rounded(add_noise(case.arm.run(motion), case.noise, rng), readings)
         runs.append(_run(case, motion, signals, f"run-{i + 1:02d}"))
     return runs
 

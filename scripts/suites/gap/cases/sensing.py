@@ -118,12 +118,28 @@ def read(trace: Trace, readings: Readings, *, inside: int = 1) -> Signals:
         columns[sensor] *= gain
     for sensor, bias in readings.bias.items():
         columns[sensor] += bias
-    return Signals(
-        position=position,
-        velocity=velocity,
-        acceleration=columns[ACCELEROMETER],
-        torque=trace.torque[::inside].copy(),
+    torque = trace.torque[::inside].copy()
+    for j, factor in readings.torque.items():
+        torque[:, j] *= factor
+    return rounded(
+        Signals(
+            position=position,
+            velocity=velocity,
+            acceleration=columns[ACCELEROMETER],
+            torque=torque,
+        ),
+        readings,
     )
+
+
+def rounded(signals: Signals, readings: Readings) -> Signals:
+    """Readings of coarse sensors at whole steps."""
+    position, velocity = signals.position.copy(), signals.velocity.copy()
+    for sensor, step in readings.step.items():
+        j = int(sensor.removeprefix("joint").split("_")[0]) - 1
+        column = position[:, j] if sensor.endswith("_pos") else velocity[:, j]
+        column[:] = step * np.round(column / step)
+    return dataclasses.replace(signals, position=position, velocity=velocity)
 
 
 def add_noise(signals: Signals, noise: Noise, rng: np.random.Generator) -> Signals:

@@ -20,6 +20,9 @@ from scripts.suites.gap.simulator.laws import (
     EXTRA,
     FRICTION,
     HERTZ,
+    LOADED,
+    LOADED_BUMP,
+    LOADED_SMOOTH,
     SMOOTH_SPEED,
     STIFFNESS,
 )
@@ -99,6 +102,11 @@ def steps_inside(system: System, figures: Figures, least: int) -> int:
         rate = law[DAMPING] + law[EXTRA]
         if law[FRICTION] > 0:
             rate += law[FRICTION] * (1 + law[BUMP]) / law[SMOOTH_SPEED]
+        if dof in system.joint_dofs:
+            drive = system.drives[joint]
+            if drive[LOADED] > 0:
+                slope = drive[LOADED] * (1 + drive[LOADED_BUMP]) / drive[LOADED_SMOOTH]
+                rate += 0.6 * limits[joint] * slope
         stiffness = law[STIFFNESS]
         if law[HERTZ] > 0:
             stiffness += 1.5 * law[HERTZ] * (load / law[HERTZ]) ** (1 / 3)

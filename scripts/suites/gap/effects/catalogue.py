@@ -25,13 +25,15 @@ CATALOGUE = (
     "joint_compliance", "backlash", "structural_looseness", "link_flexibility", "link_mass",
     "link_com", "payload", "rotor_inertia", "actuator_gain", "actuator_lag", "command_delay",
     "encoder_offset", "sensor_misalignment", "sensor_gain", "sensor_bias", "sensor_delay",
-    "base_tilt", "torque_ripple", "joint_spring",
+    "base_tilt", "torque_ripple", "joint_spring", "load_friction", "asymmetric_friction",
+    "torque_limit", "voltage_limit", "dead_zone", "gravity_compensation", "torque_constant",
+    "base_compliance", "gear_eccentricity", "sensor_quantisation",
 )  # fmt: skip
 """Identifiers of the catalogue."""
 
 
 OUTSIDE = (
-    "warming_friction", "cable_coupling", "shaking_force", "voltage_sag", "dead_zone",
+    "warming_friction", "cable_coupling", "shaking_force", "voltage_sag", "tight_spots",
     "drive_hysteresis",
 )  # fmt: skip
 """Effects that the catalogue does not have."""

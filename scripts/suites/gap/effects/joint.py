@@ -25,6 +25,7 @@ from scripts.suites.gap.simulator.arms import Figures
 from scripts.suites.gap.simulator.build import Factors, build
 from scripts.suites.gap.simulator.chain import felt_inertia, free_link
 from scripts.suites.gap.simulator.laws import (
+    ASYMMETRY,
     BUMP,
     CROSSLEY,
     DAMPING,
@@ -115,6 +116,23 @@ def _friction(
     law = _law(system, place)
     law[FRICTION], law[BUMP] = p["torque"], p["static_torque"] / p["torque"] - 1.0
     law[STRIBECK_SPEED], law[SMOOTH_SPEED] = p["speed"], p["smooth_speed"]
+
+
+def _draw_asymmetric(rng: np.random.Generator, figures: Figures, place: Place) -> Parameters:
+    drawn = _draw_coulomb(rng, figures, place)
+    return {**drawn, "side": float(rng.uniform(0.3, 0.8) * rng.choice([-1.0, 1.0]))}
+
+
+def _size_asymmetric(size: float, drawn: Parameters, figures: Figures, place: Place) -> Parameters:
+    sides = {"forward": size * (1 + drawn["side"]), "backward": size * (1 - drawn["side"])}
+    return {**_size_friction(size, drawn, figures, place), **sides}
+
+
+def _asymmetric(
+    system: System, readings: Readings, figures: Figures, place: Place, p: Parameters
+) -> None:
+    _friction(system, readings, figures, place, p)
+    _law(system, place)[ASYMMETRY] = p["forward"] / p["torque"] - 1.0
 
 
 def _drag(
@@ -274,6 +292,9 @@ KINDS = (
     Kind(name="torque_ripple", places=hinges, draw=_draw_ripple,
          bounds=_share_of_limit(2e-5, 0.1), size=scalar("amplitude"), apply=_ripple,
          forms=(FORWARD, INVERSE)),
+    Kind(name="asymmetric_friction", places=joints, draw=_draw_asymmetric,
+         bounds=_share_of_limit(2e-5, 0.12), size=_size_asymmetric, apply=_asymmetric,
+         rivals=("coulomb_friction",), forms=(FORWARD, INVERSE, FREE)),
     Kind(name="joint_spring", places=joints, draw=_draw_spring, bounds=_spring_bounds,
          size=scalar("stiffness"), apply=_spring, forms=(FORWARD, INVERSE, FREE)),
 )  # fmt: skip

@@ -24,7 +24,8 @@ from scripts.suites.gap.effects.types import (
 )
 from scripts.suites.gap.simulator.arms import Figures
 from scripts.suites.gap.simulator.build import Factors, build
-from scripts.suites.gap.simulator.chain import add_mass, free_link, split_link
+from scripts.suites.gap.simulator.chain import add_mass, free_base, free_link, split_link
+from scripts.suites.gap.simulator.dynamics import CARRIED
 from scripts.suites.gap.simulator.laws import DAMPING, FRICTION, SMOOTH_SPEED, STRIBECK_SPEED
 from scripts.suites.gap.simulator.simulate import System
 
@@ -192,6 +193,40 @@ def _tilt(
     system.gravity = rotation(-np.array([p["x"], p["y"], 0.0])) @ system.gravity
 
 
+def _carried(
+    system: System, readings: Readings, figures: Figures, place: Place, p: Parameters
+) -> None:
+    system.bodies[int(system.proximal[place.index]), CARRIED] += p["share"]
+
+
+_BASE_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
+
+
+def _draw_base(rng: np.random.Generator, figures: Figures, place: Place) -> Parameters:
+    return {
+        "axis": str(rng.choice(list("xy"))),
+        "damping_ratio": log_uniform(rng, 0.02, 0.1),
+        "stiffening": rng.uniform(0.0, 0.05),
+    }
+
+
+def _on_a_spring(
+    system: System, readings: Readings, figures: Figures, place: Place, p: Parameters
+) -> None:
+    dof = free_base(system, np.array(_BASE_AXES[p["axis"]]))
+    set_spring(system, dof, figures, 0.5 * figures.links[0].limit, p)
+
+
+def _base_bounds(figures: Figures, place: Place) -> tuple[float, float]:
+    system = build(figures, Factors.ones(figures.joints))
+    return spring_bounds(system, free_base(system, np.array(_BASE_AXES["y"])), figures)
+
+
+def _foot(figures: Figures) -> list[Place]:
+    # a base that rocks about the axis of its first joint is that joint on a spring
+    return _base(figures) if len(moved_axes(figures)) == 3 else []
+
+
 KINDS = (
     Kind(name="structural_looseness", places=links, draw=_draw_looseness,
          bounds=lambda figures, place: (2e-5, 5e-4), size=scalar("gap"), apply=_looseness,
@@ -208,5 +243,10 @@ KINDS = (
     Kind(name="base_tilt", places=_base, draw=_draw_tilt,
          bounds=lambda figures, place: (1e-5, 0.15), size=_size_tilt, apply=_tilt,
          forms=(FORWARD, INVERSE, FREE)),
+    Kind(name="gravity_compensation", places=links, draw=either_sign,
+         bounds=lambda figures, place: (1e-4, 0.9), size=scalar("share"), apply=_carried,
+         forms=(FORWARD, INVERSE, FREE)),
+    Kind(name="base_compliance", places=_foot, draw=_draw_base, bounds=_base_bounds,
+         size=_size_flexibility, apply=_on_a_spring, forms=(FORWARD, RANDOM)),
 )  # fmt: skip
 """Kinds of this file."""

@@ -11,7 +11,6 @@ from scripts.suites.gap.effects.types import (
     Parameters,
     Place,
     Readings,
-    actuators,
     hinges,
     joints,
     log_uniform,
@@ -19,8 +18,8 @@ from scripts.suites.gap.effects.types import (
 )
 from scripts.suites.gap.simulator.arms import Figures
 from scripts.suites.gap.simulator.laws import (
-    DEAD,
     FRICTION,
+    GRAIN,
     HYSTERESIS,
     SAG,
     SMOOTH_SPEED,
@@ -102,10 +101,17 @@ def _sag(system: System, readings: Readings, figures: Figures, place: Place, p: 
     system.drives[:, SAG] = p["sag"]
 
 
-def _dead(
+def _draw_tight(rng: np.random.Generator, figures: Figures, place: Place) -> Parameters:
+    return {"waves": float(rng.integers(3, 9)), "phase": rng.uniform(-np.pi, np.pi)}
+
+
+def _tight(
     system: System, readings: Readings, figures: Figures, place: Place, p: Parameters
 ) -> None:
-    system.drives[place.index, DEAD] = p["torque"]
+    # a bent shaft rubs in some angles and runs free in others
+    law = system.laws[int(system.drives[place.index, 0])]
+    law[FRICTION], law[GRAIN], law[GRAIN + 1] = p["torque"], p["waves"], p["phase"]
+    law[SMOOTH_SPEED], law[STRIBECK_SPEED] = 3e-3, 0.1
 
 
 def _draw_hysteresis(rng: np.random.Generator, figures: Figures, place: Place) -> Parameters:
@@ -136,9 +142,9 @@ KINDS = (
     Kind(name="voltage_sag", places=_all, draw=_draw_none,
          bounds=lambda figures, place: (1e-3, 2.0), size=scalar("sag"), apply=_sag,
          forms=(FORWARD,), group="outside", rivals=("actuator_gain",)),
-    Kind(name="dead_zone", places=actuators, draw=_draw_none, bounds=_torque(1e-5, 0.15),
-         size=scalar("torque"), apply=_dead, forms=(FORWARD,), group="outside",
-         rivals=("coulomb_friction", "actuator_gain")),
+    Kind(name="tight_spots", places=hinges, draw=_draw_tight, bounds=_torque(1e-4, 0.3),
+         size=scalar("torque"), apply=_tight, forms=(FORWARD,), group="outside",
+         rivals=("coulomb_friction", "asymmetric_friction")),
     Kind(name="drive_hysteresis", places=joints, draw=_draw_hysteresis,
          bounds=_torque(1e-5, 0.15), size=scalar("torque"), apply=_hysteresis, forms=(FORWARD,),
          group="outside", rivals=("coulomb_friction", "joint_spring")),

@@ -9,12 +9,14 @@ from scripts.suites.gap.effects.link import rotation
 from scripts.suites.gap.effects.types import (
     FORWARD,
     FREE,
+    INVERSE,
     RANDOM,
     Kind,
     Parameters,
     Place,
     Readings,
     either_sign,
+    joints,
     nothing,
     scalar,
 )
@@ -99,6 +101,26 @@ def _delay(
     readings.delay[place.name] = p["delay"]
 
 
+def _encoders(figures: Figures) -> list[Place]:
+    return [Place(name=f"joint{i + 1}_pos", index=i) for i in range(figures.joints)]
+
+
+def _round(
+    system: System, readings: Readings, figures: Figures, place: Place, p: Parameters
+) -> None:
+    readings.step[place.name] = p["step"]
+
+
+def _constant(
+    system: System, readings: Readings, figures: Figures, place: Place, p: Parameters
+) -> None:
+    readings.torque[place.index] = p["factor"]
+
+
+def _size_constant(size: float, drawn: Parameters, figures: Figures, place: Place) -> Parameters:
+    return {"factor": 1.0 + drawn["sign"] * size}
+
+
 KINDS = (
     Kind(name="sensor_misalignment", places=_accelerometer, draw=_draw_turn,
          bounds=lambda figures, place: (1e-5, 0.35), size=_size_turn, apply=_turn,
@@ -111,5 +133,11 @@ KINDS = (
     Kind(name="sensor_delay", places=_any, draw=nothing,
          bounds=lambda figures, place: (LEAST_TIME, 0.04), size=scalar("delay"), apply=_delay,
          forms=(FORWARD, RANDOM)),
+    Kind(name="torque_constant", places=joints, draw=either_sign,
+         bounds=lambda figures, place: (0.005, 0.5), size=_size_constant, apply=_constant,
+         forms=(INVERSE,)),
+    Kind(name="sensor_quantisation", places=_encoders, draw=nothing,
+         bounds=lambda figures, place: (1e-4, 0.05), size=scalar("step"), apply=_round,
+         forms=(FORWARD,)),
 )  # fmt: skip
 """Kinds of this file."""

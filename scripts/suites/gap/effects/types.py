@@ -34,6 +34,10 @@ class Readings:
     """Constant by sensor, of shape (1,) or (3,)."""
     delay: dict[str, float] = dataclasses.field(default_factory=dict)
     """Delay by sensor [s]."""
+    step: dict[str, float] = dataclasses.field(default_factory=dict)
+    """Step by sensor, to which its readings are rounded, noise and all."""
+    torque: dict[int, float] = dataclasses.field(default_factory=dict)
+    """Measured over true torque by number of the drive."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

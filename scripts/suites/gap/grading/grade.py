@@ -41,6 +41,16 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "base_tilt": ("x", "y"),
     "torque_ripple": ("amplitude",),
     "joint_spring": ("stiffness",),
+    "load_friction": ("share",),
+    "asymmetric_friction": ("forward", "backward"),
+    "torque_limit": ("limit",),
+    "voltage_limit": ("stall_torque",),
+    "dead_zone": ("width",),
+    "gravity_compensation": ("share",),
+    "torque_constant": ("factor",),
+    "base_compliance": ("stiffness",),
+    "gear_eccentricity": ("sine", "cosine"),
+    "sensor_quantisation": ("step",),
 }
 """Parameters by which an effect is judged; those of a kind make one vector."""
 SAID: Mapping[str, Mapping[str, str]] = {
@@ -50,7 +60,7 @@ SAID: Mapping[str, Mapping[str, str]] = {
     "sensor_bias": {axis: f"bias_{axis}" for axis in "xyz"},
 }
 """Name of a parameter in a result, where it is not that of the truth."""
-NEUTRAL = {"gain": 1.0}
+NEUTRAL = {"gain": 1.0, "factor": 1.0}
 """Values that change nothing; an error is judged against the distance from them."""
 OTHERS: Mapping[str, Mapping[str, Callable[[Mapping[str, Any]], float]]] = {
     "stribeck_friction": {
@@ -60,6 +70,7 @@ OTHERS: Mapping[str, Mapping[str, Callable[[Mapping[str, Any]], float]]] = {
     "link_flexibility": {"position": lambda p: p["position"]},
     "structural_looseness": {"friction": lambda p: p["friction"]},
     "joint_spring": {"reference": lambda p: p["reference"]},
+    "voltage_limit": {"no_load_speed": lambda p: p["no_load_speed"]},
     "torque_ripple": {"periods": lambda p: p["order"], "phase": lambda p: p["phase"]},
 }
 """Further parameters of a result that mean the same in the truth: what they are there. Damping and
@@ -81,6 +92,20 @@ LISTED: frozenset[frozenset[str]] = frozenset(
         ("sensor_delay", "command_delay"),
         ("joint_compliance", "link_flexibility"),
         ("actuator_lag", "command_delay"),
+        ("torque_constant", "actuator_gain"),
+        ("gravity_compensation", "link_mass"),
+        ("gravity_compensation", "link_com"),
+        ("gravity_compensation", "payload"),
+        ("gravity_compensation", "joint_spring"),
+        ("gravity_compensation", "base_tilt"),
+        ("asymmetric_friction", "coulomb_friction"),
+        ("asymmetric_friction", "joint_spring"),
+        ("load_friction", "coulomb_friction"),
+        ("load_friction", "actuator_gain"),
+        ("torque_limit", "voltage_limit"),
+        ("gear_eccentricity", "encoder_offset"),
+        ("gear_eccentricity", "joint_spring"),
+        ("base_compliance", "joint_compliance"),
     )
 )
 """Pairs of kinds that data may not separate; for these the alternative is fitted and judged."""

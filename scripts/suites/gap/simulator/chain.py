@@ -53,6 +53,26 @@ def free_link(system: System, link: int, kind: str, axis: Array) -> int:
     return at + 1
 
 
+def free_base(system: System, axis: Array) -> int:
+    """Set the whole arm on a hinge through the world's origin.
+
+    Parameters
+    ----------
+    system : System
+        Changed in place.
+    axis : Array
+        Unit vector in the world, of shape (3,).
+
+    Returns
+    -------
+    int
+        The extra degree of freedom, whose laws are empty.
+    """
+    base = body_row("hinge", axis, np.zeros(3), 0.0, np.zeros(3), np.zeros((3, 3)), 0.0)
+    _insert(system, 0, base, np.zeros(LAWS))
+    return 0
+
+
 def split_link(system: System, link: int, point: Array, axis: Array, share: float) -> int:
     """Cut a link in two at a point and join the parts by a hinge; mass and inertia are kept.
 

@@ -15,6 +15,8 @@ BODY = 24
 KIND, AXIS, OFFSET, MASS, COM, INERTIA, ARMATURE = 0, 1, 4, 7, 8, 11, 20
 """First columns: kind (0 hinge, 1 slide), axis (3), offset (3), mass, centre of mass (3), inertia
 matrix by rows (9), rotor inertia."""
+CARRIED = 21
+"""Column of the share of a body's weight that something else carries."""
 
 WORK = 40
 """Length of a body's row of working space."""
@@ -248,6 +250,20 @@ def add_tool_force(work, tool, local, force):  # type: ignore[no-untyped-def]
     fz = s[6] * local[0] + s[7] * local[1] + s[8] * local[2]
     nx, ny, nz = py * fz - pz * fy, pz * fx - px * fz, px * fy - py * fx
     for k in range(n):
+        t = work[k]
+        force[k] += t[12] * nx + t[13] * ny + t[14] * nz + t[15] * fx + t[16] * fy + t[17] * fz
+
+
+@njit(cache=True, fastmath=False)
+def add_weight(bodies, work, body, share, gravity, force):  # type: ignore[no-untyped-def]
+    """Add the joint forces of a share of a body's weight, at its centre of mass, to `force`."""
+    s, b = work[body], bodies[body]
+    px = s[9] + s[0] * b[8] + s[1] * b[9] + s[2] * b[10]
+    py = s[10] + s[3] * b[8] + s[4] * b[9] + s[5] * b[10]
+    pz = s[11] + s[6] * b[8] + s[7] * b[9] + s[8] * b[10]
+    fx, fy, fz = share * b[7] * gravity[0], share * b[7] * gravity[1], share * b[7] * gravity[2]
+    nx, ny, nz = py * fz - pz * fy, pz * fx - px * fz, px * fy - py * fx
+    for k in range(body + 1):
         t = work[k]
         force[k] += t[12] * nx + t[13] * ny + t[14] * nz + t[15] * fx + t[16] * fy + t[17] * fz
 

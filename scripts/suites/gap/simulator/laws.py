@@ -25,14 +25,26 @@ RIPPLE, ORDER, PHASE, SECOND = 15, 16, 17, 18
 """Amplitude, periods per unit of travel times 2 pi, phase, share of the second harmonic."""
 HYSTERESIS, STROKE = 19, 20
 """Torque of the hysteresis and the travel over which it turns."""
-LAWS = 22
+ASYMMETRY = 22
+"""Excess of the friction in the positive direction over the mean of both directions."""
+GRAIN = 23
+"""Waves per turn by which the friction varies from none to twice its mean (0: not); their phase."""
+LAWS = 25
 
 # Columns of an actuator's row.
 DOF, KP, KV, LIMIT, GAIN, LAG, DELAY, OFFSET, DEAD, SAG = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 """Driven degree of freedom, gains, largest torque, torque over commanded torque, time constant
-and delay of the command, error of the encoder, dead zone of the torque, fall of the gain with
-the load of all drives."""
-ACTUATOR = 10
+and delay of the command, error of the encoder, dead zone of the position error, fall of the gain
+with the load of all drives."""
+LOADED, LOADED_BUMP, LOADED_SPEED, LOADED_SMOOTH = 10, 11, 12, 13
+"""Friction of the gear over the torque of the drive; static over that, minus one; Stribeck speed;
+width of the tangent."""
+BACK_EMF = 14
+"""Part of the velocity gain that is the motor's back-EMF: it acts beyond the limit of the torque,
+which is that of the voltage."""
+ECCENTRIC_SINE, ECCENTRIC_COSINE = 15, 16
+"""Error of the encoder that is periodic in the turn of the joint."""
+ACTUATOR = 17
 
 
 @njit(cache=True, fastmath=False)
@@ -60,7 +72,10 @@ def joint_force(law, q, v, z, time):  # type: ignore[no-untyped-def]
         fade = 1.0
         if law[6] > 0.0 and time > 0.0:
             fade = np.exp(-time / law[6])
-        force -= law[2] * fade * (1.0 + bump) * np.tanh(v / law[5])
+        side = 1.0 + law[22] if v > 0.0 else 1.0 - law[22]
+        if law[23] != 0.0:
+            fade *= 1.0 + np.cos(law[23] * q + law[24])
+        force -= law[2] * fade * side * (1.0 + bump) * np.tanh(v / law[5])
     if law[8] != 0.0:
         x = q - law[9]
         force -= law[8] * x * (1.0 + law[10] * x * x)
@@ -84,18 +99,35 @@ def joint_force(law, q, v, z, time):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=False)
+def encoder(row, q):  # type: ignore[no-untyped-def]
+    """Error of an encoder and its derivative by the angle, of a wheel that turns off its centre."""
+    error = row[7] + row[15] * np.sin(q) + row[16] * np.cos(q)
+    return error, row[15] * np.cos(q) - row[16] * np.sin(q)
+
+
+@njit(cache=True, fastmath=False)
 def drive_torque(row, command, q, v):  # type: ignore[no-untyped-def]
-    """Torque that a drive asks for: position servo, limit and dead zone."""
-    torque = row[1] * (command - q - row[7]) - row[2] * v
+    """Torque that a drive asks for: position servo with a dead zone, and the limit of its motor."""
+    error, slope = encoder(row, q)
+    error = command - q - error
+    if row[8] > 0.0:
+        if error > row[8]:
+            error -= row[8]
+        elif error < -row[8]:
+            error += row[8]
+        else:
+            error = 0.0
+    torque = row[1] * error - (row[2] - row[14]) * v * (1.0 + slope)
     if torque > row[3]:
         torque = row[3]
     elif torque < -row[3]:
         torque = -row[3]
-    if row[8] > 0.0:
-        if torque > row[8]:
-            torque -= row[8]
-        elif torque < -row[8]:
-            torque += row[8]
-        else:
-            torque = 0.0
-    return torque
+    return torque - row[14] * v
+
+
+@njit(cache=True, fastmath=False)
+def gear_friction(row, torque, v):  # type: ignore[no-untyped-def]
+    """Friction of teeth under the load of a drive's torque, against the motion."""
+    x = v / row[12]
+    size = row[10] * abs(torque) * (1.0 + row[11] * np.exp(-x * x))
+    return -size * np.tanh(v / row[13])

@@ -13,12 +13,20 @@ from scripts.suites.gap.simulator.dynamics import (
     BODY,
     WORK,
     add_tool_force,
+    add_weight,
     forward,
     mass_and_bias,
     solve,
     tool_acceleration,
 )
-from scripts.suites.gap.simulator.laws import ACTUATOR, LAWS, drive_torque, joint_force
+from scripts.suites.gap.simulator.laws import (
+    ACTUATOR,
+    LAWS,
+    drive_torque,
+    encoder,
+    gear_friction,
+    joint_force,
+)
 
 SAMPLE = 1e-3
 """Time between two samples [s]."""
@@ -101,7 +109,14 @@ def _derivative(  # type: ignore[no-untyped-def]
             torque[j] = drive_torque(drives[j], target, q[k], v[k])
         load += abs(torque[j]) / drives[j, 3]
     for j in range(drives.shape[0]):
-        force[int(drives[j, 0])] += torque[j] * drives[j, 4] / (1.0 + drives[j, 9] * load)
+        k = int(drives[j, 0])
+        given = torque[j] * drives[j, 4] / (1.0 + drives[j, 9] * load)
+        force[k] += given
+        if drives[j, 10] > 0.0:
+            force[k] += gear_friction(drives[j], given, v[k])
+    for k in range(n):
+        if bodies[k, 21] != 0.0:
+            add_weight(bodies, work, k, -bodies[k, 21], gravity, force)
     if cable[3] != 0.0:
         i, j = int(cable[0]), int(cable[1])
         pull = cable[3] * (q[i] + cable[2] * q[j] - cable[4])
@@ -169,8 +184,9 @@ def _run(  # type: ignore[no-untyped-def]
             tool_acceleration(work, tool, a[0], acceleration)
             for j in range(n):
                 k = int(drives[j, 0])
-                out[row, j] = q[k] + drives[j, 7]
-                out[row, n + j] = v[k]
+                error, slope = encoder(drives[j], q[k])
+                out[row, j] = q[k] + error
+                out[row, n + j] = v[k] * (1.0 + slope)
                 out[row, 2 * n + 3 + j] = torque[j]
             out[row, 2 * n] = acceleration[0]
             out[row, 2 * n + 1] = acceleration[1]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-__all__ = ["add_cogging", "add_limited_damper", "make_it_stick"]
+__all__ = ["add_cogging", "add_constant", "add_limited_damper", "make_it_stick"]
 
 _STIFF = 0.9999  # MuJoCo's largest constraint impedance
 _OPEN_CIRCUIT = 1e12
@@ -27,6 +27,23 @@ def add_cogging(spec: mujoco.MjSpec, joint: str, name: str, cogging: Sequence[fl
         Amplitude A [N·m], N and phase of the torque A sin(N q + phase).
     """
     _drive(spec, joint, name, cogging=list(np.asarray(cogging, dtype=float)))
+
+
+def add_constant(spec: mujoco.MjSpec, joint: str, name: str, torque: float) -> None:
+    """Add a constant torque [N·m] or force [N] on a joint.
+
+    Parameters
+    ----------
+    spec : MjSpec
+        The model.
+    joint, name : str
+        The joint; the added actuator.
+    torque : float
+        In the joint's direction.
+    """
+    drive = _drive(spec, joint, name)
+    drive.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    drive.biasprm = [torque, *np.zeros(9)]
 
 
 def add_limited_damper(
@@ -74,7 +91,7 @@ def _drive(
     return drive
 
 
-def make_it_stick(joint: mujoco.MjsJoint, step: float) -> None:
-    """Set a joint's friction to the largest stiffness that is stable at a step [s]."""
+def make_it_stick(joint: mujoco.MjsJoint | mujoco.MjsTendon, step: float) -> None:
+    """Set a joint's or tendon's friction to the largest stiffness stable at a step [s]."""
     joint.solimp_friction = [_STIFF, _STIFF, 0.001, 0.5, 2]
     joint.solref_friction = [2 * step, 1.0]

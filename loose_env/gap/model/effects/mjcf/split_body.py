@@ -12,7 +12,7 @@ from loose_env.gap.model.effects.mjcf.joint_effect import added_name
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-__all__ = ["keep_from_touching", "move_children", "move_geoms", "move_sites"]
+__all__ = ["insert_first", "keep_from_touching", "move_children", "move_geoms", "move_sites"]
 
 
 _MOVED = "moved_"
@@ -116,6 +116,16 @@ def move_geoms(spec: mujoco.MjSpec, old: mujoco.MjsBody, new: mujoco.MjsBody, al
             _move(spec, geom, new.add_geom(), {"fromto": (ends - here).ravel()})
         else:
             _move(spec, geom, new.add_geom(), {"pos": place - here, "quat": geom.quat})
+
+
+def insert_first(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:
+    """Move a joint of a body before its others, which MuJoCo's order of creation does not allow.
+
+    The others are copied behind it; references by name are kept.
+    """
+    for joint in list(body.joints):
+        if joint.name != name:
+            _move(spec, joint, body.add_joint(), {"pos": np.array(joint.pos)})
 
 
 def keep_from_touching(spec: mujoco.MjSpec, near: mujoco.MjsBody, far: mujoco.MjsBody) -> None:

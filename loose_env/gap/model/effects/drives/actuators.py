@@ -14,11 +14,19 @@ from loose_env.gap.model.nominal_model import NominalModel, history_for
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["ActuatorGain", "ActuatorLag", "CommandDelay", "clamped", "held_delay"]
+__all__ = [
+    "BIASES",
+    "GAINS",
+    "ActuatorGain",
+    "ActuatorLag",
+    "CommandDelay",
+    "clamped",
+    "held_delay",
+]
 
 
-_GAINS = (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_AFFINE)
-_BIASES = (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
+GAINS = (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_AFFINE)
+BIASES = (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 class ActuatorGain(Effect):
@@ -38,8 +46,8 @@ class ActuatorGain(Effect):
     def places(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return actuators whose force is linear in command, position and speed."""
         model = machine.model
-        linear = np.isin(model.actuator_gaintype, [int(g) for g in _GAINS])
-        linear &= np.isin(model.actuator_biastype, [int(b) for b in _BIASES])
+        linear = np.isin(model.actuator_gaintype, [int(g) for g in GAINS])
+        linear &= np.isin(model.actuator_biastype, [int(b) for b in BIASES])
         return tuple(n for k, n in enumerate(machine.actuators) if n and linear[k])
 
     @classmethod

@@ -1,0 +1,153 @@
+"""Limits of drives: of the torque, and of the voltage with back-EMF."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.drives.actuators import BIASES, GAINS
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
+
+__all__ = ["TorqueLimit", "VoltageLimit"]
+
+
+_LOWEST = 0.02
+"""Lowest limit that is tried, over the typical torque."""
+_HIGHEST = 20.0
+"""Highest one of a drive whose model has none."""
+_STARTS = (0.4, 0.8, 1.5, 2.5)
+"""Limits from which fits start."""
+_SPEEDS = (1.5, 4.0)
+"""No-load speeds from which fits start, over the typical speed."""
+
+
+class _Limit(Effect):
+    """A limit of the drive of one joint, its force linear in command, position and speed."""
+
+    acts_on: ClassVar[str] = "actuator"
+
+    @classmethod
+    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return drives of a joint without states of their own."""
+        model = machine.model
+        linear = np.isin(model.actuator_gaintype, [int(g) for g in GAINS])
+        linear &= np.isin(model.actuator_biastype, [int(b) for b in BIASES])
+        return tuple(
+            n
+            for k, n in enumerate(machine.actuators)
+            if n and linear[k] and n in machine.actuated_joint
+        )
+
+    @property
+    def _number(self) -> int:
+        return self.machine.actuators.index(self.where)
+
+    @property
+    def _joint(self) -> str:
+        return self.machine.actuated_joint[self.where]
+
+    @property
+    def _gear(self) -> float:
+        return abs(float(self.machine.model.actuator_gear[self._number, 0])) or 1.0
+
+    def _limit(self, name: str) -> Parameter:
+        """Largest force of the actuator, at most that of the model."""
+        model, usual = self.machine.model, self.machine.load(self._joint) / self._gear
+        high = _HIGHEST * usual
+        if model.actuator_forcelimited[self._number]:
+            high = float(np.max(np.abs(model.actuator_forcerange[self._number])))
+        unit = "N·m" if self.machine.turns(self._joint) else "N"
+        return Parameter(
+            name=name, unit=unit, low=min(_LOWEST * usual, 0.5 * high), high=high, scale=usual,
+            log=True,
+        )  # fmt: skip
+
+    def _set(self, spec: mujoco.MjSpec, limit: float) -> mujoco.MjsActuator:
+        """Set the limit of a spec's actuator."""
+        actuator = spec.actuator(self.where)
+        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        actuator.forcerange = [-limit, limit]
+        return actuator
+
+
+class TorqueLimit(_Limit):
+    """Limit of a drive's torque, below that of the model: saturation of its current."""
+
+    kind = "torque_limit"
+    limit: ClassVar[tuple[tuple[str, str], ...]] = (("limit", "high"),)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Largest force of the actuator; on the joint it is that times its gear."""
+        return (self._limit("limit"),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts around the typical torque."""
+        (limit,) = self.parameters
+        found = dict.fromkeys(
+            limit.clipped(min(s * limit.scale, 0.8 * limit.high)) for s in _STARTS
+        )
+        return tuple((value,) for value in found)
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Set the actuator's force range."""
+        self._set(spec, float(values[0]))
+
+
+class VoltageLimit(_Limit):
+    """Limit of a drive's voltage: its largest torque falls with speed, by the back-EMF.
+
+    At standstill the force is at most ``stall_torque``, at speed v at most
+    ``stall_torque (1 - v / no_load_speed)`` in the direction of motion, and more against it. A
+    voltage that is not at its limit compensates for the back-EMF as the servo's gains do.
+    """
+
+    kind = "voltage_limit"
+    limit: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("stall_torque", "high"),
+        ("no_load_speed", "high"),
+    )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Largest force at standstill; speed of the actuator at which none is left."""
+        usual = self.machine.speed(self._joint) * self._gear
+        unit = "rad/s" if self.machine.turns(self._joint) else "m/s"
+        speed = Parameter(
+            name="no_load_speed", unit=unit, low=0.2 * usual, high=50 * usual, scale=usual, log=True
+        )
+        return (self._limit("stall_torque"), speed)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts around the typical torque and speed."""
+        stall, speed = self.parameters
+        found = dict.fromkeys(
+            stall.clipped(min(s * stall.scale, 0.8 * stall.high)) for s in _STARTS
+        )
+        return tuple((value, s * speed.scale) for value in found for s in _SPEEDS)
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Limit the force without back-EMF, which acts beyond the limit as the actuator's damping.
+
+        With stall torque T and back-EMF b v, clipping a force f to ± T - b v is the same as
+        clipping f + b v to ± T and taking b v off again.
+        """
+        stall, free = float(values[0]), float(values[1])
+        actuator = self._set(spec, stall)
+        back = stall / free
+        bias = np.array(actuator.biasprm)
+        if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
+            bias[:3] = 0.0
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        bias[2] += back
+        actuator.biasprm = bias
+        damping = np.array(actuator.damping)
+        damping[0] += back
+        actuator.damping = damping

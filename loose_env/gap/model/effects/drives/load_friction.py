@@ -1,0 +1,113 @@
+"""Friction that grows with the torque through the gear."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from loose_env.gap.model.driven_effect import DrivenEffect
+from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect
+from loose_env.gap.model.effects.mjcf.passive_actuators import make_it_stick
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
+
+__all__ = ["LoadFriction"]
+
+
+_TRACE = 1e-9
+"""Friction loss that a joint gets, so that it has a friction at all, over its typical torque."""
+_LEAST = 1e-3
+"""Smallest share of a load friction with a Stribeck peak."""
+_START_SPEED = 0.3
+"""Stribeck speed from which fits start, over the typical speed."""
+
+
+class LoadFriction(DrivenEffect, JointEffect):
+    """Friction proportional to the drive's torque on the joint, as of teeth under load.
+
+    Dry friction ``share · |drive torque|``, beside that of the joint itself. Variant "stribeck":
+    ``share · |drive torque| · (1 + (static_ratio - 1) exp(-(v / speed)²))``. A share of s is a gear
+    efficiency of 1 - s when the drive moves the load; from s = 0.5 on no load moves the drive.
+
+    References
+    ----------
+    Duclusaud et al., Extended friction models for the physics simulation of servo actuators
+    (2025): models M3 and M4, of the drive's part of the load.
+    """
+
+    kind = "load_friction"
+    sharp: ClassVar[bool] = True
+    variants: ClassVar[tuple[str, ...]] = ("", "stribeck")
+
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        if self.variant:
+            self.limit = (("share", "low"),)  # type: ignore[misc]
+        else:
+            self.nothing = (0.0,)  # type: ignore[misc]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Friction over drive torque; with a Stribeck peak also its height and speed."""
+        if not self.variant:
+            return (Parameter(name="share", unit="", low=0.0, high=0.95, scale=0.1),)
+        return (
+            Parameter(name="share", unit="", low=_LEAST, high=0.95, scale=0.1, log=True),
+            Parameter(
+                name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5, centre=1.0, spread=4.0
+            ),
+            Parameter(
+                name="speed",
+                unit=f"{self.angle_unit}/s",
+                low=1e-3 * self.speed,
+                high=2.0 * self.speed,
+                scale=0.1 * self.speed,
+                log=True,
+                centre=_START_SPEED * self.speed,
+                spread=2.0,
+            ),
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: of a good gear and of a hobby servo's."""
+        if not self.variant:
+            return ((0.08,), (0.4,))
+        return ((0.08, 1.5, _START_SPEED * self.speed), (0.4, 1.5, _START_SPEED * self.speed))
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Give the joint a trace of dry friction, whose size follows the load step by step."""
+        if values[0] == 0:
+            return
+        joint = spec.joint(self.where)
+        joint.frictionloss = max(joint.frictionloss, _TRACE * self.load)
+        make_it_stick(joint, spec.option.timestep)
+
+    def dry_friction(self, drive: Array, speed: Array, values: Array) -> Array:
+        """Share of the drive's torque."""
+        joint = self.machine.joint_number(self.where)
+        found = np.zeros_like(drive)
+        found[..., joint] = self._share(speed[..., joint], values) * np.abs(drive[..., joint])
+        return found
+
+    def _share(self, speed: Array, values: Array) -> Array | float:
+        if not self.variant:
+            return float(values[0])
+        share, ratio, slow = (float(v) for v in values)
+        return np.asarray(share * (1 + (ratio - 1) * np.exp(-((speed / slow) ** 2))))
+
+    def friction_code(self, values: Array) -> str:
+        """Python line: the share of the drive's torque at that speed."""
+        joint = self.machine.joint_number(self.where)
+        share = repr(float(values[0]))
+        if self.variant:
+            ratio, slow = float(values[1]), float(values[2])
+            share += f" * (1 + {ratio - 1!r} * np.exp(-((speed[{joint}] / {slow!r}) ** 2)))"
+        return f"friction[{joint}] += {share} * abs(drive[{joint}])"
+
+    def resistance(self, speed: float, values: Array) -> float:
+        """Resistance under the joint's typical torque."""
+        return float(self._share(np.asarray(speed), values)) * self.load
