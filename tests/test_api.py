@@ -47,7 +47,7 @@ def explained(moved: Path) -> GapReport:
 
 
 def test_a_diagnosis_shows_headline_table_and_next_steps(diagnosed: DiagnosisReport) -> None:
-    assert diagnosed.headline == "Probably link 3 (forearm) is loose."
+    assert diagnosed.headline == "Link 3 (forearm) is loose."
     assert diagnosed.fault.where == "forearm" and diagnosed.probability > 0.9
     assert sum(diagnosed.posterior.values()) == pytest.approx(1.0)
     first, heads, row, *others = repr(diagnosed).splitlines()
@@ -55,7 +55,7 @@ def test_a_diagnosis_shows_headline_table_and_next_steps(diagnosed: DiagnosisRep
     assert "Link 3 (forearm) is loose" in row and "%" in row and "°" in row
     assert any(line.startswith("next: ") for line in others)
     shown = diagnosed._repr_html_()
-    assert shown.startswith("<p><strong>Probably link 3 (forearm) is loose.</strong></p>")
+    assert shown.startswith("<p><strong>Link 3 (forearm) is loose.</strong></p>")
     assert "<svg" in shown and shown.count("<table>") == shown.count("</table>") == 1
 
 

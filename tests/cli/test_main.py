@@ -105,7 +105,7 @@ def test_plan_and_diagnosis_print_the_content_of_their_files(
     said = capsys.readouterr()
     assert json.loads(said.out) == read(tmp_path / "found" / "result.json")
     assert json.loads(said.out)["fault"]["where"] == "forearm"
-    assert "Probably link 3 (forearm) is loose." in said.err and "written: " in said.err
+    assert "Link 3 (forearm) is loose." in said.err and "written: " in said.err
 
 
 def read(path: Path) -> dict[str, Any]:

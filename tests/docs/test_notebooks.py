@@ -56,9 +56,9 @@ def test_the_three_lines_show_the_loose_link_and_the_missing_friction(home: Path
     three, values, gap, written = executed(ROOT / "docs/notebooks/three_lines.ipynb", home)
     assert len([line for line in three.source.splitlines() if line]) == 3
     (diagnosis,) = shown(three)
-    assert "<strong>Probably link 3 (forearm) is loose.</strong>" in diagnosis["text/html"]
+    assert "<strong>Link 3 (forearm) is loose.</strong>" in diagnosis["text/html"]
     assert "<svg" in diagnosis["text/html"] and "<table>" in diagnosis["text/html"]
-    assert diagnosis["text/plain"].startswith("Probably link 3 (forearm) is loose.\n")
+    assert diagnosis["text/plain"].startswith("Link 3 (forearm) is loose.\n")
     assert "'forearm'" in shown(values)[0]["text/plain"]
     assert "dry friction (joint2)" in shown(gap)[0]["text/html"]
     assert "model.xml" in shown(written)[0]["text/plain"]

@@ -119,7 +119,7 @@ def test_after_a_run_stand_the_probabilities_by_the_runs_up_to_it(
     assert steps[3] == pytest.approx(dict(whole.posterior), abs=1e-12)
     true = "structural_looseness@link2" if kind == "slide" else "healthy"
     assert all(sum(step.values()) == pytest.approx(1.0) for step in steps[1:])
-    assert steps[1][true] < steps[3][true]
+    assert steps[1][true] <= steps[3][true]  # both may be as sure as a probability can be
 
 
 def test_play_is_told_from_a_slide(tmp_path: Path) -> None:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from loose_env.gap.model.effects.actuators import ActuatorGain, ActuatorLag, CommandDelay
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.backlash import Backlash
+from loose_env.gap.model.effects.drives.actuators import ActuatorGain, ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.drivetrain import RotorInertia
 from loose_env.gap.model.effects.friction import (
     CoulombFriction,
