@@ -84,4 +84,5 @@ class DeadZone(DrivenEffect):
         if self._limited:
             low, high = (float(v) for v in self._limits)
             limited = f"command[{number}] = np.clip(command[{number}], {low!r}, {high!r})\n"
-        return f"{limited}command[{number}] -= np.clip({error}, {-width!r}, {width!r})"
+        named = f"# dead zone of {self.where}\n"
+        return f"{named}{limited}command[{number}] -= np.clip({error}, {-width!r}, {width!r})"
