@@ -57,9 +57,13 @@ class ModelComparison:
 
     @property
     def misfit(self) -> float:
-        """Share of the suspect runs' accelerations that the best fit leaves unexplained [1]."""
+        """Share of a suspect run's accelerations that the best fit leaves unexplained [1].
+
+        That of the worst run: an arm of which the model cannot explain one run is not its own.
+        """
         best = max(self.fits.values(), key=lambda fit: fit.evidence)
-        return _mean_misfit(best, [one.number for one in self.lines if not one.healthy])
+        suspect = [one.number for one in self.lines if not one.healthy]
+        return max((best.runs[run].misfit for run in suspect if run in best.runs), default=0.0)
 
     def after(self, runs: Collection[int]) -> dict[str, float]:
         """Probabilities by some of the runs, at the parameters that all runs together have.
@@ -168,11 +172,6 @@ def _as_sampled(lines: Lines, sampled: float, folded: float) -> Lines:
     if beside is not None:
         beside = replace(beside, sampled=sampled, folded=folded)
     return replace(lines, sampled=sampled, folded=folded, beside=beside)
-
-
-def _mean_misfit(fit: Fit, runs: Collection[int]) -> float:
-    values = [fit.runs[number].misfit for number in runs if number in fit.runs]
-    return float(np.mean(values)) if values else 0.0
 
 
 def posterior_of(

@@ -51,7 +51,7 @@ def verdict_of(
     misfit = comparison.misfit
     if misfit > MISMATCH:
         blocked.append(
-            f"the model leaves {misfit:.0%} of the tool's motion unexplained; at most "
+            f"the model leaves {misfit:.0%} of the tool's motion in a run unexplained; at most "
             f"{MISMATCH:.0%} is allowed"
         )
     blocked += [f"{each.words}; it was corrected by an estimate" for each in clocks if each.noted]
