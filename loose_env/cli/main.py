@@ -168,7 +168,7 @@ def _usage(own: argparse.ArgumentParser) -> str:
     words = [own.prog]
     for action in own._actions:
         if action.required:
-            metavar = str(action.metavar)
+            metavar = "|".join(action.choices) if action.choices else str(action.metavar)
             given = f"{metavar} [{metavar} ...]" if action.nargs == "+" else metavar
             words.append(" ".join([*action.option_strings[:1], given]))
     return " ".join([*words, "[options]"])

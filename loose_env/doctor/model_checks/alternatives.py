@@ -57,8 +57,6 @@ from loose_env.doctor.thresholds import (
 
 __all__ = ["check_alternatives"]
 
-_MADE_UP = "effects found would make up for it"
-
 
 @dataclass(frozen=True, kw_only=True)
 class _Alternative:
@@ -105,17 +103,28 @@ def check_alternatives(
     best = good[0]
     others = [a.words for a in good[1:4] if a.left <= ALIKE_SHARE * max(best.left, 1e-3)]
     also = f"; {' and '.join(others)} explain{'s' * (len(others) == 1)} it alike" if others else ""
-    yield Finding(
+    yield _finding(
         check=best.check,
-        severity="error",
         channel=best.channel,
         found=f"{best.words}: the model then leaves {best.left:.1%} of the torques' variance, as "
         f"recorded {as_is:.0%}{also}",
         value=best.left,
-        unit="1",
-        consequence=_MADE_UP,
-        remedy=f"check it at the machine; --fix DIR writes the recording with {best.fix.words}",
         fix=best.fix,
+    )
+
+
+def _finding(*, check: str, channel: str, found: str, value: float, fix: Correction) -> Finding:
+    """Error that a correction of the recording mends."""
+    return Finding(
+        check=check,
+        severity="error",
+        channel=channel,
+        found=found,
+        value=value,
+        unit="1",
+        consequence="effects found would make up for it",
+        remedy=f"check it at the machine; --fix DIR writes the recording with {fix.words}",
+        fix=fix,
     )
 
 
@@ -137,16 +146,12 @@ def _by_factors(
         return
     for joint, factor in found.items():
         fix = Correction(kind="scale", columns=(positions[joint],), factor=factor)
-        yield Finding(
+        yield _finding(
             check="units" if factor > 0 else "sign",
-            severity="error",
             channel=positions[joint],
             found=f"multiplied by {factor:.4g}, the model leaves {corrected:.1%} of the torques' "
             f"variance, as recorded {as_is:.0%}",
             value=factor,
-            unit="1",
-            consequence=_MADE_UP,
-            remedy=f"check it at the machine; --fix DIR writes the recording with {fix.words}",
             fix=fix,
         )
 
@@ -359,15 +364,11 @@ def _exchanged_servos(machine: Machine, runs: Runs) -> Iterator[Finding]:
         if across < FOLLOWS_OTHER or straight > FOLLOWS_OWN:
             continue
         fix = Correction(kind="exchange", columns=(columns[a], columns[b]))
-        yield Finding(
+        yield _finding(
             check="names",
-            severity="error",
             channel=f"{columns[a]}, {columns[b]}",
             found=f"each follows the other's command (correlation {across:.2f}, with its own "
             f"{straight:.2f}): exchanged",
             value=across,
-            unit="1",
-            consequence=_MADE_UP,
-            remedy=f"check it at the machine; --fix DIR writes the recording with {fix.words}",
             fix=fix,
         )

@@ -122,7 +122,7 @@ class Evidence:
     known_runs: int = 0
     """Number of runs to allow for, if more than the lines have."""
     _amplitude: list[Array] = field(default_factory=list)
-    _last: tuple[bytes, list[Response]] = (b"", [])
+    _last: tuple[bytes, list[Response]] | None = None
 
     def __post_init__(self) -> None:
         """Scale the patterns of the components by the motion of the nominal arm."""
@@ -168,7 +168,7 @@ class Evidence:
     def _responses(self, errors: Array) -> list[Response]:
         """Responses of all lines; those of the last errors are kept."""
         key = errors.tobytes()
-        if self._last[0] != key:
+        if self._last is None or self._last[0] != key:
             found = []
             for one in self.lines:
                 response = respond(self.uncertain.at(one.pose), one, errors)

@@ -13,7 +13,12 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, fitted_rate
+from loose_env.gap.model.effects.mjcf.joint_effect import (
+    START_SPEED,
+    JointEffect,
+    added_name,
+    fitted_rate,
+)
 from loose_env.gap.model.effects.mjcf.passive_actuators import (
     add_constant,
     add_limited_damper,
@@ -210,8 +215,6 @@ class AsymmetricFriction(JointEffect):
         return ((sides[0].clipped(np.nanmean(ahead)), sides[1].clipped(-np.nanmean(back))),)
 
 
-_START_SPEED = 0.3
-"""Stribeck speed from which fits start, over the typical speed."""
 _KNOTS = (0.19, 1.58)
 """Speeds, over the Stribeck speed, at which the pieces of the fall meet."""
 _FALLEN = (0.028, 1.0)
@@ -246,24 +249,15 @@ class StribeckFriction(JointEffect):
                 log=True,
             ),
             Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5, natural_low=True),
-            Parameter(
-                name="speed",
-                unit=f"{self.angle_unit}/s",
-                low=1e-3 * self.speed,
-                high=2.0 * self.speed,
-                scale=0.1 * self.speed,
-                log=True,
-                centre=_START_SPEED * self.speed,
-                spread=2.0,
-            ),
+            self.stribeck_speed,
         )
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: a weak and a strong one, each half as strong again at rest."""
         return (
-            (0.04 * self.load, 1.6, _START_SPEED * self.speed),
-            (0.2 * self.load, 1.6, _START_SPEED * self.speed),
+            (0.04 * self.load, 1.6, START_SPEED * self.speed),
+            (0.2 * self.load, 1.6, START_SPEED * self.speed),
         )
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
@@ -300,7 +294,7 @@ class StribeckFriction(JointEffect):
         rate = fitted_rate(np.sign(speed[moving]), torque[moving])
         if rate <= 0:
             return ()
-        return ((self.parameters[0].clipped(rate), 1.6, _START_SPEED * self.speed),)
+        return ((self.parameters[0].clipped(rate), 1.6, START_SPEED * self.speed),)
 
 
 def _pieces() -> tuple[tuple[float, float], tuple[float, float]]:

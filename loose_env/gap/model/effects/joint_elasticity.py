@@ -17,6 +17,7 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.extra_joint import (
     FASTEST,
     add_extra_joint,
+    joint_figures,
     keep_motor_side,
     last_joints,
 )
@@ -334,13 +335,7 @@ class BaseCompliance(Effect):
         """Inertia on the hinge [kg·m²], and its inverse weight with all joints free."""
         spec = self.machine.fresh()
         name = self._rock(spec, 0.0, 0.0)
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        mass = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, mass)
-        dof = int(model.joint(name).dofadr[0])
-        return float(mass[dof, dof]), float(model.dof_invweight0[dof])
+        return joint_figures(spec, name)
 
 
 def _foot(machine: NominalModel, data: mujoco.MjData) -> Array:

@@ -16,7 +16,7 @@ from loose_env.gap.model.effects.joint_elasticity import (
     stiffness_starts,
 )
 from loose_env.gap.model.effects.link_inertia import links_with_mass
-from loose_env.gap.model.effects.mjcf.extra_joint import add_extra_joint
+from loose_env.gap.model.effects.mjcf.extra_joint import add_extra_joint, joint_figures
 from loose_env.gap.model.effects.mjcf.geometry import frame_about, link_ends, normal_of, reach_of
 from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial, steiner
 from loose_env.gap.model.effects.mjcf.joint_effect import added_name
@@ -152,13 +152,7 @@ class LinkFlexibility(Effect):
         """Inertia on the hinge [kg·m²], and its inverse weight with all joints free."""
         spec = self.machine.fresh()
         name = self._cut(spec, 0.0, 0.0, _MIDDLE)
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        mass = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, mass)
-        dof = int(model.joint(name).dofadr[0])
-        return float(mass[dof, dof]), float(model.dof_invweight0[dof])
+        return joint_figures(spec, name)
 
 
 def parts(

@@ -76,7 +76,7 @@ def model_warnings(comparison: ModelComparison) -> list[str]:
     fit = comparison.fits[comparison.best]
     names = comparison.evidence.uncertain.names
     expected = comparison.evidence.uncertain.expected(0)
-    errors = np.abs(fit.errors[: len(names)] - expected[: len(names)])
+    errors = np.abs(fit.errors[: len(names)] - expected)
     worst = int(np.argmax(errors)) if len(errors) else 0
     strain = float(errors[worst]) if len(errors) else 0.0
     misfit = float(np.sqrt(comparison.misfit))

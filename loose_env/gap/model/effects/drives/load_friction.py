@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.model.driven_effect import DrivenEffect
-from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect
+from loose_env.gap.model.effects.mjcf.joint_effect import START_SPEED, JointEffect
 from loose_env.gap.model.effects.mjcf.passive_actuators import make_it_stick
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
@@ -21,8 +21,6 @@ _TRACE = 1e-9
 """Friction loss that a joint gets, so that it has a friction at all, over its typical torque."""
 _LEAST = 1e-3
 """Smallest share of a load friction with a Stribeck peak."""
-_START_SPEED = 0.3
-"""Stribeck speed from which fits start, over the typical speed."""
 
 
 class LoadFriction(DrivenEffect, JointEffect):
@@ -59,16 +57,7 @@ class LoadFriction(DrivenEffect, JointEffect):
             Parameter(
                 name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5, centre=1.0, spread=4.0
             ),
-            Parameter(
-                name="speed",
-                unit=f"{self.angle_unit}/s",
-                low=1e-3 * self.speed,
-                high=2.0 * self.speed,
-                scale=0.1 * self.speed,
-                log=True,
-                centre=_START_SPEED * self.speed,
-                spread=2.0,
-            ),
+            self.stribeck_speed,
         )
 
     @property
@@ -76,7 +65,7 @@ class LoadFriction(DrivenEffect, JointEffect):
         """Starts: of a good gear and of a hobby servo's."""
         if not self.variant:
             return ((0.08,), (0.4,))
-        return ((0.08, 1.5, _START_SPEED * self.speed), (0.4, 1.5, _START_SPEED * self.speed))
+        return ((0.08, 1.5, START_SPEED * self.speed), (0.4, 1.5, START_SPEED * self.speed))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Give the joint a trace of dry friction, whose size follows the load step by step."""

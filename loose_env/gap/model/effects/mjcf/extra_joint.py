@@ -13,6 +13,7 @@ __all__ = [
     "FASTEST",
     "MOTOR_SHARE",
     "add_extra_joint",
+    "joint_figures",
     "keep_motor_side",
     "last_joints",
     "set_stops",
@@ -152,3 +153,17 @@ def _held_still(machine: NominalModel, joint: str) -> float:
     terms = np.where(affine[:, None], model.actuator_biasprm[:, 1:3], 0.0)
     stiffness, damping = np.maximum(-(squares @ terms), 0.0)
     return float(max(stiffness * turn**2, damping * turn))
+
+
+def joint_figures(spec: mujoco.MjSpec, name: str) -> tuple[float, float]:
+    """Inertia that a joint moves with all others locked [kg·m², kg], and its inverse weight.
+
+    The inverse weight is MuJoCo's, with all joints free.
+    """
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    dof = int(model.joint(name).dofadr[0])
+    return float(mass[dof, dof]), float(model.dof_invweight0[dof])

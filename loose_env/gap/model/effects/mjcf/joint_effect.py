@@ -10,9 +10,13 @@ import numpy as np
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["JointEffect", "added_name", "angle_unit", "fitted_rate"]
+__all__ = ["START_SPEED", "JointEffect", "added_name", "angle_unit", "fitted_rate"]
+
+START_SPEED = 0.3
+"""Stribeck speed from which fits start, over the typical speed."""
 
 
 class JointEffect(Effect):
@@ -40,6 +44,20 @@ class JointEffect(Effect):
         """Inertia that the joint moves without its own rotor [kg·m² or kg]."""
         rotor = float(self.machine.model.dof_armature[self._dof])
         return max(self.machine.inertia(self.where) - rotor, 1e-9)
+
+    @property
+    def stribeck_speed(self) -> Parameter:
+        """Speed over which a friction falls from its height at rest."""
+        return Parameter(
+            name="speed",
+            unit=f"{self.angle_unit}/s",
+            low=1e-3 * self.speed,
+            high=2.0 * self.speed,
+            scale=0.1 * self.speed,
+            log=True,
+            centre=START_SPEED * self.speed,
+            spread=2.0,
+        )
 
     @property
     def _dof(self) -> int:
