@@ -133,7 +133,8 @@ class Evidence:
             load, mass = response.across_seat(np.arange(7 * n))
             own = np.abs(np.diagonal(mass, axis1=1, axis2=2))
             floating = np.abs(load) / np.maximum(own, 1e-12)
-            power = np.concatenate([np.abs(response.drive_force()), floating], axis=1) ** 2
+            moved = (2 * np.pi * one.frequency[:, None]) ** 2 * np.abs(response.motion[:, :n])
+            power = np.concatenate([moved, floating], axis=1) ** 2
             width = min(max(1, round(3.0 / one.spacing)), len(one.frequency))
             kernel = np.ones(width) / width
             smooth = np.stack([np.convolve(p, kernel, mode="same") for p in power.T], axis=1)

@@ -70,9 +70,11 @@ class Response:
         return np.asarray(self.lines.readings - self.expected)
 
     def joint_columns(self) -> ComplexArray:
-        """Frequency response from joint forces to the channels (K, c, n)."""
+        """Frequency response from joint motions to the channels, other joints held (K, c, n)."""
         n = self.at.of.arm.n
-        return np.asarray(self.rows @ self.compliance[:, :, :n])
+        per_motion = self.compliance[:, :, :n] @ np.linalg.inv(self.compliance[:, :n, :n])
+        omega2 = (2 * np.pi * self.lines.frequency[:, None, None]) ** 2
+        return np.asarray(self.rows @ per_motion / omega2)
 
     def drive_force(self) -> ComplexArray:
         """Force of each joint's drive on the healthy arm (K, n)."""
