@@ -23,13 +23,19 @@ from loose_env.instrument.inference.opening_probability import open_probability
 from loose_env.instrument.inference.response.frequency_response import Response, respond
 from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.inference.variance_components import BANDS, ComponentIndex
-from loose_env.instrument.settings.thresholds import COMPLIANCE_HZ, CORRELATION_HZ, OPEN_SEAT_SHARE
+from loose_env.instrument.settings.thresholds import (
+    COMPLIANCE_HZ,
+    CORRELATION_HZ,
+    OPEN_SEAT_SHARE,
+    PARAMETER_TAIL,
+)
 from loose_env.typing import Array, ComplexArray
 
 __all__ = [
     "BLIND",
     "SHARES",
     "Evidence",
+    "KnownArm",
     "Piece",
     "Seat",
     "band_terms",
@@ -101,6 +107,18 @@ class Piece:
         return self.response.lines
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KnownArm:
+    """What runs of the healthy arm say of its model: the prior of a suspect run."""
+
+    errors: Array
+    """Most probable nuisance parameters (P,)."""
+    precision: Array
+    """Their inverse covariance (P, P)."""
+    variances: Array
+    """Variance components (C,); those that all runs share are kept."""
+
+
 @dataclass(kw_only=True, eq=False)
 class Evidence:
     """Likelihood of the hypotheses over the spectral lines of all runs.
@@ -121,6 +139,8 @@ class Evidence:
     correlation: float = CORRELATION_HZ
     known_runs: int = 0
     """Number of runs to allow for, if more than the lines have."""
+    known: KnownArm | None = None
+    """What healthy runs have told before; None where there are none."""
     _amplitude: list[Array] = field(default_factory=list)
     _last: tuple[bytes, list[Response]] | None = None
 
@@ -164,7 +184,27 @@ class Evidence:
     @cached_property
     def expected(self) -> Array:
         """Prior medians of the nuisance parameters (P,)."""
-        return self.uncertain.expected(self.runs)
+        return self.uncertain.expected(self.runs) if self.known is None else self.known.errors
+
+    def prior(self, errors: Array) -> tuple[float, Array]:
+        """Negative log prior of parameters but for a constant, and its curvature (P, P).
+
+        A tolerance is a guess of its own: beyond `PARAMETER_TAIL` standard deviations the density
+        falls exponentially (Huber). What healthy runs have told is normal (Laplace).
+        """
+        off = errors - self.expected
+        if self.known is not None:
+            return 0.5 * float(off @ self.known.precision @ off), self.known.precision
+        size, tail = np.abs(off), PARAMETER_TAIL
+        cost = np.where(size < tail, 0.5 * off**2, tail * (size - 0.5 * tail))
+        return float(np.sum(cost)), np.diag(tail / np.maximum(size, tail))
+
+    def start(self, width: float) -> Array:
+        """Variances with which a fit starts; see `ComponentIndex.start` (C,)."""
+        found = self.index.start(width)
+        if self.known is not None:
+            found[self.index.shared] = self.known.variances[self.index.shared]
+        return found
 
     def _responses(self, errors: Array) -> list[Response]:
         """Responses of all lines; those of the last errors are kept."""

@@ -16,7 +16,7 @@ from loose_env.instrument.inference.evidence import (
     force_readings,
     seat_powers,
 )
-from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD, PARAMETER_TAIL
+from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD
 from loose_env.statistics import axes_grid, tangents
 from loose_env.typing import Array, ComplexArray
 
@@ -61,6 +61,8 @@ class Fit:
     """What each run adds, by its number."""
     axis: Array | None
     """Direction in the link's frame (3,); [1] for play; None where nothing is loose."""
+    normal: Array
+    """Inverse covariance of the parameters (P, P)."""
     covariance: Array | None
     """Of the direction across itself, with errors of model and sensors [rad²] (2, 2)."""
 
@@ -129,10 +131,10 @@ def fit_hypothesis(
         Most Gauss-Newton steps.
     """
     count = evidence.count
-    errors = np.zeros(count)
-    variances = evidence.index.start(width)
+    errors = np.zeros(count) if evidence.known is None else evidence.known.errors
+    variances = evidence.start(width)
     if start is not None:
-        errors[: len(start.errors)] = start.errors[:count]
+        errors = start.errors
     axis = None
     if seat is not None:
         axis = np.ones(1)
@@ -172,20 +174,8 @@ def fit_hypothesis(
         variances=now.variances,
         runs=_by_run(evidence, seat, now, system),
         axis=now.axis,
+        normal=normal[:count, :count],
         covariance=covariance,
-    )
-
-
-def _cost_of(errors: Array) -> Array:
-    """Negative log prior of each parameter, but for a constant (Huber).
-
-    A tolerance is a guess of its own: beyond `PARAMETER_TAIL` the density falls exponentially.
-    """
-    size = np.abs(errors)
-    return np.asarray(
-        np.where(
-            size < PARAMETER_TAIL, 0.5 * errors**2, PARAMETER_TAIL * (size - 0.5 * PARAMETER_TAIL)
-        )
     )
 
 
@@ -193,7 +183,7 @@ def _state(
     evidence: Evidence, seat: Seat | None, errors: Array, variances: Array, axis: Array | None
 ) -> _State:
     pieces = evidence.pieces(errors, variances)
-    cost = sum(piece.base for piece in pieces) - float(np.sum(_cost_of(errors - evidence.expected)))
+    cost = sum(piece.base for piece in pieces) - evidence.prior(errors)[0]
     cost += evidence.index.log_prior(variances)
     if seat is not None and axis is not None:
         cost += float(evidence.seat_terms(pieces, seat, axis[None])[0])
@@ -204,6 +194,8 @@ def _rescaled(evidence: Evidence, seat: Seat | None, now: _State, system: _Syste
     """Variances after a step toward those of highest posterior density."""
     index = evidence.index
     better = index.updated(now.variances, system.explained, system.expected)
+    if evidence.known is not None:
+        better[index.shared] = now.variances[index.shared]
     # Longer steps where they are better still: single ones are safe, but short.
     for power in (6.0, 2.0, 1.0):
         trial = index.within_bounds(now.variances * (better / now.variances) ** power)
@@ -270,11 +262,10 @@ def _system(evidence: Evidence, now: _State, seat: Seat | None) -> _System:
     )
     size = count + (0 if across is None else len(across))
     normal, drive = np.zeros((size, size)), np.zeros(size)
-    off = now.errors - evidence.expected
-    precision = PARAMETER_TAIL / np.maximum(np.abs(off), PARAMETER_TAIL)
-    normal[np.arange(count), np.arange(count)] = precision
+    precision = evidence.prior(now.errors)[1]
+    normal[:count, :count] = precision
     normal[np.arange(count, size), np.arange(count, size)] = _UNSEEN
-    drive[:count] = -precision * off
+    drive[:count] = -precision @ (now.errors - evidence.expected)
     explained, expected = np.zeros((2, len(now.variances)))
     misfit: dict[int, list[tuple[float, float, float]]] = {}
     for piece in now.pieces:

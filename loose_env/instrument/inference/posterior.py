@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loose_env.instrument.data.spectral_lines import Lines, thinned
-from loose_env.instrument.inference.evidence import Evidence, Seat
+from loose_env.instrument.inference.evidence import Evidence, KnownArm, Seat
 from loose_env.instrument.inference.laplace_fit import Fit, fit_hypothesis, seats_of
 from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 from loose_env.instrument.result import HEALTHY
@@ -102,9 +102,9 @@ def compare_hypotheses(
     for name, fit in fits.items():
         if name == HEALTHY or fit.evidence > best.evidence - REFINED_WITHIN:
             fits[name] = _searched(evidence, seats[name], fit, best)
+    used = evidence.lines[0] if evidence.lines else None
     whole = tuple(
-        _as_sampled(one, used.sampled, used.folded)
-        for one, used in zip(lines, evidence.lines, strict=True)
+        one if used is None else _as_sampled(one, used.sampled, used.folded) for one in lines
     )
     return ModelComparison(
         posterior=posterior_of(fits, whole, healthy_prior=healthy_prior),
@@ -115,25 +115,40 @@ def compare_hypotheses(
     )
 
 
+def _evidence_of(uncertain: UncertainArm, lines: Sequence[Lines]) -> Evidence:
+    """Evidence of the suspect runs, after what the healthy arm's own runs say.
+
+    These say the same under all hypotheses. They know the arm without any fault that would spoil
+    it, and count as `power_of` has it.
+    """
+    every = Evidence(uncertain=uncertain, lines=lines)
+    references = [one for one in lines if one.healthy]
+    if not references:
+        return every
+    alone = Evidence(uncertain=uncertain, lines=references, known_runs=every.runs)
+    fit = fit_hypothesis(alone, HEALTHY, None, width=_WIDTHS[0])
+    fit = _searched(alone, None, fit, fit)
+    power = power_of(len(references))
+    known = KnownArm(
+        errors=fit.errors,
+        precision=power * fit.normal + (1 - power) * np.eye(len(fit.errors)),
+        variances=fit.variances,
+    )
+    suspect = [one for one in lines if not one.healthy]
+    return Evidence(uncertain=uncertain, lines=suspect, known_runs=every.runs, known=known)
+
+
 def _first_look(
     uncertain: UncertainArm, lines: Sequence[Lines], seats: Mapping[str, Seat | None]
 ) -> tuple[Evidence, dict[str, Fit]]:
     """Fit all hypotheses once and identify the sensor sampling."""
 
     def of(sampled: float, folded: float) -> Evidence:
-        taken = [_as_sampled(one, sampled, folded) for one in lines]
-        return Evidence(uncertain=uncertain, lines=taken)
+        return _evidence_of(uncertain, [_as_sampled(one, sampled, folded) for one in lines])
 
     filtered = of(0.0, 0.0)
-    # The healthy arm's own runs know its parameters without any fault that would spoil them.
-    references = [one for one in filtered.lines if one.healthy]
-    start = None
-    if references:
-        known = Evidence(uncertain=uncertain, lines=references, known_runs=filtered.runs)
-        fit = fit_hypothesis(known, HEALTHY, None, width=_WIDTHS[0])
-        start = _searched(known, None, fit, fit)
     fits = {
-        name: fit_hypothesis(filtered, name, seat, start=start, width=_WIDTHS[0])
+        name: fit_hypothesis(filtered, name, seat, width=_WIDTHS[0])
         for name, seat in seats.items()
     }
     if not lines or not any(np.any(one.command) for one in lines):
@@ -197,9 +212,14 @@ def posterior_of(
     """
     numbers = [one.number for one in lines]
     suspect = sum(not one.healthy for one in lines)
-    power = 1 / (1 + suspect / COARSENED_RUNS)
+    power = power_of(suspect)
     evidence = {name: power * float(_by_run(fit, numbers).sum()) for name, fit in fits.items()}
     return probabilities_of(evidence, healthy_prior=healthy_prior)
+
+
+def power_of(runs: int) -> float:
+    """Weight of each of n runs [1]: together they count as n / (1 + n / COARSENED_RUNS)."""
+    return 1 / (1 + runs / COARSENED_RUNS)
 
 
 def _by_run(fit: Fit, numbers: Sequence[int]) -> Array:

@@ -98,6 +98,11 @@ class ComponentIndex:
         """True for a half-Cauchy prior, False for an exponential one (C - bands,)."""
         return np.arange(2 * self._group) < self._group + self._joints * self.runs
 
+    @cached_property
+    def shared(self) -> slice:
+        """Components of the model's error that all runs share."""
+        return slice(self._joints * self.runs, self._group)
+
     def columns(self, run: int, *, change: bool) -> NDArray[np.intp]:
         """Component of each pattern of a run (8 n,): forces, 3 n slides, turns, 3 n bendings."""
         n = self._joints
