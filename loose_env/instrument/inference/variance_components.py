@@ -140,7 +140,7 @@ class ComponentIndex:
         least = _LEAST * self.scales
         for change in (False, True):
             at = self.reading(change=change)
-            least[at] = self.scales[at] / 3
+            least[at] = self.scales[at] / (1 if change else 3)
         return np.asarray(np.clip(variances, least**2, _MOST**2))
 
     def log_prior(self, variances: Array) -> float:

@@ -129,7 +129,7 @@ BENDING_CHANGE_SD = 0.006
 """The same of the bending."""
 SEAT_SLIDE_CHANGE_SD = 0.002
 """The same of the slide."""
-READING_CHANGE_SD = 0.005
+READING_CHANGE_SD = 0.01
 """The same of the readings: poses are repeated to within a few thousandths of their range."""
 CLOCK_Z = 4.0
 """z-score from which a clock offset is corrected and reported."""
