@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,10 +98,7 @@ def compare_hypotheses(
     seats = seats_of(uncertain.arm.hypotheses, uncertain.arm.n)
     few = [thinned(one, _LINES) for one in lines]
     evidence, fits = _first_look(uncertain, few, seats)
-    best = max(fits.values(), key=lambda fit: fit.evidence)
-    for name, fit in fits.items():
-        if name == HEALTHY or fit.evidence > best.evidence - REFINED_WITHIN:
-            fits[name] = _searched(evidence, seats[name], fit, best)
+    _search(evidence, seats, fits)
     used = evidence.lines[0] if evidence.lines else None
     whole = tuple(
         one if used is None else _as_sampled(one, used.sampled, used.folded) for one in lines
@@ -127,7 +124,9 @@ def _evidence_of(uncertain: UncertainArm, lines: Sequence[Lines]) -> Evidence:
         return every
     alone = Evidence(uncertain=uncertain, lines=references, known_runs=every.runs)
     fit = fit_hypothesis(alone, HEALTHY, None, width=_WIDTHS[0])
-    fit = _searched(alone, None, fit, fit)
+    found = {HEALTHY: fit}
+    _search(alone, {HEALTHY: None}, found)
+    fit = found[HEALTHY]
     power = power_of(len(references))
     known = KnownArm(
         errors=fit.errors,
@@ -170,16 +169,31 @@ def _first_look(
     }
 
 
-def _searched(evidence: Evidence, seat: Seat | None, own: Fit, best: Fit) -> Fit:
-    """Best of the fits from other starts: other widths, and the arm of the best hypothesis.
+def _search(
+    evidence: Evidence, seats: Mapping[str, Seat | None], fits: MutableMapping[str, Fit]
+) -> None:
+    """Fit the likely hypotheses, and the healthy arm, from more starts; better fits replace theirs.
 
-    All hypotheses are about the same arm. A search that ended early must not count against one.
+    All hypotheses are about the same arm. One whose search ended early must not count for less:
+    each is fitted with the arm of the best one too, until none is better than that.
     """
-    name = own.hypothesis
-    found = [own, *(fit_hypothesis(evidence, name, seat, width=width) for width in _WIDTHS[1:])]
-    start = own if best is own else replace(best, hypothesis=name, axis=None)
-    found.append(fit_hypothesis(evidence, name, seat, start=start))
-    return max(found, key=lambda fit: fit.evidence)
+    tried: set[str] = set()
+    for width in (*_WIDTHS[1:], None, None, None):
+        best = max(fits.values(), key=lambda fit: fit.evidence)
+        if width is None and best.hypothesis in tried:
+            break
+        for name, fit in fits.items():
+            if name != HEALTHY and fit.evidence < best.evidence - REFINED_WITHIN:
+                continue
+            if width is not None:
+                again = fit_hypothesis(evidence, name, seats[name], width=width)
+            else:
+                start = best if best is fit else replace(best, hypothesis=name, axis=None)
+                again = fit_hypothesis(evidence, name, seats[name], start=start)
+            if again.evidence > fit.evidence:
+                fits[name] = again
+        if width is None:
+            tried.add(best.hypothesis)
 
 
 def _as_sampled(lines: Lines, sampled: float, folded: float) -> Lines:
