@@ -23,7 +23,9 @@ class Tolerances:
     """
 
     figures: float = 0.02
-    """Masses, inertias, rotor inertias and gains of drives, relative."""
+    """Masses, inertias and rotor inertias, relative."""
+    servo_gain: float = 0.1
+    """Gains of servos and torque constants of motors, relative."""
     damping: float = 0.1
     """Damping of joints, relative."""
     length: float = 0.002
@@ -43,6 +45,13 @@ class Tolerances:
     another [s]."""
     sensor_delay: float = 0.0001
     """Delay of the accelerometers against the joints' sensors; in every run another [s]."""
+    sensor_clock: float = 0.001
+    """The same delay in all runs: recorders with clocks of their own [s]."""
+    sensor_lag: float = 0.00015
+    """Time constant of the accelerometers' low-pass of second order, median [s]: a bandwidth of
+    1 kHz."""
+    sensor_lag_sd: float = 1.0
+    """Standard deviation of its logarithm [1]."""
 
     def __post_init__(self) -> None:
         """Check."""

@@ -158,9 +158,9 @@ class Response:
         of_drive = ~(lines.measured | lines.blind)
         kept = [
             -s[:, None] * _own_damping(at, n) * motion[:, :n] * t.damping,
-            -drives.stiffness * of_drive * motion[:, :n] * t.figures
-            + np.where((drives.stiffness > 0) & of_drive, t.figures, 0.0) * driving,
-            -s[:, None] * drives.damping * of_drive * motion[:, :n] * t.figures,
+            -drives.stiffness * of_drive * motion[:, :n] * t.servo_gain
+            + np.where((drives.stiffness > 0) & of_drive, t.servo_gain, 0.0) * driving,
+            -s[:, None] * drives.damping * of_drive * motion[:, :n] * t.servo_gain,
             driving * _gain_error(at),
         ]
         for j in range(n):
@@ -175,7 +175,7 @@ class Response:
         unheld = sampled * (driving - noted) * (1 / hold - 1)[:, None]
         unheld[:, ~of_drive] = 0.0
         for part, size in (
-            (1, np.where((drives.stiffness > 0) & of_drive, t.figures, 0.0)),
+            (1, np.where((drives.stiffness > 0) & of_drive, t.servo_gain, 0.0)),
             (3, _gain_error(at)),
         ):
             for j in range(n):
@@ -188,7 +188,14 @@ class Response:
         slopes[:, :, delays.start] = t.command_delay * late
         readings = self.mean + np.einsum("kcs,ks->kc", self.columns, seat)
         on_sites = np.array([r.on_site for r, _ in lines.row])
-        slopes[:, on_sites, delays.start + 1] = -t.sensor_delay * s[:, None] * readings[:, on_sites]
+        slow = s * t.sensor_lag * np.exp(t.sensor_lag_sd * self.errors[of.reading_lag][1])
+        by_lag = -(np.sqrt(2) * slow + 2 * slow**2) / (1 + np.sqrt(2) * slow + slow**2)
+        for column, each in (
+            (delays.start + 1, -t.sensor_delay * s),
+            (of.reading_lag.start, -t.sensor_clock * s),
+            (of.reading_lag.start + 1, t.sensor_lag_sd * by_lag),
+        ):
+            slopes[:, on_sites, column] = each[:, None] * readings[:, on_sites]
         for at_sensor, k in enumerate(of.sensors):
             sensor = arm.readings[k].sensor
             own = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
@@ -214,8 +221,8 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     drives = arm.actuators
     held, slow = np.split(errors[of.springs], 3)[1:]
     free = lines.measured | lines.blind
-    stiffness[:n] -= np.where(free, drives.stiffness * (1 + t.figures * held), 0.0)
-    damping[:n] -= np.where(free, drives.damping * (1 + t.figures * slow), 0.0)
+    stiffness[:n] -= np.where(free, drives.stiffness * (1 + t.servo_gain * held), 0.0)
+    damping[:n] -= np.where(free, drives.damping * (1 + t.servo_gain * slow), 0.0)
     # Gravity's stiffness is all of the load's change but for what the servo's target takes.
     dynamic: ComplexArray = np.asarray(
         -(omega**2)[:, None, None] * inertia[:m, :m] + at.weight[:m], dtype=complex
@@ -227,7 +234,7 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     command = lines.command * (hold * late)[:, None] / (1 + s[:, None] * drives.lag)
     noted = lines.force * late[:, None]
     force = np.zeros((len(omega), m), dtype=complex)
-    factor = (1 + t.figures * held * (drives.stiffness > 0)) * (
+    factor = (1 + t.servo_gain * held * (drives.stiffness > 0)) * (
         1 + _gain_error(at) * errors[of.gains]
     )
     force[:, :n] = np.where(free, 0.0, factor * (command @ drives.force.T)) + noted
@@ -265,12 +272,15 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
 
 
 def _late(at: PoseModel, lines: Lines, errors: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Delay factors of a run's commands, and of its accelerometers (K,) each."""
+    """Delay factors of a run's commands, and of its accelerometers with their filter (K,) each."""
     of, t = at.of, at.of.tolerances
     own = errors[of.delays(lines.number)]
     command, sensor = own if len(own) else (0.0, 0.0)  # errors may be those of the arm alone
+    clock, lag = errors[of.reading_lag]
     s = 2j * np.pi * lines.frequency
-    return np.exp(-s * t.command_delay * command), np.exp(-s * t.sensor_delay * sensor)
+    slow = s * t.sensor_lag * np.exp(t.sensor_lag_sd * lag)
+    late = np.exp(-s * (t.sensor_delay * sensor + t.sensor_clock * clock))
+    return np.exp(-s * t.command_delay * command), late / (1 + np.sqrt(2) * slow + slow**2)
 
 
 def _each(matrices: Array, rows: ComplexArray) -> ComplexArray:
@@ -350,4 +360,4 @@ def _gain_error(at: PoseModel) -> Array:
     A position servo's command and stiffness share one gain; a quarter of its tolerance is left.
     """
     drives, t = at.of.arm.actuators, at.of.tolerances
-    return np.asarray(np.where(drives.stiffness > 0, 0.25, 1.0) * t.figures)
+    return np.asarray(np.where(drives.stiffness > 0, 0.25, 1.0) * t.servo_gain)

@@ -114,6 +114,8 @@ class UncertainArm:
         for k in self.sensors:
             names += [f"{arm.readings[k].sensor}[{i}{j}]" for i in "xyz" for j in "xyz"]
         self.sensing = slice(self.stiffnesses.stop, len(names))
+        names += ["sensor_clock", "sensor_bandwidth"]
+        self.reading_lag = slice(self.sensing.stop, len(names))
         self.names = tuple(names)
         """Name of each error that all runs share (P,)."""
         self._remembered: dict[bytes, PoseModel] = {}
@@ -310,8 +312,8 @@ class PoseModel:
         damping = np.concatenate([damping, np.zeros(len(elastic))])
         own, held, slow = np.split(errors[self.of.springs], 3)
         damping[:n] *= 1 + t.damping * own
-        stiffness[:n] += drives.stiffness * (1 + t.figures * held)
-        damping[:n] += drives.damping * (1 + t.figures * slow)
+        stiffness[:n] += drives.stiffness * (1 + t.servo_gain * held)
+        damping[:n] += drives.damping * (1 + t.servo_gain * slow)
         return stiffness, damping
 
     def elastic_stiffness(self, errors: Array) -> ComplexArray:
