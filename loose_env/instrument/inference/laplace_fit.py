@@ -108,7 +108,7 @@ def fit_hypothesis(
     seat: Seat | None,
     *,
     start: Fit | None = None,
-    width: float = 3.0,
+    width: float | None = 3.0,
     steps: int = _STEPS,
 ) -> Fit:
     """Fit nuisance parameters and direction, and marginalise the rest.
@@ -132,7 +132,9 @@ def fit_hypothesis(
     """
     count = evidence.count
     errors = np.zeros(count) if evidence.known is None else evidence.known.errors
-    variances = evidence.start(width)
+    variances = evidence.start(width or 1.0)
+    if width is None and start is not None:
+        variances = start.variances
     if start is not None:
         errors = start.errors
     axis = None

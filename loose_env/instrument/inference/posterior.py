@@ -186,12 +186,14 @@ def _search(
             if name != HEALTHY and fit.evidence < best.evidence - REFINED_WITHIN:
                 continue
             if width is not None:
-                again = fit_hypothesis(evidence, name, seats[name], width=width)
+                found = [fit_hypothesis(evidence, name, seats[name], width=width)]
             else:
                 start = best if best is fit else replace(best, hypothesis=name, axis=None)
-                again = fit_hypothesis(evidence, name, seats[name], start=start)
-            if again.evidence > fit.evidence:
-                fits[name] = again
+                found = [
+                    fit_hypothesis(evidence, name, seats[name], start=start, width=each)
+                    for each in (None, 3.0)
+                ]
+            fits[name] = max(fit, *found, key=lambda each: each.evidence)
         if width is None:
             tried.add(best.hypothesis)
 
