@@ -159,6 +159,7 @@ class Workbench:
             settled=verdict.kind in ("healthy", "faulty"),
             verdict=verdict.kind,
             open_because=verdict.reasons,
+            nothing_opened=comparison.nothing_opened,
             misfit=comparison.misfit,
             spectra=spectra_by_fit(self.uncertain, comparison, self._places()),
             version=__version__,

@@ -13,15 +13,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.opening_probability import open_probability
 from loose_env.instrument.inference.response.frequency_response import Response, respond
 from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.seat_motion import BLIND, SHARES, Piece, Seat, band_terms
 from loose_env.instrument.inference.variance_components import BANDS, ComponentIndex
 from loose_env.instrument.settings.thresholds import (
     COMPLIANCE_HZ,
@@ -29,82 +28,18 @@ from loose_env.instrument.settings.thresholds import (
     OPEN_SEAT_SHARE,
     PARAMETER_TAIL,
 )
-from loose_env.typing import Array, ComplexArray
+from loose_env.typing import Array
 
-__all__ = [
-    "BLIND",
-    "SHARES",
-    "Evidence",
-    "KnownArm",
-    "Piece",
-    "Seat",
-    "band_terms",
-    "explained",
-    "force_readings",
-    "seat_powers",
-    "seat_products",
-]
+__all__ = ["Evidence", "KnownArm"]
 
-Products = tuple[Array, Array, ComplexArray, ComplexArray, ComplexArray]
-
-SHARES = np.geomspace(1e-3, 4.0, 14)
-"""Grid of a seat's motion over that of a floating seat [1]."""
-_FOLDED = 0.2
-"""Share of a seat's motion that is too fast for the samples and folded back into the band [1]."""
 _FOLDS = 0.05
 """Frequency over the sampling rate at which sampling without a filter doubles the error."""
-_STUCK = 0.03
-"""Share of a floating seat's motion below which it does not follow a sudden force either [1]."""
 _OPEN_WEIGHT = (SHARES > OPEN_SEAT_SHARE) / np.sum(SHARES > OPEN_SEAT_SHARE)
 """Prior of the share of an open seat."""
 _SPREAD = 1.0
 """Standard deviation of the log share of a band about that of its run."""
 _NEAR = np.exp(-0.5 * (np.log(SHARES[:, None] / SHARES) / _SPREAD) ** 2)
 _NEAR /= _NEAR.sum(axis=1, keepdims=True)
-BLIND = 1e8
-"""Variance of the relative error of a force of which nothing is known [1]."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Seat:
-    """Candidate fault location."""
-
-    hypothesis: str
-    columns: NDArray[np.intp]
-    """Its columns among those of all seats (s',): three slides, or one play."""
-
-    @property
-    def slides(self) -> bool:
-        """True for a slide, whose direction is unknown."""
-        return len(self.columns) > 1
-
-
-@dataclass(kw_only=True, eq=False)
-class Piece:
-    """Block of spectral lines with the arm's response and the residual weights."""
-
-    response: Response
-    weight: ComplexArray
-    """Inverse covariance of the healthy arm's residual (K, c, c)."""
-    patterns: ComplexArray
-    """Patterns of the variance components over the channels (K, c, Q)."""
-    components: NDArray[np.intp]
-    """Component of each pattern (Q,)."""
-    reading_power: Array
-    """Power to which the relative error of the readings applies (K, c)."""
-    reading: int
-    """Component of the relative error of the readings."""
-    base: float
-    """Log-likelihood of the healthy arm."""
-    temper: float
-    """Independent values that a line is worth [1]."""
-    bands: NDArray[np.intp]
-    """Band of each line (K,)."""
-
-    @property
-    def lines(self) -> Lines:
-        """Spectral lines of the block."""
-        return self.response.lines
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,6 +89,8 @@ class Evidence:
             own = np.abs(np.diagonal(mass, axis1=1, axis2=2))
             floating = np.abs(load) / np.maximum(own, 1e-12)
             moved = (2 * np.pi * one.frequency[:, None]) ** 2 * np.abs(response.motion[:, :n])
+            # A joint without a known drive may make all of the motion that is read.
+            moved[:, one.blind] = response.acceleration[:, None]
             power = np.concatenate([moved, floating], axis=1) ** 2
             width = min(max(1, round(3.0 / one.spacing)), len(one.frequency))
             kernel = np.ones(width) / width
@@ -299,6 +236,19 @@ class Evidence:
 
         A seat that stays shut in a run moves no more than a tight one.
         """
+        return {run: opened for run, (opened, _) in self._run_terms(pieces, seat, axes).items()}
+
+    def shut_probabilities(
+        self, pieces: Sequence[Piece], seat: Seat, axis: Array
+    ) -> dict[int, float]:
+        """Posterior probability by run that a loose seat stayed shut in it."""
+        terms = self._run_terms(pieces, seat, axis[None])
+        return {run: float(np.exp(shut - whole)[0]) for run, (whole, shut) in terms.items()}
+
+    def _run_terms(
+        self, pieces: Sequence[Piece], seat: Seat, axes: Array
+    ) -> dict[int, tuple[Array, Array]]:
+        """Log-likelihood ratios by run and axis, and that of a seat that stays shut (U,) each."""
         by_run: dict[int, list[Array]] = {}
         opening: dict[int, Array] = {}
         for piece in pieces:
@@ -317,118 +267,5 @@ class Evidence:
             top = level.max(axis=1)
             opened = np.log(np.exp(level - top[:, None]) @ _OPEN_WEIGHT) + top
             p = opening[run]
-            found[run] = np.logaddexp(np.log(p) + opened, np.log(1 - p))
+            found[run] = np.logaddexp(np.log(p) + opened, np.log(1 - p)), np.log(1 - p)
         return found
-
-
-def force_readings(piece: Piece, variances: Array, weighted: ComplexArray) -> ComplexArray:
-    """Readings that unknown forces of the joints most probably make (K, c).
-
-    Parameters
-    ----------
-    piece : Piece
-        Lines of a run.
-    variances : ndarray (C,)
-        Variance components.
-    weighted : ndarray (K, c, 1)
-        Residual of the healthy arm and the seat, times the inverse covariance.
-    """
-    n = piece.response.at.of.arm.n
-    size = np.where(piece.lines.blind, BLIND, variances[piece.components[:n]])
-    forces = piece.patterns[:, :, :n]
-    return np.asarray(((forces * size) @ (forces.conj().swapaxes(1, 2) @ weighted))[:, :, 0])
-
-
-def band_terms(piece: Piece, seat: Seat, axes: Array) -> Array:
-    """Log-likelihood ratio by axis, band and share (U, bands, shares)."""
-    response = piece.response
-    terms = seat_products(piece, seat, axes)
-    floating = _smooth(response.floating(seat.columns, axes) ** 2)
-    first, second = seat_powers(response, SHARES[:, None, None], floating)  # (shares, U, K)
-    gain = piece.temper * np.subtract(*explained(terms, first, second))
-    edges = np.flatnonzero(np.diff(piece.bands, prepend=-1))
-    return np.asarray(np.add.reduceat(gain, edges, axis=2).transpose(1, 2, 0))
-
-
-def seat_products(piece: Piece, seat: Seat, axes: Array) -> Products:
-    """Weighted inner products of a seat's regressors and the residual.
-
-    A seat with impacts on its stops moves faster than samples follow. What of that is folded back
-    into the band shows as inertia alone answers it: a second pattern beside the first.
-
-    Returns
-    -------
-    tuple of ndarray (U, K)
-        First with first, second with second, first with second, then either with the residual.
-    """
-    response = piece.response
-    first = response.columns[:, :, seat.columns]
-    second = response.sudden[:, seat.columns]
-    weighted = piece.weight @ first
-    other = piece.weight @ second
-    residual = response.residual
-
-    pairs = (axes[:, :, None] * axes[:, None, :]).reshape(len(axes), -1)
-
-    def form(left: Any, right: ComplexArray) -> ComplexArray:
-        gram = left.conj().swapaxes(-2, -1) @ right
-        return np.asarray(pairs @ gram.reshape(len(gram), -1).T)
-
-    return (
-        form(first, weighted).real,
-        form(second, other).real,
-        form(first, other),
-        axes @ (weighted.conj().swapaxes(1, 2) @ residual[:, :, None])[:, :, 0].T,
-        axes @ (other.conj().swapaxes(1, 2) @ residual[:, :, None])[:, :, 0].T,
-    )
-
-
-def seat_powers(response: Response, share: Array, floating: Array) -> tuple[Array, Array]:
-    """Seat acceleration power below the Nyquist frequency, and aliased power.
-
-    A sensor that is read just after a command has stepped also sees the seat follow that step by
-    inertia alone, whatever the stops do to it later.
-
-    Parameters
-    ----------
-    response : Response
-        The arm's answer to a run.
-    share : ndarray
-        Of a floating seat's motion; its shape goes with that of ``floating``.
-    floating : ndarray (..., K)
-        Power of a floating seat's acceleration.
-    """
-    omega, period = 2 * np.pi * response.lines.frequency, response.lines.period
-    late = np.abs(np.exp(0.5j * omega * period) / np.sinc(omega * period / (2 * np.pi)) - 1)
-    stepped = (late * response.lines.sampled) ** 2 * share**2 / (share**2 + _STUCK**2)
-    first = share**2 * floating
-    return first, _FOLDED**2 * first + stepped * floating
-
-
-def explained(terms: Products, first: Array, second: Array) -> tuple[Array, Array]:
-    """Reduction of the chi-square by a seat's motion, and its log-determinant.
-
-    Parameters
-    ----------
-    terms : tuple of ndarray (U, K)
-        From `seat_products`.
-    first, second : ndarray (..., U, K)
-        Powers from `seat_powers`.
-    """
-    g11, g22, g12, b1, b2 = terms
-    a, b = first, second
-    d1, d2 = 1 + a * g11, 1 + b * g22
-    cross = np.abs(g12) ** 2
-    determinant = d1 * d2 - a * b * cross
-    # b^H (P^-1 + G)^-1 b with P = diag(a, b)
-    mixed = (b1.conj() * g12 * b2).real
-    found = (a * d2 * np.abs(b1) ** 2 + b * d1 * np.abs(b2) ** 2 - 2 * a * b * mixed) / determinant
-    return found, np.log(determinant)
-
-
-def _smooth(power: Array) -> Array:
-    """Moving average over spectral lines (U, K)."""
-    width = min(9, power.shape[1])
-    padded = np.pad(power, ((0, 0), (width // 2, width - 1 - width // 2)), mode="edge")
-    sums = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
-    return np.asarray((sums[:, width:] - sums[:, :-width]) / width)

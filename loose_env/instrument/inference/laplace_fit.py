@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loose_env.instrument.inference.evidence import (
+from loose_env.instrument.inference.evidence import Evidence
+from loose_env.instrument.inference.seat_motion import (
     SHARES,
-    Evidence,
     Piece,
     Seat,
     band_terms,
-    force_readings,
+    joint_readings,
     seat_powers,
 )
 from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD
@@ -39,10 +39,12 @@ class RunTerm:
     log_likelihood: float
     """At the fitted parameters."""
     misfit: float
-    """Share of the accelerometers' power that the fit leaves unexplained by parameters, forces of
-    the joints and the seat [1]."""
+    """Share of the accelerometers' power that the fit leaves unexplained by parameters, joints
+    and the seat [1]."""
     effect: float
     """Share of the accelerometers' power that the seat's motion makes [1]."""
+    shut: float = 1.0
+    """Probability that the seat stayed shut [1]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -212,12 +214,14 @@ def _by_run(
 ) -> dict[int, RunTerm]:
     """Log-likelihood and misfit of each run."""
     value: dict[int, float] = {}
+    shut: dict[int, float] = {}
     for piece in now.pieces:
         number = piece.lines.number
         value[number] = value.get(number, 0.0) + piece.base
     if seat is not None and now.axis is not None:
         for number, term in evidence.run_terms(now.pieces, seat, now.axis[None]).items():
             value[number] += float(term[0])
+        shut = evidence.shut_probabilities(now.pieces, seat, now.axis)
     found = {}
     for number, log_likelihood in value.items():
         left, whole, seat_power = np.sum(system.misfit[number], axis=0)
@@ -225,6 +229,7 @@ def _by_run(
             log_likelihood=log_likelihood,
             misfit=float(max(left, 0.0) / max(whole, 1e-30)),
             effect=float(seat_power / max(whole, 1e-30)),
+            shut=shut.get(number, 1.0),
         )
     return found
 
@@ -335,12 +340,12 @@ def _unexplained(
 ) -> tuple[float, float, float]:
     """Power of the accelerometers' residual, of their readings, and of the seat's motion in them.
 
-    The residual is that without the seat's motion and the joints' forces.
+    The residual is that without the seat's motion and the joints' own.
     """
     lines = piece.lines
-    force = force_readings(piece, variances, pulled)
+    joints = joint_readings(piece, variances, pulled)
     rows = [k for k, (reading, _) in enumerate(lines.row) if reading.kind == "acceleration"]
-    left = np.abs((piece.response.residual - moved - force)[:, rows]) ** 2
+    left = np.abs((piece.response.residual - moved - joints)[:, rows]) ** 2
     noise = lines.noise[:, rows]
     if lines.beside is not None:
         noise = noise + lines.beside.noise[:, rows]

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from loose_env.instrument.data.spectral_lines import Lines, thinned
-from loose_env.instrument.inference.evidence import Evidence, KnownArm, Seat
+from loose_env.instrument.inference.evidence import Evidence, KnownArm
 from loose_env.instrument.inference.laplace_fit import Fit, fit_hypothesis, seats_of
 from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.seat_motion import Seat
 from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.thresholds import (
     COARSENED_RUNS,
@@ -54,6 +56,14 @@ class ModelComparison:
     def best(self) -> str:
         """The most probable hypothesis."""
         return max(self.posterior, key=lambda name: self.posterior[name])
+
+    @property
+    def nothing_opened(self) -> float:
+        """Probability that no seat opened in any run: tight ones do not, nor do shut ones."""
+        return sum(
+            p * math.prod(term.shut for term in self.fits[name].runs.values())
+            for name, p in self.posterior.items()
+        )
 
     @property
     def misfit(self) -> float:
@@ -147,8 +157,7 @@ def _first_look(
 
     filtered = of(0.0, 0.0)
     fits = {
-        name: fit_hypothesis(filtered, name, seat, width=_WIDTHS[0])
-        for name, seat in seats.items()
+        name: fit_hypothesis(filtered, name, seat, width=_WIDTHS[0]) for name, seat in seats.items()
     }
     if not lines or not any(np.any(one.command) for one in lines):
         return filtered, fits

@@ -1,17 +1,22 @@
 """Variance components of the model error, with sizes learned from the data.
 
-What a model cannot have is an unknown force or motion at a known location, correlated over
-channels: a force at a joint (friction, servo, saturation), a turn between a joint's sensor and its
-link (gear elasticity), a bending or a slide of a link at its seat (tight connections give a little
-too), and an error of the readings themselves. Each enters the covariance of a run's lines as
-variance times a known pattern. The variances are those of highest posterior density, found by
-multiplicative minorise-maximise steps (Zhou, Hu, Zhou and Lange, J. Comput. Graph. Stat. 28, 2019).
+What a model cannot have is an unknown motion at a known location, correlated over channels: of a
+joint beside what its drive makes of it (friction, servo, saturation), a turn between a joint's
+sensor and its link (gear elasticity), a bending or a slide of a link at its seat (tight connections
+give a little too), and an error of the readings themselves. Each enters the covariance of a run's
+lines as variance times a known pattern. The variances are those of highest posterior density, found
+by multiplicative minorise-maximise steps (Zhou, Hu, Zhou and Lange, J. Comput. Graph. Stat. 28,
+2019).
 
 Two groups are told apart: errors of the model, and what changes between a run and the same run of
 the healthy arm. How wrong a model is nobody knows: standard deviations of the first have
 half-Cauchy priors. The arm is the same one in both runs: those of the second have exponential
-priors (penalised complexity; Simpson et al., Stat. Sci. 32, 2017), but for forces, which friction
-changes.
+priors (penalised complexity; Simpson et al., Stat. Sci. 32, 2017), but for the joints, whose
+friction changes.
+
+What a joint does beside the model is stated as its motion, not as a force. Friction that locks a
+joint decides how it moves and takes whatever force that needs: as a force, the likelihood would
+hold the arm's mobility at that joint for evidence of its stiffness and masses.
 
 How much of an error shows differs over the band, with modes that the model lacks: all variances of
 a run have a factor in each of its bands, with an inverse-gamma prior. That makes the likelihood of
@@ -62,7 +67,7 @@ class ComponentIndex:
     uncertain : UncertainArm
         The arm.
     runs : int
-        Number of runs, references too: a joint's force error is drawn anew for every run.
+        Number of runs, references too: a joint's error is drawn anew for every run.
     """
 
     uncertain: UncertainArm
@@ -104,7 +109,7 @@ class ComponentIndex:
         return slice(self._joints * self.runs, self._group)
 
     def columns(self, run: int, *, change: bool) -> NDArray[np.intp]:
-        """Component of each pattern of a run (8 n,): forces, 3 n slides, turns, 3 n bendings."""
+        """Component of each pattern of a run (8 n,): joints, 3 n slides, turns, 3 n bendings."""
         n = self._joints
         first = self._group if change else 0
         turns = first + n * self.runs + np.arange(n)

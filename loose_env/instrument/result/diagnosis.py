@@ -138,6 +138,9 @@ class Diagnosis:
     """Outcome; in files of versions that did not say, by ``settled`` and ``fault``."""
     open_because: tuple[str, ...] = ()
     """Reasons why the verdict is open or the model is refused, in sentences."""
+    nothing_opened: float = math.nan
+    """Probability that no seat opened in any run, whether tight or kept shut [1]; NaN in files of
+    versions that did not say. A verdict of "healthy" rests on it."""
     misfit: float = math.nan
     """Share of the record's power that the best model leaves unexplained [1]; NaN if unknown."""
     severities: tuple[Severity, ...] = ()

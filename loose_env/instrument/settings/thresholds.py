@@ -104,7 +104,7 @@ ELASTIC_LOSS = 0.05
 
 # Model error: scales of the half-Cauchy priors of what a model cannot have
 DRIVE_SD = 0.2
-"""Error of a joint's force over the force of its drive: friction, servo gains, saturation."""
+"""Motion of a joint beside the model over that by the model: friction, servo gains, saturation."""
 COMPLIANCE_HZ = 100.0
 """Frequency at which the compliances below are stated [Hz]: the motion of an elastic connection
 over that of a floating one rises as frequency squared."""
@@ -121,7 +121,7 @@ BAND_SHAPE = 2.0
 """Shape of the inverse-gamma prior of an error's factor in a band: four degrees of freedom of
 Student's t."""
 DRIVE_CHANGE_SD = 0.02
-"""Change of a joint's force error between a run and the same run of the healthy arm: friction
+"""Change of that error between a run and the same run of the healthy arm: friction
 varies with temperature."""
 GEAR_TURN_CHANGE_SD = 0.02
 """The same of the turn: the gear is the same one, within a fifth."""
@@ -130,7 +130,8 @@ BENDING_CHANGE_SD = 0.006
 SEAT_SLIDE_CHANGE_SD = 0.002
 """The same of the slide."""
 READING_CHANGE_SD = 0.01
-"""The same of the readings: poses are repeated to within a few thousandths of their range."""
+"""The same of the readings, never less: temperature, cables and poses that are repeated to within
+some milliradians change the motion of a healthy arm by as much."""
 CLOCK_Z = 4.0
 """z-score from which a clock offset is corrected and reported."""
 LARGEST_CLOCK_OFFSET_S = 0.02
@@ -175,8 +176,8 @@ PRESSED_FORCE = 3.0
 """Static load over driving force from which gravity is said to keep a seat shut."""
 MODEL_ERROR = 0.06
 """Relative model error at a line, above which the model is not that of the arm."""
-FORCE_ERROR = 0.5
-"""Relative error of the excited joints' forces above which the same is said: friction and servo
+MOTION_ERROR = 0.5
+"""Relative error of the excited joints' motion above which the same is said: friction and servo
 gains explain less."""
 PARAMETER_ERROR = 4.0
 """Largest error of a parameter [standard deviations], above which the same is said: chance does not

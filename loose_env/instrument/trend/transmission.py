@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.instrument.data.spectral_lines import Lines, thinned
-from loose_env.instrument.inference.evidence import Evidence, Piece, Seat, force_readings
+from loose_env.instrument.inference.evidence import Evidence
 from loose_env.instrument.inference.laplace_fit import Fit, best_powers, fitted_pieces, seats_of
 from loose_env.instrument.inference.posterior import ModelComparison
 from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
+from loose_env.instrument.inference.seat_motion import Piece, Seat, joint_readings
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.result import HEALTHY, TransmissionSpectrum
 from loose_env.instrument.settings.thresholds import MENTIONED
@@ -132,7 +133,7 @@ def _predicted(evidence: Evidence, fit: Fit, seat: Seat | None) -> list[ComplexA
 def _readings(piece: Piece, fit: Fit, seat: Seat | None) -> ComplexArray:
     response = piece.response
     if seat is None or fit.axis is None or piece.lines.healthy:
-        return response.expected + _forces(piece, fit, response.residual)
+        return response.expected + _joints(piece, fit, response.residual)
     column = response.columns[:, :, seat.columns] @ fit.axis
     sudden = response.sudden[:, seat.columns] @ fit.axis
     both = np.stack([column, np.broadcast_to(sudden, column.shape)], axis=2)
@@ -142,12 +143,12 @@ def _readings(piece: Piece, fit: Fit, seat: Seat | None) -> ComplexArray:
     seen = weighted.conj().swapaxes(1, 2) @ response.residual[:, :, None]
     motion = np.linalg.solve(inside, seen)
     moved = np.asarray((both @ motion)[:, :, 0])
-    return np.asarray(response.expected + moved + _forces(piece, fit, response.residual - moved))
+    return np.asarray(response.expected + moved + _joints(piece, fit, response.residual - moved))
 
 
-def _forces(piece: Piece, fit: Fit, residual: ComplexArray) -> ComplexArray:
-    """Readings that unknown forces of the joints most probably make (K, c)."""
-    return force_readings(piece, fit.variances, piece.weight @ residual[:, :, None])
+def _joints(piece: Piece, fit: Fit, residual: ComplexArray) -> ComplexArray:
+    """Readings that the joints' motion beside the model most probably makes (K, c)."""
+    return joint_readings(piece, fit.variances, piece.weight @ residual[:, :, None])
 
 
 def _drive(arm: InstrumentedArm, lines: Lines) -> tuple[int, ComplexArray, str]:

@@ -188,9 +188,12 @@ def summary_words(diagnosis: Diagnosis, arm: Arm) -> list[str]:
 def _meaning(diagnosis: Diagnosis, arm: Arm) -> str:
     fault = diagnosis.fault
     if fault.where is None:
+        shown = ""
+        if np.isfinite(diagnosis.nothing_opened):
+            shown = f" (that nothing opened in any run: {percent(diagnosis.nothing_opened)})"
         return (
-            "All motion is transmitted as in the healthy arm. A seat that friction or weight kept "
-            "shut cannot be told from a healthy one."
+            f"All motion is transmitted as in the healthy arm{shown}. A seat that friction or "
+            "weight kept shut cannot be told from a healthy one."
         )
     if fault.kind == "backlash":
         return "Its motor and its link are not tightly connected."

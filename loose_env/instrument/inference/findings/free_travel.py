@@ -15,9 +15,10 @@ import numpy as np
 from scipy import signal
 
 from loose_env.instrument.data.spectral_lines import Lines
-from loose_env.instrument.inference.evidence import Evidence, Piece, Seat
+from loose_env.instrument.inference.evidence import Evidence
 from loose_env.instrument.inference.laplace_fit import fitted_pieces, seats_of
 from loose_env.instrument.inference.posterior import ModelComparison
+from loose_env.instrument.inference.seat_motion import Piece, Seat
 from loose_env.instrument.settings.thresholds import (
     CLEARANCE_ERROR,
     CLEARANCE_RESIDUAL,

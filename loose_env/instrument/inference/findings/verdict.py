@@ -44,7 +44,7 @@ def verdict_of(
         Probability from which a hypothesis is settled.
     """
     best = comparison.best
-    probability = comparison.posterior[best]
+    probability = comparison.nothing_opened if best == HEALTHY else comparison.posterior[best]
     suspect = [one.number for one in comparison.lines if not one.healthy]
     paired = any(one.beside is not None for one in comparison.lines)
     blocked: list[str] = []
@@ -70,12 +70,13 @@ def verdict_of(
             )
     if len(suspect) < LEAST_RUNS:
         blocked.append(f"{len(suspect)} run of the arm under test; {LEAST_RUNS} are needed")
-    elif probability > sure and _rests_on_one(comparison, best, suspect):
+    elif best != HEALTHY and probability > sure and _rests_on_one(comparison, best, suspect):
         blocked.append("the probability rests on one run: without it another cause is as likely")
     if misfit > MISMATCH and not paired:
         return Judgement(kind="model_mismatch", reasons=tuple(blocked))
     if probability <= sure:
-        blocked.insert(0, f"the probability of {best} is {probability:.3f}; {sure:g} is needed")
+        what = "that nothing opened in any run" if best == HEALTHY else f"of {best}"
+        blocked.insert(0, f"the probability {what} is {probability:.3f}; {sure:g} is needed")
     if blocked:
         return Judgement(kind="open", reasons=tuple(blocked))
     return Judgement(kind="healthy" if best == HEALTHY else "faulty")

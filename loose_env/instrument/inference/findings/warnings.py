@@ -7,19 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from loose_env.instrument.data.spectral_lines import Lines
-from loose_env.instrument.inference.evidence import Seat
 from loose_env.instrument.inference.findings.free_travel import Travel
 from loose_env.instrument.inference.laplace_fit import fitted_pieces, seats_of
 from loose_env.instrument.inference.opening_probability import open_probability, seat_forces
 from loose_env.instrument.inference.posterior import ModelComparison
 from loose_env.instrument.inference.response.timing import ClockOffset, ServoTiming
+from loose_env.instrument.inference.seat_motion import Seat
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.instrument.result import HEALTHY
 from loose_env.instrument.settings.thresholds import (
     FEWEST_LINES,
-    FORCE_ERROR,
     JOINT_SIGNAL,
     MODEL_ERROR,
+    MOTION_ERROR,
     OPENING_PROBABILITY,
     PARAMETER_ERROR,
     PRESSED_FORCE,
@@ -80,12 +80,12 @@ def model_warnings(comparison: ModelComparison) -> list[str]:
     worst = int(np.argmax(errors)) if len(errors) else 0
     strain = float(errors[worst]) if len(errors) else 0.0
     misfit = float(np.sqrt(comparison.misfit))
-    forces = _force_error(comparison)
+    motion = _motion_error(comparison)
     found = []
     if misfit > MODEL_ERROR:
         found.append(f"{misfit:.0%} of the motion remains unexplained")
-    if forces > FORCE_ERROR:
-        found.append(f"the forces of the excited joints are off by {forces:.0%}")
+    if motion > MOTION_ERROR:
+        found.append(f"the motion of the excited joints is off by {motion:.0%}")
     if strain > PARAMETER_ERROR:
         found.append(f"{names[worst]} is off by {strain:.1f} times its tolerance")
     if not found:
@@ -97,8 +97,8 @@ def model_warnings(comparison: ModelComparison) -> list[str]:
     ]
 
 
-def _force_error(comparison: ModelComparison) -> float:
-    """Median relative error of the forces of the excited joints, over the runs [1]."""
+def _motion_error(comparison: ModelComparison) -> float:
+    """Median relative error of the motion of the excited joints, over the runs [1]."""
     index, fit = comparison.evidence.index, comparison.fits[comparison.best]
     errors = [
         np.sqrt(fit.variances[index.columns(one.number, change=False)[joint]])

@@ -69,20 +69,18 @@ class Response:
         """Residual of the healthy arm (K, c), less that of the run it is compared with."""
         return np.asarray(self.lines.readings - self.expected)
 
+    @property
+    def acceleration(self) -> Array:
+        """Size of all accelerations that are read (K,) [m/s²]."""
+        rows = [r.kind == "acceleration" for r, _ in self.lines.row]
+        return np.asarray(np.linalg.norm(self.lines.readings[:, rows], axis=1))
+
     def joint_columns(self) -> ComplexArray:
-        """Frequency response from joint motions to the channels, other joints held (K, c, n)."""
+        """Readings per acceleration of each joint, the other joints held (K, c, n)."""
         n = self.at.of.arm.n
         per_motion = self.compliance[:, :, :n] @ np.linalg.inv(self.compliance[:, :n, :n])
         omega2 = (2 * np.pi * self.lines.frequency[:, None, None]) ** 2
-        return np.asarray(self.rows @ per_motion / omega2)
-
-    def drive_force(self) -> ComplexArray:
-        """Force of each joint's drive on the healthy arm (K, n)."""
-        n = self.at.of.arm.n
-        s = 2j * np.pi * self.lines.frequency[:, None]
-        drives = self.at.of.arm.actuators
-        servo = drives.stiffness + s * drives.damping
-        return np.asarray(self.force[:, :n] - self.pushed[:, :n] - servo * self.motion[:, :n])
+        return np.asarray(self.rows @ per_motion / -omega2)
 
     def floating(self, seats: NDArray[np.intp], axes: Array) -> Array:
         """Acceleration of a frictionless seat, by axis (U, K) [m/s² or rad/s²]."""
