@@ -141,7 +141,9 @@ class Workbench:
         fault = _fault(self.arm, comparison, travel)
         say("following the probabilities from run to run")
         records = self._records(comparison, clocks)
-        offsets = () if clocks.offset is None else (clocks.offset,)
+        fit = comparison.fits[best]
+        offset = clocks.refined(self.uncertain, fit.errors, fit.normal)
+        offsets = () if offset is None else (offset,)
         verdict = verdict_of(comparison, offsets, sure=self.settings.sure)
         notes = [n for t in self._taken for n in t.notes]
         servos = servo_timing(self.uncertain, lines)

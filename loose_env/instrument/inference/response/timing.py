@@ -106,6 +106,24 @@ class Clocks:
     reference_s: float = 0.0
     """Time by which those of the references are earlier than that [s]."""
 
+    def refined(self, uncertain: UncertainArm, errors: Array, normal: Array) -> ClockOffset | None:
+        """Offset by a fit of all runs to the whole model, which started from this one.
+
+        Parameters
+        ----------
+        uncertain : UncertainArm
+            The arm.
+        errors : ndarray (P,)
+            Its nuisance parameters by the fit.
+        normal : ndarray (P, P)
+            Their inverse covariance.
+        """
+        if self.offset is None:
+            return None
+        clock, unit = uncertain.reading_lag.start, uncertain.tolerances.sensor_clock
+        sd = unit * float(np.sqrt(np.linalg.inv(normal)[clock, clock]))
+        return ClockOffset(seconds=self.common_s + unit * float(errors[clock]), sd=sd)
+
     def corrected(self, lines: Lines) -> Lines:
         """Lines of a run, and of the reference beside it, with stamps of one clock."""
         beside = None if lines.beside is None else self.corrected(lines.beside)
