@@ -47,10 +47,10 @@ class Tolerances:
     """Delay of the accelerometers against the joints' sensors; in every run another [s]."""
     sensor_clock: float = 0.001
     """The same delay in all runs: recorders with clocks of their own [s]."""
-    sensor_lag: float = 0.00015
+    sensor_lag: float = 0.00003
     """Time constant of the accelerometers' low-pass of second order, median [s]: a bandwidth of
-    1 kHz."""
-    sensor_lag_sd: float = 1.0
+    5 kHz."""
+    sensor_lag_sd: float = 1.5
     """Standard deviation of its logarithm [1]."""
 
     def __post_init__(self) -> None:
