@@ -26,7 +26,6 @@ from loose_env.instrument.settings.thresholds import (
     COMPLIANCE_HZ,
     CORRELATION_HZ,
     OPEN_SEAT_SHARE,
-    PARAMETER_TAIL,
 )
 from loose_env.typing import Array
 
@@ -126,13 +125,13 @@ class Evidence:
     def prior(self, errors: Array) -> tuple[float, Array]:
         """Negative log prior of parameters but for a constant, and its curvature (P, P).
 
-        A tolerance is a guess of its own: beyond `PARAMETER_TAIL` standard deviations the density
-        falls exponentially (Huber). What healthy runs have told is normal (Laplace).
+        A tolerance is a guess of its own: beyond `UncertainArm.tails` the density falls
+        exponentially (Huber). What healthy runs have told is normal (Laplace).
         """
         off = errors - self.expected
         if self.known is not None:
             return 0.5 * float(off @ self.known.precision @ off), self.known.precision
-        size, tail = np.abs(off), PARAMETER_TAIL
+        size, tail = np.abs(off), self.uncertain.tails(self.runs)
         cost = np.where(size < tail, 0.5 * off**2, tail * (size - 0.5 * tail))
         return float(np.sum(cost)), np.diag(tail / np.maximum(size, tail))
 

@@ -23,7 +23,12 @@ import numpy as np
 from loose_env.arms import LinearArm, MismatchDraw
 from loose_env.instrument.inference.response.elastic_coordinates import elastic_coordinates
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
-from loose_env.instrument.settings.thresholds import ELASTIC_LOSS, RIGID_SD, STIFFNESS_SD
+from loose_env.instrument.settings.thresholds import (
+    ELASTIC_LOSS,
+    PARAMETER_TAIL,
+    RIGID_SD,
+    STIFFNESS_SD,
+)
 from loose_env.instrument.settings.tolerances import Tolerances
 from loose_env.typing import Array, ComplexArray
 
@@ -35,6 +40,8 @@ DELAYS = ("command_delay", "sensor_delay")
 named as in `Tolerances`."""
 _RIGID = 6.0
 """Stiffness of a rigid arm above that with which fits start [standard deviations]."""
+_NORMAL = 1e6
+"""Errors beyond which nothing is [standard deviations]."""
 _STEP = 1e-4
 """Turn by which gravity's stiffness is found [rad or m]."""
 
@@ -95,6 +102,7 @@ class UncertainArm:
             factor[flange] += moved / max(nominal.model.body_mass[flange], 1e-12)
             self._changed.append(_changed(self, replace(none, mass=factor)))
             names.append(f"motor_side@{arm.links[link]}")
+        self.motor_sides = slice(len(names) - n, len(names))
         self._zeros = t.joint_zero * np.eye(n)
         names += [f"zero@{joint}" for joint in arm.joints]
         names += [f"rotor@{joint}" for joint in arm.joints]
@@ -135,6 +143,15 @@ class UncertainArm:
         """Errors of the arm as its model has it, rigid (P,)."""
         found = np.zeros(len(self.names))
         found[self.stiffnesses] = _RIGID
+        return found
+
+    def tails(self, runs: int) -> Array:
+        """Errors beyond which the prior falls exponentially only [standard deviations] (P,).
+
+        Shares of a link's mass are bounded by none and all of it: theirs is normal.
+        """
+        found = np.full(self.count(runs), PARAMETER_TAIL)
+        found[self.motor_sides] = _NORMAL
         return found
 
     def delays(self, run: int) -> slice:
