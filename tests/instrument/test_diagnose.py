@@ -29,7 +29,7 @@ def weighed(folder: Path, given: tuple[Run, ...], *, plan: bool = False) -> Diag
 
 @pytest.fixture(scope="module")
 def slide(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
-    return weighed(tmp_path_factory.mktemp("slide"), runs("slide"))
+    return weighed(tmp_path_factory.mktemp("slide"), runs("slide", 3))
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_every_run_has_its_probabilities_its_direction_and_its_loop(slide: Diagn
     assert slide.records[-1].probabilities == slide.posterior
 
 
-def test_one_run_settles_nothing_and_two_do(one_run: Diagnosis, slide: Diagnosis) -> None:
+def test_one_run_settles_nothing_and_three_do(one_run: Diagnosis, slide: Diagnosis) -> None:
     assert one_run.fault.hypothesis == slide.fault.hypothesis
     assert not one_run.settled and one_run.verdict == "open"
     assert any("2 are needed" in words for words in one_run.open_because)
@@ -224,7 +224,7 @@ def test_the_command_writes_a_result_and_takes_a_longer_recording(
 ) -> None:
     model, folder, out = write_model(tmp_path), tmp_path / "recording", tmp_path / "found"
     options = ["--out", str(out), "--quiet", "--poses", "2", "--seconds", "1"]
-    for count in (1, 2):
+    for count in (1, 3):
         write_recording(folder, model_xml=model, runs=runs("slide", count), overwrite=True)
         assert main(["diagnose", str(folder), *options]) == 0
         found = read_diagnosis(out)

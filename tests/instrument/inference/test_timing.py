@@ -67,7 +67,8 @@ def test_correlation_is_drawn_on_one_clock(tmp_path: Path) -> None:
     assert prompt.fault.hypothesis == delayed.fault.hypothesis
     for one, other in zip(prompt.records, delayed.records, strict=True):
         for first, second in zip(one.loops, other.loops, strict=True):
-            assert second.correlation == pytest.approx(first.correlation, abs=0.1)
+            # The direction is estimated anew; 5 ms turn the phase by up to half a turn.
+            assert second.correlation == pytest.approx(first.correlation, abs=0.15)
 
 
 def test_free_travel_is_estimated_on_one_clock(tmp_path: Path) -> None:

@@ -56,14 +56,14 @@ def test_the_healthy_arm_answers_a_blow_as_the_model_says(
     answer = respond(at, lines, bench.uncertain.nominal)
     tool = [k for k, (r, _) in enumerate(lines.row) if r.kind == "acceleration"]
     missed = np.linalg.norm(answer.residual[:, tool]) / np.linalg.norm(lines.readings[:, tool])
-    assert missed < 0.05
+    assert missed < 0.06  # of it the filter that accelerometers have by the prior
 
 
 def test_a_loose_link_is_found_by_a_hammer(tmp_path: Path, arm: InstrumentedArm) -> None:
     """Along the link: an elastic gear or a bending link moves the tool across it."""
     found = diagnosed(tmp_path, arm, ("fore", (0.0, 0.0, 1.0), 4e-4))
     assert found.fault.hypothesis == "structural_looseness@fore"
-    assert found.probability > 0.8  # of three blows at an arm whose springs are unknown
+    assert found.probability > 0.95
     assert found.fault.direction is not None
     assert found.fault.direction_half_angle_deg is not None
     off = np.degrees(np.arccos(abs(found.fault.direction[2])))
@@ -75,5 +75,5 @@ def test_a_healthy_arm_that_is_struck_is_not_called_faulty(
     tmp_path: Path, arm: InstrumentedArm
 ) -> None:
     found = diagnosed(tmp_path, arm, None)
-    assert not found.settled
+    assert found.verdict != "faulty"
     assert found.fault.hypothesis == "healthy" or found.probability < 0.6
