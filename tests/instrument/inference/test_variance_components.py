@@ -59,7 +59,9 @@ def test_what_changes_between_sessions_costs_more_than_a_wrong_model(evidence: E
     assert costs[0] < 10 < 50 < costs[1]
 
 
-def test_every_pattern_has_a_component_and_runs_share_all_but_the_joints(evidence: Evidence) -> None:
+def test_every_pattern_has_a_component_and_runs_share_all_but_the_joints(
+    evidence: Evidence,
+) -> None:
     index, n = evidence.index, evidence.uncertain.arm.n
     first, second = (index.columns(run, change=False) for run in (0, 1))
     assert len(first) == 8 * n
