@@ -59,7 +59,7 @@ def test_a_loose_link_of_an_arm_that_mujoco_never_saw_is_named(slide: Diagnosis)
 
 
 def test_every_run_has_its_probabilities_its_direction_and_its_loop(slide: Diagnosis) -> None:
-    assert [record.file for record in slide.records] == ["run-1.parquet", "run-2.parquet"]
+    assert [record.file for record in slide.records] == [f"run-{k}.parquet" for k in (1, 2, 3)]
     for record in slide.records:
         assert np.isclose(sum(record.probabilities.values()), 1.0)
         assert record.direction_tool is not None
@@ -151,7 +151,7 @@ def test_references_of_the_sound_arm_are_used_and_not_judged(tmp_path: Path) -> 
 def test_pose_and_joint_are_taken_from_the_data_with_a_warning(
     tmp_path: Path, slide: Diagnosis
 ) -> None:
-    bare = tuple(dataclasses.replace(run, pose=None, excited=()) for run in runs("slide"))
+    bare = tuple(dataclasses.replace(run, pose=None, excited=()) for run in runs("slide", 3))
     found = weighed(tmp_path, bare)
     assert found.fault.hypothesis == slide.fault.hypothesis
     assert [r.excited for r in found.records] == [r.excited for r in slide.records]
