@@ -1,0 +1,108 @@
+"""`loose gap` on measured recordings: what is named, and the held-out error before and after.
+
+python -m scripts.suites.gap.measured RECORDING [RECORDING ...] --out FILE.jsonl
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import loose_env
+from loose_env.errors import LooseEnvError
+from loose_env.gap import GapResult
+
+Row = dict[str, Any]
+QUANTITY = "joint position [rad]"
+"""Error that the table shows; that of held-out runs, simulated from their commands alone."""
+
+
+def row_of(folder: Path, settings: dict[str, Any]) -> Row:
+    """Result of a recording, and the time it took [s]."""
+    begun = time.perf_counter()
+    try:
+        found = loose_env.explain_gap(folder, ignore_doctor=True, **settings).result
+    except LooseEnvError as error:
+        return {"recording": folder.name, "error": str(error)}
+    seconds = time.perf_counter() - begun
+    return {"recording": folder.name, "seconds": seconds} | _of_result(found)
+
+
+def _of_result(found: GapResult) -> Row:
+    return {
+        "verdict": found.verdict,
+        "held_out": list(found.held_out_runs),
+        "error": None,
+        "rmse": found.gap.by_quantity.get(QUANTITY),
+        "effects": [
+            {
+                "kind": effect.kind,
+                "where": effect.where,
+                "parameters": dict(effect.parameters),
+                "interval_95": {k: list(v) for k, v in effect.interval_95.items()},
+                "units": dict(effect.units),
+            }
+            for effect in found.effects
+        ],
+        "remaining": list(found.remaining),
+    }
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Rows in Markdown."""
+    lines = [
+        "| recording | named | error before [rad] | after [rad] | ratio | time [s] |",
+        "|---|---|---:|---:|---:|---:|",
+    ]
+    for row in rows:
+        if row["error"] is not None:
+            lines.append(f"| {row['recording']} | refused: {row['error']} | | | | |")
+            continue
+        named = "; ".join(_effect_words(effect) for effect in row["effects"]) or row["verdict"]
+        numbers = "| | | "
+        if row["rmse"] is not None:
+            before, after = row["rmse"]
+            numbers = f"| {before:.4f} | {after:.4f} | {after / before:.2f} "
+        lines.append(f"| {row['recording']} | {named} {numbers}| {row['seconds']:.0f} |")
+    return "\n".join(lines)
+
+
+def _effect_words(effect: Row) -> str:
+    figures = []
+    for name, value in effect["parameters"].items():
+        low, high = effect["interval_95"].get(name, (None, None))
+        span = "" if low is None or high is None else f" ({low:.3g} to {high:.3g})"
+        unit = effect["units"].get(name, "")
+        figures.append(f"{name} {value:.3g}{span}{' ' if unit else ''}{unit}")
+    return f"`{effect['kind']}` at {effect['where']}: {', '.join(figures)}"
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Take the command line."""
+    parser = argparse.ArgumentParser(prog="measured", description=__doc__)
+    parser.add_argument("recordings", type=Path, nargs="+", help="folders of recordings")
+    parser.add_argument("--out", type=Path, required=True, help="file of rows (JSON lines)")
+    parser.add_argument("--threads", type=int, default=1, help="threads of each comparison")
+    given = parser.parse_args(words)
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    rows = []
+    if given.out.is_file():
+        rows = [json.loads(line) for line in given.out.read_text("utf-8").splitlines()]
+    done = {row["recording"] for row in rows}
+    for folder in given.recordings:
+        if folder.name in done:
+            continue
+        row = row_of(folder, {"threads": given.threads})
+        rows.append(row)
+        with given.out.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        print(table([row]).splitlines()[-1], flush=True)
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()
