@@ -76,11 +76,11 @@ class Response:
         return np.asarray(np.linalg.norm(self.lines.readings[:, rows], axis=1))
 
     def joint_columns(self) -> ComplexArray:
-        """Readings per acceleration of each joint, the other joints held (K, c, n)."""
+        """Readings per acceleration of each joint by a force on it alone (K, c, n)."""
         n = self.at.of.arm.n
-        per_motion = self.compliance[:, :, :n] @ np.linalg.inv(self.compliance[:, :n, :n])
-        omega2 = (2 * np.pi * self.lines.frequency[:, None, None]) ** 2
-        return np.asarray(self.rows @ per_motion / -omega2)
+        own = np.diagonal(self.compliance[:, :n, :n], axis1=1, axis2=2)
+        omega2 = (2 * np.pi * self.lines.frequency[:, None]) ** 2
+        return np.asarray(self.rows @ self.compliance[:, :, :n] / (-omega2 * own)[:, None, :])
 
     def floating(self, seats: NDArray[np.intp], axes: Array) -> Array:
         """Acceleration of a frictionless seat, by axis (U, K) [m/s² or rad/s²]."""
