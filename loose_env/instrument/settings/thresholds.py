@@ -150,7 +150,7 @@ FAULT_EFFECT = 0.03
 fault is settled: an error of 5 mrad of the poses changes as much."""
 SETTLED_CONE_DEG = 30.0
 """Half opening of the direction's cone above which a fault is not settled [deg]."""
-COARSENED_RUNS = 1.5
+COARSENED_RUNS = 1.0
 """Runs whose evidence more runs approach: errors outside the model are alike in all of them
 (coarsened posterior; Miller and Dunson, JASA 114, 2019). Calibrated on simulated machines."""
 
