@@ -129,7 +129,7 @@ def test_play_is_told_from_a_slide(tmp_path: Path) -> None:
 
 
 def test_a_healthy_arm_is_called_healthy(healthy: Diagnosis) -> None:
-    assert healthy.fault.kind == "healthy" and healthy.probability > 0.6
+    assert healthy.fault.kind == "healthy" and healthy.nothing_opened > 0.9
     assert healthy.fault.direction is None and healthy.fault.gap_m is None
 
 

@@ -160,7 +160,10 @@ def headline(diagnosis: Diagnosis, arm: Arm) -> str:
         return "The model is not that of this arm: correct it first."
     if diagnosis.verdict != "open":
         return f"{begun(said)}."
-    if diagnosis.probability >= PROBABLE:
+    probability = diagnosis.probability
+    if diagnosis.fault.kind == HEALTHY and np.isfinite(diagnosis.nothing_opened):
+        probability = diagnosis.nothing_opened  # as the verdict has it
+    if probability >= PROBABLE:
         return f"Probably {said}."
     return f"Not decided. Most likely so far: {said}."
 
