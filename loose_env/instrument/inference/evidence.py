@@ -228,26 +228,16 @@ class Evidence:
             Log-likelihood, shares and openness summed out.
         """
         terms = self.run_terms(pieces, seat, axes)
-        return np.asarray(sum(terms.values(), start=np.zeros(len(axes))))
+        return np.asarray(sum((ratio for ratio, _ in terms.values()), start=np.zeros(len(axes))))
 
-    def run_terms(self, pieces: Sequence[Piece], seat: Seat, axes: Array) -> dict[int, Array]:
-        """Log-likelihood ratio of a seat by run and axis (U,).
-
-        A seat that stays shut in a run moves no more than a tight one.
-        """
-        return {run: opened for run, (opened, _) in self._run_terms(pieces, seat, axes).items()}
-
-    def shut_probabilities(
-        self, pieces: Sequence[Piece], seat: Seat, axis: Array
-    ) -> dict[int, float]:
-        """Posterior probability by run that a loose seat stayed shut in it."""
-        terms = self._run_terms(pieces, seat, axis[None])
-        return {run: float(np.exp(shut - whole)[0]) for run, (whole, shut) in terms.items()}
-
-    def _run_terms(
+    def run_terms(
         self, pieces: Sequence[Piece], seat: Seat, axes: Array
     ) -> dict[int, tuple[Array, Array]]:
-        """Log-likelihood ratios by run and axis, and that of a seat that stays shut (U,) each."""
+        """Log-likelihood ratio of a seat by run and axis, and what of it is a shut one (U,) each.
+
+        A seat that stays shut in a run moves no more than a tight one. The difference of the two is
+        the log probability that it did.
+        """
         by_run: dict[int, list[Array]] = {}
         opening: dict[int, Array] = {}
         for piece in pieces:

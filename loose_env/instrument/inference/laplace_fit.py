@@ -124,21 +124,24 @@ def fit_hypothesis(
     seat : Seat or None
         Loose seat; None for a healthy arm.
     start : Fit, optional
-        Fit whose parameters, and direction if it has one, the search starts from. Its variance
-        components are not taken over: small ones would hold the search where it is.
-    width : float
+        Fit whose parameters, and direction if it has one, the search starts from.
+    width : float, optional
         Standard deviations of the components with which the fit starts, over the scales of their
-        priors: no single line dominates before the parameters fit.
+        priors: no single line dominates before the parameters fit. None for those of ``start``,
+        which may hold the search where it is.
     steps : int
         Most Gauss-Newton steps.
     """
     count = evidence.count
     errors = np.zeros(count) if evidence.known is None else evidence.known.errors
-    variances = evidence.start(width or 1.0)
-    if width is None and start is not None:
-        variances = start.variances
     if start is not None:
         errors = start.errors
+    if width is not None:
+        variances = evidence.start(width)
+    elif start is not None:
+        variances = start.variances
+    else:
+        raise ValueError("a fit needs a width or a start")
     axis = None
     if seat is not None:
         axis = np.ones(1)
@@ -219,9 +222,10 @@ def _by_run(
         number = piece.lines.number
         value[number] = value.get(number, 0.0) + piece.base
     if seat is not None and now.axis is not None:
-        for number, term in evidence.run_terms(now.pieces, seat, now.axis[None]).items():
-            value[number] += float(term[0])
-        shut = evidence.shut_probabilities(now.pieces, seat, now.axis)
+        terms = evidence.run_terms(now.pieces, seat, now.axis[None])
+        for number, (ratio, while_shut) in terms.items():
+            value[number] += float(ratio[0])
+            shut[number] = float(np.exp(while_shut - ratio)[0])
     found = {}
     for number, log_likelihood in value.items():
         left, whole, seat_power = np.sum(system.misfit[number], axis=0)

@@ -6,9 +6,10 @@ import argparse
 import json
 from pathlib import Path
 
-from scripts.suites.diagnosis.blind import in_session, kept, recorded
+from scripts.suites.diagnosis.blind import in_session, recorded
 from scripts.suites.diagnosis.cases import draw
 from scripts.suites.diagnosis.grade import table
+from scripts.suites.row_files import kept
 
 SEED = 60_713
 """Of the printed tables; nothing was developed on it."""

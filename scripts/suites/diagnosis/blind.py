@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -87,16 +86,3 @@ def marks(case: Case, found: Diagnosis) -> dict[str, Any]:
             row["angle"] = float(np.degrees(np.arccos(min(cosine, 1.0))))
             row["half_angle"] = found.fault.direction_half_angle_deg
     return row
-
-
-def kept(path: Path) -> list[dict[str, Any]]:
-    """Rows of a file; a last line that was cut off is left out."""
-    if not path.is_file():
-        return []
-    rows = []
-    for line in path.read_text("utf-8").splitlines():
-        try:
-            rows.append(json.loads(line))
-        except ValueError:
-            continue
-    return rows

@@ -15,6 +15,7 @@ from typing import Any
 import loose_env
 from loose_env.errors import LooseEnvError
 from loose_env.gap import GapResult
+from scripts.suites.row_files import kept
 
 Row = dict[str, Any]
 QUANTITY = "joint position [rad]"
@@ -89,10 +90,8 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--threads", type=int, default=1, help="threads of each comparison")
     given = parser.parse_args(words)
     given.out.parent.mkdir(parents=True, exist_ok=True)
-    rows = []
-    if given.out.is_file():
-        rows = [json.loads(line) for line in given.out.read_text("utf-8").splitlines()]
-    done = {row["recording"] for row in rows}
+    rows = kept(given.out)
+    done = {row["recording"] for row in rows if row["error"] is None}
     for folder in given.recordings:
         if folder.name in done:
             continue

@@ -13,6 +13,7 @@ from scripts.suites.machines.disturbances import KINDS, ranges_table
 from scripts.suites.machines.grade import tables
 from scripts.suites.machines.plans import CaseSettings
 from scripts.suites.machines.run import Row, line_of, row_of
+from scripts.suites.row_files import kept
 
 SEED = 81_207
 """Of the printed tables; nothing was developed on it. Development used the seed 1."""
@@ -41,7 +42,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--table", action="store_true", help="print the tables of the rows alone")
     parser.add_argument("--docs", action="store_true", help="write the tables into the page")
     given = parser.parse_args(words)
-    rows = kept(given.out)
+    rows = sorted(kept(given.out), key=_order)
     if not given.table:
         settings = CaseSettings(runs=given.runs, poses=given.poses, seconds=given.seconds)
         done = {(row["seed"], row["case"], row["only"]) for row in rows}
@@ -56,7 +57,7 @@ def main(words: Sequence[str] | None = None) -> None:
             with given.out.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
             print(f"{count}/{len(jobs)} {line_of(row)}", flush=True)
-        rows = kept(given.out)
+        rows = sorted(kept(given.out), key=_order)
     print(tables(rows))
     if given.docs:
         write_docs(DOCS, rows)
@@ -75,17 +76,8 @@ def done_by(
             yield future.result()
 
 
-def kept(path: Path) -> list[Row]:
-    """Rows of a file in the order of cases; a line that was cut off is left out."""
-    if not path.is_file():
-        return []
-    rows = []
-    for line in path.read_text("utf-8").splitlines():
-        try:
-            rows.append(json.loads(line))
-        except ValueError:
-            continue
-    return sorted(rows, key=lambda row: (row["seed"], row["case"]))
+def _order(row: Row) -> tuple[int, int]:
+    return row["seed"], row["case"]
 
 
 def write_docs(page: Path, rows: Sequence[Row]) -> None:

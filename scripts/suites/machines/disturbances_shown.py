@@ -11,11 +11,11 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from scripts.suites.machines.__main__ import kept
 from scripts.suites.machines.case import Case, draw
 from scripts.suites.machines.disturbances import KINDS, Disturbances
 from scripts.suites.machines.plans import CaseSettings
 from scripts.suites.machines.run import Row, examined
+from scripts.suites.row_files import kept
 
 NUMBER, SEED = 33, 1
 """Case whose arm and fault are played: a fault that opens on the arm without disturbances."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.response.sensor_rows import rows_of, sensing_of, stepped_of
 from loose_env.instrument.inference.response.uncertain_linear_arm import PoseModel
 from loose_env.instrument.settings.thresholds import STIFFNESS_SD
+from loose_env.instrument.settings.tolerances import Tolerances
 from loose_env.typing import Array, ComplexArray
 
 __all__ = ["Response", "respond", "with_leakage"]
@@ -186,12 +188,11 @@ class Response:
         slopes[:, :, delays.start] = t.command_delay * late
         readings = self.mean + np.einsum("kcs,ks->kc", self.columns, seat)
         on_sites = np.array([r.on_site for r, _ in lines.row])
-        slow = s * t.sensor_lag * np.exp(t.sensor_lag_sd * self.errors[of.reading_lag][1])
-        by_lag = -(np.sqrt(2) * slow + 2 * slow**2) / (1 + np.sqrt(2) * slow + slow**2)
+        low_pass, by_lag = _low_pass(s, t, float(self.errors[of.reading_lag][1]))
         for column, each in (
             (delays.start + 1, -t.sensor_delay * s),
             (of.reading_lag.start, -t.sensor_clock * s),
-            (of.reading_lag.start + 1, t.sensor_lag_sd * by_lag),
+            (of.reading_lag.start + 1, by_lag / low_pass),
         ):
             slopes[:, on_sites, column] = each[:, None] * readings[:, on_sites]
         for at_sensor, k in enumerate(of.sensors):
@@ -276,9 +277,15 @@ def _late(at: PoseModel, lines: Lines, errors: Array) -> tuple[ComplexArray, Com
     command, sensor = own if len(own) else (0.0, 0.0)  # errors may be those of the arm alone
     clock, lag = errors[of.reading_lag]
     s = 2j * np.pi * lines.frequency
-    slow = s * t.sensor_lag * np.exp(t.sensor_lag_sd * lag)
     late = np.exp(-s * (t.sensor_delay * sensor + t.sensor_clock * clock))
-    return np.exp(-s * t.command_delay * command), late / (1 + np.sqrt(2) * slow + slow**2)
+    return np.exp(-s * t.command_delay * command), late * _low_pass(s, t, float(lag))[0]
+
+
+def _low_pass(s: Any, t: Tolerances, lag: float) -> tuple[ComplexArray, ComplexArray]:
+    """Filter of the accelerometers (Butterworth, second order), and its change by ``lag`` (K,)."""
+    slow = s * t.sensor_lag * np.exp(t.sensor_lag_sd * lag)
+    found = 1 / (1 + np.sqrt(2) * slow + slow**2)
+    return found, -t.sensor_lag_sd * (np.sqrt(2) * slow + 2 * slow**2) * found**2
 
 
 def _each(matrices: Array, rows: ComplexArray) -> ComplexArray:
