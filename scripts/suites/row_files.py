@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-__all__ = ["kept"]
+__all__ = ["add", "kept"]
 
 
 def kept(path: Path) -> list[dict[str, Any]]:
@@ -20,3 +20,10 @@ def kept(path: Path) -> list[dict[str, Any]]:
         except ValueError:
             continue
     return rows
+
+
+def add(path: Path, row: dict[str, Any]) -> None:
+    """Append a row, on a line of its own also after one that was cut off."""
+    cut = path.is_file() and not path.read_bytes().endswith(b"\n") and path.stat().st_size > 0
+    with path.open("a", encoding="utf-8") as file:
+        file.write("\n" * cut + json.dumps(row) + "\n")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from scripts.suites.diagnosis.blind import in_session, recorded
 from scripts.suites.diagnosis.cases import draw
 from scripts.suites.diagnosis.grade import table
-from scripts.suites.row_files import kept
+from scripts.suites.row_files import add, kept
 
 SEED = 60_713
 """Of the printed tables; nothing was developed on it."""
@@ -39,8 +38,7 @@ def main() -> None:
                 row = recorded(case, given.runs)
             else:
                 row = in_session(case, 2 * given.runs)
-            with file.open("a", encoding="utf-8") as rows:
-                rows.write(json.dumps(row) + "\n")
+            add(file, row)
             print(
                 f"{form} {number} {row['arm']}: {row['true']} -> {row['said']} "
                 f"({row['probability']:.3f}) {'' if row['true'] == row['said'] else 'WRONG'}",

@@ -6,7 +6,6 @@ python -m scripts.suites.gap.measured RECORDING [RECORDING ...] --out FILE.jsonl
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 import loose_env
 from loose_env.errors import LooseEnvError
 from loose_env.gap import GapResult
-from scripts.suites.row_files import kept
+from scripts.suites.row_files import add, kept
 
 Row = dict[str, Any]
 QUANTITY = "joint position [rad]"
@@ -97,8 +96,7 @@ def main(words: Sequence[str] | None = None) -> None:
             continue
         row = row_of(folder, {"threads": given.threads})
         rows.append(row)
-        with given.out.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
+        add(given.out, row)
         print(table([row]).splitlines()[-1], flush=True)
     print(table(rows))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -13,7 +12,7 @@ from scripts.suites.machines.disturbances import KINDS, ranges_table
 from scripts.suites.machines.grade import tables
 from scripts.suites.machines.plans import CaseSettings
 from scripts.suites.machines.run import Row, line_of, row_of
-from scripts.suites.row_files import kept
+from scripts.suites.row_files import add, kept
 
 SEED = 81_207
 """Of the printed tables; nothing was developed on it. Development used the seed 1."""
@@ -54,8 +53,7 @@ def main(words: Sequence[str] | None = None) -> None:
         given.out.parent.mkdir(parents=True, exist_ok=True)
         jobs = [(number, given.seed, settings, given.only) for number in asked]
         for count, row in enumerate(done_by(jobs, given.workers), start=1):
-            with given.out.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
+            add(given.out, row)
             print(f"{count}/{len(jobs)} {line_of(row)}", flush=True)
         rows = sorted(kept(given.out), key=_order)
     print(tables(rows))

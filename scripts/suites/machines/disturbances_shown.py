@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from scripts.suites.machines.case import Case, draw
 from scripts.suites.machines.disturbances import KINDS, Disturbances
 from scripts.suites.machines.plans import CaseSettings
 from scripts.suites.machines.run import Row, examined
-from scripts.suites.row_files import kept
+from scripts.suites.row_files import add, kept
 
 NUMBER, SEED = 33, 1
 """Case whose arm and fault are played: a fault that opens on the arm without disturbances."""
@@ -83,8 +82,7 @@ def main(words: Sequence[str] | None = None) -> None:
                     name, settings, healthy=healthy, reference=reference, strength=given.strength
                 )
                 row = examined(case) | {"only": name}
-                with given.out.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(row) + "\n")
+                add(given.out, row)
                 print(f"{name}: {row['truth']} -> {_said(row)}", flush=True)
     print(table(kept(given.out)))
 
