@@ -66,6 +66,16 @@ class ModelComparison:
         )
 
     @property
+    def tested(self) -> float:
+        """Share of all faults whose seats the runs would have opened [1]."""
+        shut = [
+            math.prod(term.shut for term in fit.runs.values())
+            for name, fit in self.fits.items()
+            if name != HEALTHY
+        ]
+        return 1 - sum(shut) / max(len(shut), 1)
+
+    @property
     def misfit(self) -> float:
         """Share of a suspect run's accelerations that the best fit leaves unexplained [1].
 

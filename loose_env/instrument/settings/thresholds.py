@@ -59,6 +59,9 @@ HIGHEST_CERTAINTY = 0.995
 """Largest probability a user may ask for [probability]: 1 less `UNEXPLAINED`, rounded."""
 LEAST_RUNS = 2
 """Runs before a case is settled: neighbouring links can be confused in one pose."""
+LEAST_TESTED = 0.5
+"""Share of all faults whose seats the runs have to open before an arm is called healthy [1]: what
+stayed shut was not tested."""
 PROBABLE = 0.6
 """Probability from which the report calls an unsettled fault probable [probability]."""
 MENTIONED = 0.02

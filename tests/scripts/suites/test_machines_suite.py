@@ -7,12 +7,13 @@ from typing import Any
 import pytest
 
 from loose_env.recording import read_recording
-from scripts.suites.machines.__main__ import MARKS, kept, main, write_docs
+from scripts.suites.machines.__main__ import MARKS, main, write_docs
 from scripts.suites.machines.case import draw, play
 from scripts.suites.machines.disturbances_shown import table as shown_table
 from scripts.suites.machines.grade import calibration, tables
 from scripts.suites.machines.plans import CaseSettings
 from scripts.suites.machines.run import line_of, result_of, row_of, truth_of, write
+from scripts.suites.row_files import kept
 from tests.instrument.test_result import diagnosis
 
 SHORT = CaseSettings(runs=2, poses=1, seconds=0.3)

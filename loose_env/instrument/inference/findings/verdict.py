@@ -14,6 +14,7 @@ from loose_env.instrument.result import HEALTHY, Verdict
 from loose_env.instrument.settings.thresholds import (
     FAULT_EFFECT,
     LEAST_RUNS,
+    LEAST_TESTED,
     MISMATCH,
     SETTLED_CONE_DEG,
 )
@@ -68,6 +69,11 @@ def verdict_of(
             blocked.append(
                 f"the direction of the slide is known no better than {SETTLED_CONE_DEG:g} degrees"
             )
+    elif comparison.tested < LEAST_TESTED:
+        blocked.append(
+            f"the runs would have opened {comparison.tested:.0%} of the seats that may be loose; "
+            f"{LEAST_TESTED:.0%} are needed: shake harder, or take other poses"
+        )
     if len(suspect) < LEAST_RUNS:
         blocked.append(f"{len(suspect)} run of the arm under test; {LEAST_RUNS} are needed")
     elif best != HEALTHY and probability > sure and _rests_on_one(comparison, best, suspect):
