@@ -29,15 +29,16 @@ def errors_with(evidence: Evidence, name: str, value: float, others: float = 8.0
     """Parameters with one stiffness, the others so high that nothing gives."""
     uncertain = evidence.uncertain
     errors = np.zeros(evidence.count)
-    errors[uncertain.stiffnesses] = others
+    errors[uncertain.stiffnesses][: uncertain.elastic.count] = others
     errors[uncertain.names.index(name)] = value
     return errors
 
 
 def test_every_gear_link_and_the_base_have_springs(evidence: Evidence) -> None:
-    names = evidence.uncertain.elastic.names
-    joints = evidence.uncertain.arm.joints
-    assert len(names) == 3 * len(joints) + 5
+    elastic = evidence.uncertain.elastic
+    names, joints = elastic.names, evidence.uncertain.arm.joints
+    assert elastic.count == 3 * len(joints) + 5
+    assert len(names) == elastic.count + len(joints) + 4  # pairs of bendings, slides and rockings
     assert {f"gear_stiffness@{joint}" for joint in joints} < set(names)
     assert (evidence.uncertain.elastic.stiffness > 0).all()
 
@@ -70,7 +71,8 @@ def test_a_spring_answers_as_a_mass_on_it(evidence: Evidence) -> None:
     at = uncertain.at(line.pose)
     column = len(uncertain.moving) + len(uncertain.arm.joints) - 1
     own = at.nominal.inertia[column, column]
-    stiffness = at.elastic_stiffness(errors)[len(uncertain.arm.joints) - 1]
+    gear = len(uncertain.arm.joints) - 1
+    stiffness = at.elastic_stiffness(errors)[gear, gear]
     compliance = respond(at, line, errors).compliance[:, column, column]
     # Between a spring with the link alone and one that moves the rest of the arm too.
     omega2 = (2 * np.pi * line.frequency) ** 2
@@ -92,3 +94,22 @@ def test_a_soft_gear_is_found_by_the_runs_of_all_poses(evidence: Evidence) -> No
     known = Evidence(uncertain=uncertain, lines=lines)
     fit = fit_hypothesis(known, "healthy", None, steps=25)
     assert fit.errors[uncertain.names.index(name)] == pytest.approx(-3.0, abs=0.5)
+
+
+def test_a_link_is_soft_in_a_direction_of_its_own(evidence: Evidence) -> None:
+    """A matrix that bends about one oblique axis alone is reached; turned axes change nothing."""
+    elastic = evidence.uncertain.elastic
+    one = elastic.names.index(f"bending_stiffness_1@{evidence.uncertain.arm.links[-1]}")
+    both = [one, one + 1]
+    pair = elastic.names.index(f"{elastic.names[one]}_{one + 1}")
+    soft, angle = np.array([1.0, np.tan(0.4)]) * np.cos(0.4), 0.4
+    wanted = np.eye(2) * 3.0 - 6.0 * np.outer(soft, soft)  # logarithm over the median
+    parameters = np.zeros(len(elastic.names))
+    parameters[both] = np.diag(wanted)
+    parameters[pair] = wanted[0, 1] * np.sqrt(2)
+    root = np.sqrt(elastic.stiffness[both])
+    found = elastic.matrix(parameters)[np.ix_(both, both)] / np.outer(root, root)
+    values, vectors = np.linalg.eigh(found)
+    assert np.log(values) == pytest.approx([-3.0, 3.0])
+    assert abs(vectors[:, 0] @ [np.cos(angle), np.sin(angle)]) == pytest.approx(1.0)
+    assert np.sum(parameters**2) == pytest.approx(2 * 3.0**2)  # as likely as along the axes

@@ -6,11 +6,16 @@ Bernoulli); the base slides, and rocks about the axes across the first joint's. 
 by its order of magnitude alone: its logarithm is distributed about that of a given mode, and the
 runs say more. A spring answers every force alike, in all runs: that tells it from a seat with play,
 whose motion is free at every line.
+
+Where the softest direction of a link or of the base lies, nobody knows: their stiffness is a
+matrix, with a logarithm that is symmetric and normal in every direction alike (log-Euclidean;
+Arsigny et al., SIAM J. Matrix Anal. Appl. 29, 2007).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import mujoco
 import numpy as np
@@ -22,6 +27,8 @@ from loose_env.typing import Array
 
 __all__ = ["ElasticCoordinates", "elastic_coordinates"]
 
+_ALIKE = 1e-4
+"""Half the difference of logarithms below which two stiffnesses count as one [1]."""
 _SHORT = 1e-3
 """Length below which a link has no direction of its own [m]: its joint's axis instead."""
 
@@ -35,7 +42,42 @@ class ElasticCoordinates:
     stiffness: Array
     """Median (E,) [N/m or N·m/rad]."""
     names: tuple[str, ...]
-    """Of the stiffness parameters (E,)."""
+    """Of the parameters: one for every coordinate, then one for every pair in a group (Q,)."""
+    directions: Array
+    """Change of the logarithm of the stiffness over its median by each parameter (Q, E, E) [1]."""
+
+    @property
+    def count(self) -> int:
+        """Number of coordinates."""
+        return len(self.stiffness)
+
+    def matrix(self, parameters: Array) -> Array:
+        """Stiffness for given parameters (E, E) [N/m or N·m/rad].
+
+        Parameters
+        ----------
+        parameters : ndarray (Q,)
+            Coefficients of the directions; zeros for the median.
+        """
+        values, vectors = np.linalg.eigh(np.tensordot(parameters, self.directions, 1))
+        root = np.sqrt(self.stiffness)
+        found = (vectors * np.exp(values)) @ vectors.T
+        return np.asarray(root[:, None] * found * root)
+
+    def slopes(self, parameters: Array) -> Array:
+        """Change of the stiffness by each parameter (Q, E, E).
+
+        The derivative of a matrix exponential (Daleckii and Krein).
+        """
+        values, vectors = np.linalg.eigh(np.tensordot(parameters, self.directions, 1))
+        mean, half = (values[:, None] + values) / 2, (values[:, None] - values) / 2
+        far = np.abs(half) > _ALIKE
+        ratio = np.sinh(half) / np.where(far, half, 1.0)
+        change = np.exp(mean) * np.where(far, ratio, 1.0)
+        turned = vectors.T @ self.directions @ vectors
+        root = np.sqrt(self.stiffness)
+        found = vectors @ (change * turned) @ vectors.T
+        return np.asarray(root[:, None] * found * root)
 
 
 def elastic_coordinates(
@@ -67,6 +109,7 @@ def elastic_coordinates(
     names += [f"base_stiffness_{axis}" for axis in "xyz"]
     names += [f"base_rocking_stiffness_{k + 1}" for k in range(len(rocking))]
     hertz = [GEAR_HZ] * n + [BENDING_HZ] * (3 + len(rocking))
+    groups = [1] * n + [3, len(rocking)]
     for link in range(n):
         own, slides = turns[:, 3 * link : 3 * link + 3], seats[:, 3 * link : 3 * link + 3]
         long = np.linalg.norm(lengths[link]) > _SHORT
@@ -75,15 +118,32 @@ def elastic_coordinates(
         columns += [own @ turn - slides @ np.cross(turn, lengths[link] / 3) for turn in across]
         names += [f"bending_stiffness_{k + 1}@{links[link]}" for k in range(len(across))]
         hertz += [BENDING_HZ] * len(across)
+        groups.append(len(across))
     found = np.array(columns).T
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
     carried = np.einsum("ie,ij,je->e", found, full, found)
+    pairs = _pairs(groups)
+    directions = np.zeros((len(names) + len(pairs), len(names), len(names)))
+    directions[np.arange(len(names)), np.arange(len(names)), np.arange(len(names))] = 1.0
+    for k, (one, other) in enumerate(pairs, start=len(names)):
+        # As large a change as that of a stiffness: no direction is preferred.
+        directions[k, one, other] = directions[k, other, one] = np.sqrt(0.5)
     return ElasticCoordinates(
         columns=found,
         stiffness=np.asarray((2 * np.pi * np.array(hertz)) ** 2 * carried),
-        names=tuple(names),
+        names=(*names, *(f"{names[one]}_{other}" for one, other in pairs)),
+        directions=directions,
     )
+
+
+def _pairs(groups: list[int]) -> list[tuple[int, int]]:
+    """Pairs of coordinates within groups that stand one behind the other."""
+    first, found = 0, []
+    for size in groups:
+        found += list(combinations(range(first, first + size), 2))
+        first += size
+    return found
 
 
 def _across(direction: Array) -> Array:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.response.sensor_rows import rows_of, sensing_of, stepped_of
 from loose_env.instrument.inference.response.uncertain_linear_arm import PoseModel
-from loose_env.instrument.settings.thresholds import STIFFNESS_SD
 from loose_env.instrument.settings.tolerances import Tolerances
 from loose_env.typing import Array, ComplexArray
 
@@ -166,8 +165,8 @@ class Response:
         for j in range(n):
             for part, values in enumerate(kept):
                 slopes[:, :, of.springs.start + part * n + j] = push[:, :, j] * values[:, j, None]
-        stretched = -STIFFNESS_SD * at.elastic_stiffness(self.errors) * motion[:, at.rigid :]
-        slopes[:, :, of.stiffnesses] = push[:, :, at.rigid :] * stretched[:, None, :]
+        pulled = -(motion[:, None, None, at.rigid :] @ at.elastic_slopes(self.errors))[:, :, 0]
+        slopes[:, :, of.stiffnesses] = push[:, :, at.rigid :] @ pulled.swapaxes(1, 2)
         # Gains and delays act on what steps as on what is held.
         per_force = _stepping(self, jacobian, sensing, ease)
         hold = _held(omega, lines.period)
@@ -220,13 +219,14 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     drives = arm.actuators
     held, slow = np.split(errors[of.springs], 3)[1:]
     free = lines.measured | lines.blind
-    stiffness[:n] -= np.where(free, drives.stiffness * (1 + t.servo_gain * held), 0.0)
+    joints = np.arange(n)
+    stiffness[joints, joints] -= np.where(free, drives.stiffness * (1 + t.servo_gain * held), 0.0)
     damping[:n] -= np.where(free, drives.damping * (1 + t.servo_gain * slow), 0.0)
     # Gravity's stiffness is all of the load's change but for what the servo's target takes.
     dynamic: ComplexArray = np.asarray(
-        -(omega**2)[:, None, None] * inertia[:m, :m] + at.weight[:m], dtype=complex
+        -(omega**2)[:, None, None] * inertia[:m, :m] + at.weight[:m] + stiffness, dtype=complex
     )
-    dynamic[:, np.arange(m), np.arange(m)] += stiffness + s[:, None] * damping
+    dynamic[:, np.arange(m), np.arange(m)] += s[:, None] * damping
     compliance: ComplexArray = np.asarray(np.linalg.inv(dynamic), dtype=complex)
     hold = _held(omega, lines.period)
     late, late_site = _late(at, lines, errors)

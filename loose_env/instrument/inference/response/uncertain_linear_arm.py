@@ -135,14 +135,14 @@ class UncertainArm:
     def expected(self, runs: int) -> Array:
         """Prior medians of all parameters: zero but for stiffness, whose zero is a rigid arm."""
         found = np.zeros(self.count(runs))
-        found[self.stiffnesses] = -RIGID_SD
+        found[self.stiffnesses][: self.elastic.count] = -RIGID_SD
         return found
 
     @property
     def nominal(self) -> Array:
         """Errors of the arm as its model has it, rigid (P,)."""
         found = np.zeros(len(self.names))
-        found[self.stiffnesses] = _RIGID
+        found[self.stiffnesses][: self.elastic.count] = _RIGID
         return found
 
     def tails(self, runs: int) -> Array:
@@ -299,7 +299,7 @@ class PoseModel:
     @property
     def size(self) -> int:
         """Number of coordinates."""
-        return self.rigid + len(self.of.elastic.names)
+        return self.rigid + self.of.elastic.count
 
     def seat_load(self) -> Array:
         """Static force on each seat's columns (7 n,) [N or N·m]."""
@@ -314,7 +314,7 @@ class PoseModel:
         )
 
     def springs(self, errors: Array) -> tuple[ComplexArray, Array]:
-        """Coordinate stiffness, its loss the imaginary part, and damping (m,).
+        """Coordinate stiffness, its loss the imaginary part, (m, m) and damping (m,).
 
         Parameters
         ----------
@@ -322,18 +322,30 @@ class PoseModel:
             Nuisance parameters.
         """
         arm, t = self.of.arm, self.of.tolerances
-        n, drives = arm.n, arm.actuators
-        stiffness, damping = (v[self.of.moving] for v in self.of.linear.springs)
-        elastic = self.elastic_stiffness(errors)
-        stiffness = np.concatenate([stiffness, elastic])
-        damping = np.concatenate([damping, np.zeros(len(elastic))])
+        n, r, drives = arm.n, self.rigid, arm.actuators
         own, held, slow = np.split(errors[self.of.springs], 3)
+        stiff, damped = (v[self.of.moving] for v in self.of.linear.springs)
+        stiff[:n] += drives.stiffness * (1 + t.servo_gain * held)
+        stiffness = np.zeros((self.size, self.size), dtype=complex)
+        stiffness[:r, :r] = np.diag(stiff)
+        stiffness[r:, r:] = self.elastic_stiffness(errors)
+        damping = np.zeros(self.size)
+        damping[:r] = damped
         damping[:n] *= 1 + t.damping * own
-        stiffness[:n] += drives.stiffness * (1 + t.servo_gain * held)
         damping[:n] += drives.damping * (1 + t.servo_gain * slow)
         return stiffness, damping
 
     def elastic_stiffness(self, errors: Array) -> ComplexArray:
-        """Stiffness of gears, base and links for given nuisance parameters (E,)."""
-        factor = np.exp(STIFFNESS_SD * (RIGID_SD + errors[self.of.stiffnesses]))
-        return np.asarray(self.of.elastic.stiffness * factor * (1 + 1j * ELASTIC_LOSS))
+        """Stiffness of gears, base and links for given nuisance parameters (E, E)."""
+        found = self.of.elastic.matrix(self._log_stiffness(errors))
+        return np.asarray(found * (1 + 1j * ELASTIC_LOSS))
+
+    def elastic_slopes(self, errors: Array) -> ComplexArray:
+        """Change of the same by each of its parameters (Q, E, E)."""
+        found = self.of.elastic.slopes(self._log_stiffness(errors))
+        return np.asarray(STIFFNESS_SD * found * (1 + 1j * ELASTIC_LOSS))
+
+    def _log_stiffness(self, errors: Array) -> Array:
+        found = errors[self.of.stiffnesses].copy()
+        found[: self.of.elastic.count] += RIGID_SD
+        return np.asarray(STIFFNESS_SD * found)
