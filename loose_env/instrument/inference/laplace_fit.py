@@ -16,6 +16,12 @@ from loose_env.instrument.inference.seat_motion import (
     joint_readings,
     seat_powers,
 )
+from loose_env.instrument.inference.trust_region import (
+    FIRST_RADIUS,
+    next_radius,
+    shorter,
+    step_within,
+)
 from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD
 from loose_env.statistics import axes_grid, tangents
 from loose_env.typing import Array, ComplexArray
@@ -24,8 +30,8 @@ __all__ = ["Fit", "RunTerm", "best_powers", "fit_hypothesis", "fitted_pieces", "
 
 
 _AXES = 150
-_STEPS = 15
-_HALVINGS = 4
+_STEPS = 30
+_TRIALS = 5
 _CONVERGED = 0.2
 """Gain of a step below which a fit ends [nats]."""
 _UNSEEN = 1.0
@@ -151,11 +157,11 @@ def fit_hypothesis(
             grid = axes_grid(_AXES)
             pieces = evidence.pieces(errors, variances)
             axis = grid[int(np.argmax(evidence.seat_terms(pieces, seat, grid)))]
-    now = _state(evidence, seat, errors, variances, axis)
+    now, radius = _state(evidence, seat, errors, variances, axis), FIRST_RADIUS
     for step in range(steps):
         before = now.cost
         system = _system(evidence, now, seat)
-        now = _stepped(evidence, seat, now, system)
+        now, radius = _stepped(evidence, seat, now, system, radius)
         now = _rescaled(evidence, seat, now, system)
         if seat is not None and seat.slides and step in (1, 3):
             now = _looked_again(evidence, seat, now)
@@ -367,20 +373,23 @@ def _mean(values: Array) -> Array:
     return np.asarray(np.sqrt(np.convolve(padded, np.ones(width) / width, mode="valid")))
 
 
-def _stepped(evidence: Evidence, seat: Seat | None, now: _State, system: _System) -> _State:
-    """Damped Gauss-Newton step by line search."""
+def _stepped(
+    evidence: Evidence, seat: Seat | None, now: _State, system: _System, radius: float
+) -> tuple[_State, float]:
+    """Gauss-Newton step within a trust region, and the region of the next one."""
     normal, drive = system.normal, system.drive
     count = len(now.errors)
-    step = np.linalg.solve(normal, drive)
-    for halving in range(_HALVINGS):
-        part = step / 2**halving
+    for _ in range(_TRIALS):
+        step = step_within(normal, drive, count, radius)
         axis = now.axis
-        if len(part) > count and axis is not None:
-            turn = part[count:]
+        if len(step) > count and axis is not None:
+            turn = step[count:]
             size = float(np.linalg.norm(turn))
             axis = axis + turn / max(1.0, size / 0.3) @ tangents(axis)
             axis = axis / np.linalg.norm(axis)
-        trial = _state(evidence, seat, now.errors + part[:count], now.variances, axis)
+        trial = _state(evidence, seat, now.errors + step[:count], now.variances, axis)
         if trial.cost > now.cost:
-            return trial
-    return now
+            foreseen = float(step @ drive - 0.5 * step @ normal @ step)
+            return trial, next_radius(radius, trial.cost - now.cost, foreseen)
+        radius = shorter(step[:count])
+    return now, radius
