@@ -14,6 +14,7 @@ from loose_env.instrument.inference.seat_motion import (
     Seat,
     band_terms,
     joint_readings,
+    over_lines,
     seat_powers,
 )
 from loose_env.instrument.inference.trust_region import (
@@ -267,7 +268,7 @@ def best_powers(piece: Piece, seat: Seat, axis: Array) -> Array:
     """
     term = band_terms(piece, seat, axis[None])[0]
     share = SHARES[np.argmax(term, axis=1)][piece.bands]
-    floating = _mean(piece.response.floating(seat.columns, axis[None])[0]) ** 2
+    floating = over_lines(piece.response.floating(seat.columns, axis[None]) ** 2)[0]
     return np.maximum(np.stack(seat_powers(piece.response, share, floating), axis=1), 1e-30)
 
 
@@ -365,12 +366,6 @@ def _unexplained(
     sums = (np.sum(np.where(read, each, 0.0)) for each in (left - noise, whole, seat))
     unexplained, power, own = (float(each) for each in sums)
     return unexplained, power, own
-
-
-def _mean(values: Array) -> Array:
-    width = min(9, len(values))
-    padded = np.pad(values**2, (width // 2, width - 1 - width // 2), mode="edge")
-    return np.asarray(np.sqrt(np.convolve(padded, np.ones(width) / width, mode="valid")))
 
 
 def _stepped(

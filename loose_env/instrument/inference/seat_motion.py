@@ -20,6 +20,7 @@ __all__ = [
     "band_terms",
     "explained",
     "joint_readings",
+    "over_lines",
     "seat_powers",
     "seat_products",
 ]
@@ -100,7 +101,7 @@ def band_terms(piece: Piece, seat: Seat, axes: Array) -> Array:
     """Log-likelihood ratio by axis, band and share (U, bands, shares)."""
     response = piece.response
     terms = seat_products(piece, seat, axes)
-    floating = _smooth(response.floating(seat.columns, axes) ** 2)
+    floating = over_lines(response.floating(seat.columns, axes) ** 2)
     first, second = seat_powers(response, SHARES[:, None, None], floating)  # (shares, U, K)
     gain = piece.temper * np.subtract(*explained(terms, first, second))
     edges = np.flatnonzero(np.diff(piece.bands, prepend=-1))
@@ -183,9 +184,11 @@ def explained(terms: Products, first: Array, second: Array) -> tuple[Array, Arra
     return found, np.log(determinant)
 
 
-def _smooth(power: Array) -> Array:
-    """Moving average over spectral lines (U, K)."""
-    width = min(9, power.shape[1])
-    padded = np.pad(power, ((0, 0), (width // 2, width - 1 - width // 2)), mode="edge")
-    sums = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
+def over_lines(power: Array) -> Array:
+    """Moving average of a power over neighbouring lines (U, K)."""
+    count = power.shape[1]
+    width = min(9, count)
+    first = np.arange(-(width // 2), count - width // 2 + width - 1)
+    sums = np.zeros((len(power), len(first) + 1))
+    np.cumsum(power[:, np.clip(first, 0, count - 1)], axis=1, out=sums[:, 1:])
     return np.asarray((sums[:, width:] - sums[:, :-width]) / width)

@@ -24,6 +24,10 @@ class Response:
     at: PoseModel
     lines: Lines
     errors: Array
+    inertia: Array
+    """Inertia for these parameters (m + s, m + s)."""
+    jacobian: Array
+    """Jacobians of the sites for them (S, 3, m + s)."""
     compliance: ComplexArray
     """Displacement per force (K, m, m)."""
     rows: ComplexArray
@@ -98,7 +102,7 @@ class Response:
     def across_seat(self, seats: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:
         """Force across a closed seat (K, s'), and apparent mass behind it (K, s', s')."""
         m = self.at.size
-        inertia, jacobian = self.at.parts(self.errors)
+        inertia, jacobian = self.inertia, self.jacobian
         omega2 = ((2 * np.pi * self.lines.frequency) ** 2)[:, None]
         coupling = inertia[m:, :m][seats]
         force = -omega2 * self.motion @ coupling.T
@@ -136,7 +140,7 @@ class Response:
         slopes = np.zeros((*lines.readings.shape, len(self.errors)), dtype=complex)
         push = self.rows @ self.compliance  # readings per force (K, c, m)
         sampled = lines.sampled
-        inertia, jacobian = at.parts(self.errors)
+        inertia, jacobian = self.inertia, self.jacobian
         force = -_each(at.inertia_by_row, whole)
         ease, r = _ease(at, inertia), at.rigid
         jump = np.zeros_like(whole)
@@ -245,12 +249,6 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     by_seat = np.asarray(-compliance @ coupling, dtype=complex)
     motion = np.asarray((compliance @ force[:, :, None])[:, :, 0], dtype=complex)
     rows, own = rows_of(at, lines, jacobian, s)
-    made = Response(
-        at=at, lines=lines, errors=errors, compliance=compliance, rows=rows, columns=own,
-        sudden=np.zeros(own.shape[1:]),
-        by_seat=by_seat, force=force, pushed=pushed, motion=motion,
-        jump=force, step=np.zeros_like(lines.readings), mean=np.zeros_like(lines.readings),
-    )  # fmt: skip
     sensing = sensing_of(at, lines, errors)
     for sensor, matrix in sensing.items():
         k = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
@@ -264,8 +262,9 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
         step[:, k] = late_site[:, None] * (step[:, k] @ matrix.T)
     mean = (rows @ motion[:, :, None])[:, :, 0] + lines.sampled * step + lines.leaked
     return Response(
-        at=at, lines=lines, errors=errors, compliance=compliance, rows=rows, columns=columns,
-        sudden=_sudden(made, inertia, jacobian, sensing),
+        at=at, lines=lines, errors=errors, inertia=inertia, jacobian=jacobian,
+        compliance=compliance, rows=rows, columns=columns,
+        sudden=_sudden(at, lines, inertia, jacobian, sensing),
         by_seat=by_seat, force=force, pushed=pushed, motion=motion, jump=jump, step=step, mean=mean,
     )  # fmt: skip
 
@@ -331,10 +330,10 @@ def _ease(at: PoseModel, inertia: Array) -> Array:
 
 
 def _sudden(
-    response: Response, inertia: Array, jacobian: Array, sensing: dict[str, Array]
+    at: PoseModel, lines: Lines, inertia: Array, jacobian: Array, sensing: dict[str, Array]
 ) -> Array:
-    lines, m = response.lines, response.at.size
-    whole = np.vstack([-_ease(response.at, inertia) @ inertia[:m, m:], np.eye(len(inertia) - m)])
+    m = at.size
+    whole = np.vstack([-_ease(at, inertia) @ inertia[:m, m:], np.eye(len(inertia) - m)])
     found = np.zeros((len(lines.row), whole.shape[1]))
     for k, (reading, axis) in enumerate(lines.row):
         if reading.kind == "acceleration":
