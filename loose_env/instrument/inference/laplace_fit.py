@@ -238,7 +238,7 @@ def _by_run(
         left, whole, seat_power = np.sum(system.misfit[number], axis=0)
         found[number] = RunTerm(
             log_likelihood=log_likelihood,
-            misfit=float(max(left, 0.0) / max(whole, 1e-30)),
+            misfit=float(np.clip(left / max(whole, 1e-30), 0.0, 1.0)),
             effect=float(seat_power / max(whole, 1e-30)),
             shut=shut.get(number, 1.0),
         )

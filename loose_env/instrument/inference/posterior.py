@@ -30,6 +30,8 @@ more would add little."""
 _WIDTHS = (10.0, 3.0)
 """Widths of the model error with which fits start (`fit_hypothesis`): modes that the model has
 elsewhere make local optima, and neither of the widths leads past all of them."""
+_ROUNDS = 3
+"""Rounds in which all likely hypotheses begin with the arm of the best one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,7 +83,7 @@ class ModelComparison:
 
         That of the worst run: an arm of which the model cannot explain one run is not its own.
         """
-        best = max(self.fits.values(), key=lambda fit: fit.evidence)
+        best = _best(self.fits)
         suspect = [one.number for one in self.lines if not one.healthy]
         return max((best.runs[run].misfit for run in suspect if run in best.runs), default=0.0)
 
@@ -196,25 +198,35 @@ def _search(
     All hypotheses are about the same arm. One whose search ended early must not count for less:
     each is fitted with the arm of the best one too, until none is better than that.
     """
+    for name in _likely(fits):
+        for width in _WIDTHS[1:]:
+            found = fit_hypothesis(evidence, name, seats[name], width=width)
+            fits[name] = _better(fits[name], found)
     tried: set[str] = set()
-    for width in (*_WIDTHS[1:], None, None, None):
-        best = max(fits.values(), key=lambda fit: fit.evidence)
-        if width is None and best.hypothesis in tried:
-            break
-        for name, fit in fits.items():
-            if name != HEALTHY and fit.evidence < best.evidence - REFINED_WITHIN:
-                continue
-            if width is not None:
-                found = [fit_hypothesis(evidence, name, seats[name], width=width)]
-            else:
-                start = best if best is fit else replace(best, hypothesis=name, axis=None)
-                found = [
-                    fit_hypothesis(evidence, name, seats[name], start=start, width=each)
-                    for each in (None, 3.0)
-                ]
-            fits[name] = max(fit, *found, key=lambda each: each.evidence)
-        if width is None:
-            tried.add(best.hypothesis)
+    for _ in range(_ROUNDS):
+        best = _best(fits)
+        if best.hypothesis in tried:
+            return
+        tried.add(best.hypothesis)
+        for name in _likely(fits):
+            start = best if name == best.hypothesis else replace(best, hypothesis=name, axis=None)
+            for again in (None, _WIDTHS[-1]):
+                found = fit_hypothesis(evidence, name, seats[name], start=start, width=again)
+                fits[name] = _better(fits[name], found)
+
+
+def _best(fits: Mapping[str, Fit]) -> Fit:
+    return max(fits.values(), key=lambda fit: fit.evidence)
+
+
+def _better(one: Fit, other: Fit) -> Fit:
+    return other if other.evidence > one.evidence else one
+
+
+def _likely(fits: Mapping[str, Fit]) -> list[str]:
+    """The healthy arm, and all hypotheses not too far behind the best."""
+    least = _best(fits).evidence - REFINED_WITHIN
+    return [name for name, fit in fits.items() if name == HEALTHY or fit.evidence >= least]
 
 
 def _as_sampled(lines: Lines, sampled: float, folded: float) -> Lines:
