@@ -21,7 +21,6 @@ from typing import Any
 
 import mujoco
 
-from loose_env.arms import compile_spec, load_spec
 from loose_env.cli.console import Console, Outcome
 from loose_env.cli.options import add_settings, settings_of
 from loose_env.errors import InvalidSetting
@@ -36,7 +35,7 @@ from loose_env.importing import (
     propose,
 )
 from loose_env.io import json_text, write_text
-from loose_env.recording import Recording
+from loose_env.recording import Recording, load_model
 
 IMPORTED, DESCRIBED, PROPOSAL = "loose-import/1", "loose-sources/1", "loose-proposal/1"
 """Formats of the JSON documents of an import, of --describe, and of --guess."""
@@ -170,8 +169,7 @@ def proposed(proposal: Proposal, target: Path) -> dict[str, Any]:
 def _model(options: argparse.Namespace) -> mujoco.MjModel:
     if not options.model.is_file():
         raise InvalidSetting(f"there is no model {str(options.model)!r}")
-    file, _, spec = load_spec(options.model, package=options.package_path)
-    return compile_spec(spec, file)
+    return load_model(options.model, package=options.package_path)[1]
 
 
 def listed(source: FileList) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from typing import get_args
 
 import mujoco
 
-from loose_env.arms import compile_spec, load_spec
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.importing.join_runs import Joined, joined_run, shifts_of
 from loose_env.importing.mapping.mapping import ImportMapping, RunPlan
@@ -21,13 +20,14 @@ from loose_env.importing.readers.sources import (
     read_source,
     run_episodes,
 )
-from loose_env.importing.samples import ChannelKey, Samples, unreadable
+from loose_env.importing.samples import ChannelKey, Samples
 from loose_env.recording import (
     FileFormat,
     ModelColumns,
     Recording,
     check_target,
     existing_file,
+    load_model,
     write_recording,
 )
 
@@ -96,7 +96,7 @@ def import_recording(
     plan = read_mapping(mapping)
     given = given_files([str(each) for each in sources])
     model_file = _model_file(plan, Path(mapping), model)
-    compiled = _compiled(model_file)
+    compiled = load_model(model_file)[1]
     _check_names(plan, compiled)
     files = files_of_runs(plan, given)
     check_units(plan, files)
@@ -134,16 +134,6 @@ def _model_file(plan: ImportMapping, mapping: Path, model: str | Path | None) ->
         return existing_file(home, plan.model, f"{plan.name}: model")
     except InvalidData as error:
         raise InvalidData(f"{error}; a model from elsewhere is given by --model") from None
-
-
-def _compiled(path: Path) -> mujoco.MjModel:
-    try:
-        file, kind, spec = load_spec(path)
-    except OSError as error:
-        raise unreadable(path.name, error) from None
-    if kind != "mujoco":
-        raise InvalidData(f"{file.name}: a URDF; a recording's model is an MJCF, <mujoco>")
-    return compile_spec(spec, file)
 
 
 def _check_names(plan: ImportMapping, model: mujoco.MjModel) -> None:

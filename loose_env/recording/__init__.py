@@ -33,6 +33,7 @@ from loose_env.recording.parquet_file import (
 )
 from loose_env.recording.recording import (
     Recording,
+    load_model,
     read_recording,
 )
 from loose_env.recording.run import (
@@ -75,6 +76,7 @@ __all__ = [
     "corrupt_mask",
     "existing_file",
     "joint_sensors",
+    "load_model",
     "nearest",
     "read_description",
     "read_recording",

@@ -26,7 +26,7 @@ from loose_env.recording.sensor_roles import (
 )
 from loose_env.recording.table import check_numbers
 
-__all__ = ["ENDINGS", "Recording", "read_recording"]
+__all__ = ["ENDINGS", "Recording", "load_model", "read_recording"]
 
 ENDINGS = {".parquet": read_parquet, ".csv": read_csv}
 """Endings of a run's file, and what reads it."""
@@ -56,7 +56,7 @@ class Recording:
         InvalidData
             If the file was changed since and cannot be read.
         """
-        return _load(self.model_path)[0]
+        return load_model(self.model_path)[0]
 
     def model(self) -> mujoco.MjModel:
         """Compile the model anew.
@@ -66,7 +66,7 @@ class Recording:
         InvalidData
             If the file was changed since and does not compile.
         """
-        return _load(self.model_path)[1]
+        return load_model(self.model_path)[1]
 
     def joint_sensors(self) -> dict[str, JointSensors]:
         """Sensors that measure position and velocity of each joint of the model."""
@@ -136,7 +136,7 @@ def read_recording(folder: str | Path, *, model: str | Path | None = None) -> Re
     if model is None:
         model = existing_file(home, description.model, f"{DESCRIPTION}: model")
     model_path = Path(model)
-    compiled = _load(model_path)[1]
+    compiled = load_model(model_path)[1]
     columns = ModelColumns.of(compiled)
     files: dict[tuple[int, int], str] = {}
     found = []
@@ -183,9 +183,27 @@ def _run(place: str, path: Path, name: str, entry: RunEntry, columns: ModelColum
     )
 
 
-def _load(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+def load_model(
+    path: Path, *, package: str | Path | None = None
+) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """Model of a recording as specification and compiled, an MJCF or URDF.
+
+    A URDF, which has neither sensors nor actuators, gets those of its joints (`add_joint_columns`).
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    package : str or Path, optional
+        Folder of the ROS package, or packages, in which the meshes of a URDF lie.
+
+    Raises
+    ------
+    InvalidData
+        If it cannot be read, or has numbers that are not finite.
+    """
     try:
-        file, kind, spec = load_spec(path)
+        file, kind, spec = load_spec(path, package=package)
     except OSError as error:
         raise InvalidData(f"{path.name}: it cannot be read: {error.strerror or error}") from None
     if kind != "mujoco":

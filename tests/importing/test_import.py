@@ -341,3 +341,28 @@ time = { column = "t" }
     missing = np.isnan(run.sensors["shoulder_rate"])
     np.testing.assert_array_equal(missing, (run.time > 0.3905) & (run.time < 0.4595))
     assert not np.isnan(run.sensors["elbow_angle"]).any()
+
+
+URDF = """
+<robot name="one"><link name="base"/><link name="arm"><inertial><origin xyz="0 0 0.1"/>
+<mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
+</link><joint name="lift" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="20" velocity="3"/></joint></robot>
+"""
+
+
+def test_a_urdf_is_guessed_and_imported_with_the_columns_of_its_joints(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(URDF, encoding="utf-8")
+    time = np.arange(0, 4, 0.01)
+    angle = 0.3 * np.sin(2 * time)
+    torque = 0.02 * -4 * angle - 0.981 * np.sin(angle)
+    rows = np.column_stack([time, angle, torque])
+    header = "time,lift,effort_lift"
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=header, comments="")
+    log, mapped = str(tmp_path / "log.csv"), str(tmp_path / "map.toml")
+    model = ["--model", str(tmp_path / "arm.urdf")]
+    assert main(["import", "--guess", log, *model, "--mapping", mapped]) == 0
+    assert main(["import", log, *model, "--mapping", mapped, "--out", str(tmp_path / "rec")]) == 0
+    (run,) = read_recording(tmp_path / "rec").runs
+    assert run.sensors["lift_pos"] == pytest.approx(angle, abs=1e-9)
+    assert run.torques["lift"] == pytest.approx(torque, abs=1e-9)
