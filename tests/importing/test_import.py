@@ -346,7 +346,8 @@ time = { column = "t" }
 URDF = """
 <robot name="one"><link name="base"/><link name="arm"><inertial><origin xyz="0 0 0.1"/>
 <mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
-</link><joint name="lift" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+</link><joint name="lift" type="revolute">
+<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
 <limit lower="-2" upper="2" effort="20" velocity="3"/></joint></robot>
 """
 
