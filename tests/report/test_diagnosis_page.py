@@ -253,3 +253,11 @@ def test_records_without_loops_or_probabilities_have_their_line() -> None:
     page = page_of(replace(found, records=bare), desk())
     assert "Correlation by record" not in page and page.count("run-0") == len(bare)
     assert page_of(replace(found, records=()), desk()).count("<svg") == 1
+
+
+def test_reasons_name_hypotheses_in_words() -> None:
+    found = diagnosis(flat())
+    name = next(each for each in found.posterior if each.startswith("backlash"))
+    why = f"the probability of {name} is 0.970; 0.98 is needed"
+    words = summary_words(replace(found, verdict="open", open_because=(why,)), flat())
+    assert words[-1] == f"The probability of “{short_name(flat(), name)}” is 0.970; 0.98 is needed."

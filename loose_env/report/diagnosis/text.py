@@ -184,8 +184,16 @@ def summary_words(diagnosis: Diagnosis, arm: Arm) -> list[str]:
     else:
         found.append(f"{said}: {percent(diagnosis.probability)}. {_meaning(diagnosis, arm)}")
     if diagnosis.verdict in ("open", "model_mismatch"):
-        found += [begun(sentence(reason)) for reason in diagnosis.open_because]
+        found += [begun(sentence(_in_words(diagnosis, arm, r))) for r in diagnosis.open_because]
     return found
+
+
+def _in_words(diagnosis: Diagnosis, arm: Arm, reason: str) -> str:
+    """A reason with the hypotheses in words; longer names first, for one may begin another."""
+    for name in sorted(diagnosis.posterior, key=len, reverse=True):
+        if "@" in name:
+            reason = reason.replace(name, f"“{short_name(arm, name)}”")
+    return reason
 
 
 def _meaning(diagnosis: Diagnosis, arm: Arm) -> str:
