@@ -32,6 +32,8 @@ _WIDTHS = (10.0, 3.0)
 elsewhere make local optima, and neither of the widths leads past all of them."""
 _ROUNDS = 3
 """Rounds in which all likely hypotheses begin with the arm of the best one."""
+_BETTER = 1.0
+"""Gain of the best fit below which a search ends [nats]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -196,18 +198,18 @@ def _search(
     """Fit the likely hypotheses, and the healthy arm, from more starts; better fits replace theirs.
 
     All hypotheses are about the same arm. One whose search ended early must not count for less:
-    each is fitted with the arm of the best one too, until none is better than that.
+    each is fitted with the arm of the best one too, until that gets no better.
     """
     for name in _likely(fits):
         for width in _WIDTHS[1:]:
             found = fit_hypothesis(evidence, name, seats[name], width=width)
             fits[name] = _better(fits[name], found)
-    tried: set[str] = set()
+    last = -math.inf
     for _ in range(_ROUNDS):
         best = _best(fits)
-        if best.hypothesis in tried:
+        if best.evidence < last + _BETTER:
             return
-        tried.add(best.hypothesis)
+        last = best.evidence
         for name in _likely(fits):
             start = best if name == best.hypothesis else replace(best, hypothesis=name, axis=None)
             for again in (None, _WIDTHS[-1]):

@@ -32,8 +32,16 @@ def right_link(row: dict[str, Any]) -> bool:
 
 
 def tables(rows: Rows) -> str:
-    """All tables in Markdown."""
-    found = [f"{len(rows)} cases{_spread(rows)}.", "", _head(("", "to reach", "measured"))]
+    """All tables in Markdown; machines that could not be played are counted apart."""
+    played = [row for row in rows if "unplayed" not in row]
+    apart = len(rows) - len(played)
+    said = f" {apart} more machines could not be played: no servo loop held their pose."
+    rows = played
+    found = [
+        f"{len(rows)} cases{_spread(rows)}.{said if apart else ''}",
+        "",
+        _head(("", "to reach", "measured")),
+    ]
     found += [_line(line) for line in _summary(rows)]
     found += ["", "Probability of the most probable hypothesis against its accuracy:", ""]
     found += [_head(("probability", "cases", "mean", "accuracy"))]

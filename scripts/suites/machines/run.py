@@ -15,6 +15,7 @@ from loose_env.instrument import DiagnoseSettings, Diagnosis, diagnose
 from loose_env.recording import Recording, Run, write_recording
 from scripts.suites.machines.case import Case, CaseMade, RunMade, draw, play
 from scripts.suites.machines.disturbances import Disturbances
+from scripts.suites.machines.machine import Unstable
 from scripts.suites.machines.plans import CaseSettings
 
 Row = dict[str, Any]
@@ -32,11 +33,19 @@ def row_of(number: int, seed: int, settings: CaseSettings, only: str | None = No
         Size of the recording.
     only : str, optional
         The one disturbance of the machine, "none" for its model; else they are drawn.
+
+    Returns
+    -------
+    dict
+        With a reason under "unplayed" for a machine whose servo loops hold no pose.
     """
     alone = None
     if only is not None:
         alone = Disturbances.none() if only == "none" else Disturbances.only(only)
-    return examined(draw(number, seed, settings, disturbances=alone)) | {"only": only}
+    try:
+        return examined(draw(number, seed, settings, disturbances=alone)) | {"only": only}
+    except Unstable as error:
+        return {"case": number, "seed": seed, "only": only, "unplayed": str(error)}
 
 
 def examined(case: Case) -> Row:
@@ -150,6 +159,8 @@ def _run(made: RunMade) -> Run:
 
 def line_of(row: Row) -> str:
     """A case in a line."""
+    if "unplayed" in row:
+        return f"{row['case']}: not played: {row['unplayed']}"
     if "error" in row:
         return f"{row['case']}: {row['truth']} -> {row['error']}"
     opens = "" if row["link"] is None or row["opens"] else ", does not open"

@@ -11,6 +11,7 @@ from scripts.suites.machines.__main__ import MARKS, main, write_docs
 from scripts.suites.machines.case import draw, play
 from scripts.suites.machines.disturbances_shown import table as shown_table
 from scripts.suites.machines.grade import calibration, tables
+from scripts.suites.machines.machine import Unstable
 from scripts.suites.machines.plans import CaseSettings
 from scripts.suites.machines.run import line_of, result_of, row_of, truth_of, write
 from scripts.suites.row_files import kept
@@ -69,6 +70,16 @@ def test_a_case_is_diagnosed_and_a_finished_one_is_kept(
     main(words)
     assert "1/1" not in capsys.readouterr().out
     assert len(kept(file)) == 1 and kept(file)[0]["disturbances"] == {}
+
+
+def test_a_machine_that_holds_no_pose_is_counted_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    def falls(*_: Any) -> None:
+        raise Unstable("a joint left its pose by more than 0.1 rad")
+
+    monkeypatch.setattr("scripts.suites.machines.run.play", falls)
+    found = row_of(3, 1, SHORT)
+    assert "left its pose" in line_of(found)
+    assert tables([found, row(**HEALTHY)]).startswith("1 cases, seed 1. 1 more machines")
 
 
 def test_tables_count_false_alarms_links_and_what_was_refused() -> None:
