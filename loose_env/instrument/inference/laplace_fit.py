@@ -52,6 +52,8 @@ class RunTerm:
     """Share of the accelerometers' power that the seat's motion makes [1]."""
     shut: float = 1.0
     """Probability that the seat stayed shut [1]."""
+    held: float = 1.0
+    """The same before the readings are seen: by excitation, load and friction alone [1]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -225,6 +227,7 @@ def _by_run(
     """Log-likelihood and misfit of each run."""
     value: dict[int, float] = {}
     shut: dict[int, float] = {}
+    held: dict[int, float] = {}
     for piece in now.pieces:
         number = piece.lines.number
         value[number] = value.get(number, 0.0) + piece.base
@@ -233,6 +236,7 @@ def _by_run(
         for number, (ratio, while_shut) in terms.items():
             value[number] += float(ratio[0])
             shut[number] = float(np.exp(while_shut - ratio)[0])
+            held[number] = float(np.exp(while_shut)[0])
     found = {}
     for number, log_likelihood in value.items():
         left, whole, seat_power = np.sum(system.misfit[number], axis=0)
@@ -241,6 +245,7 @@ def _by_run(
             misfit=float(np.clip(left / max(whole, 1e-30), 0.0, 1.0)),
             effect=float(seat_power / max(whole, 1e-30)),
             shut=shut.get(number, 1.0),
+            held=held.get(number, 1.0),
         )
     return found
 

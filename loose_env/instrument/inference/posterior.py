@@ -73,7 +73,7 @@ class ModelComparison:
     def tested(self) -> float:
         """Share of all faults whose seats the runs would have opened [1]."""
         shut = [
-            math.prod(term.shut for term in fit.runs.values())
+            math.prod(term.held for term in fit.runs.values())
             for name, fit in self.fits.items()
             if name != HEALTHY
         ]

@@ -119,14 +119,14 @@ def test_a_run_is_needed_twice(tmp_path: Path) -> None:
     assert found.kind == "open" and "2 are needed" in found.reasons[-1]
 
 
-@pytest.mark.parametrize(("shut", "said"), [(0.05, "healthy"), (0.9, "open")])
+@pytest.mark.parametrize(("held", "said"), [(0.05, "healthy"), (0.9, "open")])
 def test_an_arm_is_healthy_only_where_a_fault_would_have_opened(
-    slide: ModelComparison, shut: float, said: str
+    slide: ModelComparison, held: float, said: str
 ) -> None:
     """Runs too weak to open any seat show nothing, and nothing is what they find."""
-    weak = with_terms(slide, shut=shut, misfit=0.01)
+    weak = with_terms(slide, shut=0.99, held=held, misfit=0.01)
     posterior = {name: 0.999 if name == "healthy" else 1e-4 for name in slide.posterior}
-    fits = {**weak.fits, "healthy": with_terms(weak, shut=1.0).fits["healthy"]}
+    fits = {**weak.fits, "healthy": with_terms(weak, shut=1.0, held=1.0).fits["healthy"]}
     found = verdict_of(dataclasses.replace(weak, posterior=posterior, fits=fits), (), sure=SURE)
     assert found.kind == said
     assert ("would have opened" in " ".join(found.reasons)) == (said == "open")
