@@ -39,6 +39,7 @@ def test_a_loose_link_transmits_as_its_own_hypothesis_predicts(tmp_path: Path) -
             continue  # the arm and the slide are in the plane of x and z
         own, healthy = (error(spectrum, h) for h in ("structural_looseness@link2", "healthy"))
         assert own < 0.8 * healthy
+    assert loose.verdict == "faulty"
     assert loose.fault.hypothesis == "structural_looseness@link2"
     assert len(loose.severities) == len(loose.warnings)
     assert loose.version and len(loose.model_hash) == 16
