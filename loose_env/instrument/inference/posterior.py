@@ -121,12 +121,13 @@ def compare_hypotheses(
     """
     seats = seats_of(uncertain.arm.hypotheses, uncertain.arm.n)
     few = [thinned(one, _LINES) for one in lines]
-    evidence, fits = _first_look(uncertain, few, seats)
+    sampling = _sampling_of(uncertain, few)
+    evidence = _evidence_of(uncertain, [_as_sampled(one, *sampling) for one in few])
+    fits = {
+        name: fit_hypothesis(evidence, name, seat, width=_WIDTHS[0]) for name, seat in seats.items()
+    }
     _search(evidence, seats, fits)
-    used = evidence.lines[0] if evidence.lines else None
-    whole = tuple(
-        one if used is None else _as_sampled(one, used.sampled, used.folded) for one in lines
-    )
+    whole = tuple(_as_sampled(one, *sampling) for one in lines)
     return ModelComparison(
         posterior=posterior_of(fits, whole, healthy_prior=healthy_prior),
         fits=fits,
@@ -161,35 +162,27 @@ def _evidence_of(uncertain: UncertainArm, lines: Sequence[Lines]) -> Evidence:
     return Evidence(uncertain=uncertain, lines=suspect, known_runs=every.runs, known=known)
 
 
-def _first_look(
-    uncertain: UncertainArm, lines: Sequence[Lines], seats: Mapping[str, Seat | None]
-) -> tuple[Evidence, dict[str, Fit]]:
-    """Fit all hypotheses once and identify the sensor sampling."""
+def _sampling_of(uncertain: UncertainArm, lines: Sequence[Lines]) -> tuple[float, float]:
+    """Steps and folding of the sensors (`Lines.sampled`, `Lines.folded`), by the healthy arm.
 
-    def of(sampled: float, folded: float) -> Evidence:
-        return _evidence_of(uncertain, [_as_sampled(one, sampled, folded) for one in lines])
-
-    filtered = of(0.0, 0.0)
-    fits = {
-        name: fit_hypothesis(filtered, name, seat, width=_WIDTHS[0]) for name, seat in seats.items()
-    }
-    if not lines or not any(np.any(one.command) for one in lines):
-        return filtered, fits
+    How sensors sample is the same under all hypotheses.
+    """
+    if not any(np.any(one.command) for one in lines):
+        return 0.0, 0.0
     # Compared with the same allowance for errors, or the wider one would pay for it.
-    stepped, alike = of(1.0, 1.0), of(0.0, 1.0)
-    probed = {HEALTHY, max(fits, key=lambda name: fits[name].evidence)}
-    with_steps, without = (
-        max(
-            fit_hypothesis(evidence, name, seats[name], start=fits[name]).evidence
-            for name in probed
-        )
-        for evidence in (stepped, alike)
+    without = fit_hypothesis(
+        Evidence(uncertain=uncertain, lines=[_as_sampled(one, 0.0, 1.0) for one in lines]),
+        HEALTHY,
+        None,
+        width=_WIDTHS[0],
     )
-    if with_steps <= without:
-        return filtered, fits
-    return stepped, {
-        name: fit_hypothesis(stepped, name, seat, start=fits[name]) for name, seat in seats.items()
-    }
+    with_steps = fit_hypothesis(
+        Evidence(uncertain=uncertain, lines=[_as_sampled(one, 1.0, 1.0) for one in lines]),
+        HEALTHY,
+        None,
+        start=without,
+    )
+    return (1.0, 1.0) if with_steps.evidence > without.evidence else (0.0, 0.0)
 
 
 def _search(
