@@ -52,13 +52,15 @@ class DrivenEffect(Effect):
         """
         return command
 
-    def dry_friction(self, drive: Array, speed: Array, values: Array) -> Array:
+    def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
         """Compute dry friction beyond the joints' friction loss; it holds a joint at rest.
 
         Parameters
         ----------
         drive : ndarray (..., joints)
             Torques of the drives on the joints [N·m, N].
+        load : ndarray (..., joints)
+            Torques of gravity and of inertial coupling (Coriolis) on the joints [N·m, N].
         speed : ndarray (..., joints)
             Joint speeds [rad/s, m/s].
         values : ndarray (P,)
@@ -81,6 +83,6 @@ class DrivenEffect(Effect):
     def friction_code(self, values: Array) -> str:
         """Python lines that add `dry_friction` to ``friction``; "" if none.
 
-        They read ``drive`` and ``speed`` (joints,).
+        They read ``drive``, ``load`` and ``speed`` (joints,).
         """
         return ""

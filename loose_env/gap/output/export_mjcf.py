@@ -138,6 +138,7 @@ def correction_code(hypothesis: Hypothesis) -> str:
         lines += [
             "mujoco.mj_forward(model, data)",
             f"drive, friction = data.qfrc_actuator[dofs], np.array({own})",
+            "load = -data.qfrc_bias[dofs]",
             *frictions,
             "model.dof_frictionloss[dofs] = friction",
         ]

@@ -67,27 +67,31 @@ def rubs(hypothesis: Hypothesis) -> bool:
     )
 
 
-def driven_frictions(hypothesis: Hypothesis, drive: Array, speed: Array) -> Array:
-    """Sum of the dry frictions that depend on drive torques (..., joints) [N·m, N]."""
+def driven_frictions(hypothesis: Hypothesis, drive: Array, load: Array, speed: Array) -> Array:
+    """Sum of the dry frictions that depend on torques of drive and load (..., joints) [N·m, N]."""
     found = np.zeros(drive.shape)
     for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True):
         if isinstance(effect, DrivenEffect):
-            found += effect.dry_friction(drive, speed, values)
+            found += effect.dry_friction(drive, load, speed, values)
     return found
 
 
-def rubbing(hypothesis: Hypothesis, motion: Motion, torque: Array) -> Array:
-    """Dry friction that depends on the drive torques of a measured motion (E, joints) [N·m, N].
+def rubbing(hypothesis: Hypothesis, motion: Motion, torque: Array, load: Array) -> Array:
+    """Dry friction that depends on the torques of a measured motion (E, joints) [N·m, N].
 
     A drive gives what the rest of the model needs, ``torque`` (E, joints) at the compared points,
-    and this friction, which grows with what it gives: solved by fixed-point iteration.
+    and this friction, which grows with what it gives: solved by fixed-point iteration. ``load``
+    (E, joints) are the torques of gravity and inertial coupling there.
     """
     grid, kept = np.arange(len(motion.time)), motion.chosen
-    rest = np.stack([np.interp(grid, kept, column) for column in torque.T], axis=1)
+    rest, loads = (
+        np.stack([np.interp(grid, kept, column) for column in each.T], axis=1)
+        for each in (torque, load)
+    )
     direction = np.tanh(motion.speed / np.maximum(motion.noise[1], 1e-12))
     friction = np.zeros_like(rest)
     for _ in range(_ROUNDS):
-        friction = direction * driven_frictions(hypothesis, rest + friction, motion.speed)
+        friction = direction * driven_frictions(hypothesis, rest + friction, loads, motion.speed)
     return np.asarray(motion.band.smooth(friction)[kept])
 
 
@@ -223,7 +227,7 @@ class BatchWithTerms:
         """
         batch = self.batch
         # requested first: a field is computed from the next call on
-        needed = (*record, "qpos", "qvel", "qacc", "qfrc_actuator")
+        needed = (*record, "qpos", "qvel", "qacc", "qfrc_actuator", "qfrc_bias")
         fields = {name: batch.bind(name) for name in needed}
         commands, applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
         found = {name: np.empty((len(ids), count, *fields[name].shape[1:])) for name in record}
@@ -265,7 +269,8 @@ class BatchWithTerms:
                 commands[own] = self._fed(rows, control[:, k], middle)
             if self._own_models:
                 drive = fields["qfrc_actuator"][own][:, self._dofs]
-                self._set_friction(ids, rubbing_rows, drive, now[1])
+                load = -fields["qfrc_bias"][own][:, self._dofs]
+                self._set_friction(ids, rubbing_rows, (drive, load, now[1]))
             batch.step(called)
             for name in record:
                 if not (looks_ahead and name in read):
@@ -312,12 +317,12 @@ class BatchWithTerms:
         return found
 
     def _set_friction(
-        self, ids: NDArray[np.intp], rows: Sequence[Row], drive: Array, speed: Array
+        self, ids: NDArray[np.intp], rows: Sequence[Row], state: tuple[Array, Array, Array]
     ) -> None:
-        """Set the dry friction of some simulations from their drive torques (ids, joints)."""
+        """Set the dry friction of some simulations from drive, load and speed (ids, joints)."""
         friction = self._base[ids]
         for hypothesis, own in rows:
-            friction[own] += driven_frictions(hypothesis, drive[own], speed[own])
+            friction[own] += driven_frictions(hypothesis, *(each[own] for each in state))
         for number, row in zip(ids.tolist(), friction, strict=True):
             self._losses[number][self._dofs] = row
         self.batch.set_models(self._own_models)

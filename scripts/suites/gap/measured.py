@@ -1,6 +1,6 @@
 """`loose gap` on measured recordings: what is named, and the held-out error before and after.
 
-python -m scripts.suites.gap.measured RECORDING [RECORDING ...] --out FILE.jsonl
+python -m scripts.suites.gap.measured RECORDING [RECORDING ...] --out FILE.jsonl [--each]
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 import loose_env
 from loose_env.errors import LooseEnvError
 from loose_env.gap import GapResult
+from loose_env.recording import read_recording
 from scripts.suites.row_files import add, kept
 
 Row = dict[str, Any]
@@ -22,12 +23,12 @@ QUANTITY = "joint position [rad]"
 
 
 def row_of(folder: Path, settings: dict[str, Any]) -> Row:
-    """Result of a recording, and the time it took [s]."""
+    """Result of a recording under some `GapSettings`, and the time it took [s]."""
     begun = time.perf_counter()
     try:
         found = loose_env.explain_gap(folder, ignore_doctor=True, **settings).result
     except LooseEnvError as error:
-        return {"recording": folder.name, "error": str(error)}
+        return {"recording": folder.name, "error": str(error), "held_out": []}
     seconds = time.perf_counter() - begun
     return {"recording": folder.name, "seconds": seconds} | _of_result(found)
 
@@ -55,19 +56,20 @@ def _of_result(found: GapResult) -> Row:
 def table(rows: Sequence[Row]) -> str:
     """Rows in Markdown."""
     lines = [
-        "| recording | named | error before [rad] | after [rad] | ratio | time [s] |",
-        "|---|---|---:|---:|---:|---:|",
+        "| recording | held out | named | error before [rad] | after [rad] | ratio | time [s] |",
+        "|---|---|---|---:|---:|---:|---:|",
     ]
     for row in rows:
         if row["error"] is not None:
-            lines.append(f"| {row['recording']} | refused: {row['error']} | | | | |")
+            lines.append(f"| {row['recording']} | | refused: {row['error']} | | | | |")
             continue
         named = "; ".join(_effect_words(effect) for effect in row["effects"]) or row["verdict"]
         numbers = "| | | "
         if row["rmse"] is not None:
             before, after = row["rmse"]
             numbers = f"| {before:.4f} | {after:.4f} | {after / before:.2f} "
-        lines.append(f"| {row['recording']} | {named} {numbers}| {row['seconds']:.0f} |")
+        held = ", ".join(f"`{Path(name).stem}`" for name in row["held_out"])
+        lines.append(f"| {row['recording']} | {held} | {named} {numbers}| {row['seconds']:.0f} |")
     return "\n".join(lines)
 
 
@@ -87,18 +89,27 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("recordings", type=Path, nargs="+", help="folders of recordings")
     parser.add_argument("--out", type=Path, required=True, help="file of rows (JSON lines)")
     parser.add_argument("--threads", type=int, default=1, help="threads of each comparison")
+    parser.add_argument(
+        "--each", action="store_true", help="hold out every run in turn, not what the names say"
+    )
     given = parser.parse_args(words)
     given.out.parent.mkdir(parents=True, exist_ok=True)
     rows = kept(given.out)
-    done = {row["recording"] for row in rows if row["error"] is None}
+    done = {(row["recording"], tuple(row["asked"])) for row in rows if row["error"] is None}
     for folder in given.recordings:
-        if folder.name in done:
-            continue
-        row = row_of(folder, {"threads": given.threads})
-        rows.append(row)
-        add(given.out, row)
-        print(table([row]).splitlines()[-1], flush=True)
+        for held in _splits(folder, each=given.each):
+            if (folder.name, held) in done:
+                continue
+            row = row_of(folder, {"threads": given.threads, "held_out": held}) | {"asked": held}
+            rows.append(row)
+            add(given.out, row)
+            print(table([row]).splitlines()[-1], flush=True)
     print(table(rows))
+
+
+def _splits(folder: Path, *, each: bool) -> list[tuple[str, ...]]:
+    """Runs to hold out: every one in turn, or () for those that the names say."""
+    return [(run.name,) for run in read_recording(folder).runs] if each else [()]
 
 
 if __name__ == "__main__":

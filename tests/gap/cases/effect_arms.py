@@ -148,7 +148,7 @@ def simulate(
             data.ctrl[: len(row)] = effect.feedback(row, at, speed, values)
             mujoco.mj_forward(model, data)
             drive = data.qfrc_actuator[dofs]
-            friction = effect.dry_friction(drive, speed, values)
+            friction = effect.dry_friction(drive, -data.qfrc_bias[dofs], speed, values)
             model.dof_frictionloss[dofs] = base[dofs] + friction
         mujoco.mj_step(model, data)
         rows[k] = data.sensordata

@@ -36,9 +36,11 @@ STEP = 5e-4
 COUNT = 1500
 CASES = [
     ("load_friction", "planar3", "joint1", {"share": 0.3, "static_ratio": 1.0, "speed": 0.1,
-     "smooth_speed": 1e-3}, "", [0.3]),
+     "smooth_speed": 1e-3, "load_ratio": 0.0}, "", [0.3]),
     ("load_friction", "spatial3", "joint2", {"share": 0.4, "static_ratio": 1.6, "speed": 0.2,
-     "smooth_speed": 1e-3}, "stribeck", [0.4, 1.6, 0.2]),
+     "smooth_speed": 1e-3, "load_ratio": 0.0}, "stribeck", [0.4, 1.6, 0.2]),
+    ("load_friction", "spatial3", "joint2", {"share": 0.3, "static_ratio": 1.0, "speed": 0.2,
+     "smooth_speed": 1e-3, "load_ratio": 0.5}, "external", [0.3, 0.15]),
     ("asymmetric_friction", "planar3", "joint2", {"torque": 4.0, "static_torque": 4.0,
      "speed": 0.1, "smooth_speed": 1e-3, "forward": 6.0, "backward": 2.0}, "", [6.0, 2.0]),
     ("torque_limit", "planar3", "motor1", {"limit": 40.0}, "", [40.0]),
@@ -192,17 +194,19 @@ def test_a_measured_torque_with_a_wrong_constant_is_scaled():
 
 
 @pytest.mark.parametrize(
-    ("kind", "where", "parameters", "values"),
+    ("kind", "where", "parameters", "variant", "values"),
     [
         ("load_friction", "joint1", {"share": 0.3, "static_ratio": 1.0, "speed": 0.1,
-         "smooth_speed": 1e-3}, [0.3]),
+         "smooth_speed": 1e-3, "load_ratio": 0.0}, "", [0.3]),
+        ("load_friction", "joint1", {"share": 0.3, "static_ratio": 1.0, "speed": 0.1,
+         "smooth_speed": 1e-3, "load_ratio": 0.6}, "external", [0.3, 0.18]),
         ("asymmetric_friction", "joint2", {"torque": 4.0, "static_torque": 4.0, "speed": 0.1,
-         "smooth_speed": 1e-3, "forward": 6.0, "backward": 2.0}, [6.0, 2.0]),
-        ("torque_constant", "joint2", {"factor": 0.8}, [0.8]),
-        ("gravity_compensation", "link2", {"share": -0.4}, [-0.4]),
+         "smooth_speed": 1e-3, "forward": 6.0, "backward": 2.0}, "", [6.0, 2.0]),
+        ("torque_constant", "joint2", {"factor": 0.8}, "", [0.8]),
+        ("gravity_compensation", "link2", {"share": -0.4}, "", [-0.4]),
     ],
 )  # fmt: skip
-def test_an_effect_is_seen_in_measured_torques(kind, where, parameters, values):
+def test_an_effect_is_seen_in_measured_torques(kind, where, parameters, variant, values):
     figures = ARMS["planar3"]()
     true = true_effect(kind, figures, where, parameters)
     arm = TrueArm(figures=figures, factors=Factors.ones(3), effects=(true,))
@@ -226,7 +230,7 @@ def test_an_effect_is_seen_in_measured_torques(kind, where, parameters, values):
     inverse = InverseDynamics(
         machine, [align_run(run, machine, channels, step=1e-3)], channels, threads=1
     )
-    effect = CATALOGUE[kind](machine, where)
+    effect = CATALOGUE[kind](machine, where, variant or None)
     assert inverse.shows(effect)
     known = Hypothesis(effects=(effect,), values=(np.array(values),))
     measured = inverse.measured(0)

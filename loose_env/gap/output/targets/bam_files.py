@@ -107,8 +107,7 @@ def _parameters(
 ) -> dict[str, float | str]:
     """Parameters of one joint in the order of BAM's own files.
 
-    Friction of the drive's torque alone is that of model m5, without its part of the external
-    torque.
+    Friction that grows with the load is that of model m5.
     """
     stribeck = next((e for e in effects if e.kind == "stribeck_friction"), None)
     load = next((e for e in effects if e.kind == "load_friction"), None)
@@ -126,7 +125,7 @@ def _parameters(
         share = load.parameters["share"]
         found |= {
             "load_friction_motor": share,
-            "load_friction_external": 0.0,
+            "load_friction_external": load.parameters.get("load_share", 0.0),
             "load_friction_motor_stribeck": share * (load.parameters.get("static_ratio", 1.0) - 1),
             "load_friction_external_stribeck": 0.0,
         }

@@ -146,7 +146,9 @@ def _missing(
         needed = data.qfrc_inverse[:joints].copy()
         mujoco.mj_fwdActuation(model, data)
         drive = data.qfrc_actuator[:joints]
-        rubbing = friction + driven_frictions(known, drive, motion.speed[k])
+        rubbing = friction + driven_frictions(
+            known, drive, -data.qfrc_bias[:joints], motion.speed[k]
+        )
         row[:] = drive - needed - rubbing * np.tanh(motion.speed[k] / slow)
     torque += torque_terms(known, motion.position[chosen], motion.speed[chosen])
     return (

@@ -33,6 +33,7 @@ from scripts.suites.gap.simulator.laws import (
     LIMIT,
     LOADED,
     LOADED_BUMP,
+    LOADED_EXTERNAL,
     LOADED_SMOOTH,
     LOADED_SPEED,
     OFFSET,
@@ -99,6 +100,7 @@ def _draw_loaded(rng: np.random.Generator, figures: Figures, place: Place) -> Pa
         "static_ratio": rng.uniform(1.0, 1.6),
         "speed": log_uniform(rng, 0.03, 0.25) * unit,
         "smooth_speed": log_uniform(rng, 1e-3, 4e-3) * unit,
+        "load_ratio": float(rng.choice([0.0, rng.uniform(0.2, 0.8)])),
     }
 
 
@@ -108,6 +110,7 @@ def _loaded(
     row = system.drives[place.index]
     row[LOADED], row[LOADED_BUMP] = p["share"], p["static_ratio"] - 1.0
     row[LOADED_SPEED], row[LOADED_SMOOTH] = p["speed"], p["smooth_speed"]
+    row[LOADED_EXTERNAL] = p["load_ratio"] * p["share"]
 
 
 def _size_limit(size: float, drawn: Parameters, figures: Figures, place: Place) -> Parameters:

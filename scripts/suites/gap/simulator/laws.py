@@ -44,7 +44,9 @@ BACK_EMF = 14
 which is that of the voltage."""
 ECCENTRIC_SINE, ECCENTRIC_COSINE = 15, 16
 """Error of the encoder that is periodic in the turn of the joint."""
-ACTUATOR = 17
+LOADED_EXTERNAL = 17
+"""Friction of what is behind the gear over the torque of the load."""
+ACTUATOR = 18
 
 
 @njit(cache=True, fastmath=False)
@@ -126,8 +128,8 @@ def drive_torque(row, command, q, v):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=False)
-def gear_friction(row, torque, v):  # type: ignore[no-untyped-def]
-    """Friction of teeth under the load of a drive's torque, against the motion."""
+def gear_friction(row, torque, load, v):  # type: ignore[no-untyped-def]
+    """Friction of teeth under the torques of a drive and of its load, against the motion."""
     x = v / row[12]
-    size = row[10] * abs(torque) * (1.0 + row[11] * np.exp(-x * x))
+    size = row[10] * abs(torque) * (1.0 + row[11] * np.exp(-x * x)) + row[17] * abs(load)
     return -size * np.tanh(v / row[13])

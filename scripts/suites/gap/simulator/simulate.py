@@ -91,6 +91,7 @@ def _derivative(  # type: ignore[no-untyped-def]
     n = q.shape[0]
     forward(bodies, q, v, gravity, work)
     mass_and_bias(bodies, work, mass, force)
+    bias = force.copy()
     for k in range(n):
         force[k] = joint_force(laws[k], q[k], v[k], z[k], time) - force[k]
         dz[k] = 0.0
@@ -113,7 +114,7 @@ def _derivative(  # type: ignore[no-untyped-def]
         given = torque[j] * drives[j, 4] / (1.0 + drives[j, 9] * load)
         force[k] += given
         if drives[j, 10] > 0.0:
-            force[k] += gear_friction(drives[j], given, v[k])
+            force[k] += gear_friction(drives[j], given, bias[k], v[k])
     for k in range(n):
         if bodies[k, 21] != 0.0:
             add_weight(bodies, work, k, -bodies[k, 21], gravity, force)

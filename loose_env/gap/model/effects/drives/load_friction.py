@@ -26,32 +26,37 @@ _LEAST = 1e-3
 class LoadFriction(DrivenEffect, JointEffect):
     """Friction proportional to the drive's torque on the joint, as of teeth under load.
 
-    Dry friction ``share · |drive torque|``, beside that of the joint itself. Variant "stribeck":
-    ``share · |drive torque| · (1 + (static_ratio - 1) exp(-(v / speed)²))``. A share of s is a gear
-    efficiency of 1 - s when the drive moves the load; from s = 0.5 on no load moves the drive.
+    Dry friction ``share · |drive torque|``, beside that of the joint itself. Variants:
+
+    - "stribeck": ``share · |drive torque| · (1 + (static_ratio - 1) exp(-(v / speed)²))``,
+    - "external": ``share · |drive torque| + load_share · |load|``, the load being the torque of
+      gravity and inertial coupling, which stages and bearings behind the gear carry.
+
+    A share of s is a gear efficiency of 1 - s when the drive moves the load.
 
     References
     ----------
     Duclusaud et al., Extended friction models for the physics simulation of servo actuators
-    (2025): models M3 and M4, of the drive's part of the load.
+    (2025): models M3 to M5, with one Stribeck peak.
     """
 
     kind = "load_friction"
     sharp: ClassVar[bool] = True
-    variants: ClassVar[tuple[str, ...]] = ("", "stribeck")
+    variants: ClassVar[tuple[str, ...]] = ("", "stribeck", "external")
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
-        if self.variant:
+        if self.variant == "stribeck":
             self.limit = (("share", "low"),)  # type: ignore[misc]
         else:
-            self.nothing = (0.0,)  # type: ignore[misc]
+            self.nothing = (0.0, 0.0) if self.variant else (0.0,)  # type: ignore[misc]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Friction over drive torque; with a Stribeck peak also its height and speed."""
-        if not self.variant:
-            return (Parameter(name="share", unit="", low=0.0, high=0.95, scale=0.1),)
+        """Friction over drive torque, and over the load or with a peak's height and speed."""
+        if self.variant != "stribeck":
+            names = ("share", "load_share") if self.variant else ("share",)
+            return tuple(Parameter(name=n, unit="", low=0.0, high=0.95, scale=0.1) for n in names)
         return (
             Parameter(name="share", unit="", low=_LEAST, high=0.95, scale=0.1, log=True),
             Parameter(
@@ -65,38 +70,46 @@ class LoadFriction(DrivenEffect, JointEffect):
         """Starts: of a good gear and of a hobby servo's."""
         if not self.variant:
             return ((0.08,), (0.4,))
+        if self.variant == "external":
+            return ((0.08, 0.08), (0.3, 0.2))
         return ((0.08, 1.5, START_SPEED * self.speed), (0.4, 1.5, START_SPEED * self.speed))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Give the joint a trace of dry friction, whose size follows the load step by step."""
-        if values[0] == 0:
+        if not np.any(values[: 1 if self.variant == "stribeck" else None]):
             return
         joint = spec.joint(self.where)
         joint.frictionloss = max(joint.frictionloss, _TRACE * self.load)
         make_it_stick(joint, spec.option.timestep)
 
-    def dry_friction(self, drive: Array, speed: Array, values: Array) -> Array:
-        """Share of the drive's torque."""
+    def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
+        """Shares of the torques of drive and load."""
         joint = self.machine.joint_number(self.where)
         found = np.zeros_like(drive)
         found[..., joint] = self._share(speed[..., joint], values) * np.abs(drive[..., joint])
+        if self.variant == "external":
+            found[..., joint] += float(values[1]) * np.abs(load[..., joint])
         return found
 
     def _share(self, speed: Array, values: Array) -> Array | float:
-        if not self.variant:
+        if self.variant != "stribeck":
             return float(values[0])
         share, ratio, slow = (float(v) for v in values)
         return np.asarray(share * (1 + (ratio - 1) * np.exp(-((speed / slow) ** 2))))
 
     def friction_code(self, values: Array) -> str:
-        """Python line: the share of the drive's torque at that speed."""
+        """Python line: the shares of the torques at that speed."""
         joint = self.machine.joint_number(self.where)
         share = repr(float(values[0]))
-        if self.variant:
+        if self.variant == "stribeck":
             ratio, slow = float(values[1]), float(values[2])
             share += f" * (1 + {ratio - 1!r} * np.exp(-((speed[{joint}] / {slow!r}) ** 2)))"
-        return f"friction[{joint}] += {share} * abs(drive[{joint}])"
+        line = f"friction[{joint}] += {share} * abs(drive[{joint}])"
+        if self.variant == "external":
+            line += f" + {float(values[1])!r} * abs(load[{joint}])"
+        return line
 
     def resistance(self, speed: float, values: Array) -> float:
         """Resistance under the joint's typical torque."""
-        return float(self._share(np.asarray(speed), values)) * self.load
+        share = float(self._share(np.asarray(speed), values))
+        return (share + (float(values[1]) if self.variant == "external" else 0.0)) * self.load
