@@ -79,7 +79,7 @@ def without_absurd(machine: Machine, run: Run) -> tuple[Run, list[Finding]]:
 
 def check_quality(machine: Machine, run: Run, channels: Sequence[Channel]) -> Iterator[Finding]:
     """Check every channel of one run by itself."""
-    moves = {c.name: bool(c.there.size) and np.ptp(c.there) > 0 for c in channels}
+    moves = {c.name: bool(c.there.size) and bool(np.ptp(c.there) > 0) for c in channels}
     alive = {c.of: any(moves[d.name] for d in channels if d.of == c.of) for c in channels}
     for channel in channels:
         yield from _missing(run, channel)
@@ -87,7 +87,7 @@ def check_quality(machine: Machine, run: Run, channels: Sequence[Channel]) -> It
         if not values.size:
             continue
         if not moves[channel.name]:
-            yield from _stuck(run, channel, machine, alive)
+            yield from _stuck(run, channel, alive, _moving(machine, channels, moves))
             continue
         starts, lengths = _repeats(values)
         yield from _held(run, channel, lengths)
@@ -118,15 +118,33 @@ def _missing(run: Run, channel: Channel) -> Iterator[Finding]:
         )
 
 
+def _moving(
+    machine: Machine, channels: Sequence[Channel], moves: Mapping[str, bool]
+) -> tuple[set[str], set[str]]:
+    """Joints that are commanded to move, and those that do."""
+    drives = [
+        machine.drives[c.of] for c in channels
+        if c.kind == "command" and c.of in machine.drives and moves[c.name]
+    ]  # fmt: skip
+    moved = {c.of for c in channels if c.kind == "position" and moves[c.name]}
+    return {drive.joint for drive in drives if drive.follows}, moved
+
+
 def _stuck(
-    run: Run, channel: Channel, machine: Machine, alive: Mapping[str, bool]
+    run: Run,
+    channel: Channel,
+    alive: Mapping[str, bool],
+    moving: tuple[set[str], set[str]],
 ) -> Iterator[Finding]:
     """Judge a channel that holds one value through the run."""
     if channel.kind in ("command", "other"):
         return  # a command that holds a joint is constant
     value = float(channel.there[0])
     excited = channel.of in run.excited
+    commanded, moved = moving
     if channel.kind in ("position", "velocity", "torque") and not excited:
+        if not run.excited and (channel.of in commanded or (channel.kind == "position" and moved)):
+            yield _at_rest(run, channel, value, commanded=channel.of in commanded)
         return  # a joint at rest behind a coarse encoder, or a brake
     if channel.kind in _SITE and not run.excited and not alive[channel.of]:
         return  # nothing is known to move
@@ -141,6 +159,21 @@ def _stuck(
         value=value,
         consequence="the channel carries no signal, and its silence is taken for a measurement",
         remedy="check cable and recorder; leave the column out where the sensor is dead",
+    )
+
+
+def _at_rest(run: Run, channel: Channel, value: float, *, commanded: bool) -> Finding:
+    """Joint that rests while others move: a brake, or a dead sensor."""
+    return Finding(
+        check="stuck",
+        severity="warning" if commanded else "note",
+        run=run.name,
+        channel=channel.name,
+        found=f"every sample is {value:.6g}"
+        + (", and the joint is commanded to move" if commanded else ", and other joints move"),
+        value=value,
+        consequence="a joint at rest, or a sensor whose silence is taken for a measurement",
+        remedy="look whether the joint moved; leave the column out where its sensor is dead",
     )
 
 

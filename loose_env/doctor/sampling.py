@@ -18,6 +18,7 @@ from loose_env.doctor.thresholds import (
     ODD_RATE,
     PAUSE_S,
     PAUSE_STEPS,
+    SLOWEST_RATE_HZ,
     UNEVEN_STEP,
     VERY_UNEVEN_STEP,
 )
@@ -33,6 +34,19 @@ def check_sampling(machine: Machine, run: Run, channels: Sequence[Channel]) -> I
     step = median_step(run.time)
     rate = 1 / step
     length = float(run.time[-1] - run.time[0])
+    if rate < SLOWEST_RATE_HZ or rate > HIGHEST_RATE_HZ:
+        yield Finding(
+            check="rate",
+            severity="error",
+            run=run.name,
+            channel="time",
+            found=f"sampled at {rate:.4g} Hz over {length:.4g} s",
+            value=rate,
+            unit="Hz",
+            consequence="the times are not in seconds, and every frequency is wrong",
+            remedy="import the times with their unit",
+        )
+        return
     if rate < LEAST_RATE_HZ:
         yield Finding(
             check="rate",
@@ -47,19 +61,6 @@ def check_sampling(machine: Machine, run: Run, channels: Sequence[Channel]) -> I
             remedy=f"record at {LEAST_RATE_HZ:g} Hz or more; where the times are not in seconds, "
             "import them with their unit",
         )
-    if rate > HIGHEST_RATE_HZ:
-        yield Finding(
-            check="rate",
-            severity="error",
-            run=run.name,
-            channel="time",
-            found=f"sampled at {rate:.4g} Hz over {length:.4g} s",
-            value=rate,
-            unit="Hz",
-            consequence="the times are not in seconds, and every frequency is wrong",
-            remedy="import the times with their unit",
-        )
-        return
     if length < LEAST_RUN_S:
         yield Finding(
             check="length",

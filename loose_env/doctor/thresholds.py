@@ -14,6 +14,9 @@ PAUSE_S = 0.02
 LEAST_RATE_HZ = 20.0
 """Sampling rate below which the motion of an arm is not resolved [Hz]: its servos reach 5 to 10
 Hz."""
+SLOWEST_RATE_HZ = 1.0
+"""Sampling rate below which times are not in seconds [Hz]: the slowest recorders of arms have 5
+Hz."""
 BAND_SHARE = 0.4
 """Highest frequency of an excitation over the sampling rate: anti-aliasing filters need the
 rest."""

@@ -101,7 +101,7 @@ def check_numbers(table: Table) -> None:
         here, before = float(time[row]), float(time[row - 1])
         raise InvalidData(
             f"{table.place('time', row)}: time has to increase strictly, and {here!r} s follows "
-            f"{before!r} s"
+            f"{before!r} s; delete the row, or give times in finer steps"
         )
     for name, values in table.columns.items():
         missing = np.flatnonzero(np.isnan(values))

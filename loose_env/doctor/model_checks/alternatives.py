@@ -107,10 +107,15 @@ def check_alternatives(
         check=best.check,
         channel=best.channel,
         found=f"{best.words}: the model then leaves {best.left:.1%} of the torques' variance, as "
-        f"recorded {as_is:.0%}{also}",
+        f"recorded {_part(as_is)}{also}",
         value=best.left,
         fix=best.fix,
     )
+
+
+def _part(share: float) -> str:
+    """Share in words: as a percentage, or as a multiple from ten on."""
+    return f"{share:.0%}" if share < 10 else f"{share:.3g} times as much"
 
 
 def _finding(*, check: str, channel: str, found: str, value: float, fix: Correction) -> Finding:
@@ -150,7 +155,7 @@ def _by_factors(
             check="units" if factor > 0 else "sign",
             channel=positions[joint],
             found=f"multiplied by {factor:.4g}, the model leaves {corrected:.1%} of the torques' "
-            f"variance, as recorded {as_is:.0%}",
+            f"variance, as recorded {_part(as_is)}",
             value=factor,
             fix=fix,
         )
