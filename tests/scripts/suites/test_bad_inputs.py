@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from scripts.suites.robustness.bad_inputs import INPUTS, row, table
 
 GOES_ON = (
