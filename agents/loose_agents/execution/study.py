@@ -26,7 +26,8 @@ S = TypeVar("S")
 O = TypeVar("O", bound="StudyRun")  # noqa: E741
 Row = dict[str, Any]
 
-BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
+MARKS = ("<!-- {}: begin -->", "<!-- {}: end -->")
+"""Lines of a page between which generated text of a name goes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,7 +212,7 @@ class Study(Generic[S, O]):
             yield case, self.work(case, settings=settings, run=run, say=say)
 
 
-def write_between(page: Path, text: str, *, new: str | None = None) -> None:
+def write_between(page: Path, text: str, *, name: str = "tables", new: str | None = None) -> None:
     """Put tables between their marks on a page.
 
     Parameters
@@ -220,6 +221,8 @@ def write_between(page: Path, text: str, *, new: str | None = None) -> None:
         The page.
     text : str
         The tables.
+    name : str
+        Name in the marks.
     new : str, optional
         Content of a page that does not exist yet.
 
@@ -229,13 +232,14 @@ def write_between(page: Path, text: str, *, new: str | None = None) -> None:
         If the page lacks the marks.
     """
     old = new if new is not None and not page.exists() else page.read_text(encoding="utf-8")
-    before, begin, rest = old.partition(BEGIN)
-    _, end, after = rest.partition(END)
+    first, last = (mark.format(name) for mark in MARKS)
+    before, begin, rest = old.partition(first)
+    _, end, after = rest.partition(last)
     if not (begin and end):
         raise InvalidSetting(
-            f"{page} lacks the lines {BEGIN!r} and {END!r}, between which tables go"
+            f"{page} lacks the lines {first!r} and {last!r}, between which tables go"
         )
-    write_text(page, f"{before}{BEGIN}\n\n{text}\n\n{END}{after}")
+    write_text(page, f"{before}{first}\n\n{text}\n\n{last}{after}")
 
 
 def _words(case: Any) -> str:

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from loose_agents.execution.study import write_between
+
 import loose_env
 from loose_env.errors import LooseEnvError
 from loose_env.gap import GapResult
@@ -18,6 +20,7 @@ from loose_env.recording import read_recording
 from scripts.suites.row_files import add, kept
 
 Row = dict[str, Any]
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "gap.md"
 QUANTITY = "joint position [rad]"
 """Error that the table shows; that of held-out runs, simulated from their commands alone."""
 
@@ -92,11 +95,13 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--each", action="store_true", help="hold out every run in turn, not what the names say"
     )
+    parser.add_argument("--table", action="store_true", help="print the table of the rows alone")
+    parser.add_argument("--docs", action="store_true", help="write the table into docs/gap.md")
     given = parser.parse_args(words)
     given.out.parent.mkdir(parents=True, exist_ok=True)
     rows = kept(given.out)
     done = {(row["recording"], tuple(row["asked"])) for row in rows if row["error"] is None}
-    for folder in given.recordings:
+    for folder in () if given.table else given.recordings:
         for held in _splits(folder, each=given.each):
             if (folder.name, held) in done:
                 continue
@@ -104,7 +109,10 @@ def main(words: Sequence[str] | None = None) -> None:
             rows.append(row)
             add(given.out, row)
             print(table([row]).splitlines()[-1], flush=True)
+    rows.sort(key=lambda row: (row["recording"], row["held_out"]))
     print(table(rows))
+    if given.docs:
+        write_between(DOCS, table(rows), name="measured")
 
 
 def _splits(folder: Path, *, each: bool) -> list[tuple[str, ...]]:

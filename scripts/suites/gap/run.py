@@ -29,6 +29,7 @@ from loose_agents.execution.progress import ProgressLine
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.execution.shard_store import RowCodec, ShardStore
 from loose_agents.execution.shards import Shard, ShardFailed, map_shards
+from loose_agents.execution.study import write_between
 
 import loose_env
 from loose_env.errors import InvalidSetting
@@ -54,37 +55,6 @@ ROWS = "gap_suite_rows.jsonl"
 """File of the rows, beside the page."""
 LAST = 3999
 """Largest number of a case."""
-BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
-PAGE = f"""# How often a missing effect is named
-
-How often `loose gap` names what a model lacks and where, on recordings made by an arm that shares
-no code with it.
-
-    make gap-suite
-
-makes 211 cases and grades the tool on them: 100 with nothing missing, three of each kind of the
-catalogue, 24 with two effects, 18 with one that the catalogue does not have. Options go through
-`ARGS`: `--quick` for 20 cases, `--numbers 0-9 1004 2001` for chosen ones (from 0: nothing missing,
-1000: one effect, 2000: two, 3000: outside the catalogue), `--workers`, `--backend`. What is done is
-stored; the same command goes on where it stopped.
-
-A recording has four runs, of 6 s each at 1 kHz, or 3 s where nothing is missing; the last one is
-held out. The arm is integrated in closed form and without MuJoCo; the laws of its friction, play
-and stops are not those of the catalogue; its masses, inertias, dampings and gains are 1 to 3 % off
-the model in every case. Sizes are drawn from the one that is just visible (on held-out runs the
-true model leads by three standard deviations of what the nominal model leaves, with its figures
-fitted within the tolerance) to thirty times that. The tool sees the recording alone; its result is
-written before the truth is opened. An effect is right if kind and place are; one that the true
-parameters' own held-out likelihoods cannot tell from it counts too, a list that is too long does
-not. The model that is written is simulated once more by plain MuJoCo on the held-out runs, and what
-it leaves is held against what the tool says is left. Shares stand with Wilson's 95 % interval.
-
-What every case was, what was said and its marks stand in {{download}}`{ROWS}`; `--take` reads such
-a file, so that machines can share the work.
-
-{BEGIN}
-{END}
-"""
 
 
 def numbers_of(words: Iterable[str]) -> list[int]:
@@ -283,25 +253,6 @@ def tables(rows: Sequence[Row], asked: int) -> str:
     return "\n".join(parts).rstrip() + "\n"
 
 
-def write_docs(page: Path, content: str) -> None:
-    """Put the tables between their marks on a page, which is made where there is none.
-
-    Raises
-    ------
-    InvalidSetting
-        If the page lacks the marks.
-    """
-    old = page.read_text(encoding="utf-8") if page.exists() else PAGE
-    before, begin, rest = old.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not (begin and end):
-        raise InvalidSetting(
-            f"{page} lacks the lines {BEGIN!r} and {END!r}, between which tables go"
-        )
-    page.parent.mkdir(parents=True, exist_ok=True)
-    page.write_text(f"{before}{BEGIN}\n\n{content}\n{END}{after}", encoding="utf-8")
-
-
 def parser_of() -> argparse.ArgumentParser:
     """The options."""
     parser = argparse.ArgumentParser(
@@ -382,7 +333,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if page is None and not (chosen.quick or chosen.numbers) and len(rows) == len(numbers):
             page = DOCS  # a whole run goes to the docs by itself
         if page is not None:
-            write_docs(page, content)
+            write_between(page, content)
             write_rows(page.with_name(ROWS), store.configuration, rows)
         print(f"{time.monotonic() - began:.0f} s; tables: {out / 'summary.md'}", file=sys.stderr)
 

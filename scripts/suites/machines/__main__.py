@@ -8,6 +8,8 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
+from loose_agents.execution.study import write_between
+
 from scripts.suites.machines.disturbances import KINDS, ranges_table
 from scripts.suites.machines.grade import tables
 from scripts.suites.machines.plans import CaseSettings
@@ -17,11 +19,6 @@ from scripts.suites.row_files import add, kept
 SEED = 81_207
 """Of the printed tables; nothing was developed on it. Development used the seed 1."""
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "diagnosis_suite.md"
-MARKS = {
-    "tables": ("<!-- tables: begin -->", "<!-- tables: end -->"),
-    "disturbances": ("<!-- disturbances: begin -->", "<!-- disturbances: end -->"),
-}
-"""Marks between which the page has what is generated."""
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -58,7 +55,8 @@ def main(words: Sequence[str] | None = None) -> None:
         rows = sorted(kept(given.out), key=_order)
     print(tables(rows))
     if given.docs:
-        write_docs(DOCS, rows)
+        write_between(DOCS, tables(rows))
+        write_between(DOCS, ranges_table(), name="disturbances")
 
 
 def done_by(
@@ -76,17 +74,6 @@ def done_by(
 
 def _order(row: Row) -> tuple[int, int]:
     return row["seed"], row["case"]
-
-
-def write_docs(page: Path, rows: Sequence[Row]) -> None:
-    """Write the tables between their marks in the page."""
-    text = page.read_text("utf-8")
-    for name, made in (("tables", tables(rows)), ("disturbances", ranges_table())):
-        begin, end = MARKS[name]
-        before, _, rest = text.partition(begin)
-        _, _, after = rest.partition(end)
-        text = f"{before}{begin}\n\n{made}\n\n{end}{after}"
-    page.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

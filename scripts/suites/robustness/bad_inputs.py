@@ -18,6 +18,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from loose_agents.execution.study import write_between
 
 from loose_env.cli.main import main as loose
 from loose_env.recording import write_csv
@@ -26,7 +27,6 @@ from loose_env.typing import Array
 __all__ = ["INPUTS", "BadInput", "main", "table"]
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "doctor.md"
-MARKS = ("<!-- bad inputs: begin -->", "<!-- bad inputs: end -->")
 RATE, SECONDS = 200.0, 8.0
 JOINTS = ("turn", "lift", "bend")
 MODEL = """<mujoco><compiler angle="radian"/><option gravity="0 0 -9.81"/>
@@ -233,10 +233,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     made = table()
     print(made)
     if given.docs:
-        text = DOCS.read_text(encoding="utf-8")
-        before, _, rest = text.partition(MARKS[0])
-        _, _, after = rest.partition(MARKS[1])
-        DOCS.write_text(f"{before}{MARKS[0]}\n\n{made}\n\n{MARKS[1]}{after}", encoding="utf-8")
+        write_between(DOCS, made, name="bad inputs")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from loose_agents.execution.study import BEGIN, END, ClusterRun, write_between
+from loose_agents.execution.study import MARKS, ClusterRun, write_between
 from loose_agents.research.pose_set_trials import LIMIT, Directions, Records, Task, records_block
 
 from scripts.studies import pose_sets as script
@@ -92,6 +92,7 @@ def test_rows_of_an_unknown_engine_are_refused() -> None:
 
 def test_tables_go_between_their_marks(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
+    begin, end = (mark.format("tables") for mark in MARKS)
+    page.write_text(f"before\n{begin}\nold\n{end}\nafter\n", encoding="utf-8")
     write_between(page, "new")
-    assert page.read_text(encoding="utf-8") == (f"before\n{BEGIN}\n\nnew\n\n{END}\nafter\n")
+    assert page.read_text(encoding="utf-8") == (f"before\n{begin}\n\nnew\n\n{end}\nafter\n")

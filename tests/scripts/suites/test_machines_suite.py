@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from loose_env.recording import read_recording
-from scripts.suites.machines.__main__ import MARKS, main, write_docs
+from scripts.suites.machines.__main__ import main
 from scripts.suites.machines.case import draw, play
 from scripts.suites.machines.disturbances_shown import table as shown_table
 from scripts.suites.machines.grade import calibration, tables
@@ -113,17 +113,6 @@ def test_calibration_error_is_the_mean_distance_of_probability_and_accuracy() ->
     error, lines = calibration(rows)
     assert error == pytest.approx(0.3)
     assert lines == [("0.7 to 0.9", "2", "0.800", "0.500")]
-
-
-def test_the_page_takes_tables_between_its_marks(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    text = "Before\n" + "\nbetween\n".join(f"{a}\nold\n{b}" for a, b in MARKS.values()) + "\nAfter"
-    page.write_text(text, encoding="utf-8")
-    write_docs(page, [row()])
-    write_docs(page, [row()])
-    written = page.read_text("utf-8")
-    assert written.startswith("Before") and written.endswith("After") and "between" in written
-    assert "old" not in written and written.count("`clock_drift`") == 1
 
 
 def test_verdicts_by_disturbance_stand_in_a_line_each() -> None:

@@ -298,21 +298,22 @@ def test_a_run_cut_short_has_a_little_of_every_role(numbers: list[int]) -> None:
         assert abs(half.count(role) - whole / 2) <= 1
 
 
-def test_the_page_is_made_and_its_tables_renewed(tmp_path: Path) -> None:
+def test_the_tables_of_the_page_are_renewed(tmp_path: Path) -> None:
     rows = suite(write_blind(tmp_path))
-    page = tmp_path / "docs" / "gap_suite.md"
-    script.write_docs(page, script.tables(rows, 5))
+    page = tmp_path / "gap_suite.md"
+    page.write_text("A page.\n<!-- tables: begin -->\n<!-- tables: end -->\n")
+    script.write_between(page, script.tables(rows, 5))
     first = page.read_text()
     assert "| 11\N{NO-BREAK SPACE}payload |" in first
     assert "| 1001 | " in first and "| 1000 | " not in first
     page.write_text(first + "A last line.\n")
-    script.write_docs(page, script.tables(rows[:1], 5))
+    script.write_between(page, script.tables(rows[:1], 5))
     second = page.read_text()
     assert second.endswith("A last line.\n") and "1 case of 5" in second
-    assert "payload |" not in second and second.count(script.BEGIN) == 1
+    assert "payload |" not in second and second.count("tables: begin") == 1
     page.write_text("no marks")
     with pytest.raises(InvalidSetting, match="lacks"):
-        script.write_docs(page, "")
+        script.write_between(page, "")
 
 
 def test_the_command_shows_what_is_stored(tmp_path: Path, capsys: Any) -> None:
