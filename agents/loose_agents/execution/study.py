@@ -229,8 +229,10 @@ def write_between(page: Path, text: str, *, name: str = "tables", new: str | Non
     Raises
     ------
     InvalidSetting
-        If the page lacks the marks.
+        If there is no page, or it lacks the marks.
     """
+    if new is None and not page.is_file():
+        raise InvalidSetting(f"{page} does not exist; name a page that has marks for tables")
     old = new if new is not None and not page.exists() else page.read_text(encoding="utf-8")
     first, last = (mark.format(name) for mark in MARKS)
     before, begin, rest = old.partition(first)

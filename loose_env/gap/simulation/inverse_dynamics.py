@@ -12,6 +12,7 @@ not known there.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -227,9 +228,9 @@ class InverseDynamics:
             extra = [self._dry(hypothesis, model, m) for m in motions]
             found = [r + e for r, e in zip(rigid, extra, strict=True)]
         if rubs(hypothesis):
-            loads = self._loads(self._motions)
-            each = zip(found, self._motions, loads, strict=True)
-            found = [torque + rubbing(hypothesis, m, torque, load) for torque, m, load in each]
+            biases = self._rigid(copy.copy(self.machine.model), self._motions, bias_only=True)
+            each = zip(found, self._motions, biases, strict=True)
+            found = [torque + rubbing(hypothesis, m, torque, -bias) for torque, m, bias in each]
         for effect, own in hypothesis.pairs:
             if type(effect).sensed_torque is Effect.sensed_torque:
                 continue
@@ -238,31 +239,22 @@ class InverseDynamics:
                     torque[:, joint] = effect.sensed_torque(name, torque[:, joint], own)
         return found
 
-    def _rigid(self, model: mujoco.MjModel, motions: list[Motion]) -> list[Array]:
-        """Rigid-body term M a + bias - passive of all runs at once (E, joints) each."""
+    def _rigid(
+        self, model: mujoco.MjModel, motions: list[Motion], *, bias_only: bool = False
+    ) -> list[Array]:
+        """Rigid-body term M a + bias - passive of all runs at once (E, joints) each, or the bias.
+
+        The bias is the negative torque of gravity and inertial coupling.
+        """
         states = [m.states for m in motions]
         position, speed, acceleration = (np.concatenate(part) for part in zip(*states, strict=True))
-        mass, bias, passive = self._forces(model, position, speed)
-        torque = _times(model, mass, acceleration) + bias - passive
-        return np.split(torque, np.cumsum([len(s[0]) for s in states])[:-1])
-
-    def _loads(self, motions: list[Motion]) -> list[Array]:
-        """Torques of gravity and inertial coupling in the nominal arm (E, joints), run by run."""
-        model = Hypothesis().model(self.machine, self.machine.model.opt.timestep)
-        states = [m.states for m in motions]
-        position, speed = (np.concatenate([s[k] for s in states]) for k in (0, 1))
-        _, bias, _ = self._forces(model, position, speed)
-        cuts = np.cumsum([len(s[0]) for s in states])[:-1]
-        return np.split(-bias[:, : len(self.machine.joints)], cuts)
-
-    def _forces(self, model: mujoco.MjModel, position: Array, speed: Array) -> list[Array]:
-        """Mass matrices, bias and passive forces in some states (E, nv)."""
         model.opt.disableflags |= _OFF
-        batch, fields = self._batch(model, len(position))
+        batch, (mass, bias, passive) = self._batch(model, len(position))
         batch.set_models(model)
         batch.qpos[:], batch.qvel[:] = position, speed
         batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
-        return fields
+        torque = bias if bias_only else _times(model, mass, acceleration) + bias - passive
+        return np.split(torque, np.cumsum([len(s[0]) for s in states])[:-1])
 
     def _batch(self, model: mujoco.MjModel, count: int) -> tuple[Batch, list[Array]]:
         """Batch with room for all samples, and its mass matrices and forces."""
