@@ -1,6 +1,6 @@
 """Verdicts on a healthy and a loose arm that each have one disturbance alone.
 
-python -m scripts.suites.machines.disturbances_shown --out FILE.jsonl
+python -m scripts.suites.machines.disturbances_shown --out FILE.jsonl [--docs]
 """
 
 from __future__ import annotations
@@ -10,6 +10,9 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
+from loose_agents.execution.study import write_between
+
+from scripts.suites.machines.__main__ import DOCS
 from scripts.suites.machines.case import Case, draw
 from scripts.suites.machines.disturbances import KINDS, Disturbances
 from scripts.suites.machines.plans import CaseSettings
@@ -51,8 +54,8 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def _said(row: Row) -> str:
-    if "error" in row:
-        return "refused"
+    if "error" in row or "unplayed" in row:
+        return "refused" if "error" in row else "held no pose"
     right = "" if row["named"] == row["truth"] else ", wrong"
     return f"{row['verdict']}: {row['named']} {row['probability']:.3f}{right}"
 
@@ -67,6 +70,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--strength", type=float, default=0.75, help="place in the range, 0 to 1")
     parser.add_argument("--reference", choices=("with", "without", "both"), default="both")
     parser.add_argument("--runs", type=int, default=6, help="suspect runs of a recording")
+    parser.add_argument("--docs", action="store_true", help="write the table into the page")
     given = parser.parse_args(words)
     settings = CaseSettings(runs=given.runs)
     rows = kept(given.out)
@@ -84,7 +88,10 @@ def main(words: Sequence[str] | None = None) -> None:
                 row = examined(case) | {"only": name}
                 add(given.out, row)
                 print(f"{name}: {row['truth']} -> {_said(row)}", flush=True)
-    print(table(kept(given.out)))
+    made = table(kept(given.out))
+    print(made)
+    if given.docs:
+        write_between(DOCS, made, name="shown")
 
 
 if __name__ == "__main__":

@@ -42,16 +42,23 @@ def row_of(number: int, seed: int, settings: CaseSettings, only: str | None = No
     alone = None
     if only is not None:
         alone = Disturbances.none() if only == "none" else Disturbances.only(only)
-    try:
-        return examined(draw(number, seed, settings, disturbances=alone)) | {"only": only}
-    except Unstable as error:
-        return {"case": number, "seed": seed, "only": only, "unplayed": str(error)}
+    return examined(draw(number, seed, settings, disturbances=alone)) | {"only": only}
 
 
 def examined(case: Case) -> Row:
-    """Play a case, write its recording, diagnose it."""
+    """Play a case, write its recording, diagnose it; a reason under "unplayed" as `row_of`."""
     begun = time.process_time()
-    made = play(case)
+    try:
+        made = play(case)
+    except Unstable as error:
+        return {
+            "case": case.number,
+            "seed": case.seed,
+            "reference": case.reference,
+            "truth": case.truth,
+            "link": None if case.fault is None else case.fault.link + 1,
+            "unplayed": str(error),
+        }
     between = time.process_time()
     truth = truth_of(made) | {"simulating": between - begun}
     with tempfile.TemporaryDirectory() as place:
