@@ -44,6 +44,14 @@ class Hypothesis:
     """Offsets of the measured initial positions [rad, m] (trials, joints)."""
     speed: Array | None = None
     """Offsets of the measured initial speeds [rad/s, m/s] (trials, joints)."""
+    stepped_as: tuple[Effect, ...] = ()
+    """Effects that it does not have, but is simulated with the time steps of: what an effect
+    changes is a difference within one configuration of the integrator."""
+
+    @property
+    def stepping(self) -> tuple[Effect, ...]:
+        """Effects that decide the time steps."""
+        return (*self.effects, *self.stepped_as)
 
     @property
     def pairs(self) -> tuple[tuple[Effect, Array], ...]:

@@ -50,7 +50,7 @@ def changes_within(
     """
     if all(of_place_or_speed(machine, channel.column) for channel in channels):
         return False
-    return any(type(effect).command_at is not Effect.command_at for effect in hypothesis.effects)
+    return any(type(effect).command_at is not Effect.command_at for effect in hypothesis.stepping)
 
 
 def late_sensors(hypothesis: Hypothesis, channels: Sequence[Channel]) -> dict[str, float]:

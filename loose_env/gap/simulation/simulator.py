@@ -102,7 +102,7 @@ class Simulator:
             parts = PARTS if changes_within(self.machine, hypothesis, self.channels) else 1
             models: dict[tuple[float, bool], mujoco.MjModel] = {}
             for t, laid_out in enumerate(self.trials):
-                trial = stepped(laid_out, self.machine, hypothesis.effects)
+                trial = stepped(laid_out, self.machine, hypothesis.stepping)
                 which = trial.step, trial.form == "free"
                 if which not in models:
                     step = trial.step / parts
@@ -135,6 +135,7 @@ class Simulator:
         starts = (hypothesis.position, hypothesis.speed)
         return (
             hypothesis.factors.tobytes(),
+            tuple(map(id, hypothesis.stepped_as)),
             *(
                 (id(effect), values.tobytes())
                 for effect, values in hypothesis.pairs

@@ -24,11 +24,11 @@ from loose_env.gap.fitting.gauss_newton import Fit, started
 from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
+from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import Parameter, free_of
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.settings import (
-    SECOND_START,
-)
+from loose_env.gap.settings import SECOND_START
+from loose_env.gap.simulation.sensor_timing import changes_within
 from loose_env.typing import Array
 
 __all__ = ["Screened", "along", "screen", "signatures"]
@@ -190,8 +190,11 @@ def signatures(
     entries : sequence of (Effect, values)
         The starts.
     base : ndarray (N,)
-        Residual of `fitted` in that comparison.
+        Residual of `fitted` in that comparison. A candidate that needs other time steps is
+        compared with `fitted` on those.
     """
+    own = _steps(compared, fitted.hypothesis)
+    references = {own: base}
     for begin in range(0, len(entries), _GROUP):
         group = entries[begin : begin + _GROUP]
         tried = [
@@ -199,7 +202,18 @@ def signatures(
             for effect, start in group
         ]
         for (effect, start), residual in zip(group, compared.residuals(tried), strict=True):
-            yield effect, start, residual - base
+            plain = replace(fitted.hypothesis, stepped_as=(effect,))
+            steps = _steps(compared, plain)
+            if steps not in references:
+                references[steps] = compared.residuals([plain])[0]
+            yield effect, start, residual - references[steps]
+
+
+def _steps(compared: ResidualModel, hypothesis: Hypothesis) -> tuple[bool, bool]:
+    """Whether a hypothesis is simulated with finer steps, and with steps in parts."""
+    machine = compared.machine
+    fine = not machine.uniform_steps and any(effect.sharp for effect in hypothesis.stepping)
+    return fine, changes_within(machine, hypothesis, compared.channels)
 
 
 def _keep(seen: dict[int, list[Screened]], found: Screened | None) -> None:
