@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, MutableMapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,11 @@ more would add little."""
 _WIDTHS = (10.0, 3.0)
 """Widths of the model error with which fits start (`fit_hypothesis`): modes that the model has
 elsewhere make local optima, and neither of the widths leads past all of them."""
+_SOFT_HZ = (30.0, 60.0, 120.0)
+"""Modes that gears, base or links have where a further fit starts: in usual bands and above, an
+octave apart. From a stiff arm a search seldom finds modes in the band."""
+_PROBED = 4
+"""Steps after which the best of these fits goes on."""
 _ROUNDS = 3
 """Rounds in which all likely hypotheses begin with the arm of the best one."""
 _BETTER = 1.0
@@ -85,7 +90,7 @@ class ModelComparison:
 
         That of the worst run: an arm of which the model cannot explain one run is not its own.
         """
-        best = _best(self.fits)
+        best = _best(self.fits.values())
         suspect = [one.number for one in self.lines if not one.healthy]
         return max((best.runs[run].misfit for run in suspect if run in best.runs), default=0.0)
 
@@ -123,10 +128,7 @@ def compare_hypotheses(
     few = [thinned(one, _LINES) for one in lines]
     sampling = _sampling_of(uncertain, few)
     evidence = _evidence_of(uncertain, [_as_sampled(one, *sampling) for one in few])
-    fits = {
-        name: fit_hypothesis(evidence, name, seat, width=_WIDTHS[0]) for name, seat in seats.items()
-    }
-    _search(evidence, seats, fits)
+    fits = _fitted(evidence, seats)
     whole = tuple(_as_sampled(one, *sampling) for one in lines)
     return ModelComparison(
         posterior=posterior_of(fits, whole, healthy_prior=healthy_prior),
@@ -148,10 +150,7 @@ def _evidence_of(uncertain: UncertainArm, lines: Sequence[Lines]) -> Evidence:
     if not references:
         return every
     alone = Evidence(uncertain=uncertain, lines=references, known_runs=every.runs)
-    fit = fit_hypothesis(alone, HEALTHY, None, width=_WIDTHS[0])
-    found = {HEALTHY: fit}
-    _search(alone, {HEALTHY: None}, found)
-    fit = found[HEALTHY]
+    fit = _fitted(alone, {HEALTHY: None})[HEALTHY]
     power = power_of(len(references))
     known = KnownArm(
         errors=fit.errors,
@@ -185,33 +184,61 @@ def _sampling_of(uncertain: UncertainArm, lines: Sequence[Lines]) -> tuple[float
     return (1.0, 1.0) if with_steps.evidence > without.evidence else (0.0, 0.0)
 
 
-def _search(
-    evidence: Evidence, seats: Mapping[str, Seat | None], fits: MutableMapping[str, Fit]
-) -> None:
-    """Fit the likely hypotheses, and the healthy arm, from more starts; better fits replace theirs.
+def _fitted(evidence: Evidence, seats: Mapping[str, Seat | None]) -> dict[str, Fit]:
+    """Best fits of all hypotheses.
 
-    All hypotheses are about the same arm. One whose search ended early must not count for less:
-    each is fitted with the arm of the best one too, until that gets no better.
+    All hypotheses are about the same arm. One whose search ended early must not count for less: all
+    are fitted from the healthy arm's best parameters too, and the likely ones from those of the
+    best hypothesis, until that gets no better.
     """
+    fits = {
+        name: fit_hypothesis(evidence, name, seat, width=_WIDTHS[0]) for name, seat in seats.items()
+    }
+    softer = _softer(evidence, fits[HEALTHY])
+    if softer.evidence > fits[HEALTHY].evidence + _BETTER:
+        for name, seat in seats.items():
+            start = replace(softer, hypothesis=name)
+            found = fit_hypothesis(evidence, name, seat, start=start, width=_WIDTHS[0])
+            fits[name] = _better(fits[name], found)
+        fits[HEALTHY] = _better(fits[HEALTHY], softer)
     for name in _likely(fits):
         for width in _WIDTHS[1:]:
             found = fit_hypothesis(evidence, name, seats[name], width=width)
             fits[name] = _better(fits[name], found)
     last = -math.inf
     for _ in range(_ROUNDS):
-        best = _best(fits)
+        best = _best(fits.values())
         if best.evidence < last + _BETTER:
-            return
+            break
         last = best.evidence
         for name in _likely(fits):
             start = best if name == best.hypothesis else replace(best, hypothesis=name, axis=None)
             for again in (None, _WIDTHS[-1]):
                 found = fit_hypothesis(evidence, name, seats[name], start=start, width=again)
                 fits[name] = _better(fits[name], found)
+    return fits
 
 
-def _best(fits: Mapping[str, Fit]) -> Fit:
-    return max(fits.values(), key=lambda fit: fit.evidence)
+def _softer(evidence: Evidence, healthy: Fit) -> Fit:
+    """Best fit of the healthy arm from starts with modes in the band.
+
+    Of each kind of elastic part one start goes on after some steps.
+    """
+    if not evidence.lines or evidence.known is not None:  # what is known has its modes
+        return healthy
+    found = [healthy]
+    for kind in evidence.uncertain.softer(evidence.expected, _SOFT_HZ):
+        starts = [replace(healthy, errors=errors) for errors in kind]
+        probes = [
+            fit_hypothesis(evidence, HEALTHY, None, start=start, width=_WIDTHS[0], steps=_PROBED)
+            for start in starts
+        ]
+        found.append(fit_hypothesis(evidence, HEALTHY, None, start=_best(probes), width=_WIDTHS[0]))
+    return _best(found)
+
+
+def _best(fits: Iterable[Fit]) -> Fit:
+    return max(fits, key=lambda fit: fit.evidence)
 
 
 def _better(one: Fit, other: Fit) -> Fit:
@@ -220,7 +247,7 @@ def _better(one: Fit, other: Fit) -> Fit:
 
 def _likely(fits: Mapping[str, Fit]) -> list[str]:
     """The healthy arm, and all hypotheses not too far behind the best."""
-    least = _best(fits).evidence - REFINED_WITHIN
+    least = _best(fits.values()).evidence - REFINED_WITHIN
     return [name for name, fit in fits.items() if name == HEALTHY or fit.evidence >= least]
 
 

@@ -19,6 +19,7 @@ from itertools import combinations
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.arms import LinearArm
 from loose_env.instrument.settings.thresholds import BENDING_HZ, GEAR_HZ
@@ -45,6 +46,10 @@ class ElasticCoordinates:
     """Of the parameters: one for every coordinate, then one for every pair in a group (Q,)."""
     directions: Array
     """Change of the logarithm of the stiffness over its median by each parameter (Q, E, E) [1]."""
+    hertz: Array
+    """Modes by the median stiffness (E,) [Hz]."""
+    kinds: tuple[slice, ...]
+    """Coordinates of the gears, of the base and of the links."""
 
     @property
     def count(self) -> int:
@@ -63,6 +68,16 @@ class ElasticCoordinates:
         root = np.sqrt(self.stiffness)
         found = (vectors * np.exp(values)) @ vectors.T
         return np.asarray(root[:, None] * found * root)
+
+    def of_kind(self, kind: slice) -> NDArray[np.bool_]:
+        """Mask of the parameters of the coordinates of a kind (Q,)."""
+        return np.asarray(np.any(self.directions[:, :, kind], axis=(1, 2)))
+
+    def with_modes(self, hertz: float) -> Array:
+        """Parameters (Q,) by which every coordinate has its mode at a frequency [Hz]."""
+        found = np.zeros(len(self.names))
+        found[: self.count] = 2 * np.log(hertz / self.hertz)
+        return found
 
     def slopes(self, parameters: Array) -> Array:
         """Change of the stiffness by each parameter (Q, E, E).
@@ -109,6 +124,7 @@ def elastic_coordinates(
     names += [f"base_stiffness_{axis}" for axis in "xyz"]
     names += [f"base_rocking_stiffness_{k + 1}" for k in range(len(rocking))]
     hertz = [GEAR_HZ] * n + [BENDING_HZ] * (3 + len(rocking))
+    kinds = (slice(0, n), slice(n, len(names)), slice(len(names), None))
     groups = [1] * n + [3, len(rocking)]
     for link in range(n):
         own, slides = turns[:, 3 * link : 3 * link + 3], seats[:, 3 * link : 3 * link + 3]
@@ -134,6 +150,8 @@ def elastic_coordinates(
         stiffness=np.asarray((2 * np.pi * np.array(hertz)) ** 2 * carried),
         names=(*names, *(f"{names[one]}_{other}" for one, other in pairs)),
         directions=directions,
+        hertz=np.array(hertz),
+        kinds=kinds,
     )
 
 

@@ -14,6 +14,7 @@ motion alone. Elastic parts are those of the model, and gears, links and the bas
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -136,6 +137,21 @@ class UncertainArm:
         """Prior medians of all parameters: zero but for stiffness, whose zero is a rigid arm."""
         found = np.zeros(self.count(runs))
         found[self.stiffnesses][: self.elastic.count] = -RIGID_SD
+        return found
+
+    def softer(self, errors: Array, hertz: Sequence[float]) -> list[list[Array]]:
+        """Copies of parameters in which gears, base or links have modes at some frequencies.
+
+        One list for each kind of elastic part, with one copy for each frequency [Hz].
+        """
+        found = []
+        for kind in self.elastic.kinds:
+            chosen, own = self.elastic.of_kind(kind), self.stiffnesses
+            found.append([errors.copy() for _ in hertz])
+            for one, each in zip(found[-1], hertz, strict=True):
+                there = self.elastic.with_modes(each) / STIFFNESS_SD
+                there[: self.elastic.count] -= RIGID_SD
+                one[own] = np.where(chosen, there, one[own])
         return found
 
     @property
