@@ -32,13 +32,15 @@ class Response:
     """Displacement per force (K, m, m)."""
     rows: ComplexArray
     """Readings per displacement (K, c, m), the sensors' errors in them."""
+    push: ComplexArray
+    """Readings per force (K, c, m)."""
     columns: ComplexArray
     """Readings per acceleration of each seat (K, c, s)."""
     sudden: Array
     """Readings of accelerometers per acceleration of each seat that is faster than the samples
     can follow: inertia alone answers (c, s)."""
-    by_seat: ComplexArray
-    """Displacement per acceleration of each seat (K, m, s)."""
+    coupling: Array
+    """Force on the coordinates per acceleration of each seat, negative (K, m, s)."""
     force: ComplexArray
     """Force of the commands on the moving coordinates (K, m)."""
     pushed: ComplexArray
@@ -85,7 +87,7 @@ class Response:
         n = self.at.of.arm.n
         own = np.diagonal(self.compliance[:, :n, :n], axis1=1, axis2=2)
         omega2 = (2 * np.pi * self.lines.frequency[:, None]) ** 2
-        return np.asarray(self.rows @ self.compliance[:, :, :n] / (-omega2 * own)[:, None, :])
+        return np.asarray(self.push[:, :, :n] / (-omega2 * own)[:, None, :])
 
     def floating(self, seats: NDArray[np.intp], axes: Array) -> Array:
         """Acceleration of a frictionless seat, by axis (U, K) [m/s² or rad/s²]."""
@@ -108,7 +110,8 @@ class Response:
         force = -omega2 * self.motion @ coupling.T
         force = force - self.lines.tool_force @ jacobian[0, :, m:][:, seats]
         own = inertia[m:, m:][np.ix_(seats, seats)]
-        moved = -omega2[:, :, None] * (coupling @ self.by_seat[:, :, seats])
+        by_seat = -self.compliance @ self.coupling[:, :, seats]  # displacement
+        moved = -omega2[:, :, None] * (coupling @ by_seat)
         return force, own + moved
 
     def slopes(self, seat: ComplexArray) -> ComplexArray:
@@ -135,10 +138,11 @@ class Response:
         n, m = arm.n, at.size
         omega = 2 * np.pi * lines.frequency
         s = 1j * omega
-        motion = self.motion + np.einsum("kms,ks->km", self.by_seat, seat)
+        pulled = self.coupling @ seat[:, :, None]
+        motion = self.motion - (self.compliance @ pulled)[:, :, 0]
         whole = np.concatenate([-(omega**2)[:, None] * motion, seat], axis=1)  # accelerations
         slopes = np.zeros((*lines.readings.shape, len(self.errors)), dtype=complex)
-        push = self.rows @ self.compliance  # readings per force (K, c, m)
+        push = self.push
         sampled = lines.sampled
         inertia, jacobian = self.inertia, self.jacobian
         force = -_each(at.inertia_by_row, whole)
@@ -246,7 +250,6 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     pushed = (lines.tool_force * late[:, None]) @ jacobian[0, :, :m]
     force = force + pushed
     coupling = inertia[:m, m:] - at.weight[m:].T / (omega**2)[:, None, None]
-    by_seat = np.asarray(-compliance @ coupling, dtype=complex)
     motion = np.asarray((compliance @ force[:, :, None])[:, :, 0], dtype=complex)
     rows, own = rows_of(at, lines, jacobian, s)
     sensing = sensing_of(at, lines, errors)
@@ -254,7 +257,8 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
         k = [i for i, (r, _) in enumerate(lines.row) if r.sensor == sensor]
         rows[:, k] = late_site[:, None, None] * (matrix @ rows[:, k])
         own[:, k] = late_site[:, None, None] * (matrix @ own[:, k])
-    columns = own + rows @ by_seat
+    push = np.asarray(rows @ compliance, dtype=complex)
+    columns = own - push @ coupling
     jump = np.asarray(jump @ _ease(at, inertia), dtype=complex)
     step = stepped_of(at, lines, jacobian, jump, motion)
     for sensor, matrix in sensing.items():
@@ -263,9 +267,9 @@ def respond(at: PoseModel, lines: Lines, errors: Array) -> Response:
     mean = (rows @ motion[:, :, None])[:, :, 0] + lines.sampled * step + lines.leaked
     return Response(
         at=at, lines=lines, errors=errors, inertia=inertia, jacobian=jacobian,
-        compliance=compliance, rows=rows, columns=columns,
+        compliance=compliance, rows=rows, push=push, columns=columns, coupling=coupling,
         sudden=_sudden(at, lines, inertia, jacobian, sensing),
-        by_seat=by_seat, force=force, pushed=pushed, motion=motion, jump=jump, step=step, mean=mean,
+        force=force, pushed=pushed, motion=motion, jump=jump, step=step, mean=mean,
     )  # fmt: skip
 
 
