@@ -81,13 +81,14 @@ def check_quality(machine: Machine, run: Run, channels: Sequence[Channel]) -> It
     """Check every channel of one run by itself."""
     moves = {c.name: bool(c.there.size) and bool(np.ptp(c.there) > 0) for c in channels}
     alive = {c.of: any(moves[d.name] for d in channels if d.of == c.of) for c in channels}
+    moving = _moving(machine, channels, moves)
     for channel in channels:
         yield from _missing(run, channel)
         values, there = channel.there, np.isfinite(channel.values)
         if not values.size:
             continue
         if not moves[channel.name]:
-            yield from _stuck(run, channel, alive, _moving(machine, channels, moves))
+            yield from _stuck(run, channel, alive, moving)
             continue
         starts, lengths = _repeats(values)
         yield from _held(run, channel, lengths)

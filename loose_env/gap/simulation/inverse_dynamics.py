@@ -228,9 +228,8 @@ class InverseDynamics:
             extra = [self._dry(hypothesis, model, m) for m in motions]
             found = [r + e for r, e in zip(rigid, extra, strict=True)]
         if rubs(hypothesis):
-            biases = self._rigid(copy.copy(self.machine.model), self._motions, bias_only=True)
-            each = zip(found, self._motions, biases, strict=True)
-            found = [torque + rubbing(hypothesis, m, torque, -bias) for torque, m, bias in each]
+            each = zip(found, self._motions, self._loads, strict=True)
+            found = [torque + rubbing(hypothesis, m, torque, load) for torque, m, load in each]
         for effect, own in hypothesis.pairs:
             if type(effect).sensed_torque is Effect.sensed_torque:
                 continue
@@ -239,13 +238,16 @@ class InverseDynamics:
                     torque[:, joint] = effect.sensed_torque(name, torque[:, joint], own)
         return found
 
+    @cached_property
+    def _loads(self) -> list[Array]:
+        """Torques of gravity and inertial coupling in the nominal arm (E, joints), run by run."""
+        model = copy.copy(self.machine.model)
+        return [-bias for bias in self._rigid(model, self._motions, bias_only=True)]
+
     def _rigid(
         self, model: mujoco.MjModel, motions: list[Motion], *, bias_only: bool = False
     ) -> list[Array]:
-        """Rigid-body term M a + bias - passive of all runs at once (E, joints) each, or the bias.
-
-        The bias is the negative torque of gravity and inertial coupling.
-        """
+        """Rigid-body term M a + bias - passive of all runs (E, joints) each, or the bias alone."""
         states = [m.states for m in motions]
         position, speed, acceleration = (np.concatenate(part) for part in zip(*states, strict=True))
         model.opt.disableflags |= _OFF

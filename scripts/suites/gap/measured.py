@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.execution.study import write_between
 
 import loose_env
@@ -92,7 +93,7 @@ def _effect_words(effect: Row) -> str:
 def main(words: Sequence[str] | None = None) -> None:
     """Take the command line."""
     parser = argparse.ArgumentParser(prog="measured", description=__doc__)
-    parser.add_argument("recordings", type=Path, nargs="+", help="folders of recordings")
+    parser.add_argument("recordings", type=Path, nargs="*", help="folders of recordings")
     parser.add_argument("--out", type=Path, required=True, help="file of rows (JSON lines)")
     parser.add_argument("--threads", type=int, default=1, help="threads of each comparison")
     parser.add_argument(
@@ -101,9 +102,14 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--table", action="store_true", help="print the table of the rows alone")
     parser.add_argument("--docs", action="store_true", help="write the table into docs/gap.md")
     given = parser.parse_args(words)
+    with errors_in_one_line("measured", interrupted="the same command goes on"):
+        _run(given)
+
+
+def _run(given: argparse.Namespace) -> None:
     given.out.parent.mkdir(parents=True, exist_ok=True)
     rows = kept(given.out)
-    done = {(row["recording"], tuple(row["asked"])) for row in rows if row["error"] is None}
+    done = {(row["recording"], tuple(row.get("asked", ()))) for row in rows if row["error"] is None}
     for folder in () if given.table else given.recordings:
         for held in _splits(folder, each=given.each):
             if (folder.name, held) in done:

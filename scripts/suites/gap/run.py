@@ -53,6 +53,8 @@ OUT = ROOT / "out" / "gap_suite"
 DOCS = ROOT / "docs" / "gap_suite.md"
 ROWS = "gap_suite_rows.jsonl"
 """File of the rows, beside the page."""
+NEW = "# Identification accuracy of `loose gap`\n\n<!-- tables: begin -->\n<!-- tables: end -->\n"
+"""Page that is made where there is none."""
 LAST = 3999
 """Largest number of a case."""
 
@@ -333,7 +335,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if page is None and not (chosen.quick or chosen.numbers) and len(rows) == len(numbers):
             page = DOCS  # a whole run goes to the docs by itself
         if page is not None:
-            write_between(page, content)
+            write_between(page, content, new=NEW)
             write_rows(page.with_name(ROWS), store.configuration, rows)
         print(f"{time.monotonic() - began:.0f} s; tables: {out / 'summary.md'}", file=sys.stderr)
 

@@ -54,8 +54,10 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def _said(row: Row) -> str:
-    if "error" in row or "unplayed" in row:
-        return "refused" if "error" in row else "held no pose"
+    if "error" in row:
+        return "refused"
+    if "unplayed" in row:
+        return "held no pose"
     right = "" if row["named"] == row["truth"] else ", wrong"
     return f"{row['verdict']}: {row['named']} {row['probability']:.3f}{right}"
 

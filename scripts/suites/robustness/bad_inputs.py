@@ -21,8 +21,8 @@ import numpy as np
 from loose_agents.execution.study import write_between
 
 from loose_env.cli.main import main as loose
-from loose_env.recording import write_csv
 from loose_env.typing import Array
+from scripts.suites.robustness.cases import write_unchecked
 
 __all__ = ["INPUTS", "BadInput", "main", "table"]
 
@@ -176,16 +176,11 @@ def write(bad: BadInput, folder: Path) -> None:
     """Write the recording as any recorder might: unchecked."""
     folder.mkdir(parents=True)
     (folder / "model.xml").write_text(bad.model(MODEL), encoding="utf-8")
-    entries = []
-    for number in range(2):
-        file = folder / f"run-{number}.csv"
-        write_csv(file, bad.change(sound_run(number)))
+    runs = {f"run-{number}.csv": bad.change(sound_run(number)) for number in range(2)}
+    write_unchecked(folder, "model.xml", runs)
+    for name in runs:
+        file = folder / name
         file.write_bytes(bad.file(file.read_bytes()))
-        entries.append(f'{{"file": "{file.name}"}}')
-    (folder / "recording.json").write_text(
-        f'{{"format": "loose-recording/1", "model": "model.xml", "runs": [{", ".join(entries)}]}}',
-        encoding="utf-8",
-    )
 
 
 def said(words: Sequence[str]) -> tuple[int, list[str]]:

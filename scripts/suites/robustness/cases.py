@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,10 +14,11 @@ from hypothesis import strategies as st
 
 from loose_env.arms import quiet
 from loose_env.recording import write_csv
+from loose_env.typing import Array
 from scripts.suites.robustness.arms import ArmFile, arms, mjcf_arms
 from scripts.suites.robustness.runs import RunPlan, make_run, run_plans
 
-__all__ = ["COMMANDS", "Case", "case_of", "cases", "write_case"]
+__all__ = ["COMMANDS", "Case", "case_of", "cases", "write_case", "write_unchecked"]
 
 COMMANDS = ("gap", "diagnose", "doctor", "inspect", "plan")
 """Commands that are tried."""
@@ -102,12 +104,23 @@ def write_case(case: Case, folder: Path) -> list[str]:
         return _written(case, folder, model_file, out)
 
 
+def write_unchecked(folder: Path, model: str, runs: Mapping[str, Mapping[str, Array]]) -> None:
+    """Write a recording as any recorder might: columns of each run by its file, unchecked."""
+    for name, columns in runs.items():
+        write_csv(folder / name, dict(columns))
+    entries = ", ".join(f'{{"file": "{name}"}}' for name in runs)
+    folder.joinpath("recording.json").write_text(
+        f'{{"format": "loose-recording/1", "model": "{model}", "runs": [{entries}]}}',
+        encoding="utf-8",
+    )
+
+
 def _written(case: Case, folder: Path, model_file: Path, out: list[str]) -> list[str]:
     """Write the recording beside its model."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         model = mujoco.MjModel.from_xml_string(case.arm.text)
-    entries = []
+    runs = {}
     for k, plan in enumerate(case.runs):
         run = make_run(model, plan, k)
         columns = {"time": run.time} | {f"ctrl.{n}": v for n, v in run.controls.items()}
@@ -117,13 +130,8 @@ def _written(case: Case, folder: Path, model_file: Path, out: list[str]) -> list
             else:
                 columns |= {f"sensor.{name}.{a}": values[:, i] for i, a in enumerate("xyz")}
         columns |= {f"torque.{n}": v for n, v in run.torques.items()}
-        write_csv(folder / run.name, columns)
-        entries.append(f'{{"file": "{run.name}"}}')
-    folder.joinpath("recording.json").write_text(
-        f'{{"format": "loose-recording/1", "model": "{model_file.name}", '
-        f'"runs": [{", ".join(entries)}]}}',
-        encoding="utf-8",
-    )
+        runs[run.name] = columns
+    write_unchecked(folder, model_file.name, runs)
     more = [] if case.command == "doctor" else ["--out", str(folder / "out"), "--ignore-doctor"]
     if case.command == "gap":
         more += ["--kinds", *case.kinds, "--threads", "1"]

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from loose_env.recording import read_recording
+from scripts.suites.machines import __main__ as suite
 from scripts.suites.machines.__main__ import main
 from scripts.suites.machines.case import draw, play
 from scripts.suites.machines.disturbances_shown import table as shown_table
@@ -14,7 +15,7 @@ from scripts.suites.machines.grade import calibration, tables
 from scripts.suites.machines.machine import Unstable
 from scripts.suites.machines.plans import CaseSettings
 from scripts.suites.machines.run import line_of, result_of, row_of, truth_of, write
-from scripts.suites.row_files import kept
+from scripts.suites.row_files import add, kept
 from tests.instrument.test_result import diagnosis
 
 SHORT = CaseSettings(runs=2, poses=1, seconds=0.3)
@@ -113,6 +114,22 @@ def test_calibration_error_is_the_mean_distance_of_probability_and_accuracy() ->
     error, lines = calibration(rows)
     assert error == pytest.approx(0.3)
     assert lines == [("0.7 to 0.9", "2", "0.800", "0.500")]
+
+
+def test_the_page_takes_tables_between_its_marks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page, out = tmp_path / "page.md", tmp_path / "rows.jsonl"
+    marks = [(f"<!-- {n}: begin -->", f"<!-- {n}: end -->") for n in ("tables", "disturbances")]
+    text = "Before\n" + "\nbetween\n".join(f"{a}\nold\n{b}" for a, b in marks) + "\nAfter"
+    page.write_text(text, encoding="utf-8")
+    add(out, row())
+    monkeypatch.setattr(suite, "DOCS", page)
+    for _ in range(2):
+        main(["--table", "--docs", "--out", str(out)])
+    written = page.read_text("utf-8")
+    assert written.startswith("Before") and written.endswith("After") and "between" in written
+    assert "old" not in written and written.count("`clock_drift`") == 1
 
 
 def test_verdicts_by_disturbance_stand_in_a_line_each() -> None:

@@ -298,16 +298,10 @@ def test_a_run_cut_short_has_a_little_of_every_role(numbers: list[int]) -> None:
         assert abs(half.count(role) - whole / 2) <= 1
 
 
-def blank_page(page: Path) -> Path:
-    page.parent.mkdir(exist_ok=True)
-    page.write_text("A page.\n<!-- tables: begin -->\n<!-- tables: end -->\n")
-    return page
-
-
-def test_the_tables_of_the_page_are_renewed(tmp_path: Path) -> None:
+def test_the_page_is_made_and_its_tables_renewed(tmp_path: Path) -> None:
     rows = suite(write_blind(tmp_path))
-    page = blank_page(tmp_path / "gap_suite.md")
-    script.write_between(page, script.tables(rows, 5))
+    page = tmp_path / "docs" / "gap_suite.md"
+    script.write_between(page, script.tables(rows, 5), new=script.NEW)
     first = page.read_text()
     assert "| 11\N{NO-BREAK SPACE}payload |" in first
     assert "| 1001 | " in first and "| 1000 | " not in first
@@ -316,17 +310,15 @@ def test_the_tables_of_the_page_are_renewed(tmp_path: Path) -> None:
     second = page.read_text()
     assert second.endswith("A last line.\n") and "1 case of 5" in second
     assert "payload |" not in second and second.count("tables: begin") == 1
-    page.with_name("other.md").write_text("no marks")
+    page.write_text("no marks")
     with pytest.raises(InvalidSetting, match="lacks"):
-        script.write_between(page.with_name("other.md"), "")
-    with pytest.raises(InvalidSetting, match="does not exist"):
-        script.write_between(page.with_name("none.md"), "")
+        script.write_between(page, "")
 
 
 def test_the_command_shows_what_is_stored(tmp_path: Path, capsys: Any) -> None:
     folders = write_blind(tmp_path)
     suite(folders, numbers=NUMBERS[:3])
-    page = blank_page(tmp_path / "page.md")
+    page = tmp_path / "page.md"
     out = ["--out", str(folders.out), "--docs", str(page)]
     script.main(["--show", "--numbers", "0-1", "1000", "1001", *out])
     assert "3 cases of 4" in capsys.readouterr().out
@@ -342,7 +334,7 @@ def test_rows_are_published_beside_the_page_and_taken_over(
     monkeypatch: pytest.MonkeyPatch,
     configuration: dict[str, Any],
 ) -> None:
-    folders, page = write_blind(tmp_path), blank_page(tmp_path / "docs" / "page.md")
+    folders, page = write_blind(tmp_path), tmp_path / "docs" / "page.md"
     rows = suite(folders)
     script.main(["--show", "--out", str(folders.out), "--docs", str(page)])
     file, there = page.with_name(script.ROWS), tmp_path / "another machine"
@@ -384,7 +376,7 @@ def changed(line: str, *, grade: dict[str, Any] | None = None, **values: Any) ->
 def test_of_a_file_with_a_broken_row_none_is_taken(
     tmp_path: Path, change: dict[str, Any], complaint: str
 ) -> None:
-    folders, page = write_blind(tmp_path), blank_page(tmp_path / "page.md")
+    folders, page = write_blind(tmp_path), tmp_path / "page.md"
     suite(folders)
     script.main(["--show", "--out", str(folders.out), "--docs", str(page)])
     file, there = page.with_name(script.ROWS), tmp_path / "another machine"
@@ -398,7 +390,7 @@ def test_of_a_file_with_a_broken_row_none_is_taken(
 def test_a_whole_run_goes_to_the_docs_and_a_part_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folders, page = write_blind(tmp_path), blank_page(tmp_path / "docs" / "gap_suite.md")
+    folders, page = write_blind(tmp_path), tmp_path / "docs" / "gap_suite.md"
     monkeypatch.setattr(script, "DOCS", page)
     monkeypatch.setattr(script, "full_list", lambda: NUMBERS)
     monkeypatch.setattr(script, "quick_list", lambda: NUMBERS[:2])
@@ -407,7 +399,7 @@ def test_a_whole_run_goes_to_the_docs_and_a_part_does_not(
     script.main(show)  # cut short
     script.main([*show, "--quick"])
     script.main([*show, "--numbers", "0-1"])
-    assert "cases" not in page.read_text()
+    assert not page.exists()
     suite(folders)
     script.main(show)
     assert "5 cases" in page.read_text()

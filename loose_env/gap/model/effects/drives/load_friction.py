@@ -76,7 +76,7 @@ class LoadFriction(DrivenEffect, JointEffect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Give the joint a trace of dry friction, whose size follows the load step by step."""
-        if not np.any(values[: 1 if self.variant == "stribeck" else None]):
+        if values[0] == 0 and self._load_share(values) == 0:
             return
         joint = spec.joint(self.where)
         joint.frictionloss = max(joint.frictionloss, _TRACE * self.load)
@@ -87,9 +87,11 @@ class LoadFriction(DrivenEffect, JointEffect):
         joint = self.machine.joint_number(self.where)
         found = np.zeros_like(drive)
         found[..., joint] = self._share(speed[..., joint], values) * np.abs(drive[..., joint])
-        if self.variant == "external":
-            found[..., joint] += float(values[1]) * np.abs(load[..., joint])
+        found[..., joint] += self._load_share(values) * np.abs(load[..., joint])
         return found
+
+    def _load_share(self, values: Array) -> float:
+        return float(values[1]) if self.variant == "external" else 0.0
 
     def _share(self, speed: Array, values: Array) -> Array | float:
         if self.variant != "stribeck":
@@ -106,10 +108,10 @@ class LoadFriction(DrivenEffect, JointEffect):
             share += f" * (1 + {ratio - 1!r} * np.exp(-((speed[{joint}] / {slow!r}) ** 2)))"
         line = f"friction[{joint}] += {share} * abs(drive[{joint}])"
         if self.variant == "external":
-            line += f" + {float(values[1])!r} * abs(load[{joint}])"
+            line += f" + {self._load_share(values)!r} * abs(load[{joint}])"
         return line
 
     def resistance(self, speed: float, values: Array) -> float:
         """Resistance under the joint's typical torque."""
         share = float(self._share(np.asarray(speed), values))
-        return (share + (float(values[1]) if self.variant == "external" else 0.0)) * self.load
+        return (share + self._load_share(values)) * self.load
