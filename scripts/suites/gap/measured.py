@@ -102,6 +102,10 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--table", action="store_true", help="print the table of the rows alone")
     parser.add_argument("--docs", action="store_true", help="write the table into docs/gap.md")
     given = parser.parse_args(words)
+    if given.table and not kept(given.out):
+        parser.error(
+            f"{given.out} has no rows to make a table of; run some recordings into it first"
+        )
     with errors_in_one_line("measured", interrupted="the same command goes on"):
         _run(given)
 

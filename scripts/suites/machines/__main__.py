@@ -38,6 +38,8 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--table", action="store_true", help="print the tables of the rows alone")
     parser.add_argument("--docs", action="store_true", help="write the tables into the page")
     given = parser.parse_args(words)
+    if given.table and not kept(given.out):
+        parser.error(f"{given.out} has no rows to make tables of; run some cases into it first")
     rows = sorted(kept(given.out), key=_order)
     if not given.table:
         settings = CaseSettings(runs=given.runs, poses=given.poses, seconds=given.seconds)
