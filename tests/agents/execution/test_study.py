@@ -10,8 +10,6 @@ from pathlib import Path
 import pytest
 from loose_agents.execution.command import option, parsed
 from loose_agents.execution.study import (
-    BEGIN,
-    END,
     ClusterRun,
     Row,
     Study,
@@ -125,9 +123,19 @@ def test_a_count_on_the_command_line_is_refused_by_the_name_of_its_option() -> N
 
 def test_tables_need_their_marks(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    write_between(page, "1", new=f"a\n{BEGIN}\n{END}\nb\n")
+    begin, end = "<!-- {}: begin -->", "<!-- {}: end -->"
+    own, other = (f"{begin}\n{end}\n".format(name, name) for name in ("tables", "other"))
+    write_between(page, "1", new=f"a\n{own}{other}b\n")
     write_between(page, "2")
-    assert page.read_text() == f"a\n{BEGIN}\n\n2\n\n{END}\nb\n"
+    filled = f"{begin}\n\n2\n\n{end}\n".format("tables", "tables")
+    assert page.read_text() == f"a\n{filled}{other}b\n"
+    write_between(page, "3", name="other")
+    assert (
+        page.read_text()
+        == f"a\n{filled}" + filled.replace("tables", "other").replace("2", "3") + "b\n"
+    )
     page.write_text("a\n")
     with pytest.raises(InvalidSetting, match="lacks the lines"):
         write_between(page, "3")
+    with pytest.raises(InvalidSetting, match="does not exist"):
+        write_between(tmp_path / "none.md", "3")
