@@ -6,7 +6,7 @@ bounded linear least-squares problem is solved by scipy.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import Parameter, free_of
 from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.simulation.torque_terms import has_terms
 from loose_env.typing import Array
 
 __all__ = [
@@ -224,16 +225,17 @@ def fit(
                 comparison, structure, free, residual, which, difference=settings.difference
             )
         steps = [step_of(jacobian, residual, free, parameters, d) for d in settings.dampings]
-        step, left, after = _best_of(comparison, structure, free, steps[:1])
+        # far from the optimum the gradient gives the direction and not the distance
+        short = [share * long for long in steps[1:] for share in settings.shorter if which]
+        best_of = _tries(comparison, structure, free, (steps[:1], steps[1:], short))
+        step, left, after = best_of(0)
         hoped = cost - cost_of(residual + jacobian @ step, free + step, parameters)
         if cost - after < settings.trusted * hoped and hoped >= settings.enough * cost:
-            damped = _best_of(comparison, structure, free, steps[1:])
+            damped = best_of(1)
             step, left, after = min((step, left, after), damped, key=lambda found: found[2])
             hoped = cost - cost_of(residual + jacobian @ step, free + step, parameters)
         if which and cost - after < settings.enough * cost <= hoped:
-            # far from the optimum the gradient gives the direction and not the distance
-            short = [share * long for long in steps[1:] for share in settings.shorter]
-            shortened = _best_of(comparison, structure, free, short)
+            shortened = best_of(2)
             step, left, after = min((step, left, after), shortened, key=lambda found: found[2])
         gained = cost - after
         if gained > 0:
@@ -252,17 +254,33 @@ def fit(
     return Fit(structure=structure, free=free, residual=residual, jacobian=jacobian, cost=cost)
 
 
-def _best_of(
+def _tries(
     comparison: ResidualModel,
     structure: ModelStructure,
     free: Array,
-    steps: Sequence[Array],
-) -> tuple[Array, Array, float]:
-    """Return the best of some steps, with its residual and cost."""
-    found = comparison.residuals([structure.hypothesis(free + step) for step in steps])
-    costs = [cost_of(r, free + s, structure.parameters) for r, s in zip(found, steps, strict=True)]
-    best = int(np.argmin(costs))
-    return steps[best], found[best], costs[best]
+    groups: Sequence[Sequence[Array]],
+) -> Callable[[int], tuple[Array, Array, float]]:
+    """Return a function that gives the best step of a group, with its residual and cost.
+
+    A simulation that is stepped from Python costs by its steps and hardly by how many run side by
+    side: there the groups are simulated at once, else each when it is asked for.
+    """
+    steps = [step for group in groups for step in group]
+    hypotheses = [structure.hypothesis(free + step) for step in steps]
+    ends = np.cumsum([0, *map(len, groups)])
+    whole = comparison.residuals(hypotheses) if has_terms(structure.hypothesis(free)) else None
+
+    def best_of(group: int) -> tuple[Array, Array, float]:
+        own = slice(ends[group], ends[group + 1])
+        found = comparison.residuals(hypotheses[own]) if whole is None else whole[own]
+        costs = [
+            cost_of(residual, free + step, structure.parameters)
+            for residual, step in zip(found, steps[own], strict=True)
+        ]
+        best = int(np.argmin(costs))
+        return steps[own][best], found[best], costs[best]
+
+    return best_of
 
 
 def step_of(

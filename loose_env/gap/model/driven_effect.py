@@ -42,8 +42,8 @@ class DrivenEffect(Effect):
             Commands without the effect.
         position, speed : ndarray (..., joints)
             State of the machine's joints [rad, m], [rad/s, m/s].
-        values : ndarray (P,)
-            Of the parameters.
+        values : ndarray (P,) or (P, ...)
+            Of the parameters; the axes after the first are those of the states.
 
         Returns
         -------
@@ -63,8 +63,8 @@ class DrivenEffect(Effect):
             Torques of gravity and of inertial coupling (Coriolis) on the joints [N·m, N].
         speed : ndarray (..., joints)
             Joint speeds [rad/s, m/s].
-        values : ndarray (P,)
-            Of the parameters.
+        values : ndarray (P,) or (P, ...)
+            Of the parameters; the axes after the first are those of the states.
 
         Returns
         -------

@@ -29,8 +29,9 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.simulation.driven_effects import has_friction, rubbing
 from loose_env.gap.simulation.simulator import _layout
-from loose_env.gap.simulation.torque_terms import has_terms, rubbing, rubs, torque_terms
+from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
 from loose_env.gap.simulation.unmeasured_dofs import Drive
 from loose_env.typing import Array
 
@@ -190,11 +191,8 @@ class InverseDynamics:
         prefix, _, name = column.partition(".")
         if prefix != "sensor" or name not in self.machine.sensors:
             return False
-        kind = int(self.machine.model.sensor(name).type[0])
-        return kind in (
-            int(mujoco.mjtSensor.mjSENS_JOINTPOS),
-            int(mujoco.mjtSensor.mjSENS_JOINTVEL),
-        )
+        of_motion = (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL)
+        return int(self.machine.model.sensor(name).type[0]) in map(int, of_motion)
 
     def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
         """Predict torques of every run under every hypothesis.
@@ -227,7 +225,7 @@ class InverseDynamics:
             rigid = self._rigid(model, motions)
             extra = [self._dry(hypothesis, model, m) for m in motions]
             found = [r + e for r, e in zip(rigid, extra, strict=True)]
-        if rubs(hypothesis):
+        if any(map(has_friction, hypothesis.effects)):
             each = zip(found, self._motions, self._loads, strict=True)
             found = [torque + rubbing(hypothesis, m, torque, load) for torque, m, load in each]
         for effect, own in hypothesis.pairs:

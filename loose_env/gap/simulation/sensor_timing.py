@@ -18,7 +18,8 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of, of_place_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.simulation.torque_terms import fed_back, has_terms, torque_terms
+from loose_env.gap.simulation.driven_effects import Driven
+from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
 from loose_env.typing import Array
 
 __all__ = [
@@ -157,7 +158,7 @@ def readings_at(
         given = controls[part]
         if has_terms(hypothesis):
             at = states["qpos"][part][:, places], states["qvel"][part][:, dofs]
-            given = fed_back(hypothesis, given, *at)
+            given = Driven.of(hypothesis).commands(given, *at)
             batch.qfrc_applied[:count, dofs] = torque_terms(hypothesis, *at)
         batch.ctrl[:count, : controls.shape[1]] = given
         batch.forward()

@@ -12,7 +12,7 @@ beginning.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -20,20 +20,23 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.gap.data.smoothing import Motion
 from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.simulation.driven_effects import (
+    Driven,
+    Places,
+    driven_alike,
+    has_feedback,
+    has_friction,
+    indices,
+)
 from loose_env.typing import Array
 
 __all__ = [
     "BatchWithTerms",
-    "driven_frictions",
-    "fed_back",
     "has_terms",
-    "rubbing",
-    "rubs",
     "torque_terms",
     "with_terms",
 ]
@@ -41,12 +44,11 @@ __all__ = [
 State = tuple[Array, Array]
 """Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
 
-Row = tuple[Hypothesis, slice | NDArray[np.intp]]
+Row = tuple[Hypothesis, Places]
 """A hypothesis and the indices of its simulations."""
+
 _NODES = (0.5 + 0.5 / np.sqrt(3.0) * np.array([-1.0, 1.0]))[:, None, None]
 """Parts of a step at which a term is taken: Gauss's two nodes, whose mean is exact for a cubic."""
-_ROUNDS = 100
-"""Iterations for a friction of the drive torque: of a share of 0.9 an error of 3e-5 remains."""
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
 _STATE = ("qpos", "qvel", "act")
 
@@ -56,51 +58,6 @@ def has_terms(hypothesis: Hypothesis) -> bool:
     return _has_torque(hypothesis) or any(
         isinstance(effect, DrivenEffect) for effect in hypothesis.effects
     )
-
-
-def rubs(hypothesis: Hypothesis) -> bool:
-    """Return whether any effect of a hypothesis is a dry friction that is set step by step."""
-    return any(
-        isinstance(effect, DrivenEffect)
-        and type(effect).dry_friction is not DrivenEffect.dry_friction
-        for effect in hypothesis.effects
-    )
-
-
-def driven_frictions(hypothesis: Hypothesis, drive: Array, load: Array, speed: Array) -> Array:
-    """Sum of the dry frictions that depend on torques of drive and load (..., joints) [N·m, N]."""
-    found = np.zeros(drive.shape)
-    for effect, values in zip(hypothesis.effects, hypothesis.values, strict=True):
-        if isinstance(effect, DrivenEffect):
-            found += effect.dry_friction(drive, load, speed, values)
-    return found
-
-
-def rubbing(hypothesis: Hypothesis, motion: Motion, torque: Array, load: Array) -> Array:
-    """Dry friction that depends on the torques of a measured motion (E, joints) [N·m, N].
-
-    A drive gives what the rest of the model needs, ``torque`` (E, joints) at the compared points,
-    and this friction, which grows with what it gives: solved by fixed-point iteration. ``load``
-    (E, joints) are the torques of gravity and inertial coupling there.
-    """
-    grid, kept = np.arange(len(motion.time)), motion.chosen
-    rest, loads = (
-        np.stack([np.interp(grid, kept, column) for column in each.T], axis=1)
-        for each in (torque, load)
-    )
-    direction = np.tanh(motion.speed / np.maximum(motion.noise[1], 1e-12))
-    friction = np.zeros_like(rest)
-    for _ in range(_ROUNDS):
-        friction = direction * driven_frictions(hypothesis, rest + friction, loads, motion.speed)
-    return np.asarray(motion.band.smooth(friction)[kept])
-
-
-def fed_back(hypothesis: Hypothesis, command: Array, position: Array, speed: Array) -> Array:
-    """Commands (..., actuators) that reach the actuators in some states (..., joints)."""
-    for effect, values in hypothesis.pairs:
-        if isinstance(effect, DrivenEffect):
-            command = effect.feedback(command, position, speed, values)
-    return command
 
 
 def torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array:
@@ -170,12 +127,10 @@ class BatchWithTerms:
         self._dofs = np.array([int(joint.dofadr[0]) for joint in joints])
         self._actuators = len(machine.actuators)
         self._feeds = any(
-            isinstance(effect, DrivenEffect) and type(effect).feedback is not DrivenEffect.feedback
-            for hypothesis in hypotheses
-            for effect in hypothesis.effects
+            has_feedback(effect) for hypothesis in hypotheses for effect in hypothesis.effects
         )
         self._own_models: list[mujoco.MjModel] = []
-        if any(map(rubs, hypotheses)):
+        if any(has_friction(effect) for each in hypotheses for effect in each.effects):
             models = batch.model if batch.models is None else batch.models
             several = models if isinstance(models, (list, tuple)) else [models] * batch.nsim
             # each simulation has its own friction
@@ -235,8 +190,7 @@ class BatchWithTerms:
         every = len(ids) == batch.nsim
         own, called = (slice(None), None) if every else (ids, ids)
         acting = (own, self._dofs) if every else (ids[:, None], self._dofs)
-        rows, rubbing_rows = self._rows(ids, has_terms), self._rows(ids, rubs)
-        terms = [row for row in rows if _has_torque(row[0])]
+        terms, driven = self._rows(ids), driven_alike([self.hypotheses[i] for i in ids])
         warned = np.array(batch.warning[ids])
         models = batch.models if isinstance(batch.models, tuple) else (batch.model,)
         step = float(models[0].opt.timestep)
@@ -247,7 +201,7 @@ class BatchWithTerms:
         before: State | None = None
         for k in range(count):
             now = fields["qpos"][own][:, self._places], fields["qvel"][own][:, self._dofs]
-            commands[own] = self._fed(rows, control[:, k], now)
+            commands[own] = self._fed(driven, control[:, k], now)
             if terms:
                 applied[acting] = self._terms(terms, (now[0][None], now[1][None]))[0]
             ahead = 0.0 * now[1]
@@ -266,11 +220,11 @@ class BatchWithTerms:
                 before = now
             if self._feeds:
                 middle = _ahead(now, ahead, 0.5 * step)
-                commands[own] = self._fed(rows, control[:, k], middle)
+                commands[own] = self._fed(driven, control[:, k], middle)
             if self._own_models:
                 drive = fields["qfrc_actuator"][own][:, self._dofs]
                 load = -fields["qfrc_bias"][own][:, self._dofs]
-                self._set_friction(ids, rubbing_rows, (drive, load, now[1]))
+                self._set_friction(ids, driven, (drive, load, now[1]))
             batch.step(called)
             for name in record:
                 if not (looks_ahead and name in read):
@@ -281,19 +235,13 @@ class BatchWithTerms:
             values[diverged] = np.nan
         return found
 
-    def _rows(self, ids: NDArray[np.intp], chosen: Callable[[Hypothesis], bool]) -> list[Row]:
-        """Chosen hypotheses, and the indices of their simulations."""
+    def _rows(self, ids: NDArray[np.intp]) -> list[Row]:
+        """Hypotheses with torque terms, and the indices of their simulations."""
         known = {id(self.hypotheses[i]): self.hypotheses[i] for i in ids}
-        whole = len(known) == 1
         return [
-            (
-                hypothesis,
-                slice(None)
-                if whole
-                else np.flatnonzero([self.hypotheses[i] is hypothesis for i in ids]),
-            )
+            (hypothesis, indices([self.hypotheses[i] is hypothesis for i in ids]))
             for hypothesis in known.values()
-            if chosen(hypothesis)
+            if _has_torque(hypothesis)
         ]
 
     @staticmethod
@@ -305,24 +253,27 @@ class BatchWithTerms:
             found[:, own] = torque_terms(hypothesis, position[:, own], speed[:, own])
         return found
 
-    def _fed(self, rows: Sequence[Row], command: Array, state: State) -> Array:
+    def _fed(self, driven: Sequence[tuple[Driven, Places]], command: Array, state: State) -> Array:
         """Commands (sims, actuators) that reach the actuators in a state."""
         if not self._feeds:
             return command
         found, (position, speed) = command.copy(), state
-        for hypothesis, own in rows:
-            found[own, : self._actuators] = fed_back(
-                hypothesis, command[own, : self._actuators], position[own], speed[own]
+        for effects, own in driven:
+            found[own, : self._actuators] = effects.commands(
+                command[own, : self._actuators], position[own], speed[own]
             )
         return found
 
     def _set_friction(
-        self, ids: NDArray[np.intp], rows: Sequence[Row], state: tuple[Array, Array, Array]
+        self,
+        ids: NDArray[np.intp],
+        driven: Sequence[tuple[Driven, Places]],
+        state: tuple[Array, Array, Array],
     ) -> None:
         """Set the dry friction of some simulations from drive, load and speed (ids, joints)."""
         friction = self._base[ids]
-        for hypothesis, own in rows:
-            friction[own] += driven_frictions(hypothesis, *(each[own] for each in state))
+        for effects, own in driven:
+            friction[own] += effects.frictions(*(each[own] for each in state))
         for number, row in zip(ids.tolist(), friction, strict=True):
             self._losses[number][self._dofs] = row
         self.batch.set_models(self._own_models)

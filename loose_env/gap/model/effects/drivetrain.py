@@ -301,7 +301,7 @@ class GearEccentricity(DrivenEffect, JointEffect):
 
 def _eccentric(angle: Array, values: Array) -> tuple[Array, Array]:
     """Error of the shown angle, and its slope."""
-    sine, cosine = (float(v) for v in values)
+    sine, cosine = values
     return (
         sine * np.sin(angle) + cosine * np.cos(angle),
         sine * np.cos(angle) - cosine * np.sin(angle),

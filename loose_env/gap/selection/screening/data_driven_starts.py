@@ -22,7 +22,8 @@ from loose_env.gap.model.effect import Effect, ResidualAccelerations
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.simulation.torque_terms import driven_frictions, torque_terms
+from loose_env.gap.simulation.driven_effects import Driven
+from loose_env.gap.simulation.torque_terms import torque_terms
 from loose_env.typing import Array
 
 __all__ = ["missing_torque", "proposals", "residual_accelerations"]
@@ -136,7 +137,7 @@ def _missing(
     friction = model.dof_frictionloss[:joints]
     slow = _TURNING * np.maximum(np.abs(motion.speed).max(axis=0), 1e-9)
     data = mujoco.MjData(model)
-    torque = np.zeros((len(chosen), joints))
+    torque, driven = np.zeros((len(chosen), joints)), Driven.of(known)
     for row, k in zip(torque, chosen, strict=True):
         data.qpos[:joints], data.qvel[:joints] = motion.position[k], motion.speed[k]
         data.qacc[:joints] = motion.acceleration[k]
@@ -146,9 +147,8 @@ def _missing(
         needed = data.qfrc_inverse[:joints].copy()
         mujoco.mj_fwdActuation(model, data)
         drive = data.qfrc_actuator[:joints]
-        rubbing = friction + driven_frictions(
-            known, drive, -data.qfrc_bias[:joints], motion.speed[k]
-        )
+        load = -data.qfrc_bias[:joints]
+        rubbing = friction + driven.frictions(drive, load, motion.speed[k])
         row[:] = drive - needed - rubbing * np.tanh(motion.speed[k] / slow)
     torque += torque_terms(known, motion.position[chosen], motion.speed[chosen])
     return (

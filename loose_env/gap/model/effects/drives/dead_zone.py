@@ -67,7 +67,7 @@ class DeadZone(DrivenEffect):
 
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Move the command towards the position by the dead zone, at most onto it."""
-        found, width = command.copy(), float(values[0])
+        found, width = command.copy(), values[0]
         own = found[..., self._number]
         if self._limited:
             own = np.clip(own, *self._limits)

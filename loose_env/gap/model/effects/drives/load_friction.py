@@ -86,17 +86,19 @@ class LoadFriction(DrivenEffect, JointEffect):
         """Shares of the torques of drive and load."""
         joint = self.machine.joint_number(self.where)
         found = np.zeros_like(drive)
-        found[..., joint] = self._share(speed[..., joint], values) * np.abs(drive[..., joint])
-        found[..., joint] += self._load_share(values) * np.abs(load[..., joint])
+        own = self._share(speed[..., joint], values) * np.abs(drive[..., joint])
+        if self.variant == "external":
+            own += values[1] * np.abs(load[..., joint])
+        found[..., joint] = own
         return found
 
     def _load_share(self, values: Array) -> float:
         return float(values[1]) if self.variant == "external" else 0.0
 
-    def _share(self, speed: Array, values: Array) -> Array | float:
+    def _share(self, speed: Array, values: Array) -> Array:
         if self.variant != "stribeck":
-            return float(values[0])
-        share, ratio, slow = (float(v) for v in values)
+            return np.asarray(values[0])
+        share, ratio, slow = values
         return np.asarray(share * (1 + (ratio - 1) * np.exp(-((speed / slow) ** 2))))
 
     def friction_code(self, values: Array) -> str:
