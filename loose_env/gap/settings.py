@@ -58,25 +58,17 @@ FINALISTS = 3
 """Candidates fitted to all search data: a matter of cost."""
 CONFUSABLE_FITS = 2
 """Candidates confusable with the best one that are fitted to all search data, too."""
-SECOND_WAVE = 6
-"""Further candidates fitted if none of those is accepted and the residual is large."""
-SINGLE_SHARE = 0.4
-"""Share of the residual below which no single effect suffices, and one kind is fitted at several
-locations."""
-LARGE_RESIDUAL = 0.2
-"""Autocorrelated residual over that of the nominal model, above which joint fits are tried, or:"""
-LARGE_RMS = 3.0
-"""Residual on held-out runs above which they are [noise standard deviations]."""
-FAMILY_SHARE = 0.8
-"""Share of the residual that one kind at several locations explains at least; else it is a proxy
-for another effect."""
+SINGLE_SHARE = 0.1
+"""Share of the autocorrelated residual that the best single effect leaves, above which sets of
+effects are fitted, too: a smaller second effect is found beside the first."""
+PAIRS = 4
+"""Pairs of effects that are fitted jointly: a matter of cost."""
+KINDS = 2
+"""Kinds that are fitted at several locations: a matter of cost."""
+FINAL_SETS = 2
+"""Sets fitted to all search data: a matter of cost."""
 FAMILY_LOCATIONS = 3
 """Locations from which an effect is one of the whole arm."""
-PAIRS = 6
-"""Pairs of effects at a joint that are fitted jointly, if no other fit is accepted and the residual
-is large: a matter of cost."""
-FAMILIES = 6
-"""Kinds that are tried at several locations: a matter of cost."""
 
 # Acceptance
 ACCEPTED_Z = 3.5

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,28 +19,28 @@ from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import have_stops
 from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
 from loose_env.gap.model.parameter import free_of, values_of
+from loose_env.gap.residuals.autocorrelation import Structure, largest
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.selection.screening.grouping import confusable, families
+from loose_env.gap.selection.screening.grouping import confusable
 from loose_env.gap.selection.screening.screening import Screened
 from loose_env.gap.settings import (
     ACCEPTED_Z,
     CONFUSABLE_FITS,
-    FAMILIES,
+    FINAL_SETS,
     FINALISTS,
     FITTED_BY_Z,
     FITTED_CANDIDATES,
     FITTED_TWICE,
     HOPELESS_COST,
     LEAST_PREDICTED,
-    SECOND_WAVE,
+    SEARCH_Z,
+    SINGLE_SHARE,
 )
 from loose_env.typing import Array
 
-__all__ = ["CandidateFits", "Wave"]
+__all__ = ["CandidateFits"]
 
 
-_WHOLE_FAMILIES = 3
-"""Families that are fitted to all data."""
 _SHIFTS = (
     *(-4.0, -3.0, -2.0, -1.0, -0.75, -0.5, -0.25, -0.1),
     *(0.1, 0.25, 0.5, 0.75, 1.0, 2.0, 3.0, 4.0),
@@ -82,16 +82,6 @@ class Slow:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Wave:
-    """Candidate fits of one wave."""
-
-    scored: list[ScoredFit]
-    """Fits to all data."""
-    best: Fit | None
-    """Best fit to the windows, of this wave and those before."""
-
-
 class CandidateFits:
     """Fits candidate effects on top of the current model.
 
@@ -125,41 +115,52 @@ class CandidateFits:
         """The windows without accelerations; None where there are only such, or none."""
         return Slow.of(self.short)
 
-    def fit_singles(
-        self, screened: Sequence[Screened], *, further: bool = False, best: Fit | None = None
-    ) -> Wave:
-        """Fit single candidates, and those confusable with the best one.
+    def fit_candidates(
+        self,
+        screened: Sequence[Screened],
+        sets: Callable[[], Sequence[Sequence[Screened]]] = tuple,
+        say: Callable[[str], None] = lambda _: None,
+    ) -> list[ScoredFit]:
+        """Fit single candidates, and sets of them where the best one leaves much unexplained.
+
+        Those confusable with the best single one are fitted, too.
 
         Parameters
         ----------
         screened : sequence of Screened
             Candidates, the most promising first.
-        further : bool
-            Whether to fit those with a lower predicted explained variance than the first ones.
-        best : Fit, optional
-            Best fit of earlier waves to the windows.
+        sets : callable
+            Proposes sets that explain together.
+        say : callable
+            Receives progress messages.
         """
         least = LEAST_PREDICTED * screened[0].predicted if screened else 0.0
-        first = [each for each in screened[:FITTED_CANDIDATES] if each.predicted >= least]
+        taken = [each for each in screened[:FITTED_CANDIDATES] if each.predicted >= least]
         # a small effect at every joint has a low predicted explained variance beside a slightly
         # wrong law
-        most = max((each.z for each in first), default=0.0)
-        by_z = [each for each in screened[len(first) :] if each.z > most]
-        first += sorted(by_z, key=lambda each: -each.z)[:FITTED_BY_Z]
-        rest = [each for each in screened if not any(each is own for own in first)]
-        taken = rest[:SECOND_WAVE] if further else first
+        most = max((each.z for each in taken), default=0.0)
+        by_z = [each for each in screened[len(taken) :] if each.z > most]
+        taken += sorted(by_z, key=lambda each: -each.z)[:FITTED_BY_Z]
         twice = 0 if self.beside_stops else FITTED_TWICE
-        fits = [self._to_windows([each], both=k < twice) for k, each in enumerate(taken)]
-        fits, best = self._with_hope(fits, best)
-        if not fits:
-            return Wave([], best)
+        fits, best = self._with_hope(
+            [self._to_windows([each], both=k < twice) for k, each in enumerate(taken)], None
+        )
+        together: list[Fit] = []
+        if best is None or self._left(best) > SINGLE_SHARE:
+            proposed = sets()
+            say(f"  joint fits: {len(proposed)} sets of effects")
+            together = [self._to_windows(each) for each in proposed]
+            together, best = self._with_hope(together, best)
+            fits, best = self._with_hope(fits, best)
         highest_z = max(fits[FINALISTS:], key=self._z, default=None)
         finalists = fits[:FINALISTS]
         # a few blocks with a large unexplained residual may hide a small effect at every joint
         if highest_z is not None and self._z(highest_z) > max(map(self._z, finalists)):
             finalists.append(highest_z)
-        found = [self._to_all(each) for each in finalists]
-        winner = min(found, key=lambda j: j.total).fitted.effects[-1]
+        found = [self._to_all(each) for each in (*finalists, *together[:FINAL_SETS])]
+        if not finalists:
+            return found
+        winner = min(found[: len(finalists)], key=lambda j: j.total).fitted.effects[-1]
         others = [f for f in fits if not any(f is g for g in finalists)]
         confusables = [f for f in others if confusable(winner, f.effects[-1])][:CONFUSABLE_FITS]
         # a candidate screened out for a poor start may still be the true one
@@ -169,7 +170,20 @@ class CandidateFits:
             if not any(each is tried for tried in taken) and confusable(winner, each.effect)
         ][: CONFUSABLE_FITS - len(confusables)]
         more, best = self._with_hope([self._to_windows([each]) for each in relatives], best)
-        return Wave(found + [self._to_all(each) for each in (*confusables, *more)], best)
+        return found + [self._to_all(each) for each in (*confusables, *more)]
+
+    def _left(self, each: Fit) -> float:
+        """Share of the autocorrelated residual on the windows that a fit leaves."""
+        before, after = (
+            float(largest(self._products.products(fitted.residual).sum(axis=1)))
+            for fitted in (self.short_before, each)
+        )
+        white = SEARCH_Z * np.sqrt(len(each.residual)) * float(np.mean(each.residual**2))
+        return 0.0 if after <= white or before <= 0 else after / before
+
+    @cached_property
+    def _products(self) -> Structure:
+        return Structure(self.short.rows)
 
     def _with_hope(self, fits: Sequence[Fit], best: Fit | None) -> tuple[list[Fit], Fit | None]:
         """Select fits to the windows that may be the best on all data, best first.
@@ -196,17 +210,6 @@ class CandidateFits:
             self.short.by_block(fitted.residual**2) for fitted in (self.short_before, each)
         )
         return z_score(before, after)
-
-    def fit_families(self, screened: Sequence[Screened], best: Fit | None = None) -> Wave:
-        """Fit one kind of effect at several locations at once."""
-        return self.fit_jointly(families(screened, FAMILIES), best)
-
-    def fit_jointly(self, groups: Sequence[Sequence[Screened]], best: Fit | None = None) -> Wave:
-        """Fit each group's members jointly; drop groups no better than the best fit so far."""
-        fits = [self._to_windows(each) for each in groups]
-        better = [each for each in fits if best is None or each.cost < best.cost]
-        kept, best = self._with_hope(better, best)
-        return Wave([self._to_all(each) for each in kept[:_WHOLE_FAMILIES]], best)
 
     def without_earlier(self, scored: ScoredFit, base: Fit) -> ScoredFit | None:
         """Return a hypothesis without its earlier effects; None if they are needed.

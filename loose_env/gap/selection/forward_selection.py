@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
 from loose_env.gap.fitting.refit import fitted_on
-from loose_env.gap.model.effect import Effect, have_stops
+from loose_env.gap.model.effect import Effect
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import SHORTEST, windowed
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits
 from loose_env.gap.selection.revision import SwapStep
 from loose_env.gap.selection.screening.data_driven_starts import proposals
-from loose_env.gap.selection.screening.grouping import frictions, pairs
-from loose_env.gap.selection.screening.screening import screen
+from loose_env.gap.selection.screening.joint_proposals import JointProblem
+from loose_env.gap.selection.screening.screening import Screened, screen
 from loose_env.gap.settings import (
-    FAMILY_LOCATIONS,
-    FAMILY_SHARE,
-    LARGE_RESIDUAL,
-    LARGE_RMS,
-    NOISE_RMS,
+    KINDS,
     PAIRS,
     SCREENING_RUNS,
     SCREENING_S,
     SEARCH_Z,
-    SINGLE_SHARE,
     SWAPPED_EFFECTS,
     SearchSettings,
 )
@@ -193,68 +188,32 @@ def _step(
     screened = screen(short, candidate_fits.short_before, left, proposed=proposed)
     for s in screened[:8]:
         say(f"  {s.effect!r}: predicted share {s.predicted:.3f}, z {s.z:.1f}")
-    much = (
-        best.autocorrelated > LARGE_RESIDUAL * found.base.autocorrelated
-        or best.held_out_rms > LARGE_RMS
-    )
-    much = much and not have_stops(best.fitted.effects)  # each additional fit takes minutes there
-
-    def waves() -> Iterator[list[ScoredFit]]:
-        """Generate candidate fits in stages, until one is accepted."""
-        wave = candidate_fits.fit_singles(screened)
-        tried = wave.scored
-        if much and all(improvement_of(j, best).share < SINGLE_SHARE for j in tried):
-            say("  joint fits: no single effect explains enough, one kind at several locations")
-            wave = candidate_fits.fit_families(screened, wave.best)
-            tried += wave.scored
-        elif much:
-            first = min(tried, key=lambda j: j.total)
-            alike = [s for s in screened if s.effect.kind == first.fitted.effects[-1].kind]
-            if first.autocorrelated > LARGE_RESIDUAL * found.base.autocorrelated:
-                say(
-                    f"  {first.fitted.effects[-1]!r} leaves a large residual: the same "
-                    "kind at further locations"
-                )
-                wave = candidate_fits.fit_families(alike, wave.best)
-                everywhere.extend(
-                    j for j in wave.scored if improvement_of(j, best).share >= FAMILY_SHARE
-                )
-                tried += everywhere
-        yield tried
-        if much:
-            say("  none accepted: second wave of candidates")
-            wave = candidate_fits.fit_singles(screened, further=True, best=wave.best)
-            yield wave.scored
-        groups = frictions(screened, best.fitted.effects)
-        if groups and best.held_out_rms > NOISE_RMS and not have_stops(best.fitted.effects):
-            say("  none accepted: all frictions of a joint together")
-            wave = candidate_fits.fit_jointly(groups, wave.best)
-            yield wave.scored
-        if much and (groups := pairs(screened, PAIRS)):
-            say("  none accepted: pairs of effects at a joint")
-            yield candidate_fits.fit_jointly(groups, wave.best).scored
-
     acceptance = Acceptance(comparison, scorer, found.base, best, settings)
-    everywhere: list[
-        ScoredFit
-    ] = []  # the same kind as the best single effect, at other locations too
-    ranked: list[ScoredFit] = []
-    for tried in waves():
-        ranked = acceptance.ranked([*ranked, *tried])
-        for scored in ranked:
-            if not any(scored is each for each in tried) or not acceptance.accepts(scored):
-                continue
-            if objection := acceptance.objection(scored):
-                say(f"  {scored.fitted.effects[-1]!r}: {objection}")
-                continue
-            accepted, dropped = acceptance.accept(scored)
-            earlier = list(best.fitted.effects)
-            new = len(accepted.fitted.effects) + len(dropped) - len(earlier)
-            if any(scored is each for each in everywhere) and new < FAMILY_LOCATIONS:
-                continue  # at one or two locations, adding them one at a time is better
-            alone = candidate_fits.without_earlier(scored, found.base.fitted) if earlier else None
-            if alone is not None and not acceptance.significant(improvement_of(accepted, alone)):
-                acceptance = Acceptance(comparison, scorer, found.base, found.base, settings)
-                accepted, dropped = acceptance.accept(alone)[0], earlier
-            return SelectionStep(rivals=ranked, accepted=accepted, dropped=dropped)
+    tried = candidate_fits.fit_candidates(
+        screened, lambda: _sets(short, candidate_fits, screened), say
+    )
+    ranked = acceptance.ranked(tried) if tried else []
+    for scored in ranked:
+        if not acceptance.accepts(scored):
+            continue
+        if objection := acceptance.objection(scored):
+            say(f"  {scored.fitted.effects[-1]!r}: {objection}")
+            continue
+        accepted, dropped = acceptance.accept(scored)
+        earlier = list(best.fitted.effects)
+        alone = candidate_fits.without_earlier(scored, found.base.fitted) if earlier else None
+        if alone is not None and not acceptance.significant(improvement_of(accepted, alone)):
+            acceptance = Acceptance(comparison, scorer, found.base, found.base, settings)
+            accepted, dropped = acceptance.accept(alone)[0], earlier
+        return SelectionStep(rivals=ranked, accepted=accepted, dropped=dropped)
     return SelectionStep(rivals=ranked, accepted=None)
+
+
+def _sets(
+    short: ResidualModel, candidate_fits: CandidateFits, screened: Sequence[Screened]
+) -> list[Sequence[Screened]]:
+    """Sets of candidates that may explain the residual together."""
+    problem = JointProblem(short, candidate_fits.short_before, screened)
+    many = problem.greedy()
+    proposed = [*problem.pairs(PAIRS), *problem.kinds(KINDS), *([] if many is None else [many])]
+    return [each.members for each in proposed]

@@ -237,7 +237,7 @@ class GapSession:
             else:
                 proposed = proposals(search, self.best.fitted.hypothesis, found)
                 screened = screen(short, candidate_fits.short_before, found, proposed=proposed)[:1]
-            fits = candidate_fits.fit_singles(screened).scored
+            fits = candidate_fits.fit_candidates(screened)
             if not fits:
                 raise InvalidData(f"{found[0]!r} changes nothing that was measured, from any start")
             tried = self._tried(self._judge.score(polished(search, fits[0].fitted)))

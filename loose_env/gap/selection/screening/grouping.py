@@ -1,118 +1,12 @@
-"""Groups of effects fitted jointly, and pairs of confusable effects.
-
-A group is one kind at several locations, since servos, gears and bearings of an arm are alike; or
-all friction at one joint, since oil, seals and air act together.
-"""
+"""Confusable effects, and the joint at which an effect acts."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from itertools import combinations
 
 import mujoco
 
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.selection.screening.screening import Screened
 
-__all__ = ["confusable", "families", "frictions", "joint_of", "pairs"]
-
-_ALL = "all"
-_LEAST = 0.02
-"""Promise of a member, as a share of the most promising one of its family."""
-_PAIRED = 5
-"""Kinds of a joint of which pairs are made, the most promising ones."""
-_FRICTIONS = ("viscous_friction", "coulomb_friction", "quadratic_drag")
-"""What grows with no power of the speed, the first and the second. One of them, fitted to all
-three, leaves a little that neither of the others is any good for alone."""
-
-
-def families(screened: Sequence[Screened], most: int) -> list[list[Screened]]:
-    """Group candidates of one kind and variant at two or more locations.
-
-    A drive with settings other than its model is seldom the only one. Fitted one at a time, each
-    explains little as long as the others are missing, and another effect that explains a little of
-    all of them would rank first. A candidate at "all" locations is such a group already, and no
-    member.
-
-    Parameters
-    ----------
-    screened : sequence of Screened
-        Candidates, the most promising first.
-    most : int
-        Maximum number of groups.
-
-    Returns
-    -------
-    list of list of Screened
-        Groups with the highest total predicted explained variance, the best variant of every kind.
-    """
-    groups: dict[tuple[str, str], list[Screened]] = {}
-    for each in screened:
-        if each.effect.where == _ALL:
-            continue
-        groups.setdefault((each.effect.kind, each.effect.variant), []).append(each)
-    best: dict[str, tuple[float, list[Screened]]] = {}
-    for (kind, _), group in groups.items():
-        least = _LEAST * group[0].predicted
-        members = [each for each in group if each.predicted >= least]
-        promise = sum(each.predicted for each in members)
-        if len(members) > 1 and promise > best.get(kind, (0.0, []))[0]:
-            best[kind] = promise, members
-    ranked = sorted(best.values(), key=lambda found: -found[0])
-    return [members for _, members in ranked[:most]]
-
-
-def frictions(screened: Sequence[Screened], named: Sequence[Effect]) -> list[list[Screened]]:
-    """Group the missing frictions at joints where one friction was identified.
-
-    Parameters
-    ----------
-    screened : sequence of Screened
-        Candidates.
-    named : sequence of Effect
-        The identified effects.
-
-    Returns
-    -------
-    list of list of Screened
-        One group of two for each such joint, where both are candidates.
-    """
-    joints = dict.fromkeys(effect.where for effect in named if effect.kind in _FRICTIONS)
-    groups = [
-        [s for s in screened if s.effect.where == joint and s.effect.kind in _FRICTIONS]
-        for joint in joints
-    ]
-    return [group for group in groups if len(group) > 1]
-
-
-def pairs(screened: Sequence[Screened], most: int) -> list[list[Screened]]:
-    """Group candidates of two kinds at one joint, which may explain only together.
-
-    Friction behind play, a gain beside a load friction: alone, either leaves the residual as large
-    as it was, or makes it larger.
-
-    Parameters
-    ----------
-    screened : sequence of Screened
-        Candidates, the most promising first.
-    most : int
-        Maximum number of groups.
-
-    Returns
-    -------
-    list of list of Screened
-        Pairs with the highest total predicted explained variance.
-    """
-    at: dict[int, list[Screened]] = {}
-    for each in screened:
-        joint = joint_of(each.effect)
-        kinds = {other.effect.kind for other in at.get(joint, [])} if joint is not None else set()
-        if joint is not None and each.effect.kind not in kinds and len(kinds) < _PAIRED:
-            at.setdefault(joint, []).append(each)
-    found = [list(pair) for there in at.values() for pair in combinations(there, 2)]
-    found.sort(key=lambda pair: -sum(each.predicted for each in pair))
-    return found[:most]
-
+__all__ = ["confusable", "joint_of"]
 
 _ALIKE = (
     ("command_delay", "actuator_lag", "joint_compliance", "sensor_delay"),

@@ -31,7 +31,7 @@ from loose_env.gap.settings import SECOND_START
 from loose_env.gap.simulation.sensor_timing import changes_within
 from loose_env.typing import Array
 
-__all__ = ["Screened", "along", "screen", "signatures"]
+__all__ = ["Screened", "along", "at_share", "screen", "signatures"]
 
 
 _GROUP = 24
@@ -60,6 +60,10 @@ class Screened:
     """Predicted gain over its standard deviation between blocks (z)."""
     second: tuple[float, ...] | None = None
     """Another start, far from the first, with at least half its predicted gain."""
+    signature: NDArray[np.float32] | None = None
+    """Change of the residual with the effect at these values, as far as it is linear (N,)."""
+    shares: tuple[float, float] = (0.0, 1.0)
+    """Multiples of the signature that are believed."""
 
 
 def screen(
@@ -217,9 +221,17 @@ def _steps(compared: ResidualModel, hypothesis: Hypothesis) -> tuple[bool, bool]
 
 
 def _keep(seen: dict[int, list[Screened]], found: Screened | None) -> None:
-    """Store the predicted gain of a start with the others of its candidate."""
-    if found is not None:
-        seen.setdefault(id(found.effect), []).append(found)
+    """Store the predicted gain of a start with the others of its candidate, the best one first.
+
+    The signature of the best one alone is kept: all of them would fill the memory.
+    """
+    if found is None:
+        return
+    others = seen.setdefault(id(found.effect), [])
+    if others and others[0].predicted >= found.predicted:
+        others.append(replace(found, signature=None))
+        return
+    others[:] = [found, *(replace(each, signature=None) for each in others)]
 
 
 def _best(found: list[Screened]) -> Screened:
@@ -315,7 +327,11 @@ def _weigh(
         values = along(effect, start, effect.nothing, share)
     elif effect.proportional is not None:
         values = along(effect, start, (0.0,) * len(start), share)
-    return _screened(comparison, known, effect, values, taken[1])
+    found = _screened(comparison, known, effect, values, taken[1])
+    ends = sorted((most / share, (-most if linear else 0.0) / share))
+    return found and replace(
+        found, signature=(share * signature).astype(np.float32), shares=(ends[0], ends[1])
+    )
 
 
 def _weigh_together(
@@ -331,7 +347,10 @@ def _weigh_together(
         return None
     values = np.array(effect.nothing) + taken[0] @ (np.array(axes) - np.array(effect.nothing))
     within = tuple(p.clipped(float(v)) for p, v in zip(effect.parameters, values, strict=True))
-    return _screened(comparison, known, effect, within, taken[1])
+    found = _screened(comparison, known, effect, within, taken[1])
+    together = (signatures @ taken[0]).astype(np.float32)
+    ends = (-_LARGEST_SHARE, _LARGEST_SHARE)
+    return found and replace(found, signature=together, shares=ends)
 
 
 def _axes_of(effect: Effect) -> list[tuple[float, ...]]:
@@ -377,6 +396,14 @@ def _proposed(
     if gain <= 0 or share < _SMALLEST_SHARE:
         return None
     return gain / float(lens.residual @ lens.residual), along(effect, start, effect.nothing, share)
+
+
+def at_share(screened: Screened, share: float) -> tuple[float, ...]:
+    """Values at which an effect has a multiple of its signature."""
+    effect, none = screened.effect, screened.effect.nothing
+    if none is None and effect.proportional is None:
+        return screened.values
+    return along(effect, screened.values, none or (0.0,) * len(screened.values), share)
 
 
 def along(

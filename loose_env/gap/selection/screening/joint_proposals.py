@@ -1,0 +1,227 @@
+"""Sets of candidates that explain a residual together, from one linearised problem.
+
+Two effects that mix may each explain little alone, or a third one explain a little of both and rank
+first. The signatures of all candidates and the sensitivities of the current parameters are columns
+of one bounded linear least-squares problem, which is solved for every pair, for every kind at all
+of its locations, and greedily for many effects. It proposes sets to be fitted; it decides nothing.
+
+Rows are divided by the root mean square of their channel's residual: what is wrong in a quiet
+channel counts as much as what is wrong in a loud one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from loose_env.gap.fitting.gauss_newton import Fit
+from loose_env.gap.fitting.model_structure import prior_of
+from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.screening.screening import Screened, at_share
+from loose_env.typing import Array
+
+__all__ = ["JointProblem", "Proposal"]
+
+
+_SOLVED = 60
+"""Pairs that are solved with bounds, of all pairs by their gain without: a matter of cost."""
+_COLLINEAR = 1e-3
+"""Share of a signature beyond another one's, below which the two are one direction."""
+_GREEDY = 12
+"""Most effects of a greedily built set."""
+_WORTH = 0.01
+"""Share of the sum of squares that one more effect of a set explains at least."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Proposal:
+    """A set of candidates."""
+
+    members: tuple[Screened, ...]
+    """Candidates, with the values of the joint solution."""
+    predicted: float
+    """Predicted share of the weighted sum of squares that they explain together."""
+
+
+class JointProblem:
+    """The linearised problem of all candidates at the current model.
+
+    Parameters
+    ----------
+    comparison : ResidualModel
+        Comparison of the runs.
+    fitted : Fit
+        The current model on these runs, with its sensitivities.
+    screened : sequence of Screened
+        Candidates with their signatures, the most promising first.
+    """
+
+    def __init__(
+        self, comparison: ResidualModel, fitted: Fit, screened: Sequence[Screened]
+    ) -> None:
+        self.screened = [each for each in screened if each.signature is not None]
+        weights = _weights(comparison, fitted.residual)
+        known = fitted.jacobian * weights[:, None]
+        residual = fitted.residual * weights
+        columns = np.empty((len(residual), len(self.screened)), dtype=np.float32)
+        for k, each in enumerate(self.screened):
+            assert each.signature is not None
+            columns[:, k] = each.signature * weights
+        parameters = fitted.structure.parameters
+        centres, spread = prior_of(parameters)
+        low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
+        self._known = len(parameters)
+        self._whole = float(residual @ residual)
+        across = known.T @ columns
+        self._curvature = np.block(
+            [
+                [known.T @ known + np.diag(spread**2), across],
+                [across.T, (columns.T @ columns).astype(float)],
+            ]
+        )
+        self._slope = np.concatenate(
+            [known.T @ residual + spread**2 * (fitted.free - centres), residual @ columns]
+        )
+        least, most = np.array([each.shares for each in self.screened]).T.reshape(2, -1)
+        self._low = np.concatenate([np.minimum(low - fitted.free, 0.0), least])
+        self._high = np.concatenate([np.maximum(high - fitted.free, 0.0), most])
+        self._scale = np.sqrt(np.diag(self._curvature) + 1e-12)
+
+    def pairs(self, most: int) -> list[Proposal]:
+        """Pairs of candidates at two places or of two kinds, the best ones first."""
+        count = len(self.screened)
+        if count < 2:
+            return []
+        gram, slope = self._reduced()
+        size = np.diag(gram)
+        first, second = np.triu_indices(count, 1)
+        apart = np.array([_place(each) for each in self.screened], dtype=object)
+        kept = np.any(apart[first] != apart[second], axis=1)
+        cross = gram[first, second]
+        free = size[first] * size[second] - cross**2
+        kept &= free > _COLLINEAR * size[first] * size[second]
+        first, second, cross, free = first[kept], second[kept], cross[kept], free[kept]
+        gain = (
+            size[second] * slope[first] ** 2
+            + size[first] * slope[second] ** 2
+            - 2 * cross * slope[first] * slope[second]
+        ) / free
+        order = np.argsort(-gain)[:_SOLVED]
+        found = [self.solved((int(first[k]), int(second[k]))) for k in order]
+        return _best(found, most)
+
+    def kinds(self, most: int) -> list[Proposal]:
+        """Every kind at all of its locations, the best ones first.
+
+        Servos, gears and bearings of an arm are alike: settings that differ from the model's are
+        seldom those of one joint.
+        """
+        groups: dict[tuple[str, str], dict[str, int]] = {}
+        for k, each in enumerate(self.screened):
+            own = groups.setdefault((each.effect.kind, each.effect.variant), {})
+            own.setdefault(each.effect.where, k)
+        found = [self.solved(tuple(own.values())) for own in groups.values() if len(own) > 1]
+        best: dict[str, Proposal] = {}
+        for proposal in _best(found, len(found)):
+            best.setdefault(proposal.members[0].effect.kind, proposal)
+        return list(best.values())[:most]
+
+    def greedy(self) -> Proposal | None:
+        """Set of many candidates, one added after the other as long as each explains enough."""
+        gram, slope = self._reduced()
+        chosen: list[int] = []
+        free = np.ones(len(self.screened), dtype=bool)
+        places = [_place(each) for each in self.screened]
+        size = np.diag(gram).copy()
+        while len(chosen) < _GREEDY and free.any():
+            now = np.diag(gram)
+            gains = np.where(free & (now > _COLLINEAR * size), slope**2 / np.maximum(now, 1e-12), 0)
+            best = int(np.argmax(gains))
+            if gains[best] < _WORTH * self._whole:
+                break
+            chosen.append(best)
+            free &= np.array([place != places[best] for place in places])
+            column = gram[:, best] / gram[best, best]
+            slope = slope - column * slope[best]
+            gram = gram - np.outer(column, gram[best])
+        return self.solved(tuple(chosen)) if len(chosen) > 1 else None
+
+    def solved(self, chosen: tuple[int, ...]) -> Proposal | None:
+        """Set of some candidates (indices), solved within all bounds; None if it gains nothing.
+
+        Members that explain less than `_WORTH` of the sum of squares are left out.
+        """
+        while chosen:
+            own = [*range(self._known), *(self._known + k for k in chosen)]
+            scale, slope = self._scale[own], self._slope[own]
+            curvature = self._curvature[np.ix_(own, own)]
+            scaled = curvature / np.outer(scale, scale) + 1e-9 * np.eye(len(own))
+            root = np.linalg.cholesky(scaled)
+            room = 1e-9
+            moved = (
+                lsq_linear(
+                    root.T,
+                    -np.linalg.solve(root, slope / scale),
+                    bounds=(self._low[own] * scale - room, self._high[own] * scale + room),
+                ).x
+                / scale
+            )
+            gain = -float(moved @ (2 * slope + curvature @ moved))
+            shares = moved[self._known :]
+            # what the sum of squares loses if a member goes and nothing else moves
+            sizes = np.diag(curvature)[self._known :]
+            own_gain = shares**2 * sizes
+            weak = np.flatnonzero(own_gain < _WORTH * self._whole)
+            if not len(weak):
+                break
+            worst = int(weak[np.argmin(own_gain[weak])])
+            chosen = tuple(k for n, k in enumerate(chosen) if n != worst)
+        if not chosen or gain <= 0:
+            return None
+        members = tuple(
+            replace(self.screened[k], values=at_share(self.screened[k], float(share)))
+            for k, share in zip(chosen, shares, strict=True)
+        )
+        return Proposal(members=members, predicted=gain / self._whole)
+
+    def _reduced(self) -> tuple[Array, Array]:
+        """Gram matrix (C, C) and slope (C,) of the signatures less what the parameters absorb."""
+        count = self._known
+        slope, curvature = self._slope, self._curvature
+        if not count:
+            return curvature, slope
+        own, across = curvature[:count, :count], curvature[:count, count:]
+        scale = self._scale[:count]
+        taken = np.linalg.solve(
+            own / np.outer(scale, scale) + 1e-9 * np.eye(count),
+            np.column_stack([across, slope[:count]]) / scale[:, None],
+        )
+        taken /= scale[:, None]
+        gram = curvature[count:, count:] - across.T @ taken[:, :-1]
+        return gram, slope[count:] - across.T @ taken[:, -1]
+
+
+def _weights(comparison: ResidualModel, residual: Array) -> Array:
+    """Weight of each row (N,): one over the root mean square of its channel, at most 1."""
+    channel = comparison.rows.channel
+    count = np.maximum(np.bincount(channel), 1)
+    squares: NDArray[np.float64] = np.bincount(channel, residual**2) / count
+    return np.asarray(1.0 / np.sqrt(np.maximum(squares, 1.0)))[channel]
+
+
+def _place(each: Screened) -> tuple[str, str]:
+    """Kind and location: variants and starts of one effect are alternatives."""
+    return each.effect.kind, each.effect.where
+
+
+def _best(found: Sequence[Proposal | None], most: int) -> list[Proposal]:
+    """Proposals of two members or more, the best first, none twice."""
+    kept: dict[frozenset[tuple[str, str]], Proposal] = {}
+    real = (each for each in found if each is not None and len(each.members) > 1)
+    for each in sorted(real, key=lambda proposal: -proposal.predicted):
+        kept.setdefault(frozenset(_place(member) for member in each.members), each)
+    return list(kept.values())[:most]
