@@ -27,6 +27,8 @@ from loose_env.typing import Array
 __all__ = ["JointProblem", "Proposal"]
 
 
+_ROWS = 8192
+"""Rows multiplied at a time: a matter of memory."""
 _SOLVED = 60
 """Pairs that are solved with bounds, of all pairs by their gain without: a matter of cost."""
 _COLLINEAR = 1e-3
@@ -67,29 +69,41 @@ class JointProblem:
         weights = _weights(comparison, fitted.residual)
         known = fitted.jacobian * weights[:, None]
         residual = fitted.residual * weights
-        columns = np.empty((len(residual), len(self.screened)), dtype=np.float32)
-        for k, each in enumerate(self.screened):
-            assert each.signature is not None
-            columns[:, k] = each.signature * weights
+        across, sizes, slope = self._products(weights, known, residual)
         parameters = fitted.structure.parameters
         centres, spread = prior_of(parameters)
         low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
         self._known = len(parameters)
         self._whole = float(residual @ residual)
-        across = known.T @ columns
         self._curvature = np.block(
             [
                 [known.T @ known + np.diag(spread**2), across],
-                [across.T, (columns.T @ columns).astype(float)],
+                [across.T, sizes],
             ]
         )
         self._slope = np.concatenate(
-            [known.T @ residual + spread**2 * (fitted.free - centres), residual @ columns]
+            [known.T @ residual + spread**2 * (fitted.free - centres), slope]
         )
         least, most = np.array([each.shares for each in self.screened]).T.reshape(2, -1)
         self._low = np.concatenate([np.minimum(low - fitted.free, 0.0), least])
         self._high = np.concatenate([np.maximum(high - fitted.free, 0.0), most])
         self._scale = np.sqrt(np.diag(self._curvature) + 1e-12)
+
+    def _products(
+        self, weights: Array, known: Array, residual: Array
+    ) -> tuple[Array, Array, Array]:
+        """Products of the signatures with sensitivities, with each other and the residual."""
+        count = len(self.screened)
+        across, sizes = np.zeros((known.shape[1], count)), np.zeros((count, count))
+        slope = np.zeros(count)
+        signatures = [each.signature for each in self.screened if each.signature is not None]
+        for start in range(0, len(residual), _ROWS):
+            part = slice(start, start + _ROWS)
+            columns = np.array([each[part] for each in signatures], dtype=float) * weights[part]
+            across += known[part].T @ columns.T
+            sizes += columns @ columns.T
+            slope += columns @ residual[part]
+        return across, sizes, slope
 
     def pairs(self, most: int) -> list[Proposal]:
         """Pairs of candidates at two places or of two kinds, the best ones first."""
