@@ -18,6 +18,7 @@ from loose_env.io import json_text, read_result_file, restored, whole_of, write_
 __all__ = [
     "FORMAT",
     "UNIT",
+    "DeletionTest",
     "EffectLocation",
     "Gap",
     "GapResult",
@@ -44,6 +45,22 @@ class EffectLocation:
 
 
 @dataclass(frozen=True, kw_only=True)
+class DeletionTest:
+    """What is lost without an effect, the others refitted."""
+
+    held_out_z: float
+    """Improvement (z) with it on held-out runs, over blocks of time."""
+    training_z: float
+    """The same on the training runs."""
+    share_of_error: float
+    """What it explains over the explainable error of the nominal model."""
+    share_without: float
+    """Share of the error without it that it explains."""
+    share_in_channel: float
+    """The same in the channel in which it explains most."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class NamedEffect:
     """An effect that the model lacks."""
 
@@ -66,6 +83,8 @@ class NamedEffect:
     impact_power_explained: float | None = None
     """For a part identified by its impact power: the share of that power explained on held-out
     runs."""
+    deletion: DeletionTest | None = None
+    """Deletion test; None for a part identified by its impact power, and what is beside it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,6 +143,8 @@ class GapResult:
     """Residual before and after."""
     effects: tuple[NamedEffect, ...] = ()
     """Effects that the model lacks, in the order of identification."""
+    doubtful: tuple[NamedEffect, ...] = ()
+    """Effects that reduce the error and did not pass all tests; ``model`` carries them."""
     held_out_runs: tuple[str, ...] = ()
     """Files of the held-out runs."""
     ranking: tuple[RankedHypothesis, ...] = ()

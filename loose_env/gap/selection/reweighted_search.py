@@ -80,6 +80,11 @@ class SearchResult:
         others = {(e.kind, e.where): e for e in found}
         return tuple(e for place, e in others.items() if place not in there)
 
+    def reweighted_base(self, base: ScoredFit) -> ScoredFit:
+        """Score the nominal model, fitted to ``problem.fit``, with the noise of `reweighted`."""
+        own = self.reweighted
+        return _scored_with(own.fit, own.held_out_whole, self.problem.fit, base)
+
     def rescored(self, best: ScoredFit) -> ScoredFit:
         """Score a fit to ``reweighted.fit`` with the current noise, without refitting."""
         return _scored_with(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -19,15 +20,21 @@ from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.checkpoints import Stage, fresh
-from loose_env.gap.output.result import EffectLocation, NamedEffect, RankedHypothesis, Verdict
+from loose_env.gap.output.result import (
+    DeletionTest,
+    EffectLocation,
+    NamedEffect,
+    RankedHypothesis,
+    Verdict,
+)
 from loose_env.gap.preparation.prepare import GapProblem, prepare
 from loose_env.gap.selection.checkpoint_codec import StepFiles
+from loose_env.gap.selection.deletion import Deletion, at_bound, deletion_of, worse_quantity
 from loose_env.gap.selection.forward_selection import StepStore
 from loose_env.gap.selection.impacts.impact_pass import impact_pass
 from loose_env.gap.selection.impacts.impact_search import ImpactFit
 from loose_env.gap.selection.revision import drop_insignificant, refit_without
 from loose_env.gap.selection.reweighted_search import search
-from loose_env.gap.selection.tenable import at_bound, worse_quantity
 from loose_env.gap.settings import (
     EXPLAINED,
     EXPLAINED_AT_MANY,
@@ -58,6 +65,8 @@ class GapSolution:
     """ "named", "no_gap" or "unexplained"."""
     effects: tuple[NamedEffect, ...] = ()
     """Identified effects, with intervals and confusable effects."""
+    doubtful: tuple[NamedEffect, ...] = ()
+    """Effects of the corrected model that are not reported as identified."""
     ranking: tuple[RankedHypothesis, ...] = ()
     """Ranking of all fitted hypotheses."""
     preflight: tuple[Finding, ...] = ()
@@ -166,15 +175,25 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
             return impact_fit.rivals
         return found.confusable_with(effect, best.fitted.effects)
 
+    deletions = {}
+    if impact_fit is None:
+        say("deletion test of each effect")
+        scored_alike = found.reweighted_base(base)
+        deletions = {
+            effect.key: deletion_of(reweighted.fit, scorer, scored_alike, fitted, effect)
+            for effect in fitted.fitted.effects
+        }
+    effects = named_effects(
+        best.fitted, intervals, rivals=rivals, impact_fit=impact_fit, deletions=deletions
+    )
     named = verdict == "named"
     return GapSolution(
         problem=problem,
         base=base,
         best=best,
         verdict=verdict,
-        effects=named_effects(best.fitted, intervals, rivals=rivals, impact_fit=impact_fit)
-        if named
-        else (),
+        effects=effects if named else (),
+        doubtful=() if named else effects,
         ranking=found.ranking,
         warnings=(*problem.warnings, *([] if impact_fit is None else [impact_fit.words])),
     )
@@ -230,6 +249,7 @@ def named_effects(
     *,
     rivals: Callable[[Effect], Iterable[Effect]] = lambda _: (),
     impact_fit: ImpactFit | None = None,
+    deletions: Mapping[tuple[str, str, str], Deletion] = MappingProxyType({}),
 ) -> tuple[NamedEffect, ...]:
     """Effects of a fit in the form of a result.
 
@@ -241,8 +261,10 @@ def named_effects(
         Confidence intervals of all its parameters.
     rivals : callable
         Returns the effects that the held-out runs cannot distinguish from one.
-    struck : ImpactFit, optional
+    impact_fit : ImpactFit, optional
         Part with stops among the effects, identified by its impact power.
+    deletions : mapping
+        Deletion tests, by the effect's key.
     """
     found = []
     hypothesis = fitted.hypothesis
@@ -263,6 +285,20 @@ def named_effects(
                 variant=effect.variant,
                 in_model=effect.in_model,
                 impact_power_explained=impact_fit.explained if impact_fit and by_power else None,
+                deletion=_as_result(deletions.get(effect.key)),
             )
         )
     return tuple(found)
+
+
+def _as_result(deletion: Deletion | None) -> DeletionTest | None:
+    """Deletion test in the form of a result."""
+    if deletion is None:
+        return None
+    return DeletionTest(
+        held_out_z=deletion.held_out,
+        training_z=deletion.training,
+        share_of_error=deletion.whole,
+        share_without=deletion.own,
+        share_in_channel=deletion.channel,
+    )

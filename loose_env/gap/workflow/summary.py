@@ -55,6 +55,7 @@ def result_of(solution: GapSolution, evidence: ResidualDiagnostics | None = None
             ),
         ),
         effects=tuple(_with_alike(e, evidence.identifiability) for e in solution.effects),
+        doubtful=solution.doubtful,
         held_out_runs=tuple(trial.name for trial in held.trials),
         ranking=solution.ranking,
         code=correction_code(solution.corrected),

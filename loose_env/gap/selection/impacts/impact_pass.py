@@ -20,10 +20,10 @@ from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.deletion import at_bound, worse_quantity
 from loose_env.gap.selection.impacts.impact_power import ImpactPower
 from loose_env.gap.selection.impacts.impact_search import ImpactFit, find_impacts
 from loose_env.gap.selection.revision import drop_insignificant, refit_without
-from loose_env.gap.selection.tenable import at_bound, worse_quantity
 from loose_env.gap.settings import GapSettings
 
 __all__ = ["ImpactPassResult", "impact_pass"]

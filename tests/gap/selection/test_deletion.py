@@ -11,7 +11,7 @@ from loose_env.gap.fitting.holdout_score import ScoredFit
 from loose_env.gap.fitting.model_structure import ModelStructure
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.parameter import free_of
-from loose_env.gap.selection.tenable import at_bound, worse_quantity
+from loose_env.gap.selection.deletion import at_bound, worse_quantity
 from tests.gap.cases.effect_arms import machine_of
 from tests.gap.selection.test_acceptance import left
 from tests.gap.selection.test_ranking import COMPARED

@@ -1,26 +1,83 @@
-"""Deletion test: an answer predicts better than none, and no parameter sits at its bound.
+"""Deletion test: what is lost without each effect, and whether an answer predicts better than none.
 
-One test for every route to an answer: forward selection, swaps, joint fits, the impact pass. The
-errors on the held-out runs are compared in the recording's own units, quantity by quantity.
+One test for every route to an answer: forward selection, swaps, joint fits, the impact pass. Each
+effect is taken out, the others are refitted, and both models are compared on all runs. The errors
+on the held-out runs are also compared in the recording's own units, quantity by quantity, and no
+parameter may sit at its bound.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from loose_env.gap.fitting.holdout_score import ScoredFit
+from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure
+from loose_env.gap.fitting.refit import fit_without
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.residuals.physical_units import errors_by_quantity
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.settings import AT_BOUND, NOISE_RMS, WORSE, WORSE_BY_IMPACTS
+from loose_env.gap.settings import AT_BOUND, CHANNEL_Z, NOISE_RMS, WORSE, WORSE_BY_IMPACTS
 from loose_env.typing import Array
 
-__all__ = ["at_bound", "worse_quantity"]
+__all__ = ["Deletion", "at_bound", "deletion_of", "worse_quantity"]
 
 
 _SMOOTH = ("joint position", "joint speed", "drive position", "drive speed", "position in space")
 """Quantities that impacts hardly change."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deletion:
+    """What is lost without one effect, the others refitted."""
+
+    held_out: float
+    """Improvement (z) with it on held-out runs, over blocks."""
+    training: float
+    """Improvement (z) on the training runs."""
+    own: float
+    """Share of the residual without it that it explains, 1: all of it."""
+    whole: float
+    """What it explains over the explainable residual of the nominal model."""
+    channel: float
+    """Largest share that it explains of the residual in one channel, among those in which the
+    residual without it is clearly autocorrelated."""
+
+
+def deletion_of(
+    comparison: ResidualModel, scorer: Scorer, base: ScoredFit, best: ScoredFit, effect: Effect
+) -> Deletion:
+    """Refit a hypothesis without one of its effects, and compare the two.
+
+    Parameters
+    ----------
+    comparison : ResidualModel
+        The runs of the fit.
+    scorer : Scorer
+        Scores fits to them.
+    base, best : ScoredFit
+        The nominal model, and the hypothesis, scored alike.
+    effect : Effect
+        One of its effects.
+    """
+    without = scorer.score(fit_without(comparison, best.fitted, effect))
+    improvement = improvement_of(best, without)
+    explained, all_of = (
+        (without.excess - best.excess, base.excess)
+        if base.impact_dominated
+        else (without.autocorrelated - best.autocorrelated, base.autocorrelated)
+    )
+    before, count = without.channel_products
+    clear = before > CHANNEL_Z * np.sqrt(np.maximum(count, 1))
+    gains = (before - best.channel_products[0])[clear] / before[clear]
+    return Deletion(
+        held_out=improvement.held_out,
+        training=improvement.training,
+        own=improvement.share,
+        whole=explained / all_of if all_of > 0 else 0.0,
+        channel=float(gains.max(initial=0.0)),
+    )
 
 
 def at_bound(structure: ModelStructure, free: Array) -> list[tuple[Effect, str]]:
