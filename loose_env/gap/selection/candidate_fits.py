@@ -9,7 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from loose_env.gap.fitting.gauss_newton import (
+    BESIDE_STOPS,
     Fit,
+    FitSettings,
     cost_of,
     fit,
 )
@@ -50,6 +52,8 @@ _NEARER = (1.0, 0.5, 0.25)
 """Shares of the way from nothing to where screening says that are tried as starts."""
 _DEAF = 1e6
 """Factor on the noise of what shall not count."""
+_RANKING = FitSettings(iterations=8, enough=0.01)
+"""Settings of fits to the windows: they rank candidates, and give the better ones a start."""
 _NEAR = 1.5
 """Sum of squares over that of a larger hypothesis from which on it is not tried on all data."""
 
@@ -258,18 +262,18 @@ class CandidateFits:
         structure = self.before.structure.plus(*(each.effect for each in members))
         start, residual = self._start(structure, members)
         known = self.short_before.jacobian
-        found = fit(self.short, structure, start, known=known, residual=residual)
+        found = _ranked(self.short, structure, start, known=known, residual=residual)
         if both and members[0].second is not None:
             other = free_of(members[0].effect.parameters, np.array(members[0].second))
             other = np.concatenate([self.short_before.free, other])
-            again = fit(self.short, structure, other, known=self.short_before.jacobian)
+            again = _ranked(self.short, structure, other, known=self.short_before.jacobian)
             found = min((found, again), key=lambda f: f.cost)
         if len(members) == 1 and members[0].effect.shifts and self.slow is not None:
             # zero-order-hold commands make the accelerations' cost periodic in the delay, with one
             # local optimum per sample; positions and speeds have a single optimum
             known = self.short_before.jacobian * self.slow.weights[:, None]
-            first = fit(self.slow.comparison, structure, start, known=known)
-            again = fit(self.short, structure, first.free, known=self.short_before.jacobian)
+            first = _ranked(self.slow.comparison, structure, start, known=known)
+            again = _ranked(self.short, structure, first.free, known=self.short_before.jacobian)
             found = self._shifted(min((found, again), key=lambda f: f.cost))
         return found
 
@@ -318,3 +322,11 @@ class CandidateFits:
         start = np.concatenate([self.before.free, each.free[len(self.before.free) :]])
         known = self.before.jacobian
         return self.scorer.score(fit(self.comparison, each.structure, start, known=known))
+
+
+def _ranked(
+    comparison: ResidualModel, structure: ModelStructure, start: Array, **known: Array | None
+) -> Fit:
+    """Fit as far as a rank among candidates needs."""
+    settings = BESIDE_STOPS if have_stops(structure.effects) else _RANKING
+    return fit(comparison, structure, start, settings=settings, **known)
