@@ -185,7 +185,7 @@ def _step(
     left = [c for c in candidates if (c.kind, c.where) not in taken]
     candidate_fits = CandidateFits(comparison, short, scorer, best)
     proposed = proposals(comparison, best.fitted.hypothesis, left)
-    screened = screen(short, candidate_fits.short_before, left, proposed=proposed)
+    screened = screen(short, candidate_fits.windows.before, left, proposed=proposed)
     for s in screened[:8]:
         say(f"  {s.effect!r}: predicted share {s.predicted:.3f}, z {s.z:.1f}")
     acceptance = Acceptance(comparison, scorer, found.base, best, settings)
@@ -213,7 +213,7 @@ def _sets(
     short: ResidualModel, candidate_fits: CandidateFits, screened: Sequence[Screened]
 ) -> list[Sequence[Screened]]:
     """Sets of candidates that may explain the residual together."""
-    problem = JointProblem(short, candidate_fits.short_before, screened)
+    problem = JointProblem(short, candidate_fits.windows.before, screened)
     many = problem.greedy()
     proposed = [*problem.pairs(PAIRS), *problem.kinds(KINDS), *([] if many is None else [many])]
     return [each.members for each in proposed]

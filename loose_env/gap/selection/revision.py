@@ -98,7 +98,7 @@ class SwapStep:
         before = self._without(best, effect)
         candidate_fits = CandidateFits(self.comparison, self.short, self.scorer, before)
         acceptance = Acceptance(self.comparison, self.scorer, self.base, before, self.settings)
-        screened = screen(self.short, candidate_fits.short_before, confusables)
+        screened = screen(self.short, candidate_fits.windows.before, confusables)
         taken = screened[:SWAP_CANDIDATES]
         # the start says little of a delay; at the same joint a fit is worth its cost
         there = [s for s in screened if joint_of(s.effect) == joint_of(effect) is not None]

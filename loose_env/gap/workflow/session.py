@@ -236,7 +236,9 @@ class GapSession:
                 screened = [Screened(effect=found[0], values=values, predicted=1.0, z=1.0)]
             else:
                 proposed = proposals(search, self.best.fitted.hypothesis, found)
-                screened = screen(short, candidate_fits.short_before, found, proposed=proposed)[:1]
+                screened = screen(short, candidate_fits.windows.before, found, proposed=proposed)[
+                    :1
+                ]
             fits = candidate_fits.fit_candidates(screened)
             if not fits:
                 raise InvalidData(f"{found[0]!r} changes nothing that was measured, from any start")

@@ -1,4 +1,4 @@
-"""Linearised screening of candidates, their starting points and groups.
+"""Linearised screening of candidates, their starting points, sets of them, and quick fits.
 
-Data flow: data_driven_starts -> screening -> grouping.
+Data flow: data_driven_starts -> screening -> grouping, joint_proposals, window_fits.
 """

@@ -1,0 +1,229 @@
+"""Fits of candidates to windows of the runs, as a race: those far behind are left out early.
+
+Such a fit ranks a candidate among others and gives the fit to all data a start; it need not
+converge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from loose_env.gap.fitting.gauss_newton import BESIDE_STOPS, Fit, FitSettings, cost_of, fit
+from loose_env.gap.fitting.holdout_score import z_score
+from loose_env.gap.fitting.model_structure import ModelStructure
+from loose_env.gap.fitting.refit import refined
+from loose_env.gap.model.effect import have_stops
+from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
+from loose_env.gap.model.parameter import free_of, values_of
+from loose_env.gap.residuals.autocorrelation import Structure, largest
+from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.screening.screening import Screened
+from loose_env.gap.settings import ACCEPTED_Z, HOPELESS_COST, SEARCH_Z
+from loose_env.typing import Array
+
+__all__ = ["WindowFits"]
+
+
+_ENOUGH = 0.01
+"""Share of the cost below which a further step is not worth its simulations in a race."""
+_ROUNDS = ((2, HOPELESS_COST**2), (8, HOPELESS_COST))
+"""Most steps of each round, and cost over that of the best from which on one is left out."""
+_SHIFTS = (
+    *(-4.0, -3.0, -2.0, -1.0, -0.75, -0.5, -0.25, -0.1),
+    *(0.1, 0.25, 0.5, 0.75, 1.0, 2.0, 3.0, 4.0),
+)
+"""Samples by which a delay is moved to see whether that is better."""
+_NEARER = (1.0, 0.5, 0.25)
+"""Shares of the way from nothing to where screening says that are tried as starts."""
+_DEAF = 1e6
+"""Factor on the noise of what shall not count."""
+
+
+class WindowFits:
+    """Fits candidates on top of the current model, to windows.
+
+    Parameters
+    ----------
+    short : ResidualModel
+        The windows.
+    before : Fit
+        The current model, fitted to all runs.
+    """
+
+    def __init__(self, short: ResidualModel, before: Fit) -> None:
+        self.short, self._all = short, before
+        self._products = Structure(short.rows)
+
+    @cached_property
+    def before(self) -> Fit:
+        """The current model on the windows, with sensitivities of its own."""
+        residual = self.short.residuals([self._all.hypothesis])[0]
+        cost = cost_of(residual, self._all.free, self._all.structure.parameters)
+        return refined(replace(self._all, residual=residual, cost=cost), self.short)
+
+    def race(
+        self, sets: Sequence[Sequence[Screened]], *, twice: int = 0, best: Fit | None = None
+    ) -> tuple[list[Fit], Fit | None]:
+        """Fit sets of candidates; return those that may be the best on all data, best first.
+
+        Parameters
+        ----------
+        sets : sequence of sequence of Screened
+            Candidates that are fitted together.
+        twice : int
+            Sets, from the first, that are also fitted from a second start where there is one.
+        best : Fit, optional
+            Best fit of earlier races, with which all are compared.
+
+        Returns
+        -------
+        list of Fit
+            One for each set that is left.
+        Fit or None
+            The best one so far.
+        """
+        running = [
+            fitted
+            for k, members in enumerate(sets)
+            for fitted in self._starts(members, both=k < twice)
+        ]
+        for iterations, ratio in _ROUNDS:
+            running = [self._continued(fitted, iterations) for fitted in running]
+            running, best = self.with_hope(running, best, ratio)
+        found: dict[tuple[tuple[str, str, str], ...], Fit] = {}
+        for fitted in running:  # the best one first
+            found.setdefault(tuple(effect.key for effect in fitted.effects), fitted)
+        return self.with_hope([self._shifted(fitted) for fitted in found.values()], best)
+
+    def with_hope(
+        self, fits: Sequence[Fit], best: Fit | None, ratio: float = HOPELESS_COST
+    ) -> tuple[list[Fit], Fit | None]:
+        """Select fits that may be the best on all data, best first; and the best one so far."""
+        found = sorted(fits, key=lambda f: f.cost)
+        if not found:
+            return [], best
+        if best is None or found[0].cost <= best.cost:
+            best = found[0]
+        blocks = self.short.by_block(best.residual**2)
+        kept = [
+            each
+            for each in found
+            if each.cost < ratio * best.cost
+            or z_score(self.short.by_block(each.residual**2), blocks) < ACCEPTED_Z
+        ]
+        return kept, best
+
+    def z_of(self, each: Fit) -> float:
+        """Return the improvement (z) of a fit over the current model."""
+        before, after = (self.short.by_block(fitted.residual**2) for fitted in (self.before, each))
+        return z_score(before, after)
+
+    def left_by(self, each: Fit) -> float:
+        """Share of the autocorrelated residual that a fit leaves; 0 where it is white."""
+        before, after = (
+            float(largest(self._products.products(fitted.residual).sum(axis=1)))
+            for fitted in (self.before, each)
+        )
+        white = SEARCH_Z * np.sqrt(len(each.residual)) * float(np.mean(each.residual**2))
+        return 0.0 if after <= white or before <= 0 else after / before
+
+    def _continued(self, fitted: Fit, iterations: int) -> Fit:
+        """Continue a fit by some steps."""
+        settings = FitSettings(iterations=iterations, enough=_ENOUGH)
+        if have_stops(fitted.effects):
+            settings = replace(BESIDE_STOPS, iterations=iterations)
+        return fit(
+            self.short,
+            fitted.structure,
+            fitted.free,
+            settings=settings,
+            known=fitted.jacobian,
+            residual=fitted.residual,
+        )
+
+    def _starts(self, members: Sequence[Screened], *, both: bool) -> list[Fit]:
+        """Hypotheses with candidates at the values of screening, and at other starts."""
+        structure = self.before.structure.plus(*(each.effect for each in members))
+        found = [self._nearest(structure, members)]
+        (first, *others) = members
+        if both and first.second is not None:
+            second = free_of(first.effect.parameters, np.array(first.second))
+            found.append(self._at(structure, np.append(self.before.free, second)))
+        if not others and first.effect.shifts and self._slow is not None:
+            # zero-order-hold commands make the accelerations' cost periodic in the delay, with one
+            # local optimum per sample; positions and speeds have a single optimum
+            slow, weights = self._slow
+            known = self.before.jacobian * weights[:, None]
+            settled = fit(slow, structure, found[0].free, known=known)
+            found.append(self._at(structure, settled.free))
+        return found
+
+    def _nearest(self, structure: ModelStructure, members: Sequence[Screened]) -> Fit:
+        """Start from the screened values, or smaller ones if better: these are linearised."""
+        at = [free_of(each.effect.parameters, np.array(each.values)) for each in members]
+        none = [
+            values if each.effect.nothing is None
+            else free_of(each.effect.parameters, np.array(each.effect.nothing))
+            for each, values in zip(members, at, strict=True)
+        ]  # fmt: skip
+        tried = [
+            np.concatenate(
+                [self.before.free, *(a + share * (b - a) for a, b in zip(none, at, strict=True))]
+            )
+            for share in _NEARER
+        ]
+        residuals = self.short.residuals([structure.hypothesis(free) for free in tried])
+        fits = [self._at(structure, *each) for each in zip(tried, residuals, strict=True)]
+        return min(fits, key=lambda f: f.cost)
+
+    def _at(self, structure: ModelStructure, free: Array, residual: Array | None = None) -> Fit:
+        """A hypothesis at some free numbers, with the sensitivities of the current model."""
+        if residual is None:
+            residual = self.short.residuals([structure.hypothesis(free)])[0]
+        return Fit(
+            structure=structure,
+            free=free,
+            residual=residual,
+            jacobian=self.before.jacobian,
+            cost=cost_of(residual, free, structure.parameters),
+        )
+
+    @cached_property
+    def _slow(self) -> tuple[ResidualModel, Array] | None:
+        """Windows in which positions and speeds alone have weight, and the weight of each row (N,).
+
+        None where there are only such, or none; and for runs that are compared by features, which
+        belong to no single channel.
+        """
+        short = self.short
+        kept = np.array([of_place_or_speed(short.machine, c.column) for c in short.channels])
+        counted = kept[short.rows.channel]
+        if short.chaotic or counted.all() or not counted.any():
+            return None
+        floors = np.where(kept, short.floors, short.floors * _DEAF)
+        return short.like(floors=floors), np.where(counted, 1.0, 1.0 / _DEAF)
+
+    def _shifted(self, fitted: Fit) -> Fit:
+        """Shift the last effect, if a delay, by samples and fractions; refit where better.
+
+        A delay of whole samples is a kink in the sum of squares at which a fit stalls, and for
+        accelerations under zero-order-hold commands every sample is a local minimum.
+        """
+        one_more = len(fitted.effects) == len(self.before.effects) + 1
+        if not one_more or not fitted.effects[-1].shifts or self._slow is None:
+            return fitted
+        (parameter,) = fitted.effects[-1].parameters
+        value, tried = values_of((parameter,), fitted.free[-1:])[0], []
+        for shift in _SHIFTS:
+            moved = parameter.clipped(value + shift / self.short.trials[0].rate)
+            tried.append(np.append(fitted.free[:-1], free_of((parameter,), np.array([moved]))))
+        residuals = self.short.residuals([fitted.structure.hypothesis(free) for free in tried])
+        best = int(np.argmin(np.sum(residuals**2, axis=1)))
+        if np.sum(residuals[best] ** 2) >= fitted.residual @ fitted.residual:
+            return fitted
+        again = fit(self.short, fitted.structure, tried[best], known=fitted.jacobian)
+        return min((fitted, again), key=lambda f: f.cost)
