@@ -15,6 +15,7 @@ from loose_env.gap.model.effect import have_stops
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.grouping import confusable
 from loose_env.gap.selection.screening.screening import Screened
+from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import (
     CONFUSABLE_FITS,
     FINAL_SETS,
