@@ -11,7 +11,8 @@ import argparse
 import time
 from pathlib import Path
 
-from scripts.suites.gap.cases.cases import draw_case, full_list, name_of, quick_list
+from scripts.suites.gap.cases.cases import full_list, name_of, quick_list
+from scripts.suites.gap.cases.draw import draw_case
 from scripts.suites.gap.cases.recordings import is_written, write_case
 
 

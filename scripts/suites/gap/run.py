@@ -33,7 +33,7 @@ from loose_agents.execution.study import write_between
 
 import loose_env
 from loose_env.errors import InvalidSetting
-from scripts.suites.gap.cases.cases import SEED, full_list, quick_list, role_of
+from scripts.suites.gap.cases.cases import LAST, SEED, full_list, quick_list, role_of
 from scripts.suites.gap.grading.code_hash import code_hash
 from scripts.suites.gap.grading.one_case import (
     Folders,
@@ -55,8 +55,6 @@ ROWS = "gap_suite_rows.jsonl"
 """File of the rows, beside the page."""
 NEW = "# Identification accuracy of `loose gap`\n\n<!-- tables: begin -->\n<!-- tables: end -->\n"
 """Page that is made where there is none."""
-LAST = 3999
-"""Largest number of a case."""
 
 
 def numbers_of(words: Iterable[str]) -> list[int]:

@@ -29,10 +29,17 @@ SEED = 20_281
 """Seed of the whole suite."""
 GROSS = 30.0
 """Largest size over the size that is just visible."""
+_SEVERAL = {"pair": 2, "triple": 3}
+"""Number of effects by group."""
 TRIES = 12
 """Places and shapes that are tried until an effect can be seen."""
-NONE, SINGLE, PAIR, OUT = 0, 1000, 2000, 3000
-"""First numbers of the cases with nothing missing, one effect, two, one outside the catalogue."""
+NONE, SINGLE, PAIR, OUT, TRIPLE, MACHINE = 0, 1000, 2000, 3000, 4000, 5000
+"""First numbers of the cases with nothing missing, one effect, two, one outside the catalogue,
+three, and of whole machines."""
+ROLES = ("none", "single", "pair", "outside", "triple", "machine")
+"""Groups of cases, by thousands of their numbers."""
+LAST = MACHINE + 999
+"""Largest number of a case."""
 SHORT, LONG = 3.0, 6.0
 """Lengths of runs [s]: with nothing missing, and else."""
 RUNS = 4
@@ -60,7 +67,7 @@ class Case:
 
     @property
     def role(self) -> str:
-        """`none`, `single`, `pair` or `outside`."""
+        """One of `ROLES`."""
         return role_of(self.number)
 
     @property
@@ -71,13 +78,14 @@ class Case:
 
 def role_of(number: int) -> str:
     """Group of a case by its number."""
-    return ("none", "single", "pair", "outside")[number // 1000]
+    return ROLES[number // 1000]
 
 
 def name_of(number: int) -> str:
     """Name of a case's recording: numbers in an order that tells nothing."""
-    order = np.random.default_rng(np.random.SeedSequence([SEED, 1])).permutation(4000)
-    return f"case-{int(order[number]):04d}"
+    first, count, key = (0, TRIPLE, 1) if number < TRIPLE else (TRIPLE, LAST + 1 - TRIPLE, 4)
+    order = np.random.default_rng(np.random.SeedSequence([SEED, key])).permutation(count)
+    return f"case-{first + int(order[number - first]):04d}"
 
 
 def quick_list() -> list[int]:
@@ -114,33 +122,30 @@ def full_list(
     ]
 
 
-def draw_case(number: int) -> Case:
-    """Draw a case by its number.
+def draw_few(number: int, rng: np.random.Generator) -> Case:
+    """Draw a case with at most three effects.
 
     Parameters
     ----------
     number : int
-        From 0; thousands say the group (`NONE`, `SINGLE`, `PAIR`, `OUT`).
-
-    Returns
-    -------
-    Case
+        Its number in the suite.
+    rng : numpy.random.Generator
+        Source of all that is random.
     """
-    rng = np.random.default_rng(np.random.SeedSequence([SEED, 0, number]))
     role, within = role_of(number), number % 1000
     if role == "none":
         wanted: list[str] = []
     elif role == "single":
         wanted = [CATALOGUE[within % len(CATALOGUE)]]
-    elif role == "pair":
-        wanted = _two(rng)
+    elif role in _SEVERAL:
+        wanted = _several(rng, _SEVERAL[role])
     else:
         wanted = [OUTSIDE[within % len(OUTSIDE)]]
     seconds = SHORT if role == "none" else LONG
     while True:
         form = _draw_form(rng, wanted)
         if form is None:
-            wanted = _two(rng)
+            wanted = _several(rng, _SEVERAL[role])
             continue
         figures = _draw_arm(rng, form)
         arm = TrueArm(figures=figures, factors=Factors.draw(figures.joints, rng))
@@ -149,8 +154,8 @@ def draw_case(number: int) -> Case:
         placed = _draw_effects(rng, [kinds()[name] for name in wanted], arm, runs, noise, form)
         if placed is not None:
             break
-        if role == "pair":
-            wanted = _two(rng)
+        if role in _SEVERAL:
+            wanted = _several(rng, _SEVERAL[role])
     effects, sizes = placed
     return Case(
         number=number,
@@ -162,9 +167,9 @@ def draw_case(number: int) -> Case:
     )
 
 
-def _two(rng: np.random.Generator) -> list[str]:
-    """Two kinds of the catalogue."""
-    return [str(name) for name in rng.choice(CATALOGUE, 2, replace=False)]
+def _several(rng: np.random.Generator, count: int) -> list[str]:
+    """Kinds of the catalogue."""
+    return [str(name) for name in rng.choice(CATALOGUE, count, replace=False)]
 
 
 def _draw_form(rng: np.random.Generator, wanted: list[str]) -> str | None:

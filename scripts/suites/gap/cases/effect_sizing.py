@@ -69,6 +69,8 @@ class Visibility:
         Form of the recording.
     seed : int
         Seed of the noise by which spectra are weighed.
+    tolerance : float
+        Largest relative error of the nominal figures.
 
     Attributes
     ----------
@@ -79,7 +81,14 @@ class Visibility:
     """
 
     def __init__(
-        self, arm: TrueArm, motion: Motion, noise: Noise, form: str, *, seed: int = 0
+        self,
+        arm: TrueArm,
+        motion: Motion,
+        noise: Noise,
+        form: str,
+        *,
+        seed: int = 0,
+        tolerance: float = TOLERANCE,
     ) -> None:
         self.arm, self.motion, self.noise, self.form = arm.without(), motion, noise, form
         self._rng = np.random.default_rng(seed)
@@ -94,8 +103,8 @@ class Visibility:
         self._acts, self._lengths = lengths > 0, lengths[lengths > 0]
         # of the true figures: a figure of the model less that of the arm, changed in sign
         off = (self.arm.factors.flat() - 1.0)[self._acts]
-        self._low = (off - TOLERANCE) * self._lengths
-        self._high = (off + TOLERANCE) * self._lengths
+        self._low = (off - tolerance) * self._lengths
+        self._high = (off + tolerance) * self._lengths
         self._q, self._r = np.linalg.qr(columns[:, self._acts] / self._lengths)
 
     def _signals(self, arm: TrueArm) -> Signals:

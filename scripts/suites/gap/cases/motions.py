@@ -201,7 +201,7 @@ def motions(
     figures : Figures
         The arm.
     form : str
-        One of `effects.FORMS`.
+        One of `effects.FORMS`, or mixed.
     runs : int
         Number of runs.
     seconds : float
@@ -222,4 +222,8 @@ def motions(
         for i in range(runs)
     ]
     # torques sampled right after the step of a held command would not be those of the motion
-    return [dataclasses.replace(motion, straight=form == "inverse") for motion in rich]
+    straight = {"inverse": (True,), "mixed": (False, True)}.get(form, (False,))
+    return [
+        dataclasses.replace(motion, straight=straight[i % len(straight)])
+        for i, motion in enumerate(rich)
+    ]

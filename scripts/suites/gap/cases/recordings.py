@@ -14,7 +14,7 @@ from scripts.suites.gap.cases.cases import SEED, Case
 from scripts.suites.gap.cases.motions import Motion
 from scripts.suites.gap.cases.sensing import Signals, add_noise, rounded
 from scripts.suites.gap.effects.sensor import ACCELEROMETER
-from scripts.suites.gap.effects.types import FREE, INVERSE, RANDOM
+from scripts.suites.gap.effects.types import FORWARD, FREE, INVERSE, MIXED, RANDOM
 from scripts.suites.gap.simulator.build import FACTORS
 from scripts.suites.gap.simulator.model_xml import model_xml
 from scripts.suites.gap.simulator.simulate import SAMPLE
@@ -35,20 +35,22 @@ def runs_of(case: Case) -> list[Run]:
 
 
 def _run(case: Case, motion: Motion, signals: Signals, name: str) -> Run:
-    joints = range(case.arm.figures.joints)
+    joints, form = range(case.arm.figures.joints), case.form
+    if form == MIXED:
+        form = INVERSE if motion.straight else FORWARD
     sensors: dict[str, Any] = {}
     for j in joints:
         sensors[f"joint{j + 1}_pos"] = signals.position[:, j]
         sensors[f"joint{j + 1}_vel"] = signals.velocity[:, j]
-    if case.form != INVERSE:
+    if form != INVERSE:
         sensors[ACCELEROMETER] = signals.acceleration
     controls, torques = {}, {}
-    if case.form == INVERSE:
+    if form == INVERSE:
         torques = {f"joint{j + 1}": signals.torque[:, j] for j in joints}
-    elif case.form != FREE:
+    elif form != FREE:
         controls = {f"motor{j + 1}": motion.commands[:, j] for j in joints}
     extra: dict[str, Any] = {}
-    if case.form == RANDOM:
+    if form == RANDOM:
         assert motion.excited is not None and motion.pose is not None
         extra["excited"] = (f"joint{motion.excited + 1}",)
         extra["pose"] = {f"joint{j + 1}": float(motion.pose[j]) for j in joints}

@@ -20,6 +20,8 @@ FORWARD, INVERSE, FREE, RANDOM = "forward", "inverse", "free", "random"
 
 FORMS = (FORWARD, INVERSE, FREE, RANDOM)
 """Commands to sensors, motion to torque, free response, random excitation of a held arm."""
+MIXED = "mixed"
+"""Runs of the first two forms in turn."""
 
 
 @dataclasses.dataclass(kw_only=True)

@@ -19,7 +19,8 @@ from typing import Any
 
 from loose_agents.execution.shards import Shard
 
-from scripts.suites.gap.cases.cases import draw_case, name_of, role_of
+from scripts.suites.gap.cases.cases import name_of, role_of
+from scripts.suites.gap.cases.draw import draw_case, tolerance_of
 from scripts.suites.gap.cases.recordings import is_written, write_case
 from scripts.suites.gap.grading.grade import Grade, failed, grade
 from scripts.suites.gap.grading.separability import separable_by_data
@@ -108,7 +109,7 @@ def run_case(shard: Shard, *, folders: Folders, tool: Tool = run_tool) -> list[R
             # nothing of an earlier run may be graded for this one's
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
-            tool(folders.recordings / name, folder)
+            tool(folders.recordings / name, folder, tolerance_of(number))
         with times.of("grading"):
             marks = grade(
                 json.loads((folder / RESULT).read_text(encoding="utf-8")),

@@ -12,7 +12,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from loose_env.typing import Array
-from scripts.suites.gap.cases.cases import HELD_OUT, Case, draw_case
+from scripts.suites.gap.cases.cases import HELD_OUT, Case
+from scripts.suites.gap.cases.draw import draw_case
 from scripts.suites.gap.cases.effect_sizing import VISIBLE, Visibility
 from scripts.suites.gap.cases.motions import Motion
 from scripts.suites.gap.effects.catalogue import kinds

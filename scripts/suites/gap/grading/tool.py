@@ -16,8 +16,9 @@ from scripts.suites.gap.grading.exported import exported_gap
 
 __all__ = ["EXPORTED", "LOG", "RESULT", "Tool", "run_tool"]
 
-Tool = Callable[[Path, Path], None]
-"""Reads the recording in the first folder and leaves ``result.json`` in the second."""
+Tool = Callable[[Path, Path, float], None]
+"""Reads the recording in the first folder and leaves ``result.json`` in the second, told how well
+the nominal figures are known."""
 RESULT = "result.json"
 """File of a result."""
 EXPORTED = "exported.json"
@@ -26,7 +27,7 @@ LOG = "log.txt"
 """File of what the tool said on its way."""
 
 
-def run_tool(recording: Path, folder: Path) -> None:
+def run_tool(recording: Path, folder: Path, tolerance: float) -> None:
     """Run the tool on one thread and write its result, read back once to see that it is whole.
 
     Parameters
@@ -36,13 +37,15 @@ def run_tool(recording: Path, folder: Path) -> None:
     folder : Path
         Folder that exists; `RESULT` and `LOG` are written to it, and `EXPORTED` with the model
         where there is one to be checked; the result last.
+    tolerance : float
+        Largest relative error of the nominal figures.
 
     Raises
     ------
     InvalidData
         If the recording cannot be compared, or the result is not of its own format.
     """
-    settings = GapSettings(threads=1)
+    settings = GapSettings(threads=1, tolerance=tolerance)
     with (folder / LOG).open("w", encoding="utf-8", buffering=1) as log:
         found = find_gap(read_recording(recording), settings, say=lambda line: _put(log, line))
     result = result_of(found)

@@ -167,5 +167,65 @@ def elbow4() -> Figures:
     )  # fmt: skip
 
 
+def upright6() -> Figures:
+    """Waist, shoulder, elbow and a wrist of three axes."""
+    return Figures(
+        name="upright6",
+        links=(
+            Link(axis=(0.0, 0.0, 1.0), offset=(0.0, 0.0, 0.3), end=(0.0, 0.0, 0.12), mass=6.5,
+                 com=(0.0, 0.01, 0.05), inertia=(0.04, 0.04, 0.03), armature=0.45, damping=3.0,
+                 kp=4000.0, kv=170.0, limit=160.0, home=0.0, reach=0.8),
+            _bar(4.0, 0.40, 0.05, offset=(0.0, 0.0, 0.12), armature=0.45, damping=2.5, kp=4500.0,
+                 kv=180.0, limit=180.0, home=-0.8, reach=0.45),
+            _bar(2.6, 0.34, 0.04, offset=(0.40, 0.0, 0.0), armature=0.20, damping=1.2, kp=2000.0,
+                 kv=75.0, limit=90.0, home=1.1, reach=0.55),
+            Link(axis=(1.0, 0.0, 0.0), offset=(0.34, 0.0, 0.0), end=(0.10, 0.0, 0.0), mass=1.1,
+                 com=(0.05, 0.0, 0.005), inertia=(0.002, 0.003, 0.003), armature=0.04, damping=0.3,
+                 kp=300.0, kv=8.0, limit=20.0, home=0.1, reach=1.2),
+            _bar(0.8, 0.12, 0.03, offset=(0.10, 0.0, 0.0), armature=0.03, damping=0.25, kp=220.0,
+                 kv=6.0, limit=15.0, home=0.5, reach=0.9),
+            Link(axis=(1.0, 0.0, 0.0), offset=(0.12, 0.0, 0.0), end=(0.06, 0.0, 0.03), mass=0.4,
+                 com=(0.03, 0.01, 0.02), inertia=(0.0005, 0.0006, 0.0006), armature=0.012,
+                 damping=0.08, kp=60.0, kv=1.6, limit=6.0, home=0.0, reach=1.4),
+        ),
+    )  # fmt: skip
+
+
+def redundant7() -> Figures:
+    """Seven hinges that turn and bend in turn."""
+    along, across = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    rows = (
+        # axis, length, mass, armature, damping, kp, kv, limit, home, reach
+        (across, 0.26, 3.6, 0.45, 2.5, 4200.0, 170.0, 170.0, -0.9, 0.4),
+        (along, 0.18, 2.4, 0.25, 1.4, 1500.0, 55.0, 90.0, 0.1, 0.8),
+        (across, 0.22, 2.2, 0.22, 1.3, 1900.0, 70.0, 90.0, 1.0, 0.5),
+        (along, 0.16, 1.4, 0.08, 0.6, 600.0, 18.0, 40.0, 0.0, 1.0),
+        (across, 0.12, 1.1, 0.05, 0.4, 400.0, 11.0, 25.0, 0.6, 0.8),
+        (along, 0.08, 0.5, 0.015, 0.1, 80.0, 2.2, 8.0, 0.0, 1.3),
+    )
+    links = [
+        Link(axis=(0.0, 0.0, 1.0), offset=(0.0, 0.0, 0.3), end=(0.0, 0.0, 0.12), mass=5.5,
+             com=(0.01, 0.0, 0.05), inertia=(0.035, 0.035, 0.025), armature=0.4, damping=2.6,
+             kp=3600.0, kv=150.0, limit=150.0, home=0.1, reach=0.8)
+    ]  # fmt: skip
+    offset = (0.0, 0.0, 0.12)
+    for axis, length, mass, armature, damping, kp, kv, limit, home, reach in rows:
+        links.append(
+            _bar(mass, length, 0.035, axis=axis, offset=offset, armature=armature, damping=damping,
+                 kp=kp, kv=kv, limit=limit, home=home, reach=reach)
+        )  # fmt: skip
+        offset = (length, 0.0, 0.0)
+    # the last axis is the bar's own, on which a tool that is off it turns
+    last = dataclasses.replace(links[-1], com=(0.03, 0.012, 0.01), end=(0.06, 0.02, 0.02))
+    return Figures(name="redundant7", links=(*links[:-1], last))
+
+
 ARMS = {"planar3": planar3, "spatial3": spatial3, "scara4": scara4, "elbow4": elbow4}
 """Makers of the nominal arms by name."""
+MACHINES = {
+    "planar3": planar3,
+    "spatial3": spatial3,
+    "upright6": upright6,
+    "redundant7": redundant7,
+}
+"""Makers of the arms of whole machines."""

@@ -35,11 +35,18 @@ class Factors:
         return cls(**{name: np.ones(joints) for name in FACTORS})
 
     @classmethod
-    def draw(cls, joints: int, rng: np.random.Generator) -> Factors:
-        """Errors of 1 to 3 % of random sign."""
+    def draw(
+        cls,
+        joints: int,
+        rng: np.random.Generator,
+        *,
+        least: float = LEAST_ERROR,
+        most: float = TOLERANCE,
+    ) -> Factors:
+        """Errors of random sign, by default of 1 to 3 %."""
         return cls(
             **{
-                name: 1 + rng.uniform(LEAST_ERROR, TOLERANCE, joints) * rng.choice([-1, 1], joints)
+                name: 1 + rng.uniform(least, most, joints) * rng.choice([-1, 1], joints)
                 for name in FACTORS
             }
         )
