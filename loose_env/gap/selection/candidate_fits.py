@@ -60,6 +60,8 @@ class CandidateFits:
         screened: Sequence[Screened],
         sets: Callable[[], Sequence[Sequence[Screened]]] = tuple,
         say: Callable[[str], None] = lambda _: None,
+        *,
+        share: float = 1.0,
     ) -> list[ScoredFit]:
         """Fit single candidates, and sets of them where the best one leaves much unexplained.
 
@@ -73,6 +75,8 @@ class CandidateFits:
             Proposes sets that explain together.
         say : callable
             Receives progress messages.
+        share : float
+            Residual of the current model over that of the nominal one.
         """
         least = LEAST_PREDICTED * screened[0].predicted if screened else 0.0
         taken = [each for each in screened[:FITTED_CANDIDATES] if each.predicted >= least]
@@ -85,7 +89,7 @@ class CandidateFits:
         windows = self.windows
         fits, best = windows.race([[each] for each in taken], twice=twice)
         together: list[Fit] = []
-        if best is None or windows.left_by(best) > SINGLE_SHARE:
+        if best is None or share * windows.left_by(best) > SINGLE_SHARE:
             proposed = sets()
             say(f"  joint fits: {len(proposed)} sets of effects")
             together, best = windows.race(proposed, best=best)

@@ -189,8 +189,9 @@ def _step(
     for s in screened[:8]:
         say(f"  {s.effect!r}: predicted share {s.predicted:.3f}, z {s.z:.1f}")
     acceptance = Acceptance(comparison, scorer, found.base, best, settings)
+    share = best.autocorrelated / max(found.base.autocorrelated, 1e-12)
     tried = candidate_fits.fit_candidates(
-        screened, lambda: _sets(short, candidate_fits, screened), say
+        screened, lambda: _sets(short, candidate_fits, screened), say, share=share
     )
     ranked = acceptance.ranked(tried) if tried else []
     for scored in ranked:
