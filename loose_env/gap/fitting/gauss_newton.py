@@ -7,7 +7,7 @@ bounded linear least-squares problem is solved by scipy.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -100,6 +100,11 @@ class Fit:
     def own_free(self) -> tuple[Array, ...]:
         """Free numbers of each effect."""
         return tuple(self.free[own] for own in self.structure.slices)
+
+    @property
+    def bare(self) -> Fit:
+        """The same without its sensitivities, which take most of the memory."""
+        return replace(self, jacobian=np.zeros((0, len(self.free))))
 
     @property
     def rms(self) -> float:

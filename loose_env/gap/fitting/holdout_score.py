@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -47,6 +47,11 @@ class ScoredFit:
     logs: tuple[float, float] = (0.0, 0.0)
     """Part of the log-likelihoods, on training and held-out runs, that is due to the noise level
     alone."""
+
+    @property
+    def bare(self) -> ScoredFit:
+        """The same without the sensitivities of the fit."""
+        return replace(self, fitted=self.fitted.bare)
 
     @property
     def held_out_rms(self) -> float:

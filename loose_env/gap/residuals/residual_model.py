@@ -104,6 +104,8 @@ class ResidualModel:
         read: Array | None = None,
     ) -> None:
         self.machine, self.trials = machine, list(trials)
+        self.runs = np.arange(len(self.trials))
+        """Indices of the runs in the initial states of hypotheses."""
         self.channels, self.floors, self.threads = channels, floors, threads
         self._lighter: dict[int, ResidualModel] = {}
         backwards = [t for t, trial in enumerate(self.trials) if trial.form == "inverse"]
@@ -209,7 +211,7 @@ class ResidualModel:
 
         Features of random runs keep the sensor noise as their weight.
         """
-        return ResidualModel(
+        found = ResidualModel(
             machine or self.machine,
             self.trials if trials is None else trials,
             self.channels,
@@ -219,6 +221,26 @@ class ResidualModel:
             chaotic=self.chaotic,
             read=self.read,
         )
+        if trials is None:
+            found.runs = self.runs
+        return found
+
+    def loudest(self, residual: Array) -> NDArray[np.bool_] | None:
+        """Mask of the rows (N,) of the simulated run with the largest residual.
+
+        None where there are no two.
+        """
+        if len(self._ahead) < 2:
+            return None
+        squares = np.bincount(self.rows.trial, residual**2, minlength=len(self.trials))
+        return np.asarray(self.rows.trial == self._ahead[int(np.argmax(squares[self._ahead]))])
+
+    def of_run(self, rows: NDArray[np.bool_]) -> ResidualModel:
+        """Copy with the only run that some rows belong to."""
+        number = int(self.rows.trial[rows][0])
+        found = self.like(trials=[self.trials[number]])
+        found.runs = self.runs[[number]]
+        return found
 
     def channel_rms(self, residual: Array) -> Array:
         """Root mean square of a residual (N,) by channel (C,), noise standard deviations.
@@ -298,7 +320,7 @@ class ResidualModel:
         """
         found: list[list[Array]] = [[np.empty(0)] * len(self.trials) for _ in hypotheses]
         if len(self._ahead):
-            own = [_for_runs(hypothesis, self._ahead) for hypothesis in hypotheses]
+            own = [_for_runs(hypothesis, self.runs[self._ahead]) for hypothesis in hypotheses]
             for predictions, runs in zip(found, self.simulator.predict(own), strict=True):
                 for t, values in zip(self._ahead, runs, strict=True):
                     predictions[t] = values

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
-
-import numpy as np
 
 from loose_env.errors import UnknownName
 from loose_env.gap.fitting.gauss_newton import Fit
@@ -94,12 +92,8 @@ class StepFiles(StepStore):
 
 def _plain_step(step: SelectionStep) -> dict[str, Any]:
     """Convert a step to plain values, without the sensitivities of rivals."""
-    rivals = []
-    for scored in step.rivals:
-        fitted = replace(scored.fitted, jacobian=np.zeros((0, len(scored.fitted.free))))
-        rivals.append(plain_fit(replace(scored, fitted=fitted)))
     return {
-        "rivals": rivals,
+        "rivals": [plain_fit(scored.bare) for scored in step.rivals],
         "accepted": None if step.accepted is None else plain_fit(step.accepted),
         "dropped": [[e.kind, e.where, e.variant] for e in step.dropped],
     }

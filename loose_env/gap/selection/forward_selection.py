@@ -206,8 +206,9 @@ def _step(
         if alone is not None and not acceptance.significant(improvement_of(accepted, alone)):
             acceptance = Acceptance(comparison, scorer, found.base, found.base, settings)
             accepted, dropped = acceptance.accept(alone)[0], earlier
-        return SelectionStep(rivals=ranked, accepted=accepted, dropped=dropped)
-    return SelectionStep(rivals=ranked, accepted=None)
+        rivals = [each.bare for each in ranked]
+        return SelectionStep(rivals=rivals, accepted=accepted, dropped=dropped)
+    return SelectionStep(rivals=[each.bare for each in ranked], accepted=None)
 
 
 def _sets(

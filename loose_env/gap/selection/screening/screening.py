@@ -151,7 +151,12 @@ def _best_starts(
     ]
     if not entries:
         return {}
-    lighter, base = comparison.lightly(fitted.hypothesis, fitted.residual, stiff=True)
+    rows = comparison.loudest(fitted.residual)
+    residual = fitted.residual
+    if rows is not None:
+        comparison, residual = comparison.of_run(rows), residual[rows]
+        known = _Known.of(fitted, rows)
+    lighter, base = comparison.lightly(fitted.hypothesis, residual, stiff=True)
     if lighter is comparison:
         return {}
     found: dict[tuple[str, str, str], dict[tuple[float, ...], tuple[float, tuple[float, ...]]]] = {}

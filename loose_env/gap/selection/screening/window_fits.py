@@ -97,7 +97,8 @@ class WindowFits:
         found: dict[tuple[tuple[str, str, str], ...], Fit] = {}
         for fitted in running:  # the best one first
             found.setdefault(tuple(effect.key for effect in fitted.effects), fitted)
-        return self.with_hope([self._shifted(fitted) for fitted in found.values()], best)
+        running, best = self.with_hope([self._shifted(each) for each in found.values()], best)
+        return [fitted.bare for fitted in running], best and best.bare
 
     def with_hope(
         self, fits: Sequence[Fit], best: Fit | None, ratio: float = HOPELESS_COST
@@ -136,7 +137,7 @@ class WindowFits:
         settings = FitSettings(iterations=iterations, enough=_ENOUGH)
         if have_stops(fitted.effects):
             settings = replace(BESIDE_STOPS, iterations=iterations)
-        return fit(
+        found = fit(
             self.short,
             fitted.structure,
             fitted.free,
@@ -144,6 +145,7 @@ class WindowFits:
             known=fitted.jacobian,
             residual=fitted.residual,
         )
+        return replace(found, jacobian=found.jacobian.astype(np.float32))
 
     def _starts(self, members: Sequence[Screened], *, both: bool) -> list[Fit]:
         """Hypotheses with candidates at the values of screening, and at other starts."""
