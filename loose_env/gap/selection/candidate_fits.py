@@ -17,6 +17,7 @@ from loose_env.gap.selection.screening.grouping import confusable
 from loose_env.gap.selection.screening.screening import Screened
 from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import (
+    CONFIRMED_Z,
     CONFUSABLE_FITS,
     FINAL_SETS,
     FINALISTS,
@@ -25,6 +26,7 @@ from loose_env.gap.settings import (
     FITTED_TWICE,
     LEAST_PREDICTED,
     SINGLE_SHARE,
+    WORTH_PARAMETERS,
 )
 
 __all__ = ["CandidateFits"]
@@ -78,6 +80,8 @@ class CandidateFits:
         share : float
             Residual of the current model over that of the nominal one.
         """
+        # what neither shows in the blocks of time nor explains anything cannot pass the tests
+        screened = [s for s in screened if s.z >= CONFIRMED_Z or s.predicted >= WORTH_PARAMETERS]
         least = LEAST_PREDICTED * screened[0].predicted if screened else 0.0
         taken = [each for each in screened[:FITTED_CANDIDATES] if each.predicted >= least]
         # a small effect at every joint has a low predicted explained variance beside a slightly
@@ -89,7 +93,7 @@ class CandidateFits:
         windows = self.windows
         fits, best = windows.race([[each] for each in taken], twice=twice)
         together: list[Fit] = []
-        if best is None or share * windows.left_by(best) > SINGLE_SHARE:
+        if screened and (best is None or share * windows.left_by(best) > SINGLE_SHARE):
             proposed = sets()
             say(f"  joint fits: {len(proposed)} sets of effects")
             together, best = windows.race(proposed, best=best)

@@ -157,7 +157,8 @@ def select_effects(
         if len(found.best.fitted.effects) < settings.most_effects and pause(found.best):
             found.unfinished = True
             return found
-    if 2 <= len(found.best.fitted.effects) <= SWAPPED_EFFECTS:
+    white = found.best.autocorrelation_z < SEARCH_Z and not found.best.above_noise
+    if 2 <= len(found.best.fitted.effects) <= SWAPPED_EFFECTS and not white:
         say("swap step: confusable effects in place of the identified ones")
         exchange = SwapStep(comparison, short, scorer, candidates, found.base, settings)
         better = keep.scored("exchanged", lambda: exchange.improved(found.best, say))
