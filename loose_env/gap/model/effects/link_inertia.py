@@ -137,16 +137,27 @@ class LinkCom(Effect):
         set_inertial(self.machine, spec, self.where, replace(old, centre=centre))
 
 
+_FAR_OFF = 0.3
+"""Furthest centre of a payload from the tool, over the reach of the arm."""
 _RADIUS = 0.01
 """Radius of gyration of the payload, in lengths of the machine."""
 
 
 class Payload(Effect):
-    """Payload: a small body at the tool's site, or at the end of the last link."""
+    """Payload: a small body at the tool's site, or at the end of the last link.
+
+    Its centre of mass lies there, or in the variant "centre" where the motion says.
+    """
 
     kind = "payload"
     acts_on: ClassVar[str] = "arm"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    variants: ClassVar[tuple[str, ...]] = ("", "centre")
+
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        self.nothing = (0.0,) * len(self.parameters)  # type: ignore[misc]
+        if self.variant:
+            self.proportional = 0  # type: ignore[misc]
 
     @classmethod
     def places(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -155,14 +166,25 @@ class Payload(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Mass of the payload."""
-        moved = self._moved
-        return (Parameter(name="mass", unit="kg", low=0.0, high=20 * moved, scale=0.05 * moved),)
+        """Mass of the payload, and its centre from the tool in the frame of the tool's body."""
+        moved, far = self._moved, _FAR_OFF * reach_of(self.machine)
+        mass = Parameter(name="mass", unit="kg", low=0.0, high=20 * moved, scale=0.05 * moved)
+        if not self.variant:
+            return (mass,)
+        return (
+            mass,
+            *(Parameter(name=n, unit="m", low=-far, high=far, scale=0.1 * far) for n in "xyz"),
+        )
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: a tenth and a half of the mass the machine moves before its last third."""
-        return ((0.05 * self._moved,), (0.3 * self._moved,))
+        light, heavy = 0.05 * self._moved, 0.3 * self._moved
+        if not self.variant:
+            return ((light,), (heavy,))
+        off = 0.3 * _FAR_OFF * reach_of(self.machine)
+        axes = [tuple(side * off * row) for row in np.eye(3) for side in (-1.0, 1.0)]
+        return tuple((light, *(float(v) for v in axis)) for axis in axes)
 
     @property
     def _moved(self) -> float:
@@ -180,6 +202,7 @@ class Payload(Effect):
         mass = float(values[0])
         if mass <= 0:
             return
+        centre = [float(v) for v in values[1:]] if self.variant else [0.0, 0.0, 0.0]
         if self.machine.tool:
             site = spec.site(self.machine.tool)
             place, carrier = np.array(site.pos), site.parent
@@ -189,7 +212,7 @@ class Payload(Effect):
             name, place = _outermost(self.machine)
             carrier = spec.body(name)
         body = carrier.add_body(name=added_name(spec, "tool", self.kind), pos=place)
-        body.mass, body.ipos = mass, [0, 0, 0]
+        body.mass, body.ipos = mass, centre
         body.inertia = [mass * (_RADIUS * reach_of(self.machine)) ** 2] * 3
         body.explicitinertial = True
 

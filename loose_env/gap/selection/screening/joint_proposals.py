@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.screening.linear_problem import bounded_minimum
 from loose_env.gap.selection.screening.screening import Screened, at_share
 from loose_env.typing import Array
 
@@ -171,19 +171,8 @@ class JointProblem:
         """
         while chosen:
             own = [*range(self._known), *(self._known + k for k in chosen)]
-            scale, slope = self._scale[own], self._slope[own]
-            curvature = self._curvature[np.ix_(own, own)]
-            scaled = curvature / np.outer(scale, scale) + 1e-9 * np.eye(len(own))
-            root = np.linalg.cholesky(scaled)
-            room = 1e-9
-            moved = (
-                lsq_linear(
-                    root.T,
-                    -np.linalg.solve(root, slope / scale),
-                    bounds=(self._low[own] * scale - room, self._high[own] * scale + room),
-                ).x
-                / scale
-            )
+            slope, curvature = self._slope[own], self._curvature[np.ix_(own, own)]
+            moved = bounded_minimum(curvature, slope, self._low[own], self._high[own])
             gain = -float(moved @ (2 * slope + curvature @ moved))
             shares = moved[self._known :]
             # what the sum of squares loses if a member goes and nothing else moves

@@ -18,15 +18,14 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from loose_env.gap.fitting.gauss_newton import Fit, started
-from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import Parameter, free_of
 from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.screening.linear_problem import CurrentFit
 from loose_env.gap.settings import SECOND_START
 from loose_env.gap.simulation.sensor_timing import changes_within
 from loose_env.typing import Array
@@ -42,8 +41,6 @@ _FAR = 0.5
 """Distance of a start that is another, in free numbers: some one of them is so far off."""
 _MANY = 4
 """Starts of one candidate above which only the best are simulated as exactly as a spring needs."""
-_ROOM = 1e-9
-"""Least room between bounds that the solver needs."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,9 +83,9 @@ def screen(
     proposed : mapping
         Data-driven starts, by the candidate's key, in place of its own.
     """
-    known = _Known.of(fitted)
+    known = CurrentFit.of(fitted)
     slow = _slow_rows(comparison)
-    lens = _Known.of(fitted, slow) if 0 < slow.sum() < len(slow) else None
+    lens = CurrentFit.of(fitted, slow) if 0 < slow.sum() < len(slow) else None
     stiff = any(e.adds_motion for e in fitted.effects)
     lighter, alike = comparison.lightly(fitted.hypothesis, fitted.residual, stiff=stiff)
     proposed = dict(proposed) | _best_starts(comparison, fitted, known, candidates, proposed)
@@ -132,7 +129,7 @@ def screen(
 def _best_starts(
     comparison: ResidualModel,
     fitted: Fit,
-    known: _Known,
+    known: CurrentFit,
     candidates: Sequence[Effect],
     proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]],
 ) -> dict[tuple[str, str, str], list[tuple[float, ...]]]:
@@ -155,7 +152,7 @@ def _best_starts(
     residual = fitted.residual
     if rows is not None:
         comparison, residual = comparison.of_run(rows), residual[rows]
-        known = _Known.of(fitted, rows)
+        known = CurrentFit.of(fitted, rows)
     lighter, base = comparison.lightly(fitted.hypothesis, residual, stiff=True)
     if lighter is comparison:
         return {}
@@ -259,64 +256,9 @@ def _slow_rows(comparison: ResidualModel) -> NDArray[np.bool_]:
     return slow[comparison.rows.channel] & ~comparison.rows.white
 
 
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """The current fit, in the form needed by the linear problem of every candidate."""
-
-    jacobian: Array
-    """Change of the residual with the free numbers (N, P)."""
-    residual: Array
-    """Measured less predicted (N,)."""
-    curvature: Array
-    """Hessian of half the cost (P, P)."""
-    slope: Array
-    """Gradient of half the cost (P,)."""
-    room: tuple[Array, Array]
-    """Allowed change of every free number, down and up (P,)."""
-
-    @classmethod
-    def of(cls, fitted: Fit, rows: NDArray[np.bool_] | slice = slice(None)) -> _Known:
-        parameters = fitted.structure.parameters
-        centres, weights = prior_of(parameters)
-        low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
-        jacobian, residual = fitted.jacobian[rows], fitted.residual[rows]
-        return cls(
-            jacobian,
-            residual,
-            jacobian.T @ jacobian + np.diag(weights**2),
-            jacobian.T @ residual + weights**2 * (fitted.free - centres),
-            (np.minimum(low - fitted.free, 0.0), np.maximum(high - fitted.free, 0.0)),
-        )
-
-    def taken_up(self, signatures: Array, least: float, most: float) -> tuple[Array, Array] | None:
-        """Best coefficients of signatures (N, K) and their change of the residual.
-
-        Returns (K,) and (N,). The current parameters are refitted within their bounds: a parameter
-        known within a tolerance absorbs no more of a signature than that.
-        """
-        jacobian, residual, count = self.jacobian, self.residual, signatures.shape[1]
-        across, sizes = jacobian.T @ signatures, signatures.T @ signatures
-        if not np.all(np.isfinite(sizes)) or not sizes.any():
-            return None
-        curvature = np.block([[self.curvature, across], [across.T, sizes]])
-        slope = np.append(self.slope, signatures.T @ residual)
-        diagonal = np.sqrt(np.diag(curvature) + 1e-12)
-        scaled = curvature / np.outer(diagonal, diagonal) + 1e-9 * np.eye(len(slope))
-        root = np.linalg.cholesky(scaled)
-        low = np.append(self.room[0], np.full(count, least))
-        high = np.append(self.room[1], np.full(count, most))
-        found = lsq_linear(
-            root.T,
-            -np.linalg.solve(root, slope / diagonal),
-            bounds=(low * diagonal - _ROOM, high * diagonal + _ROOM),
-        )
-        moved = found.x / diagonal
-        return moved[-count:], signatures @ moved[-count:] + jacobian @ moved[:-count]
-
-
 def _weigh(
     comparison: ResidualModel,
-    known: _Known,
+    known: CurrentFit,
     effect: Effect,
     start: tuple[float, ...],
     signature: Array,
@@ -341,7 +283,7 @@ def _weigh(
 
 def _weigh_together(
     comparison: ResidualModel,
-    known: _Known,
+    known: CurrentFit,
     effect: Effect,
     axes: Sequence[tuple[float, ...]],
     signatures: Array,
@@ -367,7 +309,7 @@ def _axes_of(effect: Effect) -> list[tuple[float, ...]]:
 
 def _screened(
     comparison: ResidualModel,
-    known: _Known,
+    known: CurrentFit,
     effect: Effect,
     values: tuple[float, ...],
     change: Array,
@@ -386,7 +328,7 @@ def _screened(
 
 
 def _proposed(
-    lens: _Known,
+    lens: CurrentFit,
     rows: NDArray[np.bool_],
     effect: Effect,
     start: tuple[float, ...],

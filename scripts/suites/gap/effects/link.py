@@ -19,7 +19,6 @@ from scripts.suites.gap.effects.types import (
     either_sign,
     links,
     log_uniform,
-    nothing,
     scalar,
 )
 from scripts.suites.gap.simulator.arms import Figures
@@ -29,6 +28,8 @@ from scripts.suites.gap.simulator.dynamics import CARRIED
 from scripts.suites.gap.simulator.laws import DAMPING, FRICTION, SMOOTH_SPEED, STRIBECK_SPEED
 from scripts.suites.gap.simulator.simulate import System
 
+PAYLOAD_OFF = 0.08
+"""Furthest centre of a load from the tool [m]."""
 STOP_LOAD = 30.0
 """Force that usually presses a loose seat to its stops [N]."""
 SEAT_DAMPING = 5.0
@@ -158,7 +159,15 @@ def _tool(figures: Figures) -> list[Place]:
 def _payload(
     system: System, readings: Readings, figures: Figures, place: Place, p: Parameters
 ) -> None:
-    add_mass(system, len(system.bodies) - 1, p["mass"], system.tool)
+    centre = np.array([p["x"], p["y"], p["z"]])
+    add_mass(system, len(system.bodies) - 1, p["mass"], system.tool + centre)
+
+
+def _draw_payload(rng: np.random.Generator, figures: Figures, place: Place) -> Parameters:
+    """Centre of a load: at the tool, or as far off as a gripper is long."""
+    off = rng.normal(size=3)
+    off *= rng.choice([0.0, rng.uniform(0.01, PAYLOAD_OFF)]) / np.linalg.norm(off)
+    return dict(zip("xyz", off.tolist(), strict=True))
 
 
 def _payload_bounds(figures: Figures, place: Place) -> tuple[float, float]:
@@ -238,7 +247,7 @@ KINDS = (
          bounds=lambda figures, place: (0.01, 0.6), size=_size_mass, apply=_mass),
     Kind(name="link_com", places=links, draw=_draw_com, bounds=_com_bounds, size=_size_com,
          apply=_com),
-    Kind(name="payload", places=_tool, draw=nothing, bounds=_payload_bounds,
+    Kind(name="payload", places=_tool, draw=_draw_payload, bounds=_payload_bounds,
          size=scalar("mass"), apply=_payload),
     Kind(name="base_tilt", places=_base, draw=_draw_tilt,
          bounds=lambda figures, place: (1e-5, 0.15), size=_size_tilt, apply=_tilt,

@@ -70,6 +70,7 @@ OTHERS: Mapping[str, Mapping[str, Callable[[Mapping[str, Any]], float]]] = {
     "link_flexibility": {"position": lambda p: p["position"]},
     "structural_looseness": {"friction": lambda p: p["friction"]},
     "joint_spring": {"reference": lambda p: p["reference"]},
+    "payload": {axis: (lambda p, axis=axis: p[axis]) for axis in "xyz"},  # type: ignore[misc]
     "voltage_limit": {"no_load_speed": lambda p: p["no_load_speed"]},
     "torque_ripple": {"periods": lambda p: p["order"], "phase": lambda p: p["phase"]},
 }
