@@ -30,7 +30,10 @@ __all__ = ["JointProblem", "Proposal"]
 _ROWS = 8192
 """Rows multiplied at a time: a matter of memory."""
 _SOLVED = 60
-"""Pairs that are solved with bounds, of all pairs by their gain without: a matter of cost."""
+"""Pairs that are solved with bounds, by their gain with free parameters and with these held, so
+many of each: a matter of cost."""
+_TRIED = 5
+"""The same for each further effect of a greedily built set."""
 _COLLINEAR = 1e-3
 """Share of a signature beyond another one's, below which the two are one direction."""
 _GREEDY = 12
@@ -110,23 +113,15 @@ class JointProblem:
         count = len(self.screened)
         if count < 2:
             return []
-        gram, slope = self._reduced()
-        size = np.diag(gram)
-        first, second = np.triu_indices(count, 1)
         apart = np.array([_place(each) for each in self.screened], dtype=object)
+        first, second = np.triu_indices(count, 1)
         kept = np.any(apart[first] != apart[second], axis=1)
-        cross = gram[first, second]
-        free = size[first] * size[second] - cross**2
-        kept &= free > _COLLINEAR * size[first] * size[second]
-        first, second, cross, free = first[kept], second[kept], cross[kept], free[kept]
-        gain = (
-            size[second] * slope[first] ** 2
-            + size[first] * slope[second] ** 2
-            - 2 * cross * slope[first] * slope[second]
-        ) / free
-        order = np.argsort(-gain)[:_SOLVED]
-        found = [self.solved((int(first[k]), int(second[k]))) for k in order]
-        return _best(found, most)
+        first, second = first[kept], second[kept]
+        tried: dict[tuple[int, int], None] = {}
+        for gram, slope in (self._pinned(), self._reduced()):
+            gain = _pair_gains(gram, slope, first, second)
+            tried |= {(int(first[k]), int(second[k])): None for k in np.argsort(-gain)[:_SOLVED]}
+        return _best([self.solved(pair) for pair in tried], most)
 
     def kinds(self, most: int) -> list[Proposal]:
         """Every kind at all of its locations, the best ones first.
@@ -146,23 +141,24 @@ class JointProblem:
 
     def greedy(self) -> Proposal | None:
         """Set of many candidates, one added after the other as long as each explains enough."""
-        gram, slope = self._reduced()
-        chosen: list[int] = []
-        free = np.ones(len(self.screened), dtype=bool)
         places = [_place(each) for each in self.screened]
-        size = np.diag(gram).copy()
-        while len(chosen) < _GREEDY and free.any():
-            now = np.diag(gram)
-            gains = np.where(free & (now > _COLLINEAR * size), slope**2 / np.maximum(now, 1e-12), 0)
-            best = int(np.argmax(gains))
-            if gains[best] < _WORTH * self._whole:
+        chosen: tuple[int, ...] = ()
+        best: Proposal | None = None
+        while len(chosen) < _GREEDY:
+            taken = {places[k] for k in chosen}
+            free = np.array([place not in taken for place in places])
+            tried: dict[int, None] = {}
+            for gram, slope in (self._pinned(chosen), self._reduced(chosen)):
+                size = np.diag(gram)
+                gains = np.where(free & (size > 0), slope**2 / np.maximum(size, 1e-12), 0.0)
+                tried |= {int(k): None for k in np.argsort(-gains)[:_TRIED]}
+            found = [(k, self.solved((*chosen, k))) for k in tried]
+            k, further = max(found, key=lambda each: 0.0 if each[1] is None else each[1].predicted)
+            before = 0.0 if best is None else best.predicted
+            if further is None or further.predicted < before + _WORTH:
                 break
-            chosen.append(best)
-            free &= np.array([place != places[best] for place in places])
-            column = gram[:, best] / gram[best, best]
-            slope = slope - column * slope[best]
-            gram = gram - np.outer(column, gram[best])
-        return self.solved(tuple(chosen)) if len(chosen) > 1 else None
+            best, chosen = further, (*chosen, k)
+        return best if best is not None and len(best.members) > 1 else None
 
     def solved(self, chosen: tuple[int, ...]) -> Proposal | None:
         """Set of some candidates (indices), solved within all bounds; None if it gains nothing.
@@ -191,21 +187,42 @@ class JointProblem:
         )
         return Proposal(members=members, predicted=gain / self._whole)
 
-    def _reduced(self) -> tuple[Array, Array]:
-        """Gram matrix (C, C) and slope (C,) of the signatures less what the parameters absorb."""
-        count = self._known
-        slope, curvature = self._slope, self._curvature
-        if not count:
-            return curvature, slope
-        own, across = curvature[:count, :count], curvature[:count, count:]
-        scale = self._scale[:count]
-        taken = np.linalg.solve(
-            own / np.outer(scale, scale) + 1e-9 * np.eye(count),
-            np.column_stack([across, slope[:count]]) / scale[:, None],
+    def _pinned(self, chosen: tuple[int, ...] = ()) -> tuple[Array, Array]:
+        """Gram matrix (C, C) and slope (C,) beside some candidates, the parameters held."""
+        return self._beyond([self._known + k for k in chosen])
+
+    def _reduced(self, chosen: tuple[int, ...] = ()) -> tuple[Array, Array]:
+        """The same with the parameters free, without their bounds."""
+        return self._beyond([*range(self._known), *(self._known + k for k in chosen)])
+
+    def _beyond(self, own: list[int]) -> tuple[Array, Array]:
+        """Gram matrix (C, C) and slope (C,) of the signatures less what some numbers absorb."""
+        slope, curvature, count = self._slope, self._curvature, self._known
+        if not own:
+            return curvature[count:, count:], slope[count:]
+        scale = self._scale[own]
+        across = curvature[own, count:] / scale[:, None]
+        within = curvature[np.ix_(own, own)] / np.outer(scale, scale) + 1e-9 * np.eye(len(own))
+        taken = np.linalg.solve(within, np.column_stack([across, slope[own] / scale]))
+        return (
+            curvature[count:, count:] - across.T @ taken[:, :-1],
+            slope[count:] - across.T @ taken[:, -1],
         )
-        taken /= scale[:, None]
-        gram = curvature[count:, count:] - across.T @ taken[:, :-1]
-        return gram, slope[count:] - across.T @ taken[:, -1]
+
+
+def _pair_gains(
+    gram: Array, slope: Array, first: NDArray[np.intp], second: NDArray[np.intp]
+) -> Array:
+    """Fall of the sum of squares with each of some pairs; 0 where the two are one direction."""
+    size, cross = np.diag(gram), gram[first, second]
+    free = size[first] * size[second] - cross**2
+    gain = (
+        size[second] * slope[first] ** 2
+        + size[first] * slope[second] ** 2
+        - 2 * cross * slope[first] * slope[second]
+    )
+    apart = free > _COLLINEAR * size[first] * size[second]
+    return np.where(apart, gain / np.where(apart, free, 1.0), 0.0)
 
 
 def _weights(comparison: ResidualModel, residual: Array) -> Array:

@@ -1,0 +1,109 @@
+"""Sets of effects from one linearised problem: an arm with friction and a wrong sensor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loose_env.gap.data.aligned_run import align_run, channels_of
+from loose_env.gap.data.noise_floor import noise_floor
+from loose_env.gap.fitting.gauss_newton import fit
+from loose_env.gap.model.effects.catalogue import candidates
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.screening.joint_proposals import JointProblem, Proposal
+from loose_env.gap.selection.screening.screening import Screened, screen
+from loose_env.gap.selection.screening.window_fits import WindowFits
+from tests.gap.cases.gap_case import STEP, nominal_structure, record
+
+KINDS = ("viscous_friction", "quadratic_drag", "coulomb_friction", "sensor_gain", "actuator_gain")
+TRUTH = {("viscous_friction", "joint2"), ("sensor_gain", "rate3")}
+
+
+class Case:
+    """Runs of an arm that lacks viscous friction at joint2; its sensor rate3 shows too much."""
+
+    def __init__(self, folder: Path) -> None:
+        recording = record(folder)
+        machine = NominalModel(recording.spec(), step=STEP)
+        channels = channels_of(list(recording.runs))
+        trials = [align_run(run, machine, channels, step=STEP) for run in recording.runs]
+        floors = np.array([noise_floor(trials[0].measured[:, c]) for c in range(len(channels))])
+        self.comparison = ResidualModel(machine, trials, channels, floors, threads=1)
+        nominal = nominal_structure(machine)
+        self.windows = WindowFits(
+            self.comparison, fit(self.comparison, nominal, nominal.nominal_start)
+        )
+        self.screened = screen(self.comparison, self.windows.before, candidates(machine, KINDS))
+
+    def problem(self, screened: list[Screened] | None = None) -> JointProblem:
+        chosen = self.screened if screened is None else screened
+        return JointProblem(self.comparison, self.windows.before, chosen)
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    return Case(tmp_path_factory.mktemp("joint") / "recording")
+
+
+def places(proposal: Proposal) -> set[tuple[str, str]]:
+    return {(each.effect.kind, each.effect.where) for each in proposal.members}
+
+
+def test_the_true_pair_is_proposed_first(case: Case) -> None:
+    first, *others = case.problem().pairs(4)
+    assert places(first) == TRUTH
+    assert first.predicted > 0.5
+    assert all(other.predicted <= first.predicted for other in others)
+    assert len({frozenset(places(each)) for each in (first, *others)}) == len(others) + 1
+
+
+def test_a_pair_is_of_two_effects_and_not_of_two_variants(case: Case) -> None:
+    for each in case.problem().pairs(20):
+        assert len(places(each)) == 2
+
+
+def test_a_greedy_set_ends_where_no_further_effect_is_worth_it(case: Case) -> None:
+    found = case.problem().greedy()
+    assert found is not None
+    assert places(found) == TRUTH
+
+
+def test_a_kind_is_proposed_at_all_of_its_places(case: Case) -> None:
+    found = case.problem().kinds(3)
+    assert len(found) == len({each.members[0].effect.kind for each in found})
+    for each in found:
+        assert len({member.effect.kind for member in each.members}) == 1
+        assert len({member.effect.where for member in each.members}) == len(each.members) > 1
+
+
+def test_no_more_of_a_signature_is_taken_than_is_believed(case: Case) -> None:
+    pinned = [replace(each, shares=(0.0, 0.25)) for each in case.screened]
+    free, bound = case.problem().pairs(1)[0], case.problem(pinned).pairs(1)[0]
+    assert bound.predicted < free.predicted
+    by_key = {each.effect.key: each for each in case.screened}
+    for member in bound.members:
+        whole = np.array(by_key[member.effect.key].values)
+        none = np.array(member.effect.nothing)
+        assert np.all(np.abs(np.array(member.values) - none) <= 0.26 * np.abs(whole - none))
+
+
+def test_one_candidate_makes_no_set(case: Case) -> None:
+    problem = case.problem(case.screened[:1])
+    assert problem.pairs(4) == problem.kinds(4) == []
+    assert problem.greedy() is None
+
+
+def test_a_race_leaves_the_best_and_drops_what_is_far_behind(case: Case) -> None:
+    pair = case.problem().pairs(1)[0]
+    sets = [*([each] for each in case.screened[:6]), pair.members]
+    left, best = case.windows.race(sets)
+    assert best is not None
+    assert {(e.kind, e.where) for e in best.effects} == TRUTH
+    assert [each.cost for each in left] == sorted(each.cost for each in left)
+    assert len(left) < len(sets)
+    assert case.windows.left_by(best) < 0.05
+    assert case.windows.left_by(case.windows.before) == pytest.approx(1.0)
