@@ -17,7 +17,6 @@ from loose_env.gap.selection.screening.grouping import confusable
 from loose_env.gap.selection.screening.screening import Screened
 from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import (
-    CONFIRMED_Z,
     CONFUSABLE_FITS,
     FINAL_SETS,
     FINALISTS,
@@ -26,7 +25,6 @@ from loose_env.gap.settings import (
     FITTED_TWICE,
     LEAST_PREDICTED,
     SINGLE_SHARE,
-    WORTH_PARAMETERS,
 )
 
 __all__ = ["CandidateFits"]
@@ -80,8 +78,6 @@ class CandidateFits:
         share : float
             Residual of the current model over that of the nominal one.
         """
-        # what neither shows in the blocks of time nor explains anything cannot pass the tests
-        screened = [s for s in screened if s.z >= CONFIRMED_Z or s.predicted >= WORTH_PARAMETERS]
         least = LEAST_PREDICTED * screened[0].predicted if screened else 0.0
         taken = [each for each in screened[:FITTED_CANDIDATES] if each.predicted >= least]
         # a small effect at every joint has a low predicted explained variance beside a slightly

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
-from loose_env.gap.fitting.refit import fitted_on
-from loose_env.gap.model.effect import Effect
+from loose_env.gap.fitting.refit import fitted_on, polished
+from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import SHORTEST, windowed
 from loose_env.gap.selection.acceptance import Acceptance
@@ -17,20 +17,29 @@ from loose_env.gap.selection.candidate_fits import CandidateFits
 from loose_env.gap.selection.revision import SwapStep
 from loose_env.gap.selection.screening.data_driven_starts import proposals
 from loose_env.gap.selection.screening.joint_proposals import JointProblem
+from loose_env.gap.selection.screening.linear_problem import CurrentFit
 from loose_env.gap.selection.screening.screening import Screened, screen
+from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import (
+    CONFIRMED_Z,
     KINDS,
     PAIRS,
     SCREENING_RUNS,
     SCREENING_S,
     SEARCH_Z,
     SWAPPED_EFFECTS,
+    WORTH_PARAMETERS,
     SearchSettings,
 )
 
 __all__ = ["Selection", "SelectionStep", "StepStore", "select_effects"]
 
 Say = Callable[[str], None]
+
+_TO_GAIN = 0.01
+"""Share of the sum of squares that the parameters of a fit may still gain."""
+_ROUNDS = 4
+"""Most times that a fit is continued with fresh sensitivities."""
 
 
 @dataclass(kw_only=True, eq=False)
@@ -116,10 +125,18 @@ def select_effects(
     """
     settings, keep = settings or SearchSettings(), keep or StepStore()
     scorer = Scorer(comparison, held_out)
+    windows = SHORTEST * min(len(comparison.trials), SCREENING_RUNS)
+    short = windowed(comparison, max(SCREENING_S, windows))
     if begun is None:
         nominal = ModelStructure(nuisance=nuisance)
         base = keep.scored(
-            "nominal", lambda: scorer.score(fit(comparison, nominal, nominal.nominal_start))
+            "nominal",
+            lambda: _converged(
+                comparison,
+                short,
+                scorer,
+                scorer.score(fit(comparison, nominal, nominal.nominal_start)),
+            ),
         )
         found = Selection(base=base)
         say(f"nominal model: {base.held_out_rms:.2f} noise standard deviations on held-out runs")
@@ -128,8 +145,6 @@ def select_effects(
         found = Selection(base=begun.base, dropped=list(begun.dropped))
         found.steps.append(keep.scored("begun", lambda: scorer.score(fitted_on(comparison, there))))
         found.rivals.append([])
-    windows = SHORTEST * min(len(comparison.trials), SCREENING_RUNS)
-    short = windowed(comparison, max(SCREENING_S, windows))
     for number in range(1, settings.most_effects + 1):
         if len(found.best.fitted.effects) >= settings.most_effects:
             break
@@ -189,6 +204,9 @@ def _step(
     screened = screen(short, candidate_fits.windows.before, left, proposed=proposed)
     for s in screened[:8]:
         say(f"  {s.effect!r}: predicted share {s.predicted:.3f}, z {s.z:.1f}")
+    # what neither shows in the blocks of time nor explains anything cannot pass the tests
+    hopeful = [s for s in screened if s.z >= CONFIRMED_Z or s.predicted >= WORTH_PARAMETERS]
+    screened = hopeful or screened[:1]
     acceptance = Acceptance(comparison, scorer, found.base, best, settings)
     share = best.autocorrelated / max(found.base.autocorrelated, 1e-12)
     tried = candidate_fits.fit_candidates(
@@ -207,9 +225,26 @@ def _step(
         if alone is not None and not acceptance.significant(improvement_of(accepted, alone)):
             acceptance = Acceptance(comparison, scorer, found.base, found.base, settings)
             accepted, dropped = acceptance.accept(alone)[0], earlier
+        accepted = _converged(comparison, short, scorer, accepted)
         rivals = [each.bare for each in ranked]
         return SelectionStep(rivals=rivals, accepted=accepted, dropped=dropped)
     return SelectionStep(rivals=[each.bare for each in ranked], accepted=None)
+
+
+def _converged(
+    comparison: ResidualModel, short: ResidualModel, scorer: Scorer, accepted: ScoredFit
+) -> ScoredFit:
+    """Continue the fit of an accepted hypothesis while its own parameters have more to gain.
+
+    What they would gain, any further effect seems to explain.
+    """
+    for _ in range(_ROUNDS):
+        if have_stops(accepted.fitted.effects):
+            break
+        if CurrentFit.of(WindowFits(short, accepted.fitted).before).to_gain < _TO_GAIN:
+            break
+        accepted = scorer.score(polished(comparison, accepted.fitted))
+    return accepted
 
 
 def _sets(

@@ -78,6 +78,13 @@ class CurrentFit:
             (np.minimum(low - fitted.free, 0.0), np.maximum(high - fitted.free, 0.0)),
         )
 
+    @property
+    def to_gain(self) -> float:
+        """Share of the sum of squares that a further step of the fit would gain; 0 at its end."""
+        moved = bounded_minimum(self.curvature, self.slope, *self.room)
+        gain = -float(moved @ (2 * self.slope + self.curvature @ moved))
+        return max(gain, 0.0) / max(float(self.residual @ self.residual), 1e-12)
+
     def taken_up(self, signatures: Array, least: float, most: float) -> tuple[Array, Array] | None:
         """Best coefficients of signatures (N, K) and their change of the residual.
 
