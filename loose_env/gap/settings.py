@@ -67,8 +67,6 @@ KINDS = 2
 """Kinds that are fitted at several locations: a matter of cost."""
 FINAL_SETS = 2
 """Sets fitted to all search data: a matter of cost."""
-FAMILY_LOCATIONS = 3
-"""Locations from which an effect is one of the whole arm."""
 
 # Acceptance
 ACCEPTED_Z = 3.5
@@ -134,13 +132,11 @@ IMPACT_DOMINATED = 0.25
 """Autocorrelated share of what exceeds the noise, below which impacts dominate: these are not
 autocorrelated."""
 EXPLAINED = 0.88
-"""Share of the residual that the effects explain together for the verdict "named": a law slightly
-off leaves a few percent, a proxy more."""
-EXPLAINED_AT_MANY = 0.5
-"""The same if one kind is identified at `FAMILY_LOCATIONS`: the arm lacks more than one thing."""
+"""Share of the residual from which the effects explain it together, and all are named; below, those
+that explain `CHANNEL_SHARE` of it somewhere: a law slightly off leaves a few percent, a proxy
+more."""
 EXPLAINED_BY_IMPACTS = 0.45
-"""The same if a part with stops is identified where impacts dominate: a mistimed impact counts
-twice."""
+"""Share of it somewhere from which a part with stops is named: a mistimed impact counts twice."""
 NARROWEST_INTERVAL = 0.005
 """Narrowest half interval over the value: no law of the catalogue is closer to a machine's."""
 REFUTED_Z = 2.0

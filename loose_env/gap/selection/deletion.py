@@ -18,7 +18,17 @@ from loose_env.gap.fitting.refit import fit_without
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.residuals.physical_units import errors_by_quantity
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.settings import AT_BOUND, CHANNEL_Z, NOISE_RMS, WORSE, WORSE_BY_IMPACTS
+from loose_env.gap.settings import (
+    ACCEPTED_Z,
+    AT_BOUND,
+    CHANNEL_SHARE,
+    CHANNEL_Z,
+    CONFIRMED_Z,
+    EXPLAINED_BY_IMPACTS,
+    NOISE_RMS,
+    WORSE,
+    WORSE_BY_IMPACTS,
+)
 from loose_env.typing import Array
 
 __all__ = ["Deletion", "at_bound", "deletion_of", "worse_quantity"]
@@ -43,6 +53,21 @@ class Deletion:
     channel: float
     """Largest share that it explains of the residual in one channel, among those in which the
     residual without it is clearly autocorrelated."""
+
+    @property
+    def significant(self) -> bool:
+        """Whether the effect is needed beside the others: on both data sets, on one clearly."""
+        one, other = self.held_out, self.training
+        return min(one, other) >= CONFIRMED_Z and max(one, other) >= ACCEPTED_Z
+
+    def material(self, effect: Effect) -> bool:
+        """Whether it explains nearly all that hangs together somewhere, whatever else is missing.
+
+        What stands in for an effect that is not in the catalogue is significant, and leaves much
+        wherever it explains something. A part with stops mistimes its impacts, and leaves more.
+        """
+        least = EXPLAINED_BY_IMPACTS if effect.has_stops else CHANNEL_SHARE
+        return max(self.own, self.channel) >= least
 
 
 def deletion_of(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -37,9 +36,6 @@ from loose_env.gap.selection.revision import drop_insignificant, refit_without
 from loose_env.gap.selection.reweighted_search import search
 from loose_env.gap.settings import (
     EXPLAINED,
-    EXPLAINED_AT_MANY,
-    EXPLAINED_BY_IMPACTS,
-    FAMILY_LOCATIONS,
     UNEXPLAINED_Z,
     GapSettings,
     SearchSettings,
@@ -152,63 +148,70 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
         stops, kept = best, keep("", best.fitted.structure.nuisance)
         best = kept.scored("settled", lambda: scorer.score(settled(reweighted.fit, stops.fitted)))
     best, intervals = drop_insignificant(best, reweighted, scorer, settings.seed, say=say)
-    fitted, best = best, found.rescored(best) if best.fitted.effects else base
-    while untenable := _untenable(whole, base, best):
+    fitted = best
+
+    def deleted() -> dict[tuple[str, str, str], Deletion]:
+        say("deletion test of each effect")
+        alike = found.reweighted_base(base)
+        return {
+            effect.key: deletion_of(reweighted.fit, scorer, alike, fitted, effect)
+            for effect in fitted.fitted.effects
+        }
+
+    best, deletions = found.rescored(fitted) if fitted.fitted.effects else base, deleted()
+    while untenable := _untenable(whole, base, best, deletions):
         effect, reason = untenable
         say(f"  dropped {effect!r}: {reason}")
         fitted = refit_without(effect, fitted, reweighted, scorer)
         fitted, intervals = drop_insignificant(fitted, reweighted, scorer, settings.seed, say=say)
-        best = found.rescored(fitted) if fitted.fitted.effects else base
-    verdict, impact_fit = _verdict(base, best), None
-    if verdict == "unexplained":
+        best, deletions = found.rescored(fitted) if fitted.fitted.effects else base, deleted()
+    named, impact_fit = _named(base, best, deletions), None
+    if not have_stops(named) and _gap(best) and not _whole(base, best):
         again = impact_pass(problem, whole, base, best, sought, settings, say=say)
         if again is not None:
-            best, intervals, impact_fit, verdict = (
-                again.best,
-                again.intervals,
-                again.impact_fit,
-                "named",
-            )
+            best, intervals, impact_fit = again.best, again.intervals, again.impact_fit
+            named, deletions = best.fitted.effects, {}
 
     def rivals(effect: Effect) -> Iterable[Effect]:
         if impact_fit is not None and effect is impact_fit.effect:
             return impact_fit.rivals
         return found.confusable_with(effect, best.fitted.effects)
 
-    deletions = {}
-    if impact_fit is None:
-        say("deletion test of each effect")
-        scored_alike = found.reweighted_base(base)
-        deletions = {
-            effect.key: deletion_of(reweighted.fit, scorer, scored_alike, fitted, effect)
-            for effect in fitted.fitted.effects
-        }
     effects = named_effects(
         best.fitted, intervals, rivals=rivals, impact_fit=impact_fit, deletions=deletions
     )
-    named = verdict == "named"
+    keys = {(effect.kind, effect.where) for effect in named}
     return GapSolution(
         problem=problem,
         base=base,
         best=best,
-        verdict=verdict,
-        effects=effects if named else (),
-        doubtful=() if named else effects,
+        verdict="named" if named else "unexplained" if _gap(best) else "no_gap",
+        effects=tuple(e for e in effects if (e.kind, e.where) in keys),
+        doubtful=tuple(e for e in effects if (e.kind, e.where) not in keys),
         ranking=found.ranking,
         warnings=(*problem.warnings, *([] if impact_fit is None else [impact_fit.words])),
     )
 
 
-def _untenable(scorer: Scorer, base: ScoredFit, best: ScoredFit) -> tuple[Effect, str] | None:
+def _untenable(
+    scorer: Scorer,
+    base: ScoredFit,
+    best: ScoredFit,
+    deletions: Mapping[tuple[str, str, str], Deletion],
+) -> tuple[Effect, str] | None:
     """Return an effect that must not stay in an answer, and the reason; None if all may."""
     if not best.fitted.effects:
         return None
     for effect, name in at_bound(best.fitted.structure, best.fitted.free):
         return effect, f"{name} is at its bound"
     worse = worse_quantity(scorer.held_out, best, base)
-    if not worse:
+    if worse:
+        return best.fitted.effects[-1], f"the {worse} is predicted worse than by the nominal model"
+    idle = [effect for effect in best.fitted.effects if not deletions[effect.key].significant]
+    if not idle:
         return None
-    return best.fitted.effects[-1], f"the {worse} is predicted worse than by the nominal model"
+    weakest = min(idle, key=lambda e: deletions[e.key].held_out + deletions[e.key].training)
+    return weakest, "not needed beside the others"
 
 
 def _refit(problem: GapProblem, scored: ScoredFit, nuisance: Nuisance) -> Fit:
@@ -221,26 +224,28 @@ def _refit(problem: GapProblem, scored: ScoredFit, nuisance: Nuisance) -> Fit:
     return fit(problem.fit, structure, np.concatenate([initial, kept]))
 
 
-def _verdict(base: ScoredFit, best: ScoredFit) -> Verdict:
-    """Decide whether effects are missing, and whether the catalogue explains them."""
+def _gap(best: ScoredFit) -> bool:
+    """Return whether a residual shows that something is missing."""
+    return best.autocorrelation_z > UNEXPLAINED_Z or best.above_noise
+
+
+def _whole(base: ScoredFit, best: ScoredFit) -> bool:
+    """Return whether the effects of a hypothesis explain the residual together."""
     if not best.fitted.effects:
-        return (
-            "unexplained"
-            if best.autocorrelation_z > UNEXPLAINED_Z or best.above_noise
-            else "no_gap"
-        )
-    kinds = Counter(effect.kind for effect in best.fitted.effects)
-    least = EXPLAINED
-    if max(kinds.values()) >= FAMILY_LOCATIONS:
-        least = EXPLAINED_AT_MANY
-    if "structural_looseness" in kinds or (
-        base.impact_dominated and have_stops(best.fitted.effects)
-    ):
-        least = min(least, EXPLAINED_BY_IMPACTS)
-    done = best.autocorrelation_z <= UNEXPLAINED_Z and not best.above_noise
-    if done or explained_share(best, base) >= least:
-        return "named"
-    return "unexplained"
+        return False
+    return not _gap(best) or explained_share(best, base) >= EXPLAINED
+
+
+def _named(
+    base: ScoredFit, best: ScoredFit, deletions: Mapping[tuple[str, str, str], Deletion]
+) -> tuple[Effect, ...]:
+    """Effects that are reported as identified: all where they explain the residual together.
+
+    Else those that explain nearly all of it somewhere, whatever else is missing.
+    """
+    if _whole(base, best):
+        return best.fitted.effects
+    return tuple(e for e in best.fitted.effects if deletions[e.key].material(e))
 
 
 def named_effects(
