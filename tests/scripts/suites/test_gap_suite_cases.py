@@ -15,13 +15,14 @@ from loose_env.recording import read_recording
 from scripts.suites.gap.cases.cases import (
     HELD_OUT,
     RUNS,
+    SEED,
     Case,
-    draw_case,
     full_list,
     name_of,
     quick_list,
     role_of,
 )
+from scripts.suites.gap.cases.draw import draw_case, tolerance_of
 from scripts.suites.gap.cases.effect_sizing import VISIBLE, Visibility, visible_size
 from scripts.suites.gap.cases.inverse import torque_residual
 from scripts.suites.gap.cases.motions import motions, rich_motion, shaken_motion
@@ -190,8 +191,9 @@ def test_other_forms_see_a_heavy_payload_and_no_small_one(arm, noise, form):
     view = Visibility(arm, motion, noise, form)
     kind = kinds()["payload"]
     place = kind.places(arm.figures)[0]
-    assert view.of(kind, place, {}, 1.4) > VISIBLE
-    assert view.of(kind, place, {}, 0.002) < 0.5
+    at_tool = {"x": 0.0, "y": 0.0, "z": 0.0}
+    assert view.of(kind, place, at_tool, 1.4) > VISIBLE
+    assert view.of(kind, place, at_tool, 0.002) < 0.5
 
 
 def test_two_effects_that_act_alike_are_no_pair(view):
@@ -257,3 +259,36 @@ def test_tilt_and_first_encoder_of_a_planar_arm_are_one_and_friction_is_neither(
 def test_the_run_that_decides_what_is_visible_is_one_that_the_tool_holds_out():
     _, held = split_runs([f"run-{k + 1:02d}" for k in range(RUNS)])
     assert held == [RUNS + HELD_OUT]
+
+
+@pytest.mark.parametrize("number", [4001, 4002])
+def test_a_triple_has_three_effects_at_places_of_their_own(number: int) -> None:
+    case = draw_case(number)
+    assert case.role == role_of(number) == "triple"
+    assert len({effect.kind for effect in case.arm.effects}) == 3
+    assert len({effect.place.index for effect in case.arm.effects}) == 3
+    assert all(size["ratio"] >= 1.0 for size in case.sizes)
+
+
+def test_a_whole_machine_has_many_clearly_visible_effects() -> None:
+    case = draw_case(5001)
+    assert case.role == "machine"
+    assert 5 <= len(case.arm.effects) <= 15
+    assert all(size["ratio"] >= 3.0 for size in case.sizes)
+    off = np.abs(case.arm.factors.flat() - 1.0)
+    assert off.min() >= 0.03 and off.max() <= tolerance_of(5001) == 0.10
+    assert tolerance_of(1001) == TOLERANCE
+    assert np.array_equal(draw_case(5001).arm.factors.flat(), case.arm.factors.flat())
+
+
+def test_of_a_machine_of_both_forms_every_other_run_has_torques() -> None:
+    number = next(n for n in range(5000, 5100) if _form(n) == "mixed")
+    case = draw_case(number)
+    forms = ["inverse" if run.torques else "forward" for run in runs_of(case)]
+    assert forms == ["forward", "inverse"] * (len(forms) // 2)
+
+
+def _form(number: int) -> str:
+    """Form of a machine, which is drawn first."""
+    rng = np.random.default_rng(np.random.SeedSequence([SEED, 0, number]))
+    return str(rng.choice(["forward", "inverse", "mixed"], p=[0.5, 0.3, 0.2]))

@@ -59,7 +59,7 @@ def write_blind(folder: Path, numbers: list[int] = NUMBERS) -> Folders:
     return folders
 
 
-def stub(recording: Path, folder: Path) -> None:
+def stub(recording: Path, folder: Path, tolerance: float = 0.03) -> None:
     """Say what stands in the recording."""
     said = json.loads((recording / "recording.json").read_text())["say"]
     known = said in ("no_gap", "unexplained")
@@ -77,7 +77,7 @@ def number_of(recording: Path) -> int:
     return int(json.loads((recording / "recording.json").read_text())["number"])
 
 
-def noted(notes: Path, recording: Path, folder: Path) -> None:
+def noted(notes: Path, recording: Path, folder: Path, tolerance: float = 0.03) -> None:
     """The stub, with a note of every call."""
     stub(recording, folder)
     with (notes / recording.name).open("a") as file:
@@ -88,13 +88,15 @@ def calls(notes: Path) -> dict[str, int]:
     return {path.name: len(path.read_text()) for path in notes.iterdir()}
 
 
-def failing(notes: Path, recording: Path, folder: Path) -> None:
+def failing(notes: Path, recording: Path, folder: Path, tolerance: float = 0.03) -> None:
     noted(notes, recording, folder)
     if number_of(recording) == 1000 and not (notes.parent / "mended").exists():
         raise ValueError("the step\nis too coarse")
 
 
-def dying(notes: Path, times: int, recording: Path, folder: Path) -> None:
+def dying(
+    notes: Path, times: int, recording: Path, folder: Path, tolerance: float = 0.03
+) -> None:
     """Kill the worker of one case the first times."""
     deaths = notes.parent / "deaths"
     deaths.mkdir(exist_ok=True)
@@ -105,7 +107,7 @@ def dying(notes: Path, times: int, recording: Path, folder: Path) -> None:
     noted(notes, recording, folder)
 
 
-def silent(recording: Path, folder: Path) -> None:
+def silent(recording: Path, folder: Path, tolerance: float = 0.03) -> None:
     """Leave no result."""
 
 
@@ -244,8 +246,8 @@ def test_the_truth_is_opened_after_the_result_is_written(
         order.append("truth")
         return read(given, case)
 
-    def tool(*given: Path) -> None:
-        assert given == (folders.recordings / name, folders.results(name))
+    def tool(*given: Any) -> None:
+        assert given == (folders.recordings / name, folders.results(name), 0.03)
         order.append("tool")
         stub(*given)
 
@@ -282,7 +284,7 @@ def test_rows_of_other_code_are_not_mixed(
     assert not script.stored(NUMBERS, script.store_in(folders.out, afresh=True))
 
 
-@pytest.mark.parametrize("word", ["x", "-1", "3-1", "4000", "1-2-3", "1.5"])
+@pytest.mark.parametrize("word", ["x", "-1", "3-1", "6000", "1-2-3", "1.5"])
 def test_what_is_no_case_is_refused(word: str) -> None:
     with pytest.raises(InvalidSetting, match="case"):
         script.numbers_of([word])
@@ -425,7 +427,7 @@ def test_a_case_from_its_drawing_to_its_marks(
 def test_the_gap_of_the_written_model_goes_into_the_row(tmp_path: Path) -> None:
     folders = write_blind(tmp_path, [1000])
 
-    def with_model(recording: Path, folder: Path) -> None:
+    def with_model(recording: Path, folder: Path, tolerance: float = 0.03) -> None:
         stub(recording, folder)
         (folder / EXPORTED).write_text(json.dumps({"exported": 1.5, "fit": 1.2}))
 
