@@ -181,6 +181,24 @@ def test_a_link_that_is_cut_touches_nothing_that_it_did_not_touch() -> None:
     assert not list(spec.excludes)
 
 
+def test_the_centre_of_a_payload_lies_off_the_tool_in_the_frame_of_its_body() -> None:
+    mass, centre = 0.4, np.array([0.03, -0.02, 0.05])
+    for arm in ARMS:
+        machine = machine_of(arm)
+        effect = CATALOGUE["payload"](machine, "tool", "centre")
+        at_tool, off = edited(effect, mass, 0.0, 0.0, 0.0), edited(effect, mass, *centre)
+        place = off.body(off.nbody - 1)
+        assert place.mass[0] == pytest.approx(mass)
+        carrier = int(place.parentid[0])
+        for pose in poses(machine):
+            one, other = posed(at_tool, machine, pose), posed(off, machine, pose)
+            turned = one.xmat[carrier].reshape(3, 3) @ centre
+            assert other.xipos[-1] - one.xipos[-1] == pytest.approx(turned, abs=1e-12)
+        plain = edited(CATALOGUE["payload"](machine, "tool"), mass)
+        assert np.array_equal(plain.body_mass, at_tool.body_mass)
+        assert np.array_equal(plain.body_ipos, at_tool.body_ipos)
+
+
 def test_a_payload_weighs_at_the_tool() -> None:
     for arm in ("planar", "spatial"):
         machine = machine_of(arm)
