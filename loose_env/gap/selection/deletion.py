@@ -21,10 +21,10 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import (
     ACCEPTED_Z,
     AT_BOUND,
-    CHANNEL_SHARE,
     CHANNEL_Z,
     CONFIRMED_Z,
     EXPLAINED_BY_IMPACTS,
+    MATERIAL,
     NOISE_RMS,
     WORSE,
     WORSE_BY_IMPACTS,
@@ -66,7 +66,7 @@ class Deletion:
         What stands in for an effect that is not in the catalogue is significant, and leaves much
         wherever it explains something. A part with stops mistimes its impacts, and leaves more.
         """
-        least = EXPLAINED_BY_IMPACTS if effect.has_stops else CHANNEL_SHARE
+        least = EXPLAINED_BY_IMPACTS if effect.has_stops else MATERIAL
         return max(self.own, self.channel) >= least
 
 
