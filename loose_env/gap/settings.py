@@ -136,9 +136,9 @@ EXPLAINED = 0.88
 that explain `MATERIAL` of it somewhere: a law slightly off leaves a few percent, a proxy
 more."""
 MATERIAL = 0.8
-"""Share of the residual without it, in all or in one channel, from which an effect is named whatever
-else is missing: what stood in for effects outside the catalogue explained 0.58 to 0.69 in development
-cases, true effects beside others 0.85 and more."""
+"""Share of the residual without it, in all or in one channel, from which an effect is named
+whatever else is missing: stand-ins for effects outside the catalogue explained 0.58 to 0.69 in
+development cases, true effects beside others 0.85 and more."""
 EXPLAINED_BY_IMPACTS = 0.45
 """Share of it somewhere from which a part with stops is named: a mistimed impact counts twice."""
 NARROWEST_INTERVAL = 0.005

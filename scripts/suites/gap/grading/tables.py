@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from scripts.suites.gap.cases.cases import ROLES
 from scripts.suites.gap.effects.catalogue import CATALOGUE, OUTSIDE
 from scripts.suites.gap.grading.grade import FAILED, NO_GAP, UNEXPLAINED, Grade
 
@@ -50,9 +51,11 @@ def share(hits: int, count: int) -> str:
 
 def summary(grades: Sequence[Grade]) -> list[tuple[str, str, str]]:
     """Rows of the table of targets: what, target, measured."""
-    by = {role: [g for g in grades if g.role == role] for role in ("none", "single", "pair")}
-    outside = [g for g in grades if g.role == "outside"]
+    by = {role: [g for g in grades if g.role == role] for role in ROLES}
+    outside, several = by["outside"], by["single"] + by["pair"] + by["triple"]
     missing = by["single"] + by["pair"]
+    whole = [g for g in several if g.found == len(g.truth) > 0]
+    machines = by["machine"]
     after = [
         g.gap_after
         for g in missing
@@ -69,6 +72,13 @@ def summary(grades: Sequence[Grade]) -> list[tuple[str, str, str]]:
         ("single effects, kind and place right", "at least 90 %", _right(by["single"])),
         ("pairs, both right", "at least 75 %", _right(by["pair"])),
         ("effects of pairs found", "", share(found, 2 * len(by["pair"]))),
+        ("triples, all three right", "at least 70 %", _right(by["triple"])),
+        ("effects of triples found", "at least 90 %", _found(by["triple"])),
+        ("effects of whole machines found", "at least 85 %", _found(machines)),
+        ("effects named in whole machines that are there", "at least 95 %",
+         share(sum(g.found for g in machines), sum(len(g.said) for g in machines))),
+        ("a further, false effect beside the right ones", "at most 3 %",
+         share(sum(len(g.said) > len(g.truth) for g in whole), len(whole))),
         ("false alarms with nothing missing", "at most 5 %",
          share(sum(not g.right for g in by["none"]), len(by["none"]))),
         ("outside the catalogue, said to be unexplained", "at least 80 %", _right(outside)),
@@ -96,6 +106,10 @@ def _right(grades: Sequence[Grade]) -> str:
     return share(sum(g.right for g in grades), len(grades))
 
 
+def _found(grades: Sequence[Grade]) -> str:
+    return share(sum(g.found for g in grades), sum(len(g.truth) for g in grades))
+
+
 def _median(values: Sequence[float]) -> str:
     return f"{np.median(values):.2f}" if values else "none"
 
@@ -117,7 +131,7 @@ def confusion(grades: Sequence[Grade]) -> tuple[list[str], list[str], np.ndarray
     columns = [*CATALOGUE, NO_GAP, UNEXPLAINED, SEVERAL, PLACE, FAILED]
     counts = np.zeros((len(rows), len(columns)), dtype=np.int64)
     for g in grades:
-        if g.role == "pair" or (g.role != "none" and not g.truth):
+        if g.role in ("pair", "triple", "machine") or (g.role != "none" and not g.truth):
             continue  # two rows, or, of a case that could not be drawn, none
         row = rows.index(g.truth[0][0]) if g.truth else rows.index(NO_GAP)
         counts[row, columns.index(_said(g))] += 1
