@@ -32,6 +32,9 @@ __all__ = [
 ]
 
 
+_AT_ONCE = 8
+"""Degrees of freedom of a hypothesis, over all runs, up to which stepping them from Python takes
+longer than simulating them."""
 _NONE, _NEW, _ALL = 0, 1, 2
 """Which sensitivities are worked out (anew): none, those not known beforehand, all."""
 
@@ -267,13 +270,15 @@ def _tries(
 ) -> Callable[[int], tuple[Array, Array, float]]:
     """Return a function that gives the best step of a group, with its residual and cost.
 
-    A simulation that is stepped from Python costs by its steps and hardly by how many run side by
-    side: there the groups are simulated at once, else each when it is asked for.
+    A small simulation that is stepped from Python costs by its steps and hardly by how many run side
+    by side: there the groups are simulated at once, else each when it is asked for.
     """
     steps = [step for group in groups for step in group]
     hypotheses = [structure.hypothesis(free + step) for step in steps]
     ends = np.cumsum([0, *map(len, groups)])
-    whole = comparison.residuals(hypotheses) if has_terms(structure.hypothesis(free)) else None
+    side_by_side = len(comparison.trials) * comparison.machine.model.nv
+    at_once = side_by_side <= _AT_ONCE and has_terms(structure.hypothesis(free))
+    whole = comparison.residuals(hypotheses) if at_once else None
 
     def best_of(group: int) -> tuple[Array, Array, float]:
         own = slice(ends[group], ends[group + 1])
