@@ -270,8 +270,8 @@ def _tries(
 ) -> Callable[[int], tuple[Array, Array, float]]:
     """Return a function that gives the best step of a group, with its residual and cost.
 
-    A small simulation that is stepped from Python costs by its steps and hardly by how many run side
-    by side: there the groups are simulated at once, else each when it is asked for.
+    A small simulation that is stepped from Python costs by its steps and hardly by how many run
+    side by side: there the groups are simulated at once, else each when it is asked for.
     """
     steps = [step for group in groups for step in group]
     hypotheses = [structure.hypothesis(free + step) for step in steps]
