@@ -54,6 +54,8 @@ SECOND_START = 0.5
 HOPELESS_COST = 2.0
 """Cost on the windows over that of the best candidate, from which one is dropped, if the best is
 also better by `ACCEPTED_Z`."""
+NEAR_COST = 1.25
+"""The same for a fit to all search data."""
 FINALISTS = 3
 """Candidates fitted to all search data: a matter of cost."""
 CONFUSABLE_FITS = 2

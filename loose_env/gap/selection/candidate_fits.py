@@ -24,6 +24,7 @@ from loose_env.gap.settings import (
     FITTED_CANDIDATES,
     FITTED_TWICE,
     LEAST_PREDICTED,
+    NEAR_COST,
     SINGLE_SHARE,
 )
 
@@ -95,11 +96,13 @@ class CandidateFits:
             together, best = windows.race(proposed, best=best)
             fits, best = windows.with_hope(fits, best)
         highest_z = max(fits[FINALISTS:], key=windows.z_of, default=None)
-        finalists = fits[:FINALISTS]
+        near, near_together = (windows.with_hope(f, best, NEAR_COST)[0] for f in (fits, together))
+        finalists = near[:FINALISTS]
         # a few blocks with a large unexplained residual may hide a small effect at every joint
-        if highest_z is not None and windows.z_of(highest_z) > max(map(windows.z_of, finalists)):
+        most = max(map(windows.z_of, fits[:FINALISTS]), default=0.0)
+        if highest_z is not None and windows.z_of(highest_z) > most:
             finalists.append(highest_z)
-        found = [self._to_all(each) for each in (*finalists, *together[:FINAL_SETS])]
+        found = [self._to_all(each) for each in (*finalists, *near_together[:FINAL_SETS])]
         if not finalists:
             return found
         winner = min(found[: len(finalists)], key=lambda j: j.total).fitted.effects[-1]
