@@ -6,11 +6,10 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.fitting.gauss_newton import fit, started
-from loose_env.gap.fitting.holdout_score import Scorer
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import values_of
-from loose_env.gap.selection.candidate_fits import CandidateFits
+from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.recording import Run
 from tests.gap.cases.gap_case import nominal_structure
 from tests.gap.cases.level_arm import EVERY, FINE, LEVEL, NOISE
@@ -57,16 +56,15 @@ def late_runs(count: int) -> list[Run]:
 def test_a_delay_that_is_samples_off_is_moved_to_where_it_belongs() -> None:
     machine = NominalModel(mujoco.MjSpec.from_string(LEVEL))
     comparison = compared(machine, late_runs(1200), step=FINE * EVERY / 2)
-    scorer = Scorer(comparison, comparison)
     nominal = nominal_structure(machine, tolerance=0.005)
-    base = scorer.score(fit(comparison, nominal, nominal.nominal_start))
-    candidate_fits = CandidateFits(comparison, comparison, scorer, base)
+    base = fit(comparison, nominal, nominal.nominal_start)
+    windows = WindowFits(comparison, base)
     effect, truth = CATALOGUE["sensor_delay"](machine, "shake"), LATE * FINE
     found = []
     for samples in (-2.0, -1.0, 1.0, 3.0):
-        start = started(base.fitted, effect, [truth + samples * FINE * EVERY])
+        start = started(base, effect, [truth + samples * FINE * EVERY])
         stuck = fit(comparison, nominal.plus(effect), start)
-        moved = candidate_fits._shifted(stuck)
+        moved = windows._shifted(stuck)
         assert moved.cost <= stuck.cost
         found.append([float(values_of(effect.parameters, f.free[-1:])[0]) for f in (stuck, moved)])
     ended, shifted = np.array(found).T

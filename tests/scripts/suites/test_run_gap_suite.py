@@ -94,9 +94,7 @@ def failing(notes: Path, recording: Path, folder: Path, tolerance: float = 0.03)
         raise ValueError("the step\nis too coarse")
 
 
-def dying(
-    notes: Path, times: int, recording: Path, folder: Path, tolerance: float = 0.03
-) -> None:
+def dying(notes: Path, times: int, recording: Path, folder: Path, tolerance: float = 0.03) -> None:
     """Kill the worker of one case the first times."""
     deaths = notes.parent / "deaths"
     deaths.mkdir(exist_ok=True)
