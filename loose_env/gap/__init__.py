@@ -54,6 +54,7 @@ from loose_env.gap.output.export_mjcf import (
     write_model,
 )
 from loose_env.gap.output.result import (
+    DeletionTest,
     EffectLocation,
     Gap,
     GapResult,
@@ -91,6 +92,7 @@ __all__ = [
     "ACCEPTED_Z",
     "NOISE_RMS",
     "TARGETS",
+    "DeletionTest",
     "Dependence",
     "Effect",
     "EffectLocation",

@@ -18,6 +18,7 @@ from loose_env.gap import (
     strongest,
 )
 from loose_env.io import duration_words, sentence
+from loose_env.report.gap.deletions import deletion_words, doubtful_words
 from loose_env.report.gap.figures import (
     channel_bars,
     horizon_curves,
@@ -101,8 +102,21 @@ def _questions(result: GapResult) -> list[tuple[str, list[str]]]:
     """Findings, each under its heading."""
     found = []
     if result.effects:
-        named = [f"{effect_words(e.kind, e.where)}: {e.kind} at {e.where}" for e in result.effects]
+        named = [
+            ", ".join(
+                filter(
+                    None,
+                    (
+                        f"{effect_words(e.kind, e.where)}: {e.kind} at {e.where}",
+                        deletion_words(e),
+                    ),
+                )
+            )
+            for e in result.effects
+        ]
         found.append(("Missing effects", named))
+    if result.doubtful:
+        found.append(("Reduce the error, not identified", doubtful_words(result)))
     if result.location_words and result.verdict != "no_gap":
         found.append(("Location of the residual", list(result.location_words)))
     found.append(("Size of the model error", size_words(result)))
