@@ -61,8 +61,9 @@ FINALISTS = 3
 CONFUSABLE_FITS = 2
 """Candidates confusable with the best one that are fitted to all search data, too."""
 SINGLE_SHARE = 0.1
-"""Share of the nominal model's autocorrelated residual that the best single effect leaves, above
-which sets of effects are fitted, too: a smaller second effect is found beside the first."""
+"""Share of the autocorrelated residual that the best single effect leaves, above which sets of
+effects are fitted, too, where that is this share of the nominal model's, or above the noise: a
+smaller second effect is found beside the first."""
 PAIRS = 4
 """Pairs of effects that are fitted jointly: a matter of cost."""
 KINDS = 2

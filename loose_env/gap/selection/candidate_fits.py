@@ -25,6 +25,7 @@ from loose_env.gap.settings import (
     FITTED_TWICE,
     LEAST_PREDICTED,
     NEAR_COST,
+    NOISE_RMS,
     SINGLE_SHARE,
 )
 
@@ -90,7 +91,9 @@ class CandidateFits:
         windows = self.windows
         fits, best = windows.race([[each] for each in taken], twice=twice)
         together: list[Fit] = []
-        if screened and (best is None or share * windows.left_by(best) > SINGLE_SHARE):
+        left = 1.0 if best is None else windows.left_by(best)
+        loud = best is None or best.rms > NOISE_RMS
+        if screened and left > SINGLE_SHARE and (loud or share * left > SINGLE_SHARE):
             proposed = sets()
             say(f"  joint fits: {len(proposed)} sets of effects")
             together, best = windows.race(proposed, best=best)
