@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from loose_env.gap.fitting.gauss_newton import (
     Fit,
+    cost_of,
     fit,
 )
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
@@ -157,7 +159,10 @@ class CandidateFits:
         """
         windows = self.windows
         together = windows.short.residuals([rival.hypothesis])[0]
-        fits, _ = windows.race([[each] for each in screened], twice=len(screened))
+        cost = cost_of(together, rival.free, rival.structure.parameters)
+        incumbent = replace(rival, residual=together, cost=cost)
+        sets = [[each] for each in screened]
+        fits, _ = windows.race(sets, twice=len(screened), best=incumbent)
         near = [f for f in fits if f.residual @ f.residual < _NEAR * float(together @ together)]
         found = [self._to_all(each) for each in near[:CONFUSABLE_FITS]]
         return sorted(found, key=lambda scored: scored.total)
