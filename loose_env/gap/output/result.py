@@ -57,7 +57,8 @@ class DeletionTest:
     share_without: float
     """Share of the error without it that it explains."""
     share_in_channel: float
-    """The same in the channel in which it explains most."""
+    """The same in the channel in which it explains most, among those in which the error without it
+    is clearly autocorrelated."""
 
 
 @dataclass(frozen=True, kw_only=True)

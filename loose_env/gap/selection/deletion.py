@@ -8,14 +8,13 @@ parameter may sit at its bound.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure
 from loose_env.gap.fitting.refit import fit_without
 from loose_env.gap.model.effect import Effect, have_stops
+from loose_env.gap.output.result import DeletionTest
 from loose_env.gap.residuals.physical_units import errors_by_quantity
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import (
@@ -31,48 +30,32 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["Deletion", "at_bound", "deletion_of", "worse_quantity"]
+__all__ = ["at_bound", "deletion_of", "material", "significant", "worse_quantity"]
 
 
 _SMOOTH = ("joint position", "joint speed", "drive position", "drive speed", "position in space")
 """Quantities that impacts hardly change."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Deletion:
-    """What is lost without one effect, the others refitted."""
+def significant(test: DeletionTest) -> bool:
+    """Whether an effect is needed beside the others: on both data sets, on one clearly."""
+    one, other = test.held_out_z, test.training_z
+    return min(one, other) >= CONFIRMED_Z and max(one, other) >= ACCEPTED_Z
 
-    held_out: float
-    """Improvement (z) with it on held-out runs, over blocks."""
-    training: float
-    """Improvement (z) on the training runs."""
-    own: float
-    """Share of the residual without it that it explains, 1: all of it."""
-    whole: float
-    """What it explains over the explainable residual of the nominal model."""
-    channel: float
-    """Largest share that it explains of the residual in one channel, among those in which the
-    residual without it is clearly autocorrelated."""
 
-    @property
-    def significant(self) -> bool:
-        """Whether the effect is needed beside the others: on both data sets, on one clearly."""
-        one, other = self.held_out, self.training
-        return min(one, other) >= CONFIRMED_Z and max(one, other) >= ACCEPTED_Z
+def material(test: DeletionTest, effect: Effect) -> bool:
+    """Whether an effect explains nearly all that hangs together somewhere.
 
-    def material(self, effect: Effect) -> bool:
-        """Whether it explains nearly all that hangs together somewhere, whatever else is missing.
-
-        What stands in for an effect that is not in the catalogue is significant, and leaves much
-        wherever it explains something. A part with stops mistimes its impacts, and leaves more.
-        """
-        least = EXPLAINED_BY_IMPACTS if effect.has_stops else MATERIAL
-        return max(self.own, self.channel) >= least
+    What stands in for an effect that is not in the catalogue is significant, and leaves much
+    wherever it explains something. A part with stops mistimes its impacts, and leaves more.
+    """
+    least = EXPLAINED_BY_IMPACTS if effect.has_stops else MATERIAL
+    return max(test.share_without, test.share_in_channel) >= least
 
 
 def deletion_of(
     comparison: ResidualModel, scorer: Scorer, base: ScoredFit, best: ScoredFit, effect: Effect
-) -> Deletion:
+) -> DeletionTest:
     """Refit a hypothesis without one of its effects, and compare the two.
 
     Parameters
@@ -96,12 +79,12 @@ def deletion_of(
     before, count = without.channel_products
     clear = before > CHANNEL_Z * np.sqrt(np.maximum(count, 1))
     gains = (before - best.channel_products[0])[clear] / before[clear]
-    return Deletion(
-        held_out=improvement.held_out,
-        training=improvement.training,
-        own=improvement.share,
-        whole=explained / all_of if all_of > 0 else 0.0,
-        channel=float(gains.max(initial=0.0)),
+    return DeletionTest(
+        held_out_z=improvement.held_out,
+        training_z=improvement.training,
+        share_of_error=explained / all_of if all_of > 0 else 0.0,
+        share_without=improvement.share,
+        share_in_channel=float(gains.max(initial=0.0)),
     )
 
 

@@ -28,7 +28,13 @@ from loose_env.gap.output.result import (
 )
 from loose_env.gap.preparation.prepare import GapProblem, prepare
 from loose_env.gap.selection.checkpoint_codec import StepFiles
-from loose_env.gap.selection.deletion import Deletion, at_bound, deletion_of, worse_quantity
+from loose_env.gap.selection.deletion import (
+    at_bound,
+    deletion_of,
+    material,
+    significant,
+    worse_quantity,
+)
 from loose_env.gap.selection.forward_selection import StepStore
 from loose_env.gap.selection.impacts.impact_pass import impact_pass
 from loose_env.gap.selection.impacts.impact_search import ImpactFit
@@ -148,11 +154,10 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
         stops, kept = best, keep("", best.fitted.structure.nuisance)
         best = kept.scored("settled", lambda: scorer.score(settled(reweighted.fit, stops.fitted)))
     best, intervals = drop_insignificant(best, reweighted, scorer, settings.seed, say=say)
-    fitted = best
+    fitted, alike = best, found.reweighted_base(base)
 
-    def deleted() -> dict[tuple[str, str, str], Deletion]:
+    def deleted() -> dict[tuple[str, str, str], DeletionTest]:
         say("deletion test of each effect")
-        alike = found.reweighted_base(base)
         return {
             effect.key: deletion_of(reweighted.fit, scorer, alike, fitted, effect)
             for effect in fitted.fitted.effects
@@ -197,7 +202,7 @@ def _untenable(
     scorer: Scorer,
     base: ScoredFit,
     best: ScoredFit,
-    deletions: Mapping[tuple[str, str, str], Deletion],
+    deletions: Mapping[tuple[str, str, str], DeletionTest],
 ) -> tuple[Effect, str] | None:
     """Return an effect that must not stay in an answer, and the reason; None if all may."""
     if not best.fitted.effects:
@@ -207,10 +212,10 @@ def _untenable(
     worse = worse_quantity(scorer.held_out, best, base)
     if worse:
         return best.fitted.effects[-1], f"the {worse} is predicted worse than by the nominal model"
-    idle = [effect for effect in best.fitted.effects if not deletions[effect.key].significant]
+    idle = [effect for effect in best.fitted.effects if not significant(deletions[effect.key])]
     if not idle:
         return None
-    weakest = min(idle, key=lambda e: deletions[e.key].held_out + deletions[e.key].training)
+    weakest = min(idle, key=lambda e: deletions[e.key].held_out_z + deletions[e.key].training_z)
     return weakest, "not needed beside the others"
 
 
@@ -237,7 +242,7 @@ def _whole(base: ScoredFit, best: ScoredFit) -> bool:
 
 
 def _named(
-    base: ScoredFit, best: ScoredFit, deletions: Mapping[tuple[str, str, str], Deletion]
+    base: ScoredFit, best: ScoredFit, deletions: Mapping[tuple[str, str, str], DeletionTest]
 ) -> tuple[Effect, ...]:
     """Effects that are reported as identified: all where they explain the residual together.
 
@@ -245,7 +250,7 @@ def _named(
     """
     if _whole(base, best):
         return best.fitted.effects
-    return tuple(e for e in best.fitted.effects if deletions[e.key].material(e))
+    return tuple(e for e in best.fitted.effects if material(deletions[e.key], e))
 
 
 def named_effects(
@@ -254,7 +259,7 @@ def named_effects(
     *,
     rivals: Callable[[Effect], Iterable[Effect]] = lambda _: (),
     impact_fit: ImpactFit | None = None,
-    deletions: Mapping[tuple[str, str, str], Deletion] = MappingProxyType({}),
+    deletions: Mapping[tuple[str, str, str], DeletionTest] = MappingProxyType({}),
 ) -> tuple[NamedEffect, ...]:
     """Effects of a fit in the form of a result.
 
@@ -290,20 +295,7 @@ def named_effects(
                 variant=effect.variant,
                 in_model=effect.in_model,
                 impact_power_explained=impact_fit.explained if impact_fit and by_power else None,
-                deletion=_as_result(deletions.get(effect.key)),
+                deletion=deletions.get(effect.key),
             )
         )
     return tuple(found)
-
-
-def _as_result(deletion: Deletion | None) -> DeletionTest | None:
-    """Deletion test in the form of a result."""
-    if deletion is None:
-        return None
-    return DeletionTest(
-        held_out_z=deletion.held_out,
-        training_z=deletion.training,
-        share_of_error=deletion.whole,
-        share_without=deletion.own,
-        share_in_channel=deletion.channel,
-    )

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.fitting.gauss_newton import Fit
-from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.selection.screening.linear_problem import bounded_minimum
+from loose_env.gap.selection.screening.linear_problem import CurrentFit, bounded_minimum
 from loose_env.gap.selection.screening.screening import Screened, at_share
 from loose_env.typing import Array
 
@@ -70,26 +69,20 @@ class JointProblem:
     ) -> None:
         self.screened = [each for each in screened if each.signature is not None]
         weights = _weights(comparison, fitted.residual)
-        known = fitted.jacobian * weights[:, None]
-        residual = fitted.residual * weights
-        across, sizes, slope = self._products(weights, known, residual)
-        parameters = fitted.structure.parameters
-        centres, spread = prior_of(parameters)
-        low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
-        self._known = len(parameters)
-        self._whole = float(residual @ residual)
-        self._curvature = np.block(
-            [
-                [known.T @ known + np.diag(spread**2), across],
-                [across.T, sizes],
-            ]
+        weighted = replace(
+            fitted,
+            jacobian=fitted.jacobian * weights[:, None],
+            residual=fitted.residual * weights,
         )
-        self._slope = np.concatenate(
-            [known.T @ residual + spread**2 * (fitted.free - centres), slope]
-        )
+        known = CurrentFit.of(weighted)
+        across, sizes, slope = self._products(weights, known.jacobian, known.residual)
+        self._known = len(known.slope)
+        self._whole = float(known.residual @ known.residual)
+        self._curvature = np.block([[known.curvature, across], [across.T, sizes]])
+        self._slope = np.concatenate([known.slope, slope])
         least, most = np.array([each.shares for each in self.screened]).T.reshape(2, -1)
-        self._low = np.concatenate([np.minimum(low - fitted.free, 0.0), least])
-        self._high = np.concatenate([np.maximum(high - fitted.free, 0.0), most])
+        self._low = np.concatenate([known.room[0], least])
+        self._high = np.concatenate([known.room[1], most])
         self._scale = np.sqrt(np.diag(self._curvature) + 1e-12)
 
     def _products(
@@ -151,7 +144,9 @@ class JointProblem:
             for gram, slope in (self._pinned(chosen), self._reduced(chosen)):
                 size = np.diag(gram)
                 gains = np.where(free & (size > 0), slope**2 / np.maximum(size, 1e-12), 0.0)
-                tried |= {int(k): None for k in np.argsort(-gains)[:_TRIED]}
+                tried |= {int(k): None for k in np.argsort(-gains)[:_TRIED] if gains[k] > 0}
+            if not tried:
+                break
             found = [(k, self.solved((*chosen, k))) for k in tried]
             k, further = max(found, key=lambda each: 0.0 if each[1] is None else each[1].predicted)
             before = 0.0 if best is None else best.predicted

@@ -56,7 +56,6 @@ class WindowFits:
 
     def __init__(self, short: ResidualModel, before: Fit) -> None:
         self.short, self._all = short, before
-        self._products = Structure(short.rows)
 
     @cached_property
     def before(self) -> Fit:
@@ -131,6 +130,10 @@ class WindowFits:
         )
         white = SEARCH_Z * np.sqrt(len(each.residual)) * float(np.mean(each.residual**2))
         return 0.0 if after <= white or before <= 0 else after / before
+
+    @cached_property
+    def _products(self) -> Structure:
+        return Structure(self.short.rows)
 
     def _continued(self, fitted: Fit, iterations: int) -> Fit:
         """Continue a fit by some steps."""

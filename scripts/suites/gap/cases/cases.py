@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from scripts.suites.gap.cases.effect_sizing import PRECISION, VISIBLE, Visibility, visible_size
+from scripts.suites.gap.cases.effect_sizing import VISIBLE, Visibility, drawn_effect
 from scripts.suites.gap.cases.motions import Motion, motions
 from scripts.suites.gap.cases.sensing import Noise
 from scripts.suites.gap.cases.true_arm import TrueArm
@@ -20,7 +20,6 @@ from scripts.suites.gap.effects.types import (
     Effect,
     Kind,
     Place,
-    log_uniform,
 )
 from scripts.suites.gap.simulator.arms import ARMS, Figures
 from scripts.suites.gap.simulator.build import Factors
@@ -213,29 +212,13 @@ def _draw_effects(
             place = _draw_place(rng, kind, arm.figures, taken)
             if place is None:
                 return None
-            drawn = kind.draw(rng, arm.figures, place)
-            visible = visible_size(visibility, kind, place, drawn)
-            factor = log_uniform(rng, 1.0, GROSS)
-            if visible is not None:
-                found = place, drawn, visible, factor
+            found = drawn_effect(rng, visibility, kind, place, ratios=(1.0, GROSS))
+            if found is not None:
                 break
-        if found is None:
+        if found is None or place is None:
             return None
-        place, drawn, visible, factor = found
-        largest = kind.bounds(arm.figures, place)[1]
-        size = min(visible * factor, largest)
-        parameters = kind.size(size, drawn, arm.figures, place)
-        effects.append(Effect(kind=kind.name, place=place, parameters=parameters))
-        least = kind.bounds(arm.figures, place)[0]
-        sizes.append(
-            {
-                "size": size,
-                "visible": visible,
-                "ratio": size / visible,
-                # seen at every size that is real: the smallest of those stands for just visible
-                "least_real": visible <= least * PRECISION,
-            }
-        )
+        effects.append(found[0])
+        sizes.append(found[1])
         taken.add(place.index)
     for effect in effects:
         for other in effects:

@@ -22,6 +22,7 @@ part ways.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from scipy import signal
@@ -33,7 +34,15 @@ from scripts.suites.gap.cases.motions import Motion
 from scripts.suites.gap.cases.sensing import Noise, Signals, add_noise
 from scripts.suites.gap.cases.true_arm import TrueArm
 from scripts.suites.gap.effects.catalogue import kinds
-from scripts.suites.gap.effects.types import INVERSE, RANDOM, Effect, Kind, Parameters, Place
+from scripts.suites.gap.effects.types import (
+    INVERSE,
+    RANDOM,
+    Effect,
+    Kind,
+    Parameters,
+    Place,
+    log_uniform,
+)
 from scripts.suites.gap.simulator.build import FACTORS, TOLERANCE, Factors
 from scripts.suites.gap.simulator.simulate import SAMPLE
 
@@ -288,3 +297,47 @@ def visible_size(
         if not low * PRECISION**0.2 < guess < high / PRECISION**0.2:
             guess = np.sqrt(low * high)
     return float(high)
+
+
+def drawn_effect(
+    rng: np.random.Generator,
+    visibility: Visibility,
+    kind: Kind,
+    place: Place,
+    *,
+    ratios: tuple[float, float],
+) -> tuple[Effect, dict[str, Any]] | None:
+    """Draw an effect at a place, with its size; None if it cannot be seen there.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of all that is random.
+    visibility : Visibility
+        The run on which it is just visible.
+    kind, place : Kind, Place
+        What it is, and where.
+    ratios : tuple of float
+        Smallest and largest size over the one that is just visible.
+
+    Returns
+    -------
+    tuple or None
+        The effect; and its size, the size that is just visible, and their ratio.
+    """
+    figures = visibility.arm.figures
+    drawn = kind.draw(rng, figures, place)
+    visible = visible_size(visibility, kind, place, drawn)
+    factor = log_uniform(rng, *ratios)
+    if visible is None:
+        return None
+    least, largest = kind.bounds(figures, place)
+    size = min(visible * factor, largest)
+    parameters = kind.size(size, drawn, figures, place)
+    return Effect(kind=kind.name, place=place, parameters=parameters), {
+        "size": size,
+        "visible": visible,
+        "ratio": size / visible,
+        # seen at every size that is real: the smallest of those stands for just visible
+        "least_real": visible <= least * PRECISION,
+    }

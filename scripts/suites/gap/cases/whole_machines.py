@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from scripts.suites.gap.cases.cases import LONG, RUNS, SHORT, Case
-from scripts.suites.gap.cases.effect_sizing import PRECISION, Visibility, visible_size
+from scripts.suites.gap.cases.effect_sizing import Visibility, drawn_effect
 from scripts.suites.gap.cases.motions import motions
 from scripts.suites.gap.cases.sensing import Noise
 from scripts.suites.gap.cases.true_arm import TrueArm
 from scripts.suites.gap.effects.catalogue import kinds
-from scripts.suites.gap.effects.types import FORWARD, INVERSE, MIXED, Effect, log_uniform
+from scripts.suites.gap.effects.types import FORWARD, INVERSE, MIXED, Effect
 from scripts.suites.gap.simulator.arms import MACHINES
 from scripts.suites.gap.simulator.build import Factors
 
@@ -75,25 +75,11 @@ def draw_machine(number: int, rng: np.random.Generator) -> Case:
             if not places:
                 continue
             place = places[int(rng.integers(len(places)))]
-            drawn = kind.draw(rng, figures, place)
-            visible = visible_size(visibility, kind, place, drawn)
-            factor = log_uniform(rng, SMALLEST, LARGEST)
-            if visible is None:
-                continue
-            least, largest = kind.bounds(figures, place)
-            size = min(visible * factor, largest)
-            if size < SMALLEST * visible:
+            found = drawn_effect(rng, visibility, kind, place, ratios=(SMALLEST, LARGEST))
+            if found is None or found[1]["ratio"] < SMALLEST:
                 continue  # no real size of it is clearly visible
-            parameters = kind.size(size, drawn, figures, place)
-            effects.append(Effect(kind=name, place=place, parameters=parameters))
-            sizes.append(
-                {
-                    "size": size,
-                    "visible": visible,
-                    "ratio": size / visible,
-                    "least_real": visible <= least * PRECISION,
-                }
-            )
+            effects.append(found[0])
+            sizes.append(found[1])
     return Case(
         number=number,
         form=form,
