@@ -31,7 +31,8 @@ from loose_env.gap.residuals.autocorrelation import independent_rows
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.screening.grouping import confusable
-from loose_env.gap.selection.screening.screening import along, signatures
+from loose_env.gap.selection.screening.screening import along
+from loose_env.gap.selection.screening.signatures import Signatures
 from loose_env.gap.settings import (
     IDENTIFIABLE_Z,
 )
@@ -232,7 +233,7 @@ def _changes(
         compared, alike = short, base.residual
         if cheap and not springs:
             compared, alike = short.lightly(base.hypothesis, base.residual, stiff=stiff)
-        changes = signatures(compared, base, [entries[k] for k in own], alike)
+        changes = Signatures().of(compared, base, [entries[k] for k in own], alike)
         for k, (effect, values, change) in zip(own, changes, strict=True):
             found[k] = _Signature(effect, values, unit * change)
     return [each for each in found if each is not None]

@@ -226,14 +226,15 @@ class ResidualModel:
         return found
 
     def loudest(self, residual: Array) -> NDArray[np.bool_] | None:
-        """Mask of the rows (N,) of the simulated run with the largest residual.
+        """Mask of the rows (N,) of the run with the largest residual, a simulated one if any is.
 
         None where there are no two.
         """
-        if len(self._ahead) < 2:
+        among = self._ahead if len(self._ahead) else np.arange(len(self.trials))
+        if len(among) < 2:
             return None
         squares = np.bincount(self.rows.trial, residual**2, minlength=len(self.trials))
-        return np.asarray(self.rows.trial == self._ahead[int(np.argmax(squares[self._ahead]))])
+        return np.asarray(self.rows.trial == among[int(np.argmax(squares[among]))])
 
     def of_run(self, rows: NDArray[np.bool_]) -> ResidualModel:
         """Copy with the only run that some rows belong to."""

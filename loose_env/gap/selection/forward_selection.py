@@ -19,6 +19,7 @@ from loose_env.gap.selection.screening.data_driven_starts import proposals
 from loose_env.gap.selection.screening.joint_proposals import JointProblem
 from loose_env.gap.selection.screening.linear_problem import CurrentFit
 from loose_env.gap.selection.screening.screening import Screened, screen
+from loose_env.gap.selection.screening.signatures import Signatures
 from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import (
     CONFIRMED_Z,
@@ -145,6 +146,7 @@ def select_effects(
         found = Selection(base=begun.base, dropped=list(begun.dropped))
         found.steps.append(keep.scored("begun", lambda: scorer.score(fitted_on(comparison, there))))
         found.rivals.append([])
+    signatures = Signatures(found.base.fitted)
     for number in range(1, settings.most_effects + 1):
         if len(found.best.fitted.effects) >= settings.most_effects:
             break
@@ -153,7 +155,9 @@ def select_effects(
             break
         step = keep.step(
             f"effect-{number}",
-            lambda: _step((comparison, short), scorer, candidates, found, settings, say),
+            lambda: _step(
+                (comparison, short), scorer, candidates, found, settings, say, signatures
+            ),
         )
         found.rivals.append([(j, improvement_of(j, found.best)) for j in step.rivals])
         for scored, improvement in found.rivals[-1]:
@@ -193,6 +197,7 @@ def _step(
     found: Selection,
     settings: SearchSettings,
     say: Say,
+    signatures: Signatures,
 ) -> SelectionStep:
     """Search for one more effect."""
     comparison, short = comparisons
@@ -201,7 +206,9 @@ def _step(
     left = [c for c in candidates if (c.kind, c.where) not in taken]
     candidate_fits = CandidateFits(comparison, short, scorer, best)
     proposed = proposals(comparison, best.fitted.hypothesis, left)
-    screened = screen(short, candidate_fits.windows.before, left, proposed=proposed)
+    screened = screen(
+        short, candidate_fits.windows.before, left, proposed=proposed, signatures=signatures
+    )
     for s in screened[:8]:
         say(f"  {s.effect!r}: predicted share {s.predicted:.3f}, z {s.z:.1f}")
     # what neither shows in the blocks of time nor explains anything cannot pass the tests

@@ -13,7 +13,8 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.selection.screening.screening import Screened, screen, signatures
+from loose_env.gap.selection.screening.screening import Screened, screen
+from loose_env.gap.selection.screening.signatures import Signatures
 from tests.gap.cases.gap_case import STEP, nominal_structure, record
 
 FLOORS = np.array([2e-5] * 3 + [2e-3] + [0.02] * 3)
@@ -68,5 +69,5 @@ def test_an_effect_of_no_size_has_no_signature(
     fitted = fit(comparison, nominal, nominal.nominal_start)
     effect = CATALOGUE[kind](comparison.machine, where)
     entries = [(effect, nothing)]
-    ((_, _, signature),) = signatures(comparison, fitted, entries, fitted.residual)
+    ((_, _, signature),) = Signatures().of(comparison, fitted, entries, fitted.residual)
     assert np.abs(signature).max() < 1e-6

@@ -12,29 +12,26 @@ positions and speeds are linear over a longer range, and give a better start.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.fitting.gauss_newton import Fit, started
+from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
-from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import Parameter, free_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.linear_problem import CurrentFit
+from loose_env.gap.selection.screening.signatures import Signatures
 from loose_env.gap.settings import SECOND_START
-from loose_env.gap.simulation.sensor_timing import changes_within
 from loose_env.typing import Array
 
-__all__ = ["Screened", "along", "at_share", "screen", "signatures"]
+__all__ = ["Screened", "along", "at_share", "screen"]
 
 
-_GROUP = 24
-"""Hypotheses simulated at a time."""
 _SMALLEST_SHARE, _LARGEST_SHARE = 1e-6, 4.0
 """Smallest and largest multiple of a signature that is believed."""
 _FAR = 0.5
@@ -69,6 +66,7 @@ def screen(
     candidates: Sequence[Effect],
     *,
     proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]] = MappingProxyType({}),
+    signatures: Signatures | None = None,
 ) -> list[Screened]:
     """Screen candidates; highest predicted gain first, each with one or two starts.
 
@@ -82,13 +80,18 @@ def screen(
         Candidate effects.
     proposed : mapping
         Data-driven starts, by the candidate's key, in place of its own.
+    signatures : Signatures, optional
+        Source of the signatures, which may know some already.
     """
+    signatures = signatures or Signatures()
     known = CurrentFit.of(fitted)
     slow = _slow_rows(comparison)
     lens = CurrentFit.of(fitted, slow) if 0 < slow.sum() < len(slow) else None
     stiff = any(e.adds_motion for e in fitted.effects)
     lighter, alike = comparison.lightly(fitted.hypothesis, fitted.residual, stiff=stiff)
-    proposed = dict(proposed) | _best_starts(comparison, fitted, known, candidates, proposed)
+    proposed = dict(proposed) | _best_starts(
+        comparison, fitted, known, candidates, proposed, signatures
+    )
     seen: dict[int, list[Screened]] = {}
     for springs, compared, base in ((True, comparison, fitted.residual), (False, lighter, alike)):
         own = [effect for effect in candidates if effect.adds_motion == springs]
@@ -109,7 +112,7 @@ def screen(
         ]
         apart: dict[int, dict[tuple[float, ...], Array]] = {}
         again: dict[int, tuple[float, Effect, tuple[float, ...]]] = {}
-        for effect, start, signature in signatures(compared, fitted, entries, base):
+        for effect, start, signature in signatures.of(compared, fitted, entries, base):
             _keep(seen, _weigh(comparison, known, effect, start, signature))
             if id(effect) in axes:
                 apart.setdefault(id(effect), {})[start] = signature
@@ -121,7 +124,7 @@ def screen(
             together = np.stack([apart[key][start] for start in starts], axis=1)
             _keep(seen, _weigh_together(comparison, known, effect, starts, together))
         entries = [(effect, start) for _, effect, start in again.values()]
-        for effect, start, signature in signatures(compared, fitted, entries, base):
+        for effect, start, signature in signatures.of(compared, fitted, entries, base):
             _keep(seen, _weigh(comparison, known, effect, start, signature))
     return sorted((_best(each) for each in seen.values()), key=lambda s: -s.predicted)
 
@@ -132,6 +135,7 @@ def _best_starts(
     known: CurrentFit,
     candidates: Sequence[Effect],
     proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]],
+    signatures: Signatures,
 ) -> dict[tuple[str, str, str], list[tuple[float, ...]]]:
     """Select the best starts of candidates with many, such as loose-link directions.
 
@@ -148,17 +152,17 @@ def _best_starts(
     ]
     if not entries:
         return {}
-    rows = comparison.loudest(fitted.residual)
-    residual = fitted.residual
+    rows = comparison.loudest(signatures.reference(comparison, fitted))
+    part, residual = comparison, fitted.residual
     if rows is not None:
-        comparison, residual = comparison.of_run(rows), residual[rows]
+        part, residual = comparison.of_run(rows), residual[rows]
         known = CurrentFit.of(fitted, rows)
-    lighter, base = comparison.lightly(fitted.hypothesis, residual, stiff=True)
+    lighter, base = part.lightly(fitted.hypothesis, residual, stiff=True)
     if lighter is comparison:
         return {}
     found: dict[tuple[str, str, str], dict[tuple[float, ...], tuple[float, tuple[float, ...]]]] = {}
-    for effect, start, signature in signatures(lighter, fitted, entries, base):
-        weighed = _weigh(comparison, known, effect, start, signature)
+    for effect, start, signature in signatures.of(lighter, fitted, entries, base):
+        weighed = _weigh(part, known, effect, start, signature)
         promise = 0.0 if weighed is None else weighed.predicted
         own, alike = found.setdefault(effect.key, {}), _without_nuisances(effect, start)
         if alike not in own or promise > own[alike][0]:
@@ -177,49 +181,6 @@ def _starts(comparison: ResidualModel, effect: Effect) -> tuple[tuple[float, ...
 def _without_nuisances(effect: Effect, values: Sequence[float]) -> tuple[float, ...]:
     """Values of the parameters that have no prior, nuisance parameters left out."""
     return tuple(v for p, v in zip(effect.parameters, values, strict=True) if p.centre is None)
-
-
-def signatures(
-    compared: ResidualModel,
-    fitted: Fit,
-    entries: Sequence[tuple[Effect, tuple[float, ...]]],
-    base: Array,
-) -> Iterator[tuple[Effect, tuple[float, ...], Array]]:
-    """Change of the residual (N,) with each start of each candidate, one by one.
-
-    Parameters
-    ----------
-    compared : ResidualModel
-        Comparison used for the simulations.
-    fitted : Fit
-        Fit that they are added to.
-    entries : sequence of (Effect, values)
-        The starts.
-    base : ndarray (N,)
-        Residual of `fitted` in that comparison. A candidate that needs other time steps is
-        compared with `fitted` on those.
-    """
-    own = _steps(compared, fitted.hypothesis)
-    references = {own: base}
-    for begin in range(0, len(entries), _GROUP):
-        group = entries[begin : begin + _GROUP]
-        tried = [
-            fitted.structure.plus(effect).hypothesis(started(fitted, effect, start))
-            for effect, start in group
-        ]
-        for (effect, start), residual in zip(group, compared.residuals(tried), strict=True):
-            plain = replace(fitted.hypothesis, stepped_as=(effect,))
-            steps = _steps(compared, plain)
-            if steps not in references:
-                references[steps] = compared.residuals([plain])[0]
-            yield effect, start, residual - references[steps]
-
-
-def _steps(compared: ResidualModel, hypothesis: Hypothesis) -> tuple[bool, bool]:
-    """Whether a hypothesis is simulated with finer steps, and with steps in parts."""
-    machine = compared.machine
-    fine = not machine.uniform_steps and any(effect.sharp for effect in hypothesis.stepping)
-    return fine, changes_within(machine, hypothesis, compared.channels)
 
 
 def _keep(seen: dict[int, list[Screened]], found: Screened | None) -> None:
