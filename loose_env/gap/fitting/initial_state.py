@@ -8,13 +8,14 @@ however many runs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.noise_floor import noise_floor
@@ -33,6 +34,12 @@ _LINE = 0.05
 """How much of a run the first state is taken from [s]."""
 _FURTHEST = 30.0
 """How far a start may be off, in standard deviations."""
+_PERSISTS = (3.0, 12.0)
+"""How much of a run is simulated for what its initial state changes [s]; all of it where that still
+shows at the end."""
+_FORGOTTEN = 0.01
+"""Change by a standard deviation of the initial state that does not show [noise standard
+deviations]."""
 
 
 class InitialStates:
@@ -130,11 +137,36 @@ class InitialStates:
                 moved = [start.copy() for start in at]
                 moved[which][list(self.moving), j] += difference * self.spreads[:, which, j]
                 tried.append(_with_start(hypothesis, moved[0], moved[1]))
-        changes = (comparison.residuals(tried) - residual) / difference
-        for k, t in enumerate(self.moving):
-            own = comparison.rows.trial == t
-            found[own, k * 2 * joints : (k + 1) * 2 * joints] = changes[:, own].T
+        for t, own, changes in self._changes(comparison, hypothesis, tried):
+            k = self.moving.index(t)
+            found[own, k * 2 * joints : (k + 1) * 2 * joints] = changes.T / difference
         return found
+
+    def _changes(
+        self, comparison: ResidualModel, hypothesis: Hypothesis, tried: Sequence[Hypothesis]
+    ) -> Iterator[tuple[int, NDArray[np.intp], Array]]:
+        """Index of a run, rows of its beginning (n,), and their changes (tried, n), by run.
+
+        A machine with servos or friction forgets its initial state: what follows is not simulated.
+        """
+        left = list(self.moving)
+        for seconds in (*_PERSISTS, np.inf):
+            if not left:
+                return
+            part = comparison.beginnings(tuple(left), seconds)
+            before, *after = part.residuals([hypothesis, *tried])
+            persistent = []
+            for k, t in enumerate(left):
+                own = part.rows.trial == k
+                changes = np.array([residual[own] - before[own] for residual in after])
+                sample, whole = part.rows.sample[own], len(self.trials[t].time)
+                end = part.trials[k].time[sample] > 0.75 * part.trials[k].time[-1]
+                ends = len(part.trials[k].time) == whole
+                if not ends and np.abs(changes[:, end]).max(initial=0.0) > _FORGOTTEN:
+                    persistent.append(t)
+                    continue
+                yield t, np.flatnonzero(comparison.rows.trial == t)[: own.sum()], changes
+            left = persistent
 
     def fitted(
         self, comparison: ResidualModel, hypothesis: Hypothesis, *, iterations: int = 3

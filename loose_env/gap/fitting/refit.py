@@ -18,12 +18,35 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 __all__ = ["fit_without", "fitted_on", "polished", "refined", "settled"]
 
 
-def fit_without(comparison: ResidualModel, fitted: Fit, effect: Effect) -> Fit:
-    """Drop one effect of a fit and refit the others."""
+_ROUGHLY = 0.01
+"""Share of the cost below which a further step is not worth it where a fit is only compared with a
+better one."""
+
+
+def fit_without(
+    comparison: ResidualModel, fitted: Fit, effect: Effect, *, roughly: bool = False
+) -> Fit:
+    """Drop one effect of a fit and refit the others.
+
+    Parameters
+    ----------
+    comparison : ResidualModel
+        The runs of the fit.
+    fitted : Fit
+        The fit.
+    effect : Effect
+        One of its effects.
+    roughly : bool
+        Whether the result is only compared with the fit and not gone on from.
+    """
     own = fitted.structure.slice_of(effect)
     kept = [k for k in range(len(fitted.free)) if not own.start <= k < own.stop]
     others = fitted.structure.with_effects([e for e in fitted.effects if e is not effect])
-    return fit(comparison, others, fitted.free[kept], known=fitted.jacobian[:, kept])
+    settings = fit_settings_for(others)
+    if roughly:
+        settings = replace(settings, enough=max(settings.enough, _ROUGHLY))
+    known = fitted.jacobian[:, kept]
+    return fit(comparison, others, fitted.free[kept], settings=settings, known=known)
 
 
 def fitted_on(comparison: ResidualModel, fitted: Fit) -> Fit:

@@ -108,6 +108,7 @@ class ResidualModel:
         """Indices of the runs in the initial states of hypotheses."""
         self.channels, self.floors, self.threads = channels, floors, threads
         self._lighter: dict[int, ResidualModel] = {}
+        self._beginnings: dict[tuple[tuple[int, ...], float], ResidualModel] = {}
         backwards = [t for t, trial in enumerate(self.trials) if trial.form == "inverse"]
         self._backwards = np.array(backwards, dtype=np.intp)
         self._ahead = np.setdiff1d(np.arange(len(self.trials)), self._backwards)
@@ -243,6 +244,19 @@ class ResidualModel:
         found.runs = self.runs[[number]]
         return found
 
+    def beginnings(self, numbers: tuple[int, ...], seconds: float) -> ResidualModel:
+        """Copy with the beginnings [s] of some runs; of a run compared by features all of it."""
+        key = numbers, seconds
+        if key not in self._beginnings:
+            trials = [
+                trial if t in self._random else trial.until(seconds)
+                for t, trial in enumerate(self.trials)
+            ]
+            part = self.like(trials=[trials[t] for t in numbers])
+            part.runs = self.runs[list(numbers)]
+            self._beginnings[key] = part
+        return self._beginnings[key]
+
     def channel_rms(self, residual: Array) -> Array:
         """Root mean square of a residual (N,) by channel (C,), noise standard deviations.
 
@@ -283,15 +297,6 @@ class ResidualModel:
         """Cheaper comparison, with the residual of a hypothesis in it (N,).
 
         Where the cheaper integrator is not stable, that is this comparison with the given residual.
-
-        Parameters
-        ----------
-        hypothesis : Hypothesis
-            Reference of the differences.
-        residual : ndarray (N,)
-            Its residual in this comparison.
-        stiff : bool
-            As of `lighter`.
         """
         lighter = self.lighter(stiff=stiff)
         if lighter is self:

@@ -260,7 +260,7 @@ class Acceptance:
         return len(scored.fitted.effects) - len(self.before.fitted.effects)
 
     def _without(self, scored: ScoredFit, effect: Effect) -> ScoredFit:
-        return self.scorer.score(fit_without(self.comparison, scored.fitted, effect))
+        return self.scorer.score(fit_without(self.comparison, scored.fitted, effect, roughly=True))
 
     def significant(self, improvement: Improvement) -> bool:
         """Return whether an improvement is significant in both data sets, and high in one."""

@@ -69,7 +69,7 @@ def deletion_of(
     effect : Effect
         One of its effects.
     """
-    without = scorer.score(fit_without(comparison, best.fitted, effect))
+    without = scorer.score(fit_without(comparison, best.fitted, effect, roughly=True))
     improvement = improvement_of(best, without)
     explained, all_of = (
         (without.excess - best.excess, base.excess)
