@@ -37,6 +37,8 @@ _FURTHEST = 30.0
 _PERSISTS = (3.0, 12.0)
 """How much of a run is simulated for what its initial state changes [s]; all of it where that still
 shows at the end."""
+_END = 0.75
+"""Share of the beginning after which nothing of it may show."""
 _FORGOTTEN = 0.01
 """Change by a standard deviation of the initial state that does not show [noise standard
 deviations]."""
@@ -149,23 +151,25 @@ class InitialStates:
 
         A machine with servos or friction forgets its initial state: what follows is not simulated.
         """
-        left = list(self.moving)
+        places = {int(run): k for k, run in enumerate(comparison.runs)}
+        left = [t for t in self.moving if t in places]
         for seconds in (*_PERSISTS, np.inf):
             if not left:
                 return
-            part = comparison.beginnings(tuple(left), seconds)
+            part = comparison.beginnings(tuple(places[t] for t in left), seconds)
             before, *after = part.residuals([hypothesis, *tried])
             persistent = []
             for k, t in enumerate(left):
                 own = part.rows.trial == k
                 changes = np.array([residual[own] - before[own] for residual in after])
-                sample, whole = part.rows.sample[own], len(self.trials[t].time)
-                end = part.trials[k].time[sample] > 0.75 * part.trials[k].time[-1]
-                ends = len(part.trials[k].time) == whole
-                if not ends and np.abs(changes[:, end]).max(initial=0.0) > _FORGOTTEN:
+                begun, whole = part.trials[k].time, comparison.trials[places[t]].time
+                end = begun[part.rows.sample[own]] > _END * begun[-1]
+                shown = np.abs(changes[:, end]).max(initial=0.0) > _FORGOTTEN
+                if shown and len(begun) < len(whole):
                     persistent.append(t)
                     continue
-                yield t, np.flatnonzero(comparison.rows.trial == t)[: own.sum()], changes
+                rows = np.flatnonzero(comparison.rows.trial == places[t])
+                yield t, rows[: own.sum()], changes
             left = persistent
 
     def fitted(

@@ -105,7 +105,7 @@ class ResidualModel:
     ) -> None:
         self.machine, self.trials = machine, list(trials)
         self.runs = np.arange(len(self.trials))
-        """Indices of the runs in the initial states of hypotheses."""
+        """Indices of the runs in the initial states of hypotheses; -1 for one that begins later."""
         self.channels, self.floors, self.threads = channels, floors, threads
         self._lighter: dict[int, ResidualModel] = {}
         self._beginnings: dict[tuple[tuple[int, ...], float], ResidualModel] = {}
@@ -387,8 +387,9 @@ def _for_runs(hypothesis: Hypothesis, runs: NDArray[np.intp]) -> Hypothesis:
     position, speed = hypothesis.position, hypothesis.speed
     if position is None and speed is None:
         return hypothesis
+    known = (runs >= 0)[:, None]
     return replace(
         hypothesis,
-        position=None if position is None else position[runs],
-        speed=None if speed is None else speed[runs],
+        position=None if position is None else np.where(known, position[runs], 0.0),
+        speed=None if speed is None else np.where(known, speed[runs], 0.0),
     )

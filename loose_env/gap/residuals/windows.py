@@ -51,7 +51,13 @@ def windowed(comparison: ResidualModel, seconds: float) -> ResidualModel:
     kept = [
         _shortened(comparison, t, lengths[id(t)]) for t in comparison.trials if id(t) in lengths
     ]
-    return comparison.like(trials=kept)
+    found = comparison.like(trials=kept)
+    number = {
+        trial.name: run for trial, run in zip(comparison.trials, comparison.runs, strict=True)
+    }
+    whole = {id(trial) for trial in comparison.trials}
+    found.runs = np.array([number[t.name] if id(t) in whole else -1 for t in kept], dtype=np.intp)
+    return found
 
 
 def _lengths(trials: Sequence[Trial], seconds: float, shortest: float) -> dict[int, float]:
