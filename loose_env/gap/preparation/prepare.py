@@ -182,7 +182,10 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
 def _windowed(comparison: ResidualModel, seconds: float) -> ResidualModel:
     """Windows of the runs that contain readings; the whole runs where none do."""
     found = windowed(comparison, seconds)
-    return found if len(found) else comparison
+    if not len(found):
+        return comparison
+    found.runs = np.arange(len(found.trials))  # from here on they are the runs
+    return found
 
 
 def _suspect(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:

@@ -52,11 +52,8 @@ def windowed(comparison: ResidualModel, seconds: float) -> ResidualModel:
         _shortened(comparison, t, lengths[id(t)]) for t in comparison.trials if id(t) in lengths
     ]
     found = comparison.like(trials=kept)
-    number = {
-        trial.name: run for trial, run in zip(comparison.trials, comparison.runs, strict=True)
-    }
-    whole = {id(trial) for trial in comparison.trials}
-    found.runs = np.array([number[t.name] if id(t) in whole else -1 for t in kept], dtype=np.intp)
+    numbers = dict(zip(map(id, comparison.trials), comparison.runs.tolist(), strict=True))
+    found.runs = np.array([numbers.get(id(trial), -1) for trial in kept], dtype=np.intp)
     return found
 
 
