@@ -16,6 +16,7 @@ from loose_env.gap.fitting.model_structure import ModelStructure, prior_of
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import Parameter, free_of
+from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.simulation.torque_terms import has_terms
 from loose_env.typing import Array
@@ -224,7 +225,8 @@ def fit(
     count = len(parameters)
     first = _NEW if held < count else _NONE
     renew, seen_at = first, cost
-    for _ in range(settings.iterations):
+    steps_left = range(settings.iterations)
+    for _ in counted(f"fit of {count} parameters, steps", steps_left, most=True):
         which = {_NONE: [], _NEW: list(range(held, count)), _ALL: again}[renew]
         if len(which) == len(again):
             seen_at = cost

@@ -1,4 +1,5 @@
 """Residuals between simulation and measurement, their autocorrelation and windows.
 
-Data flow: random_excitation -> residual_model -> autocorrelation -> physical_units -> windows.
+Data flow: progress -> random_excitation -> residual_model -> autocorrelation ->
+physical_units -> windows.
 """

@@ -13,6 +13,7 @@ from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.residuals.progress import tick
 from loose_env.gap.residuals.random_excitation.features import GROUP, RandomFeatures, RandomRun
 from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
@@ -345,6 +346,7 @@ class ResidualModel:
         for first in range(0, len(hypotheses), size):
             for h, predicted in enumerate(self.predict(hypotheses[first : first + size]), first):
                 found[h] = self.measured - self.flatten(predicted)
+            tick()
         found[~np.isfinite(found)] = _WILD
         return np.clip(found, -_WILD, _WILD, out=found)
 

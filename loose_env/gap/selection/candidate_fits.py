@@ -14,6 +14,7 @@ from loose_env.gap.fitting.gauss_newton import (
 )
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
 from loose_env.gap.model.effect import have_stops
+from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.grouping import confusable
 from loose_env.gap.selection.screening.screening import Screened
@@ -107,7 +108,8 @@ class CandidateFits:
         most = max(map(windows.z_of, fits[:FINALISTS]), default=0.0)
         if highest_z is not None and windows.z_of(highest_z) > most:
             finalists.append(highest_z)
-        found = [self._to_all(each) for each in (*finalists, *near_together[:FINAL_SETS])]
+        leading = [*finalists, *near_together[:FINAL_SETS]]
+        found = [self._to_all(each) for each in counted("fits to all runs", leading)]
         if not finalists:
             return found
         winner = min(found[: len(finalists)], key=lambda j: j.total).fitted.effects[-1]

@@ -261,4 +261,7 @@ def _sets(
     problem = JointProblem(short, candidate_fits.windows.before, screened)
     many = problem.greedy()
     proposed = [*problem.pairs(PAIRS), *problem.kinds(KINDS), *([] if many is None else [many])]
-    return [each.members for each in proposed]
+    found: dict[frozenset[tuple[str, str, str]], Sequence[Screened]] = {}
+    for each in proposed:
+        found.setdefault(frozenset(member.effect.key for member in each.members), each.members)
+    return list(found.values())

@@ -27,6 +27,7 @@ from loose_env.gap.output.result import (
     Verdict,
 )
 from loose_env.gap.preparation.prepare import GapProblem, prepare
+from loose_env.gap.residuals.progress import counted, reported
 from loose_env.gap.selection.checkpoint_codec import StepFiles
 from loose_env.gap.selection.deletion import (
     at_bound,
@@ -120,8 +121,9 @@ def find_gap(
     InvalidData
         If the recording has too few runs, or a run lacks what its comparison needs.
     """
-    with quiet():  # diverging simulations are part of the search
-        return _solved(prepare(recording, settings or GapSettings()), say, stages)
+    # diverging simulations are part of the search
+    with quiet(), reported(say) as told:
+        return _solved(prepare(recording, settings or GapSettings()), told, stages)
 
 
 def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
@@ -160,7 +162,7 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
         say("deletion test of each effect")
         return {
             effect.key: deletion_of(reweighted.fit, scorer, alike, fitted, effect)
-            for effect in fitted.fitted.effects
+            for effect in counted("deletion tests", fitted.fitted.effects)
         }
 
     best, deletions = found.rescored(fitted) if fitted.fitted.effects else base, deleted()

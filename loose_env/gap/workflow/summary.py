@@ -19,6 +19,7 @@ from loose_env.gap.output.export_mjcf import (
 )
 from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEffect
 from loose_env.gap.residuals.physical_units import errors_by_quantity, rms
+from loose_env.gap.residuals.progress import reported
 from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residuals
 from loose_env.gap.workflow.pipeline import GapSolution
 
@@ -147,7 +148,8 @@ def write_gap(
         If the corrected model does not compile.
     """
     place, problem = Path(folder), solution.problem
-    evidence = diagnose_residuals(solution, say=say)
+    with reported(say) as told:
+        evidence = diagnose_residuals(solution, say=told)
     result = result_of(solution, evidence)
     # An earlier result must not stand beside a later model if this run is cut short.
     place.joinpath("result.json").unlink(missing_ok=True)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from loose_env.gap.fitting.gauss_newton import Fit, started
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.simulation.sensor_timing import changes_within
 from loose_env.typing import Array
@@ -94,7 +95,7 @@ def _signatures(
     """Signatures about a fit, simulated."""
     own = _steps(compared, fitted.hypothesis)
     references = {own: base}
-    for begin in range(0, len(entries), _GROUP):
+    for begin in counted("screening, in batches", range(0, len(entries), _GROUP)):
         group = entries[begin : begin + _GROUP]
         tried = [
             fitted.structure.plus(effect).hypothesis(started(fitted, effect, start))

@@ -20,6 +20,7 @@ from loose_env.gap.model.effect import have_stops
 from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.autocorrelation import Structure, largest
+from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.screening import Screened
 from loose_env.gap.settings import ACCEPTED_Z, HOPELESS_COST, SEARCH_Z
@@ -91,11 +92,13 @@ class WindowFits:
             for fitted in self._starts(members, both=k < twice)
         ]
         for iterations, ratio in _ROUNDS:
-            running = [self._continued(fitted, iterations) for fitted in running]
+            running = [
+                self._continued(fitted, iterations) for fitted in counted("quick fits", running)
+            ]
             running, best = self.with_hope(running, best, ratio)
-        found: dict[tuple[tuple[str, str, str], ...], Fit] = {}
+        found: dict[frozenset[tuple[str, str, str]], Fit] = {}
         for fitted in running:  # the best one first
-            found.setdefault(tuple(effect.key for effect in fitted.effects), fitted)
+            found.setdefault(frozenset(effect.key for effect in fitted.effects), fitted)
         running, best = self.with_hope([self._shifted(each) for each in found.values()], best)
         return [fitted.bare for fitted in running], best and best.bare
 
