@@ -158,14 +158,12 @@ class InitialStates:
                 return
             part = comparison.beginnings(tuple(places[t] for t in left), seconds)
             before, *after = part.residuals([hypothesis, *tried])
-            persistent = []
+            persistent, late = [], _at_the_end(part)
             for k, t in enumerate(left):
                 own = part.rows.trial == k
                 changes = np.array([residual[own] - before[own] for residual in after])
-                begun, whole = part.trials[k].time, comparison.trials[places[t]].time
-                end = begun[part.rows.sample[own]] > _END * begun[-1]
-                shown = np.abs(changes[:, end]).max(initial=0.0) > _FORGOTTEN
-                if shown and len(begun) < len(whole):
+                shown = np.abs(changes[:, late[own]]).max(initial=0.0) > _FORGOTTEN
+                if shown and len(part.trials[k].time) < len(comparison.trials[places[t]].time):
                     persistent.append(t)
                     continue
                 rows = np.flatnonzero(comparison.rows.trial == places[t])
@@ -185,14 +183,27 @@ class InitialStates:
             Its residual.
         """
         free = np.zeros(len(self.parameters))
+        moving = tuple(k for k, run in enumerate(comparison.runs) if int(run) in self.moving)
+        for seconds in (*_PERSISTS, np.inf) if moving else ():
+            part = comparison.beginnings(moving, seconds)
+            free, persistent = self._fitted_on(part, hypothesis, free, iterations)
+            if not persistent or len(part) == len(comparison.beginnings(moving, np.inf)):
+                break
         now = self._at(hypothesis, free)
-        residual = comparison.residuals([now])[0]
-        for _ in range(iterations if self.moving else 0):
-            jacobian = self.sensitivities(comparison, now, residual)
+        return now, comparison.residuals([now])[0]
+
+    def _fitted_on(
+        self, part: ResidualModel, hypothesis: Hypothesis, free: Array, iterations: int
+    ) -> tuple[Array, bool]:
+        """Free numbers fitted to the beginnings of runs, and whether they show at the end."""
+        now = self._at(hypothesis, free)
+        residual, jacobian = part.residuals([now])[0], None
+        for _ in range(iterations):
+            jacobian = self.sensitivities(part, now, residual)
             curvature = jacobian.T @ jacobian + np.eye(len(free))
             step = -np.linalg.solve(curvature, jacobian.T @ residual + free)
             tried = [np.clip(free + share * step, -_FURTHEST, _FURTHEST) for share in (1.0, 0.3)]
-            found = comparison.residuals([self._at(hypothesis, f) for f in tried])
+            found = part.residuals([self._at(hypothesis, f) for f in tried])
             costs = [float(r @ r + f @ f) for r, f in zip(found, tried, strict=True)]
             before = float(residual @ residual + free @ free)
             best = int(np.argmin(costs))
@@ -202,7 +213,9 @@ class InitialStates:
             now = self._at(hypothesis, free)
             if before - costs[best] < 1e-3 * before:
                 break
-        return now, residual
+        late = _at_the_end(part)
+        shown = jacobian is not None and np.abs(jacobian[late]).max(initial=0.0) > _FORGOTTEN
+        return free, bool(shown)
 
     def _at(self, hypothesis: Hypothesis, free: Array) -> Hypothesis:
         if not self.moving:
@@ -214,6 +227,15 @@ class InitialStates:
 def _compared_at_once(trial: Trial) -> bool:
     """Return whether the first samples count; those of a window are transient."""
     return bool(np.isfinite(trial.measured[: max(1, round(_LINE * trial.rate))]).any())
+
+
+def _at_the_end(part: ResidualModel) -> NDArray[np.bool_]:
+    """Mask of the rows (N,) at the ends of some beginnings."""
+    found = np.zeros(len(part), dtype=bool)
+    for k, trial in enumerate(part.trials):
+        own = part.rows.trial == k
+        found[own] = trial.time[part.rows.sample[own]] > _END * trial.time[-1]
+    return found
 
 
 def _with_start(hypothesis: Hypothesis, position: Array, speed: Array) -> Hypothesis:

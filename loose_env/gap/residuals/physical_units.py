@@ -1,4 +1,4 @@
-"""Residuals in physical units, by quantity: position, speed, acceleration, torque."""
+"""Residuals in physical units by quantity, and ratios of noise."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from loose_env.gap.data.aligned_run import Channel
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.typing import Array
 
-__all__ = ["errors_by_quantity", "quantity_of", "quantity_words", "rms"]
+__all__ = ["errors_by_quantity", "noise_ratio", "quantity_of", "quantity_words", "rms"]
 
 _SENSOR = mujoco.mjtSensor
 _OF_A_JOINT = {
@@ -120,3 +121,13 @@ def _unit(model: mujoco.MjModel, joint: int, turning: str, sliding: str) -> str:
 def rms(values: NDArray[np.float64]) -> float:
     """Root mean square (N,)."""
     return float(np.sqrt(np.mean(values**2)))
+
+
+def noise_ratio(own: ResidualModel, runs: ResidualModel) -> Array:
+    """Ratio of the noise of two comparisons, for each number of the same runs (N,).
+
+    Features use their own standard deviation, however noisy the channels they are computed from.
+    """
+    found: Array = (own.scales / runs.scales)[runs.rows.trial, runs.rows.channel]
+    found[runs.rows.white] = 1.0
+    return found

@@ -20,6 +20,7 @@ from loose_env.gap.fitting.model_structure import Nuisance
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.output.result import RankedHypothesis
 from loose_env.gap.preparation.prepare import GapProblem
+from loose_env.gap.residuals.physical_units import noise_ratio
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.forward_selection import Selection, StepStore, select_effects
 from loose_env.gap.selection.ranking import indistinct, ranking_of
@@ -68,7 +69,7 @@ class SearchResult:
         found: list[RankedHypothesis] = []
         first = 1
         for runs, named in self.parts:
-            louder = _times(runs.held_out, self.problem.held_out)
+            louder = noise_ratio(runs.held_out, self.problem.held_out)
             found += ranking_of(named, runs.search, runs.held_out, louder=louder, first=first)
             first += len(named.steps) - 1
         return tuple(found)
@@ -178,17 +179,7 @@ def _scored_with(
         replace(
             fitted,
             residual=residual,
-            jacobian=fitted.jacobian * _times(own, runs)[:, None],
+            jacobian=fitted.jacobian * noise_ratio(own, runs)[:, None],
             cost=cost_of(residual, fitted.free, fitted.structure.parameters),
         )
     )
-
-
-def _times(own: ResidualModel, runs: ResidualModel) -> Array:
-    """Ratio of the noise of two comparisons, for each number of the same runs (N,).
-
-    Features use their own standard deviation, however noisy the channels they are computed from.
-    """
-    found: Array = (own.scales / runs.scales)[runs.rows.trial, runs.rows.channel]
-    found[runs.rows.white] = 1.0
-    return found

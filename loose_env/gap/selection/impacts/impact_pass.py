@@ -19,6 +19,7 @@ from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
 from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.preparation.prepare import GapProblem
+from loose_env.gap.residuals.physical_units import noise_ratio
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.deletion import at_bound, worse_quantity
 from loose_env.gap.selection.impacts.impact_power import ImpactPower
@@ -80,13 +81,14 @@ def impact_pass(
     left = problem.fit.channel_rms(best.fitted.residual)
     weighed = problem.louder(np.maximum(left, 1.0))
     own = Scorer(weighed.fit, weighed.held_out_whole)
-    rigid = _without_slides(best, weighed, own)
+    rigid = _without_slides(best, problem, weighed, own)
     if len(rigid.fitted.effects) >= settings.most_effects:
         return None
     known, rng = rigid.fitted.hypothesis.of_model, np.random.default_rng(settings.seed)
     impact_fit = find_impacts(problem, known, sought, rng, say=say)
     if impact_fit is None:
         return None
+    rigid = own.score(refined(rigid.fitted, weighed.fit))
     for effect in impact_fit.insignificant:
         say(f"  dropped {effect!r}: a proxy for the part with stops")
         rigid = refit_without(effect, rigid, weighed, own)
@@ -105,14 +107,24 @@ def impact_pass(
     )
 
 
-def _without_slides(best: ScoredFit, problem: GapProblem, scorer: Scorer) -> ScoredFit:
+def _without_slides(
+    best: ScoredFit, problem: GapProblem, weighed: GapProblem, scorer: Scorer
+) -> ScoredFit:
     """Refit the hypothesis without slides, which the impact pass searches again."""
-    structure, free = best.fitted.structure, best.fitted.free
-    pairs = zip(structure.effects, best.fitted.own_free, strict=True)
-    kept = [(e, own) for e, own in pairs if e.kind != "structural_looseness"]
-    start = np.concatenate([free[: len(structure.nuisance.parameters)], *(own for _, own in kept)])
-    rigid = structure.with_effects([e for e, _ in kept])
-    return scorer.score(refined(fit(problem.fit, rigid, start), problem.fit))
+    fitted = best.fitted
+    slides = [
+        own
+        for effect, own in zip(fitted.effects, fitted.structure.slices, strict=True)
+        if effect.kind == "structural_looseness"
+    ]
+    kept = np.ones(len(fitted.free), dtype=bool)
+    for own in slides:
+        kept[own] = False
+    rigid = fitted.structure.with_effects(
+        [effect for effect in fitted.effects if effect.kind != "structural_looseness"]
+    )
+    known = fitted.jacobian[:, kept] * noise_ratio(problem.fit, weighed.fit)[:, None]
+    return scorer.score(fit(weighed.fit, rigid, fitted.free[kept], known=known))
 
 
 def _with_struck(comparison: ResidualModel, rigid: Fit, impact_fit: ImpactFit) -> Fit:
