@@ -42,13 +42,18 @@ SEARCH_Z = 3.0
 """Autocorrelation (z) of a residual below which it is white and nothing is searched in it."""
 FITTED_CANDIDATES = 7
 """Candidates fitted to the windows, by predicted explained variance: a matter of cost."""
-FITTED_BY_Z = 2
-"""Further ones by predicted z-score: small effects that act in every block of time."""
+ALTERNATIVES = 4
+"""Alternatives fitted to the windows: pairs, and what may take the place of an effect; cost."""
+LEADING = 3
+"""Leading candidates that are fitted from a second start, where there is one as good, and to all
+search data; most effects of an answer for which swaps are tried: cost."""
+FURTHER = 2
+"""Further ones, each for a reason of its own: by predicted z-score (small effects that act in every
+block of time), kinds at several locations, sets for all search data, what is confusable with the
+best, what lies at the same joint; cost."""
 LEAST_PREDICTED = 0.1
 """Predicted explained variance of a candidate over that of the best one, from which it is
 fitted."""
-FITTED_TWICE = 3
-"""Candidates fitted from a second start, where there is one as good: local minima."""
 SECOND_START = 0.5
 """Predicted explained variance of a second start over that of the first, from which it is kept."""
 HOPELESS_COST = 2.0
@@ -56,20 +61,10 @@ HOPELESS_COST = 2.0
 also better by `ACCEPTED_Z`."""
 NEAR_COST = 1.25
 """The same for a fit to all search data."""
-FINALISTS = 3
-"""Candidates fitted to all search data: a matter of cost."""
-CONFUSABLE_FITS = 2
-"""Candidates confusable with the best one that are fitted to all search data, too."""
 SINGLE_SHARE = 0.1
 """Share of the autocorrelated residual that the best single effect leaves, above which sets of
 effects are fitted, too, where that is this share of the nominal model's, or above the noise: a
 smaller second effect is found beside the first."""
-PAIRS = 4
-"""Pairs of effects that are fitted jointly: a matter of cost."""
-KINDS = 2
-"""Kinds that are fitted at several locations: a matter of cost."""
-FINAL_SETS = 2
-"""Sets fitted to all search data: a matter of cost."""
 
 # Acceptance
 ACCEPTED_Z = 3.5
@@ -107,12 +102,6 @@ WORTH_SHARE = 0.1
 """Share of a simpler hypothesis' residual that they explain even so."""
 TIE_Z = 2.0
 """Improvement (z) on held-out runs below which two hypotheses are not distinguishable."""
-SWAP_CANDIDATES = 4
-"""Candidates fitted in place of each identified effect: a matter of cost."""
-SWAP_CANDIDATES_THERE = 2
-"""Further ones at the same joint."""
-SWAPPED_EFFECTS = 3
-"""Most identified effects for which swaps are tried."""
 
 # Deletion test
 WORSE = 1.02

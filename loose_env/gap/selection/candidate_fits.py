@@ -20,12 +20,9 @@ from loose_env.gap.selection.screening.grouping import confusable
 from loose_env.gap.selection.screening.screening import Screened
 from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import (
-    CONFUSABLE_FITS,
-    FINAL_SETS,
-    FINALISTS,
-    FITTED_BY_Z,
     FITTED_CANDIDATES,
-    FITTED_TWICE,
+    FURTHER,
+    LEADING,
     LEAST_PREDICTED,
     NEAR_COST,
     NOISE_RMS,
@@ -89,8 +86,8 @@ class CandidateFits:
         # wrong law
         most = max((each.z for each in taken), default=0.0)
         by_z = [each for each in screened[len(taken) :] if each.z > most]
-        taken += sorted(by_z, key=lambda each: -each.z)[:FITTED_BY_Z]
-        twice = 0 if self.beside_stops else FITTED_TWICE
+        taken += sorted(by_z, key=lambda each: -each.z)[:FURTHER]
+        twice = 0 if self.beside_stops else LEADING
         windows = self.windows
         fits, best = windows.race([[each] for each in taken], twice=twice)
         together: list[Fit] = []
@@ -101,26 +98,26 @@ class CandidateFits:
             say(f"  joint fits: {len(proposed)} sets of effects")
             together, best = windows.race(proposed, best=best)
             fits, best = windows.with_hope(fits, best)
-        highest_z = max(fits[FINALISTS:], key=windows.z_of, default=None)
+        highest_z = max(fits[LEADING:], key=windows.z_of, default=None)
         near, near_together = (windows.with_hope(f, best, NEAR_COST)[0] for f in (fits, together))
-        finalists = near[:FINALISTS]
+        finalists = near[:LEADING]
         # a few blocks with a large unexplained residual may hide a small effect at every joint
-        most = max(map(windows.z_of, fits[:FINALISTS]), default=0.0)
+        most = max(map(windows.z_of, fits[:LEADING]), default=0.0)
         if highest_z is not None and windows.z_of(highest_z) > most:
             finalists.append(highest_z)
-        leading = [*finalists, *near_together[:FINAL_SETS]]
+        leading = [*finalists, *near_together[:FURTHER]]
         found = [self._to_all(each) for each in counted("fits to all runs", leading)]
         if not finalists:
             return found
         winner = min(found[: len(finalists)], key=lambda j: j.total).fitted.effects[-1]
         others = [f for f in fits if not any(f is g for g in finalists)]
-        confusables = [f for f in others if confusable(winner, f.effects[-1])][:CONFUSABLE_FITS]
+        confusables = [f for f in others if confusable(winner, f.effects[-1])][:FURTHER]
         # a candidate screened out for a poor start may still be the true one
         relatives = [
             each
             for each in screened
             if not any(each is tried for tried in taken) and confusable(winner, each.effect)
-        ][: CONFUSABLE_FITS - len(confusables)]
+        ][: FURTHER - len(confusables)]
         more, _ = windows.race([[each] for each in relatives], best=best)
         return found + [self._to_all(each) for each in (*confusables, *more)]
 
@@ -166,7 +163,7 @@ class CandidateFits:
         sets = [[each] for each in screened]
         fits, _ = windows.race(sets, twice=len(screened), best=incumbent)
         near = [f for f in fits if f.residual @ f.residual < _NEAR * float(together @ together)]
-        found = [self._to_all(each) for each in near[:CONFUSABLE_FITS]]
+        found = [self._to_all(each) for each in near[:FURTHER]]
         return sorted(found, key=lambda scored: scored.total)
 
     def _to_all(self, each: Fit) -> ScoredFit:

@@ -22,13 +22,13 @@ from loose_env.gap.selection.screening.screening import Screened, screen
 from loose_env.gap.selection.screening.signatures import Signatures
 from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import (
+    ALTERNATIVES,
     CONFIRMED_Z,
-    KINDS,
-    PAIRS,
+    FURTHER,
+    LEADING,
     SCREENING_RUNS,
     SCREENING_S,
     SEARCH_Z,
-    SWAPPED_EFFECTS,
     WORTH_PARAMETERS,
     SearchSettings,
 )
@@ -177,7 +177,7 @@ def select_effects(
             found.unfinished = True
             return found
     white = found.best.autocorrelation_z < SEARCH_Z and not found.best.above_noise
-    if 2 <= len(found.best.fitted.effects) <= SWAPPED_EFFECTS and not white:
+    if 2 <= len(found.best.fitted.effects) <= LEADING and not white:
         say("swap step: confusable effects in place of the identified ones")
         exchange = SwapStep(comparison, short, scorer, candidates, found.base, settings)
         better = keep.scored("exchanged", lambda: exchange.improved(found.best, say))
@@ -260,7 +260,11 @@ def _sets(
     """Sets of candidates that may explain the residual together."""
     problem = JointProblem(short, candidate_fits.windows.before, screened)
     many = problem.greedy()
-    proposed = [*problem.pairs(PAIRS), *problem.kinds(KINDS), *([] if many is None else [many])]
+    proposed = [
+        *problem.pairs(ALTERNATIVES),
+        *problem.kinds(FURTHER),
+        *([] if many is None else [many]),
+    ]
     found: dict[frozenset[tuple[str, str, str]], Sequence[Screened]] = {}
     for each in proposed:
         found.setdefault(frozenset(member.effect.key for member in each.members), each.members)

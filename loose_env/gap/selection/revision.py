@@ -23,8 +23,8 @@ from loose_env.gap.selection.candidate_fits import CandidateFits
 from loose_env.gap.selection.screening.grouping import confusable, joint_of
 from loose_env.gap.selection.screening.screening import screen
 from loose_env.gap.settings import (
-    SWAP_CANDIDATES,
-    SWAP_CANDIDATES_THERE,
+    ALTERNATIVES,
+    FURTHER,
     SearchSettings,
 )
 
@@ -45,7 +45,7 @@ class SwapStep:
     base : ScoredFit
         The nominal model.
     settings : SearchSettings
-        Number of swaps: `SWAP_CANDIDATES` candidates at most are fitted for each effect.
+        Number of swaps: `ALTERNATIVES` candidates at most are fitted for each effect.
     """
 
     def __init__(
@@ -99,10 +99,10 @@ class SwapStep:
         candidate_fits = CandidateFits(self.comparison, self.short, self.scorer, before)
         acceptance = Acceptance(self.comparison, self.scorer, self.base, before, self.settings)
         screened = screen(self.short, candidate_fits.windows.before, confusables)
-        taken = screened[:SWAP_CANDIDATES]
+        taken = screened[:ALTERNATIVES]
         # the start says little of a delay; at the same joint a fit is worth its cost
         there = [s for s in screened if joint_of(s.effect) == joint_of(effect) is not None]
-        taken += [s for s in there if s not in taken][:SWAP_CANDIDATES_THERE]
+        taken += [s for s in there if s not in taken][:FURTHER]
         for scored in candidate_fits.replacements(taken, best.fitted):
             simpler = self._without_insignificant(scored, before, best, acceptance)
             if acceptance.ranked([best, simpler])[0] is not simpler:
