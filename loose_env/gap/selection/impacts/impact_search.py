@@ -20,6 +20,7 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import free_of
 from loose_env.gap.preparation.prepare import GapProblem
+from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.impacts.impact_power import ImpactPower
 from loose_env.gap.selection.screening.data_driven_starts import proposals
@@ -42,6 +43,7 @@ _BY_CHANCE = 0.5
 """Mean square of what noise alone leaves: half of it, for less than noise counts as noise."""
 _FROM = 3
 """Starts from which each of them is fitted."""
+_TITLE = "parts with stops"
 _STEP = 0.05
 _ROUGH, _FINE = (FitSettings(difference=step, iterations=n) for step, n in ((0.2, 8), (_STEP, 4)))
 """Powers scatter with the moments of blows: sensitivities are taken over long steps first."""
@@ -117,20 +119,30 @@ def find_impacts(
     say("impact pass: parts with stops, by the power of the residual")
     proposed, sorting = proposals(problem.search, known, with_stops), ImpactPower(short, known)
     starts = {e.key: proposed.get(e.key) or e.starts for e in with_stops}
-    promising = [(_sorted(sorting, e, starts[e.key])[0][0], e) for e in with_stops]
-    promising = sorted(
-        (each for each in promising if each[0] > IMPACT_PREDICTED), key=lambda p: -p[0]
-    )
-    for promise, effect in promising:
-        say(f"  {effect!r}: predicted share {promise:.3f}")
-    if not promising:
+    ordered = [(e, _sorted(sorting, e, starts[e.key])) for e in counted(_TITLE, with_stops)]
+    promising = [(e, found) for e, found in ordered if found[0][0] > IMPACT_PREDICTED]
+    promising.sort(key=lambda each: -each[1][0][0])
+    for effect, found in promising:
+        say(f"  {effect!r}: predicted share {found[0][0]:.3f}")
+    held = ImpactPower(problem.held_out, known)
+    rough = [
+        _roughly(sorting, e, [start for _, start in found])
+        for e, found in counted(_TITLE, promising[:_FITTED])
+    ]
+    # what only fits the windows that it was fitted to does not explain other runs
+    rough = [
+        each
+        for each in rough
+        if _explained(held.measured, held.residuals([each.hypothesis])[0]) > IMPACT_PREDICTED
+    ]
+    if not rough:
         return None
-    searched, held = ImpactPower(problem.search, known), ImpactPower(problem.held_out, known)
+    searched = ImpactPower(problem.search, known)
 
     def left(hypothesis: Hypothesis) -> _Left:
         return _Left.of(hypothesis, searched, held)
 
-    fits = [_fitted(searched, effect, starts[effect.key]) for _, effect in promising[:_FITTED]]
+    fits = [fit(searched, each.structure, each.free, settings=_FINE) for each in rough]
     tried = sorted(((left(each.hypothesis), each) for each in fits), key=lambda t: t[0].total)
     best, fitted = tried[0]
     before = _Left((searched, searched.measured), (held, held.measured))
@@ -208,16 +220,13 @@ def _sorted(
     return sorted(found, key=lambda each: -each[0])
 
 
-def _fitted(impact_power: ImpactPower, effect: Effect, starts: Sequence[tuple[float, ...]]) -> Fit:
-    """Return the best of fits from the best starts."""
-    found, structure = [], ModelStructure(effects=(effect,))
-    for _, start in _sorted(impact_power, effect, starts)[:_FROM]:
-        rough = fit(
-            impact_power, structure, free_of(effect.parameters, np.array(start)), settings=_ROUGH
-        )
-        found.append(
-            fit(impact_power, structure, rough.free, residual=rough.residual, settings=_FINE)
-        )
+def _roughly(impact_power: ImpactPower, effect: Effect, starts: Sequence[tuple[float, ...]]) -> Fit:
+    """Return the best of rough fits from the first starts."""
+    structure = ModelStructure(effects=(effect,))
+    found = [
+        fit(impact_power, structure, free_of(effect.parameters, np.array(start)), settings=_ROUGH)
+        for start in starts[:_FROM]
+    ]
     return min(found, key=lambda each: each.cost)
 
 
