@@ -84,6 +84,7 @@ def screen(
         Source of the signatures, which may know some already.
     """
     signatures = signatures or Signatures()
+    signatures.about(comparison, fitted)
     known = CurrentFit.of(fitted)
     slow = _slow_rows(comparison)
     lens = CurrentFit.of(fitted, slow) if 0 < slow.sum() < len(slow) else None

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.fitting.gauss_newton import Fit, started
+from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.screening.grouping import joint_of
 from loose_env.gap.simulation.sensor_timing import changes_within
 from loose_env.typing import Array
 
@@ -21,6 +23,10 @@ __all__ = ["Signatures"]
 
 _GROUP = 24
 """Hypotheses simulated at a time."""
+_CHANGED = 0.03
+"""Mean square change of the sensitivities over their mean square, up to which signatures hold."""
+_KEPT = 250_000_000
+"""Memory for signatures that are kept [bytes]."""
 Start = tuple[float, ...]
 
 
@@ -30,9 +36,10 @@ class Signatures:
     Both residuals are of the same time steps and integrator: the difference of two methods of
     integration is no signature.
 
-    Where torque is compared with motion, torques add up: what a spring changes hardly depends on
-    the frictions found so far, and a spring takes thirty times as long as they do. Its signatures
-    are taken about the nominal model there, once.
+    What has been found so far often changes the motion by little beside the motion itself. The
+    signatures about the nominal model then hold on, but for effects at the joints of those that
+    were found; they are simulated once. Where torque is compared with motion, torques add up, and
+    those of springs, which take thirty times as long as the others, always hold.
 
     Parameters
     ----------
@@ -43,6 +50,42 @@ class Signatures:
     def __init__(self, nominal: Fit | None = None) -> None:
         self.nominal = nominal
         self._kept: dict[object, NDArray[np.float32]] = {}
+        self._room = _KEPT
+        self._sensitivities: Array | None = None
+        self._holds: Callable[[Effect], bool] = _never
+
+    def about(self, comparison: ResidualModel, fitted: Fit) -> None:
+        """Decide for a fit which signatures about the nominal model still hold.
+
+        The sensitivities of the nominal parameters tell: they are known for both.
+
+        Parameters
+        ----------
+        comparison : ResidualModel
+            The runs.
+        fitted : Fit
+            The current fit to them, with its sensitivities.
+        """
+        nominal, self._holds = self.nominal, _never
+        if nominal is None:
+            return
+        if comparison.rows.inverse.all():
+            self._holds = _adds_motion
+            return
+        count = len(nominal.free)
+        if self._sensitivities is None:
+            first = fitted.jacobian
+            if not np.array_equal(nominal.free, fitted.free):
+                residual = comparison.residuals([nominal.hypothesis])[0]
+                first = refined(replace(nominal, residual=residual), comparison).jacobian
+            self._sensitivities = first[:, :count].astype(np.float32)
+        first = self._sensitivities
+        sizes = np.sum(first.astype(float) ** 2, axis=0)
+        changes = np.sum((fitted.jacobian[:, :count] - first) ** 2, axis=0)[sizes > 0]
+        if not len(changes) or np.mean(changes / sizes[sizes > 0]) > _CHANGED:
+            return
+        joints = {joint_of(effect) for effect in fitted.effects}
+        self._holds = lambda effect: joint_of(effect) not in joints
 
     def of(
         self,
@@ -65,28 +108,42 @@ class Signatures:
             Residual of `fitted` in that comparison. A candidate that needs other time steps is
             compared with `fitted` on those.
         """
-        nominal = self.nominal
-        if nominal is None or not compared.rows.inverse.all():
-            yield from _signatures(compared, fitted, entries, base)
-            return
-        runs = (*(trial.name for trial in compared.trials), len(compared))
-        springs = [each for each in entries if each[0].adds_motion]
+        holding = [each for each in entries if self._holds(each[0])]
         yield from _signatures(
-            compared, fitted, [each for each in entries if not each[0].adds_motion], base
+            compared, fitted, [each for each in entries if not self._holds(each[0])], base
         )
-        unknown = [each for each in springs if (runs, each[0].key, each[1]) not in self._kept]
-        if unknown:
-            rigid = np.asarray(compared.residuals([nominal.hypothesis])[0])
-            for effect, start, signature in _signatures(compared, nominal, unknown, rigid):
-                self._kept[runs, effect.key, start] = signature.astype(np.float32)
-        for effect, start in springs:
-            yield effect, start, self._kept[runs, effect.key, start].astype(float)
+        if not holding or self.nominal is None:
+            return
+        steps = tuple((trial.name, trial.step) for trial in compared.trials)
+        keys = [(steps, len(compared), effect.key, start) for effect, start in holding]
+        unknown = [n for n, key in enumerate(keys) if key not in self._kept]
+        for n, key in enumerate(keys):
+            if key in self._kept:
+                yield (*holding[n], self._kept[key].astype(float))
+        if not unknown:
+            return
+        rigid = np.asarray(compared.residuals([self.nominal.hypothesis])[0])
+        found = _signatures(compared, self.nominal, [holding[n] for n in unknown], rigid)
+        for n, (effect, start, signature) in zip(unknown, found, strict=True):
+            short = signature.astype(np.float32)
+            if short.nbytes <= self._room:
+                self._room -= short.nbytes
+                self._kept[keys[n]] = short
+            yield effect, start, short.astype(float)
 
     def reference(self, compared: ResidualModel, fitted: Fit) -> Array:
-        """Residual (N,) of the fit about which the signatures of springs are taken."""
-        if self.nominal is None or not compared.rows.inverse.all():
+        """Residual (N,) of the nominal model where there is one, else of a fit."""
+        if self.nominal is None:
             return fitted.residual
         return np.asarray(compared.residuals([self.nominal.hypothesis])[0])
+
+
+def _never(effect: Effect) -> bool:
+    return False
+
+
+def _adds_motion(effect: Effect) -> bool:
+    return effect.adds_motion
 
 
 def _signatures(
