@@ -74,6 +74,12 @@ class InitialStates:
         )
 
     @cached_property
+    def _lengths(self) -> tuple[float, ...]:
+        """Lengths of beginnings that are tried [s]; a free response seldom forgets its own."""
+        driven = any(self.trials[t].form != "free" for t in self.moving)
+        return (*_PERSISTS, np.inf) if driven else (np.inf,)
+
+    @cached_property
     def spreads(self) -> Array:
         """Standard deviation of the measured initial state (runs, 2, joints)."""
         return np.array([_spread(self.machine, self.trials[t], self.channels) for t in self.moving])
@@ -153,7 +159,7 @@ class InitialStates:
         """
         places = {int(run): k for k, run in enumerate(comparison.runs)}
         left = [t for t in self.moving if t in places]
-        for seconds in (*_PERSISTS, np.inf):
+        for seconds in self._lengths:
             if not left:
                 return
             part = comparison.beginnings(tuple(places[t] for t in left), seconds)
@@ -184,7 +190,7 @@ class InitialStates:
         """
         free = np.zeros(len(self.parameters))
         moving = tuple(k for k, run in enumerate(comparison.runs) if int(run) in self.moving)
-        for seconds in (*_PERSISTS, np.inf) if moving else ():
+        for seconds in self._lengths if moving else ():
             part = comparison.beginnings(moving, seconds)
             free, persistent = self._fitted_on(part, hypothesis, free, iterations)
             if not persistent or len(part) == len(comparison.beginnings(moving, np.inf)):

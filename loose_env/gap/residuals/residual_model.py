@@ -314,7 +314,8 @@ class ResidualModel:
     @property
     def simulated(self) -> int:
         """Number of simulated steps and evaluated samples so far."""
-        return self.simulator.simulated + (0 if self.inverse is None else self.inverse.simulated)
+        own = self.simulator.simulated + (0 if self.inverse is None else self.inverse.simulated)
+        return own + sum(part.simulated for part in self._beginnings.values())
 
     def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
         """Predict the readings of every run under every hypothesis.
