@@ -10,6 +10,7 @@ goes on from there.
 
     loose gap arm --out arm-gap
     loose gap arm --out arm-gap --kinds coulomb_friction backlash
+    loose gap arm --out arm-gap --quick
 """
 
 from __future__ import annotations
@@ -23,17 +24,26 @@ from loose_env.arms import files_of
 from loose_env.cli.console import Console, Outcome, add_recording_options, folder_of
 from loose_env.cli.doctor import add_preflight, check_first
 from loose_env.cli.options import add_settings, settings_of
+from loose_env.cli.output_folder import OutputFolder
 from loose_env.errors import InvalidSetting
 from loose_env.gap import (
     GapSettings,
     Stages,
     find_gap,
     key_of,
+    quick_look,
     read_effects,
     write_gap,
 )
-from loose_env.recording import read_recording
-from loose_env.report import gap_text, require_rerun, write_gap_report, write_rerun
+from loose_env.io import write_text
+from loose_env.recording import Recording, read_recording
+from loose_env.report import (
+    gap_text,
+    quick_text,
+    require_rerun,
+    write_gap_report,
+    write_rerun,
+)
 
 _OWN = ("threads",)
 """Settings on which the result does not depend."""
@@ -58,6 +68,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="also write measured, nominal and corrected motion of the held-out runs for the Rerun "
         "viewer (extra rerun); an existing file is replaced",
     )
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="a look of about half a minute: where the model is wrong and the three most promising "
+        "explanations, without tests and intervals; only quick.json is written",
+    )
     add_settings(parser, GapSettings)
 
 
@@ -68,6 +84,10 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     folder = folder_of(options)
     recording = read_recording(options.recording, model=options.model)
     preflight = check_first(recording, options)
+    if options.quick:
+        for file in options.effects:
+            read_effects(file)
+        return _quick(folder, recording, settings, console)
     plain = {k: v for k, v in asdict(settings).items() if k not in _OWN}
     for file in options.effects:
         read_effects(file)
@@ -95,6 +115,19 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
         text=f"{gap_text(result, warnings=False)}\nwritten: {', '.join(shown)}",
         json=result.to_json,
         warnings=tuple(result.warnings),
+    )
+
+
+def _quick(
+    folder: OutputFolder, recording: Recording, settings: GapSettings, console: Console
+) -> Outcome:
+    """Rank what may be missing, from windows of the runs."""
+    with folder.worked_in():
+        look = quick_look(recording, settings, say=console.say)
+        file = write_text(folder.path / "quick.json", look.to_json())
+    folder.note([file])
+    return Outcome(
+        text=f"{quick_text(look)}\nwritten: {file}", json=look.to_json, warnings=look.warnings
     )
 
 

@@ -85,6 +85,7 @@ from loose_env.gap.workflow.pipeline import (
     GapSolution,
     find_gap,
 )
+from loose_env.gap.workflow.quick_look import QuickCandidate, QuickLook, quick_look
 from loose_env.gap.workflow.session import GapSession
 from loose_env.gap.workflow.summary import result_of, write_gap
 
@@ -108,6 +109,8 @@ __all__ = [
     "JointMotion",
     "NamedEffect",
     "Parameter",
+    "QuickCandidate",
+    "QuickLook",
     "RankedHypothesis",
     "ResidualDiagnostics",
     "Series",
@@ -125,6 +128,7 @@ __all__ = [
     "key_of",
     "main_band",
     "quantity_words",
+    "quick_look",
     "read_effects",
     "read_result",
     "register",

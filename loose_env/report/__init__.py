@@ -13,6 +13,7 @@ from loose_env.report.diagnosis.text import headline as diagnosis_headline
 from loose_env.report.diagnosis.trend_page import trend_headline, write_trend_page
 from loose_env.report.diagnosis.write import write_diagnosis
 from loose_env.report.gap.notebook import gap_html, gap_text
+from loose_env.report.gap.quick import quick_text
 from loose_env.report.gap.rerun_file import require_rerun, write_rerun
 from loose_env.report.gap.text import headline as gap_headline
 from loose_env.report.gap.write import write_gap_report
@@ -56,6 +57,7 @@ __all__ = [
     "new_figure",
     "paragraphs",
     "pyplot",
+    "quick_text",
     "quiet_axes",
     "read_study",
     "require_rerun",

@@ -44,11 +44,11 @@ def model_with(suffix: str) -> str:
     )
 
 
-def record(folder: Path, *, runs: int = 3, suffix: str = "") -> Recording:
-    """Write a recording of an arm with the two effects and with noise."""
+def record(folder: Path, *, runs: int = 3, suffix: str = "", missing: bool = True) -> Recording:
+    """Write a recording of an arm with noise, and with the two effects unless none is missing."""
     xml = model_with(suffix)
     spec = mujoco.MjSpec.from_string(xml)
-    spec.joint(f"joint2{suffix}").damping = np.array([0.5 + DAMPING, 0, 0])
+    spec.joint(f"joint2{suffix}").damping = np.array([0.5 + DAMPING * missing, 0, 0])
     model = spec.compile()
     time = np.arange(COUNT) * STEP
     rng = np.random.default_rng(8)
@@ -62,7 +62,7 @@ def record(folder: Path, *, runs: int = 3, suffix: str = "") -> Recording:
             data.ctrl[:] = command
             mujoco.mj_step(model, data)
             row[:] = data.sensordata
-        shown[:, 3] *= GAIN
+        shown[:, 3] *= GAIN if missing else 1.0
         shown += rng.normal(0, [2e-5, 2e-5, 2e-5, 2e-3, 0.02, 0.02, 0.02], shown.shape)
         names = [f"{name}{suffix}" for name in ("encoder1", "encoder2", "encoder3", "rate3")]
         found.append(

@@ -1,0 +1,155 @@
+"""Quick look: where a model is wrong and what may be missing, from windows of the runs.
+
+One step of the search, on windows of some seconds: it ranks and does not decide. Nothing is
+refitted to whole runs, no effect is tested by taking it out again, and there are no intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+
+from loose_env.arms import quiet
+from loose_env.gap.diagnostics.joint_torque_residual import joint_motion
+from loose_env.gap.diagnostics.localisation import locate, location_words
+from loose_env.gap.fitting.holdout_score import ScoredFit
+from loose_env.gap.fitting.model_structure import nuisance_of
+from loose_env.gap.model.effects.catalogue import candidates
+from loose_env.gap.output.result import EffectLocation
+from loose_env.gap.preparation.prepare import GapProblem, prepare
+from loose_env.gap.residuals.progress import reported
+from loose_env.gap.residuals.windows import SHORTEST, windowed
+from loose_env.gap.selection.forward_selection import Selection, select_effects
+from loose_env.gap.selection.ranking import added_to
+from loose_env.gap.settings import SCREENING_RUNS, SCREENING_S, GapSettings, SearchSettings
+from loose_env.io import json_text
+from loose_env.recording import Recording
+
+__all__ = ["QuickCandidate", "QuickLook", "quick_look"]
+
+FORMAT = "loose-gap-quick/1"
+_SHOWN = 3
+"""Hypotheses that are shown."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuickCandidate:
+    """One effect that may be missing, or several that explain together."""
+
+    effects: tuple[EffectLocation, ...]
+    """Kinds and places."""
+    parameters: tuple[Mapping[str, float], ...]
+    """Values fitted to the windows, effect by effect."""
+    units: tuple[Mapping[str, str], ...]
+    """Units of these."""
+    explained: float
+    """Share of what hangs together in the residual that it explains, held-out windows included."""
+    held_out_z: float
+    """Improvement (z) on the held-out windows."""
+    held_out: float
+    """Residual there, root mean square in noise standard deviations."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuickLook:
+    """What a quick look shows."""
+
+    before: float
+    """Residual of the nominal model on held-out windows, in noise standard deviations."""
+    candidates: tuple[QuickCandidate, ...] = ()
+    """The most promising, best first; none where the residual is noise."""
+    location_words: tuple[str, ...] = ()
+    """Where the model is wrong, in sentences."""
+    warnings: tuple[str, ...] = ()
+    """Cautions for the reader."""
+    format: str = FORMAT
+    """Format of the JSON document."""
+
+    def to_json(self) -> str:
+        """Format as JSON."""
+        return json_text(asdict(self))
+
+
+def quick_look(
+    recording: Recording,
+    settings: GapSettings | None = None,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+) -> QuickLook:
+    """Locate a model error, and rank what may explain it, on windows of the runs.
+
+    Parameters
+    ----------
+    recording : Recording
+        Measured runs and the nominal model.
+    settings : GapSettings, optional
+        Settings of the comparison.
+    say : callable
+        Receives progress messages, line by line.
+
+    Raises
+    ------
+    InvalidData
+        If the recording has too few runs, or a run lacks what its comparison needs.
+
+    Examples
+    --------
+    >>> from loose_env.recording import read_recording
+    >>> quick_look(read_recording("recordings/arm")).candidates  # doctest: +SKIP
+    (QuickCandidate(effects=(EffectLocation(kind='coulomb_friction', where='joint2'),), ...)
+    """
+    with quiet(), reported(say) as told:
+        problem = prepare(recording, settings or GapSettings())
+        runs = len(problem.search.trials)
+        seconds = max(SCREENING_S, SHORTEST * min(runs, SCREENING_RUNS))
+        search, held_out = (windowed(each, seconds) for each in (problem.search, problem.held_out))
+        nuisance = nuisance_of(search, tolerance=problem.settings.tolerance)
+        kinds = problem.settings.kinds or None
+        found = select_effects(
+            search,
+            held_out,
+            nuisance,
+            [each for each in candidates(problem.machine, kinds) if search.shows(each)],
+            settings=SearchSettings(most_effects=1),
+            say=told,
+        )
+        return QuickLook(
+            before=found.base.held_out_rms,
+            candidates=_leading(found),
+            location_words=_where(problem, found.base),
+            warnings=tuple(problem.warnings),
+        )
+
+
+def _leading(found: Selection) -> tuple[QuickCandidate, ...]:
+    """The hypotheses that leave least."""
+    if not found.rivals:
+        return ()
+    tried = sorted(found.rivals[0], key=lambda each: each[0].total)
+    leading = []
+    for scored, improvement in tried[:_SHOWN]:
+        new = added_to(found.base, scored)
+        values = {effect.key: own for effect, own in scored.fitted.hypothesis.pairs}
+        leading.append(
+            QuickCandidate(
+                effects=tuple(EffectLocation(kind=e.kind, where=e.where) for e in new),
+                parameters=tuple(
+                    dict(zip((p.name for p in e.parameters), values[e.key].tolist(), strict=True))
+                    for e in new
+                ),
+                units=tuple({p.name: p.unit for p in e.parameters} for e in new),
+                explained=improvement.share,
+                held_out_z=improvement.held_out,
+                held_out=scored.held_out_rms,
+            )
+        )
+    return tuple(leading)
+
+
+def _where(problem: GapProblem, base: ScoredFit) -> tuple[str, ...]:
+    """Where the nominal model is wrong, in sentences; of whole runs."""
+    runs = problem.search
+    residual = runs.residuals([base.fitted.hypothesis.of_model])[0]
+    motions = [joint_motion(problem.machine, t, runs.channels, runs.floors) for t in runs.trials]
+    found = locate(residual, runs.rows, runs.trials, runs.channels, motions)
+    return tuple(location_words(found, most=2))
