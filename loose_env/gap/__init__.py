@@ -53,6 +53,12 @@ from loose_env.gap.output.export_check import (
 from loose_env.gap.output.export_mjcf import (
     write_model,
 )
+from loose_env.gap.output.probability import (
+    PROBABILITY_FEATURES,
+    ProbabilityMap,
+    probability_features,
+    stored_map,
+)
 from loose_env.gap.output.result import (
     DeletionTest,
     EffectLocation,
@@ -80,7 +86,7 @@ from loose_env.gap.settings import (
     GapSettings,
 )
 from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residuals
-from loose_env.gap.workflow.explain import explain_gap
+from loose_env.gap.workflow.explain import explain_gap, prediction_error
 from loose_env.gap.workflow.pipeline import (
     GapSolution,
     find_gap,
@@ -92,6 +98,7 @@ from loose_env.gap.workflow.summary import result_of, write_gap
 __all__ = [
     "ACCEPTED_Z",
     "NOISE_RMS",
+    "PROBABILITY_FEATURES",
     "TARGETS",
     "DeletionTest",
     "Dependence",
@@ -109,6 +116,7 @@ __all__ = [
     "JointMotion",
     "NamedEffect",
     "Parameter",
+    "ProbabilityMap",
     "QuickCandidate",
     "QuickLook",
     "RankedHypothesis",
@@ -127,6 +135,8 @@ __all__ = [
     "in_bands",
     "key_of",
     "main_band",
+    "prediction_error",
+    "probability_features",
     "quantity_words",
     "quick_look",
     "read_effects",
@@ -136,6 +146,7 @@ __all__ = [
     "result_of",
     "series_of",
     "spectrum",
+    "stored_map",
     "strongest",
     "write_export",
     "write_gap",

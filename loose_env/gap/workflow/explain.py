@@ -1,19 +1,24 @@
-"""`loose gap` as one call: from a recording to the content of ``result.json``."""
+"""`loose gap` as one call, and the error of a model on a recording."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
 
+from loose_env.arms import quiet
+from loose_env.gap.fitting.initial_state import InitialStates
+from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.checkpoints import Stage, fresh
 from loose_env.gap.output.result import GapResult
+from loose_env.gap.preparation.prepare import prepare
+from loose_env.gap.residuals.physical_units import rms
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.evidence import diagnose_residuals
 from loose_env.gap.workflow.pipeline import find_gap
 from loose_env.gap.workflow.summary import result_of, write_gap
 from loose_env.recording import Recording
 
-__all__ = ["explain_gap"]
+__all__ = ["explain_gap", "prediction_error"]
 
 
 def explain_gap(
@@ -68,3 +73,35 @@ def explain_gap(
     if folder is not None:
         return write_gap(folder, solution, say=say)[0]
     return result_of(solution, diagnose_residuals(solution, say=say))
+
+
+def prediction_error(
+    recording: Recording, model: Hypothesis, settings: GapSettings | None = None
+) -> float:
+    """Error of a model on the held-out runs of a recording, nothing of it refitted.
+
+    Parameters
+    ----------
+    recording : Recording
+        Measured runs and the nominal model.
+    model : Hypothesis
+        Effects and nominal parameters, such as ``corrected`` of a `GapSolution` of another
+        recording of the same machine. Initial states alone are fitted.
+    settings : GapSettings, optional
+        Settings of the comparison.
+
+    Returns
+    -------
+    float
+        Root mean square in noise standard deviations.
+
+    Raises
+    ------
+    InvalidData
+        If the recording cannot be compared.
+    """
+    with quiet():
+        problem = prepare(recording, settings or GapSettings())
+        held = problem.held_out_whole
+        starts = InitialStates(problem.machine, held.trials, held.channels)
+        return rms(starts.fitted(held, model)[1])

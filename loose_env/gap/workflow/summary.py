@@ -17,6 +17,7 @@ from loose_env.gap.output.export_mjcf import (
     unnamed_words,
     write_model,
 )
+from loose_env.gap.output.probability import probability_of
 from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEffect
 from loose_env.gap.residuals.physical_units import errors_by_quantity, rms
 from loose_env.gap.residuals.progress import reported
@@ -44,19 +45,24 @@ def result_of(solution: GapSolution, evidence: ResidualDiagnostics | None = None
     held = problem.held_out_whole
     pairs = zip(evidence.before, evidence.after, strict=True)
     unexplained = solution.verdict == "unexplained"
+    gap = Gap(
+        before=rms(base.held_out_residual),
+        after=rms(best.held_out_residual),
+        by_channel=_by_channel(solution, evidence),
+        by_horizon_s={f"{b.horizon:.1f}": (b.rms, a.rms) for b, a in pairs},
+        by_quantity=errors_by_quantity(
+            problem.machine, held, base.held_out_residual, best.held_out_residual
+        ),
+    )
+    named, doubtful = (
+        tuple(_with_probability(effect, gap) for effect in effects)
+        for effects in (solution.effects, solution.doubtful)
+    )
     return GapResult(
         verdict=solution.verdict,
-        gap=Gap(
-            before=rms(base.held_out_residual),
-            after=rms(best.held_out_residual),
-            by_channel=_by_channel(solution, evidence),
-            by_horizon_s={f"{b.horizon:.1f}": (b.rms, a.rms) for b, a in pairs},
-            by_quantity=errors_by_quantity(
-                problem.machine, held, base.held_out_residual, best.held_out_residual
-            ),
-        ),
-        effects=tuple(_with_alike(e, evidence.identifiability) for e in solution.effects),
-        doubtful=solution.doubtful,
+        gap=gap,
+        effects=tuple(_with_alike(e, evidence.identifiability) for e in named),
+        doubtful=doubtful,
         held_out_runs=tuple(trial.name for trial in held.trials),
         ranking=solution.ranking,
         code=correction_code(solution.corrected),
@@ -105,6 +111,14 @@ def _by_channel(
         if len(parts[0]):
             found[channel.name] = (rms(parts[0]), rms(parts[1]))
     return found
+
+
+def _with_probability(effect: NamedEffect, gap: Gap) -> NamedEffect:
+    """Add the probability of an effect that was tested."""
+    if effect.deletion is None:
+        return effect
+    rivals = len(effect.ambiguous_with)
+    return replace(effect, probability=probability_of(effect.deletion, rivals=rivals, gap=gap))
 
 
 def _with_alike(effect: NamedEffect, found: Identifiability) -> NamedEffect:

@@ -1,5 +1,5 @@
 """Report of a model-error analysis.
 
-Data flow: figures -> spectra -> rerun_file -> overlay -> text -> notebook -> quick ->
-deletions -> parameters -> page -> write.
+Data flow: figures -> spectra -> rerun_file -> overlay -> effects -> text -> notebook -> quick ->
+parameters -> page -> write.
 """

@@ -8,12 +8,21 @@ from math import log1p
 from loose_env.envs import palette as ink
 from loose_env.gap import NOISE_RMS, GapResult, NamedEffect, quantity_words
 from loose_env.io import sentence
-from loose_env.report.gap.text import effect_words, headline
+from loose_env.report.gap.effects import effect_words, rivals_words
+from loose_env.report.gap.text import headline
 from loose_env.report.pages.notebook import aligned, bar, bullets, cells_table
 
 __all__ = ["gap_html", "gap_text"]
 
-_EFFECTS = ("missing effect", "parameter", "value", "95 % interval", "unit", "confusable with")
+_EFFECTS = (
+    "missing effect",
+    "probability",
+    "parameter",
+    "value",
+    "95 % interval",
+    "unit",
+    "confusable with",
+)
 _RESIDUAL = ("residual on held-out runs", "noise standard deviations")
 
 
@@ -95,7 +104,8 @@ def _residual(result: GapResult) -> list[tuple[str, float]]:
 
 def _rows(effect: NamedEffect) -> list[tuple[str, ...]]:
     """Rows of an effect's parameters; the first names the effect."""
-    others = ", ".join(effect_words(o.kind, o.where) for o in effect.ambiguous_with)
+    likely = "" if effect.probability is None else f"{100 * effect.probability:.0f} %"
+    others = ", ".join(rivals_words(effect))
     found: list[tuple[str, ...]] = []
     for name, value in effect.parameters.items():
         ends = effect.interval_95.get(name)
@@ -104,6 +114,7 @@ def _rows(effect: NamedEffect) -> list[tuple[str, ...]]:
         found.append(
             (
                 effect_words(effect.kind, effect.where) if first else "",
+                likely if first else "",
                 name.replace("_", " "),
                 f"{value:.4g}",
                 between,

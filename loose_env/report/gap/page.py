@@ -18,7 +18,7 @@ from loose_env.gap import (
     strongest,
 )
 from loose_env.io import duration_words, sentence
-from loose_env.report.gap.deletions import deletion_words, doubtful_words
+from loose_env.report.gap.effects import deletion_words, doubtful_words, effect_words
 from loose_env.report.gap.figures import (
     channel_bars,
     horizon_curves,
@@ -28,7 +28,6 @@ from loose_env.report.gap.overlay import overlay_group
 from loose_env.report.gap.parameters import parameters_group
 from loose_env.report.gap.spectra import by_channel, spectra_group
 from loose_env.report.gap.text import (
-    effect_words,
     headline,
     mistaken_words,
     next_steps,

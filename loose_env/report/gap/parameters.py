@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from loose_env.gap import GapResult, NamedEffect
-from loose_env.report.gap.text import effect_words
+from loose_env.report.gap.effects import effect_words
 from loose_env.report.pages.sections import group
 
 __all__ = ["parameters_group"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from loose_env.gap import QuickCandidate, QuickLook
-from loose_env.report.gap.text import effect_words
+from loose_env.report.gap.effects import effect_words
 from loose_env.report.pages.notebook import aligned
 
 __all__ = ["quick_text"]

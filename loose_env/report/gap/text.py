@@ -21,10 +21,10 @@ from loose_env.gap import (
     quantity_words,
 )
 from loose_env.io import begun, duration_words
+from loose_env.report.gap.effects import RIVALS, effect_words, kind_words, rivals_words
 from loose_env.report.pages.sections import group
 
 __all__ = [
-    "effect_words",
     "headline",
     "mistaken_words",
     "next_steps",
@@ -35,66 +35,8 @@ __all__ = [
     "unsure",
 ]
 
-_PLAIN = {
-    "viscous_friction": "viscous friction",
-    "coulomb_friction": "dry friction",
-    "stribeck_friction": "dry friction that grows near rest",
-    "quadratic_drag": "drag that grows with the square of the speed",
-    "joint_compliance": "a compliant drive",
-    "backlash": "backlash",
-    "structural_looseness": "a loose link",
-    "link_flexibility": "a flexible link",
-    "link_mass": "another mass",
-    "link_com": "another centre of mass",
-    "payload": "a payload",
-    "rotor_inertia": "more rotor inertia",
-    "actuator_gain": "another gain",
-    "actuator_lag": "a lag",
-    "command_delay": "late commands",
-    "encoder_offset": "an encoder whose zero is off",
-    "sensor_misalignment": "a sensor that is mounted askew",
-    "sensor_gain": "a sensor whose scale is off",
-    "sensor_bias": "a sensor with a bias",
-    "sensor_delay": "a late sensor",
-    "base_tilt": "a tilted base",
-    "torque_ripple": "torque ripple",
-    "joint_spring": "a spring",
-    "load_friction": "friction that grows with the load",
-    "asymmetric_friction": "dry friction that differs by direction",
-    "torque_limit": "a limit of the torque",
-    "voltage_limit": "a limit of the voltage",
-    "dead_zone": "a dead zone",
-    "gravity_compensation": "a weight that is carried",
-    "torque_constant": "another torque constant",
-    "base_compliance": "a base that gives way",
-    "gear_eccentricity": "an eccentric gear",
-    "sensor_quantisation": "a coarse sensor",
-}
-_PLACES = {
-    ("payload", "tool"): "at the tool",
-    ("base_tilt", "base"): "",
-    ("command_delay", "all"): "at all actuators",
-    ("base_compliance", "base"): "",
-    ("gravity_compensation", "all"): "of all links",
-}
-"""Places that are no names of the model; a joint or a link may be called so, too."""
-
-
 _HEADLINE = 36
 """Letters of the effects in the headline, at most."""
-
-
-def effect_words(kind: str, where: str) -> str:
-    """An effect and its place, as one says it.
-
-    Examples
-    --------
-    >>> effect_words("coulomb_friction", "joint2")
-    'dry friction (joint2)'
-    """
-    words = _PLAIN.get(kind, kind.replace("_", " "))
-    place = _PLACES.get((kind, where))
-    return f"{words} ({where})" if place is None else f"{words} {place}".rstrip()
 
 
 def headline(result: GapResult) -> str:
@@ -137,7 +79,7 @@ def summary_words(result: GapResult) -> list[str]:
 
 def _first_short(effects: Sequence[NamedEffect | EffectLocation]) -> str:
     """Effects in one line: with their locations, else without, else their number."""
-    kinds = list(dict.fromkeys(_PLAIN.get(e.kind, e.kind.replace("_", " ")) for e in effects))
+    kinds = list(dict.fromkeys(kind_words(e.kind) for e in effects))
     choices = [_in_a_row(_grouped(effects)), _in_a_row(kinds)]
     fits = (words for words in choices if len(words) <= _HEADLINE)
     return next(fits, f"{len(effects)} effects")
@@ -249,10 +191,8 @@ def mistaken_words(result: GapResult) -> list[str]:
         if not effect.ambiguous_with:
             continue
         words = effect_words(effect.kind, effect.where)
-        others_named = [effect_words(o.kind, o.where) for o in effect.ambiguous_with]
-        said.append(
-            f"The held-out runs do not separate {words} from {' or from '.join(others_named)}."
-        )
+        named = " or from ".join(rivals_words(effect))
+        said.append(f"The held-out runs do not separate {words} from {named}.")
     return said
 
 
@@ -300,7 +240,7 @@ def next_steps(result: GapResult) -> list[str]:
             "does not carry them."
         )
     for effect in result.effects:
-        for other in effect.ambiguous_with:
+        for other in effect.ambiguous_with[:RIVALS]:
             first, second = (
                 effect_words(effect.kind, effect.where),
                 effect_words(other.kind, other.where),

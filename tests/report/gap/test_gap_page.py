@@ -37,13 +37,13 @@ from loose_env.gap.diagnostics.experiment_advice import identifiability_words
 from loose_env.gap.output.evidence_schema import ConfusablePair, UnidentifiableEffect
 from loose_env.gap.workflow import summary as gap_summary
 from loose_env.report.gap import write as gap_report
+from loose_env.report.gap.effects import effect_words
 from loose_env.report.gap.figures import channel_bars, residual_panels
 from loose_env.report.gap.notebook import gap_text
 from loose_env.report.gap.overlay import overlay_group
 from loose_env.report.gap.page import render_gap_page, write_gap_page
 from loose_env.report.gap.parameters import parameters_group
 from loose_env.report.gap.text import (
-    effect_words,
     headline,
     mistaken_words,
     next_steps,

@@ -94,6 +94,17 @@ def truth_of(case: Case) -> dict[str, Any]:
     }
 
 
+def write_runs(folder: Path, case: Case, runs: list[Run]) -> Path:
+    """Write runs of a case with its nominal model as a recording; return its folder."""
+    write_recording(
+        folder,
+        model_xml=model_xml(case.arm.figures, drives=case.form != FREE),
+        runs=runs,
+        overwrite=True,
+    )
+    return folder
+
+
 def write_case(case: Case, *, recordings: Path, truth: Path) -> Path:
     """Write a case's recording and its truth, the truth last.
 
@@ -113,13 +124,7 @@ def write_case(case: Case, *, recordings: Path, truth: Path) -> Path:
     """
     if recordings.resolve() in (truth.resolve(), *truth.resolve().parents):
         raise ValueError(f"truth {truth} lies inside the recordings {recordings}; keep it apart")
-    folder = recordings / case.name
-    write_recording(
-        folder,
-        model_xml=model_xml(case.arm.figures, drives=case.form != FREE),
-        runs=runs_of(case),
-        overwrite=True,
-    )
+    folder = write_runs(recordings / case.name, case, runs_of(case))
     truth.mkdir(parents=True, exist_ok=True)
     path = truth / f"{case.name}.json"
     beside = path.with_suffix(f".{os.getpid()}.part")
