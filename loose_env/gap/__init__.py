@@ -53,12 +53,6 @@ from loose_env.gap.output.export_check import (
 from loose_env.gap.output.export_mjcf import (
     write_model,
 )
-from loose_env.gap.output.probability import (
-    PROBABILITY_FEATURES,
-    ProbabilityMap,
-    probability_features,
-    stored_map,
-)
 from loose_env.gap.output.result import (
     DeletionTest,
     EffectLocation,
@@ -98,7 +92,6 @@ from loose_env.gap.workflow.summary import result_of, write_gap
 __all__ = [
     "ACCEPTED_Z",
     "NOISE_RMS",
-    "PROBABILITY_FEATURES",
     "TARGETS",
     "DeletionTest",
     "Dependence",
@@ -116,7 +109,6 @@ __all__ = [
     "JointMotion",
     "NamedEffect",
     "Parameter",
-    "ProbabilityMap",
     "QuickCandidate",
     "QuickLook",
     "RankedHypothesis",
@@ -136,7 +128,6 @@ __all__ = [
     "key_of",
     "main_band",
     "prediction_error",
-    "probability_features",
     "quantity_words",
     "quick_look",
     "read_effects",
@@ -146,7 +137,6 @@ __all__ = [
     "result_of",
     "series_of",
     "spectrum",
-    "stored_map",
     "strongest",
     "write_export",
     "write_gap",

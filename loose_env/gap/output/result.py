@@ -86,9 +86,6 @@ class NamedEffect:
     runs."""
     deletion: DeletionTest | None = None
     """Deletion test; None for a part identified by its impact power, and what is beside it."""
-    probability: float | None = None
-    """Probability that the machine has it, calibrated on recordings whose truth is known
-    (`loose_env.gap.output.probability`); None without a deletion test."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,7 +17,6 @@ from loose_env.gap.output.export_mjcf import (
     unnamed_words,
     write_model,
 )
-from loose_env.gap.output.probability import probability_of
 from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEffect
 from loose_env.gap.residuals.physical_units import errors_by_quantity, rms
 from loose_env.gap.residuals.progress import reported
@@ -54,15 +53,11 @@ def result_of(solution: GapSolution, evidence: ResidualDiagnostics | None = None
             problem.machine, held, base.held_out_residual, best.held_out_residual
         ),
     )
-    named, doubtful = (
-        tuple(_with_probability(effect, gap) for effect in effects)
-        for effects in (solution.effects, solution.doubtful)
-    )
     return GapResult(
         verdict=solution.verdict,
         gap=gap,
-        effects=tuple(_with_alike(e, evidence.identifiability) for e in named),
-        doubtful=doubtful,
+        effects=tuple(_with_alike(e, evidence.identifiability) for e in solution.effects),
+        doubtful=solution.doubtful,
         held_out_runs=tuple(trial.name for trial in held.trials),
         ranking=solution.ranking,
         code=correction_code(solution.corrected),
@@ -111,14 +106,6 @@ def _by_channel(
         if len(parts[0]):
             found[channel.name] = (rms(parts[0]), rms(parts[1]))
     return found
-
-
-def _with_probability(effect: NamedEffect, gap: Gap) -> NamedEffect:
-    """Add the probability of an effect that was tested."""
-    if effect.deletion is None:
-        return effect
-    rivals = len(effect.ambiguous_with)
-    return replace(effect, probability=probability_of(effect.deletion, rivals=rivals, gap=gap))
 
 
 def _with_alike(effect: NamedEffect, found: Identifiability) -> NamedEffect:

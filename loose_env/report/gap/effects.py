@@ -111,11 +111,6 @@ def deletion_words(effect: NamedEffect) -> str:
     ... )
     >>> deletion_words(NamedEffect(kind="payload", where="tool", parameters={}, deletion=test))
     'explains 98 % of what is left without it (z 5.4 on held-out runs, 9.0 on fitted ones)'
-    >>> likely = NamedEffect(
-    ...     kind="payload", where="tool", parameters={}, deletion=test, probability=0.97
-    ... )
-    >>> deletion_words(likely)[-16:]
-    'probability 0.97'
     """
     test = effect.deletion
     if test is None:
@@ -125,8 +120,7 @@ def deletion_words(effect: NamedEffect) -> str:
     if test.share_in_channel > test.share_without + 0.05:
         words += f", {100 * test.share_in_channel:.0f} % in one channel"
     runs = f"z {test.held_out_z:.1f} on held-out runs, {test.training_z:.1f} on fitted ones"
-    likely = "" if effect.probability is None else f"; probability {effect.probability:.2f}"
-    return f"{words} ({runs}){likely}"
+    return f"{words} ({runs})"
 
 
 def doubtful_words(result: GapResult) -> list[str]:
