@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from scripts.suites.gap.cases.draw import draw_case
-from scripts.suites.gap.edit_test import EditRow, edit_rows, table
+from scripts.suites.gap.edits import EditRow, edit_rows, table
 
 NUMBER = 1264
 

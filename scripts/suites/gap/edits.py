@@ -1,6 +1,6 @@
 """Edit test: an effect is taken off the machine, and off the model that was corrected for it.
 
-python -m scripts.suites.gap.edit_test 1301 2130 [--docs]
+python -m scripts.suites.gap.edits 1301 2130 [--docs]
 
 The corrected model without the effect, not refitted, has to predict the motion of the edited
 machine. A model that compensates one error by another fits the machine as it was and fails here
@@ -111,11 +111,11 @@ def table(rows: Sequence[EditRow]) -> str:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Take the command line."""
-    parser = argparse.ArgumentParser(prog="edit_test", description=__doc__)
+    parser = argparse.ArgumentParser(prog="edits", description=__doc__)
     parser.add_argument("numbers", nargs="+", metavar="CASE", help="cases, as in 1301 or 2130-2135")
     parser.add_argument("--docs", action="store_true", help="write the table into the docs")
     given = parser.parse_args(words)
-    with errors_in_one_line("edit_test"):
+    with errors_in_one_line("edits"):
         rows = []
         for number in numbers_of(given.numbers):
             found = edit_rows(number)
