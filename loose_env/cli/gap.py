@@ -80,17 +80,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, console: Console) -> Outcome:
     """Name what the model lacks and write it down."""
     settings = settings_of(options, GapSettings)
+    if options.quick and options.rerun is not None:
+        raise InvalidSetting(
+            "--quick corrects no model, so that it has no motion for --rerun; leave one of them out"
+        )
     _check_rerun(options.rerun)
     folder = folder_of(options)
     recording = read_recording(options.recording, model=options.model)
     preflight = check_first(recording, options)
+    for file in options.effects:
+        read_effects(file)
     if options.quick:
-        for file in options.effects:
-            read_effects(file)
         return _quick(folder, recording, settings, console)
     plain = {k: v for k, v in asdict(settings).items() if k not in _OWN}
     for file in options.effects:
-        read_effects(file)
         plain[f"effects of {file}"] = file.read_text(encoding="utf-8")
     with folder.worked_in() as kept:
         stages = Stages(kept / "stages", key_of(recording, plain))

@@ -225,8 +225,8 @@ def fit(
     count = len(parameters)
     first = _NEW if held < count else _NONE
     renew, seen_at = first, cost
-    steps_left = range(settings.iterations)
-    for _ in counted(f"fit of {count} parameters, steps", steps_left, most=True):
+    title = f"fit of {count} parameters, steps"
+    for _ in counted(title, range(settings.iterations), most=True):
         which = {_NONE: [], _NEW: list(range(held, count)), _ALL: again}[renew]
         if len(which) == len(again):
             seen_at = cost

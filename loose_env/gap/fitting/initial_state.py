@@ -193,7 +193,11 @@ class InitialStates:
         for seconds in self._lengths if moving else ():
             part = comparison.beginnings(moving, seconds)
             free, persistent = self._fitted_on(part, hypothesis, free, iterations)
-            if not persistent or len(part) == len(comparison.beginnings(moving, np.inf)):
+            whole = all(
+                len(trial.time) == len(comparison.trials[k].time)
+                for k, trial in zip(moving, part.trials, strict=True)
+            )
+            if whole or not persistent:
                 break
         now = self._at(hypothesis, free)
         return now, comparison.residuals([now])[0]

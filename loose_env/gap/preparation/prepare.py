@@ -14,6 +14,7 @@ from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_o
 from loose_env.gap.data.holdout_split import split_runs
 from loose_env.gap.data.measured_runs import measured_runs
 from loose_env.gap.data.noise_floor import channel_floor
+from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.effects.link_inertia import payload_words
 from loose_env.gap.model.element_names import naming_words
@@ -61,6 +62,12 @@ class GapProblem:
     """Name of the recording, for the report."""
     model_path: Path | None = None
     """File of the nominal model; the meshes it refers to are copied with a corrected model."""
+
+    @property
+    def sought(self) -> list[Effect]:
+        """The catalogue at every location, as far as the runs can show it."""
+        kinds = self.settings.kinds or None
+        return [each for each in candidates(self.machine, kinds) if self.search.shows(each)]
 
     def louder(self, factors: Array) -> GapProblem:
         """Copy with the noise of every channel scaled by a factor (C,)."""

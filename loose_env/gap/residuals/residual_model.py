@@ -249,11 +249,8 @@ class ResidualModel:
         """Copy with the beginnings [s] of some runs; of a run compared by features all of it."""
         key = numbers, seconds
         if key not in self._beginnings:
-            trials = [
-                trial if t in self._random else trial.until(seconds)
-                for t, trial in enumerate(self.trials)
-            ]
-            part = self.like(trials=[trials[t] for t in numbers])
+            own = [(t, self.trials[t]) for t in numbers]
+            part = self.like(trials=[r if t in self._random else r.until(seconds) for t, r in own])
             part.runs = self.runs[list(numbers)]
             self._beginnings[key] = part
         return self._beginnings[key]

@@ -16,7 +16,6 @@ from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, explained_sha
 from loose_env.gap.fitting.model_structure import Nuisance, initial_states_of, nuisance_of
 from loose_env.gap.fitting.refit import settled
 from loose_env.gap.model.effect import Effect, have_stops
-from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.checkpoints import Stage, fresh
 from loose_env.gap.output.result import (
@@ -130,8 +129,7 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
     """Search, refit to more of the runs, drop insignificant effects, decide."""
     settings, machine = problem.settings, problem.machine
     nuisance = nuisance_of(problem.search, tolerance=settings.tolerance)
-    kinds = settings.kinds or None
-    sought = [c for c in candidates(machine, kinds) if problem.search.shows(c)]
+    sought = problem.sought
     naming = SearchSettings(most_effects=settings.most_effects)
 
     def keep(prefix: str, nuisance: Nuisance = nuisance) -> StepStore:

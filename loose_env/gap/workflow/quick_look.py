@@ -14,7 +14,6 @@ from loose_env.gap.diagnostics.joint_torque_residual import joint_motion
 from loose_env.gap.diagnostics.localisation import locate, location_words
 from loose_env.gap.fitting.holdout_score import ScoredFit
 from loose_env.gap.fitting.model_structure import nuisance_of
-from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.output.result import EffectLocation
 from loose_env.gap.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.progress import reported
@@ -104,12 +103,11 @@ def quick_look(
         seconds = max(SCREENING_S, SHORTEST * min(runs, SCREENING_RUNS))
         search, held_out = (windowed(each, seconds) for each in (problem.search, problem.held_out))
         nuisance = nuisance_of(search, tolerance=problem.settings.tolerance)
-        kinds = problem.settings.kinds or None
         found = select_effects(
             search,
             held_out,
             nuisance,
-            [each for each in candidates(problem.machine, kinds) if search.shows(each)],
+            problem.sought,
             settings=SearchSettings(most_effects=1),
             say=told,
         )

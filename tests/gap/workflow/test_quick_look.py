@@ -56,6 +56,15 @@ def test_the_command_writes_one_file_and_says_that_it_does_not_decide(
     assert whole["format"] == FORMAT and whole["candidates"]
 
 
+def test_what_a_quick_look_cannot_write_is_refused(
+    recording: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["gap", str(recording.folder), "--quick", "--out", str(tmp_path / "out")]
+    assert main([*words, "--rerun", str(tmp_path / "motion.rrd")]) == 1
+    assert "leave one of them out" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_nothing_is_ranked_where_the_residual_is_noise(tmp_path: Path) -> None:
     from loose_env.report import quick_text
 

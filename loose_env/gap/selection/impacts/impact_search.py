@@ -124,6 +124,8 @@ def find_impacts(
     promising.sort(key=lambda each: -each[1][0][0])
     for effect, found in promising:
         say(f"  {effect!r}: predicted share {found[0][0]:.3f}")
+    if not promising:
+        return None
     held = ImpactPower(problem.held_out, known)
     rough = [
         _roughly(sorting, e, [start for _, start in found])
