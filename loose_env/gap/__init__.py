@@ -37,6 +37,13 @@ from loose_env.gap.model.effects.catalogue import (
 from loose_env.gap.model.parameter import (
     Parameter,
 )
+from loose_env.gap.output.calibration import (
+    PROBABILITY_FEATURES,
+    GapCalibration,
+    interval_score,
+    probability_features,
+    stored_calibration,
+)
 from loose_env.gap.output.checkpoints import (
     Stages,
     key_of,
@@ -92,6 +99,7 @@ from loose_env.gap.workflow.summary import result_of, write_gap
 __all__ = [
     "ACCEPTED_Z",
     "NOISE_RMS",
+    "PROBABILITY_FEATURES",
     "TARGETS",
     "DeletionTest",
     "Dependence",
@@ -101,6 +109,7 @@ __all__ = [
     "ExportSettings",
     "FeatureChannel",
     "Gap",
+    "GapCalibration",
     "GapResult",
     "GapSession",
     "GapSettings",
@@ -125,9 +134,11 @@ __all__ = [
     "how_to_see",
     "how_to_separate",
     "in_bands",
+    "interval_score",
     "key_of",
     "main_band",
     "prediction_error",
+    "probability_features",
     "quantity_words",
     "quick_look",
     "read_effects",
@@ -137,6 +148,7 @@ __all__ = [
     "result_of",
     "series_of",
     "spectrum",
+    "stored_calibration",
     "strongest",
     "write_export",
     "write_gap",

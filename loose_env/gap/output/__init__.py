@@ -1,5 +1,5 @@
-"""Result schema, checkpoints, and export of the corrected model.
+"""Result schema, its calibration, checkpoints, and export of the corrected model.
 
-Data flow: checkpoints -> evidence_schema -> result -> export_mjcf -> export_check ->
+Data flow: checkpoints -> evidence_schema -> result -> calibration -> export_mjcf -> export_check ->
 targets.
 """

@@ -86,6 +86,10 @@ class NamedEffect:
     runs."""
     deletion: DeletionTest | None = None
     """Deletion test; None for a part identified by its impact power, and what is beside it."""
+    probability: float | None = None
+    """Probability that the machine has it, calibrated on blind recordings; None if not judged."""
+    rival_probability: float | None = None
+    """The same of each effect of `ambiguous_with`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,6 +170,8 @@ class GapResult:
     """Location of the residual of the corrected model, on all runs."""
     residual_tests: tuple[ResidualTest, ...] = ()
     """Residual tests on the held-out runs."""
+    interval_factor: float = 1.0
+    """Factor on the half widths of intervals, for what the laws of effects leave out."""
     identifiability: Identifiability = field(default_factory=Identifiability)
     """Effects that the recorded motions could not show, or distinguish."""
     warnings: tuple[str, ...] = ()

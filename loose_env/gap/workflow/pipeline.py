@@ -17,6 +17,8 @@ from loose_env.gap.fitting.model_structure import Nuisance, initial_states_of, n
 from loose_env.gap.fitting.refit import settled
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.parameter import Parameter
+from loose_env.gap.output.calibration import stored_calibration, widened_interval
 from loose_env.gap.output.checkpoints import Stage, fresh
 from loose_env.gap.output.result import (
     DeletionTest,
@@ -279,15 +281,19 @@ def named_effects(
     found = []
     hypothesis = fitted.hypothesis
     for (effect, values), own in zip(hypothesis.pairs, fitted.structure.slices, strict=True):
-        names = [p.name for p in effect.parameters]
         ends = zip(intervals.low[own].tolist(), intervals.high[own].tolist(), strict=True)
         by_power = impact_fit is not None and effect is impact_fit.effect
         found.append(
             NamedEffect(
                 kind=effect.kind,
                 where=effect.where,
-                parameters=dict(zip(names, values.tolist(), strict=True)),
-                interval_95=dict(zip(names, ends, strict=True)),
+                parameters={
+                    p.name: float(v) for p, v in zip(effect.parameters, values, strict=True)
+                },
+                interval_95={
+                    p.name: _calibrated(p, float(v), end)
+                    for p, v, end in zip(effect.parameters, values, ends, strict=True)
+                },
                 ambiguous_with=tuple(
                     EffectLocation(kind=e.kind, where=e.where) for e in rivals(effect)
                 ),
@@ -299,3 +305,11 @@ def named_effects(
             )
         )
     return tuple(found)
+
+
+def _calibrated(
+    parameter: Parameter, value: float, interval: tuple[float, float]
+) -> tuple[float, float]:
+    """Interval of a value with the calibrated factor, within its bounds."""
+    low, high = widened_interval(value, interval, stored_calibration().interval_factor)
+    return parameter.clipped(low), parameter.clipped(high)

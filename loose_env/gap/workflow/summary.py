@@ -10,6 +10,7 @@ import numpy as np
 
 from loose_env.gap.diagnostics.localisation import location_words
 from loose_env.gap.diagnostics.remaining_error import remaining_words
+from loose_env.gap.output.calibration import stored_calibration, with_probability
 from loose_env.gap.output.evidence_schema import Identifiability
 from loose_env.gap.output.export_mjcf import (
     correction_code,
@@ -56,8 +57,11 @@ def result_of(solution: GapSolution, evidence: ResidualDiagnostics | None = None
     return GapResult(
         verdict=solution.verdict,
         gap=gap,
-        effects=tuple(_with_alike(e, evidence.identifiability) for e in solution.effects),
-        doubtful=solution.doubtful,
+        effects=tuple(
+            with_probability(_with_alike(e, evidence.identifiability), gap)
+            for e in solution.effects
+        ),
+        doubtful=tuple(with_probability(e, gap) for e in solution.doubtful),
         held_out_runs=tuple(trial.name for trial in held.trials),
         ranking=solution.ranking,
         code=correction_code(solution.corrected),
@@ -80,6 +84,7 @@ def result_of(solution: GapSolution, evidence: ResidualDiagnostics | None = None
         ),
         remaining_location=evidence.remaining_location,
         residual_tests=evidence.residual_tests,
+        interval_factor=stored_calibration().interval_factor,
         identifiability=evidence.identifiability,
         warnings=(*solution.warnings, *unnamed_words(solution.unnamed.pairs), *evidence.warnings),
         preflight=solution.preflight,

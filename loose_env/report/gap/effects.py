@@ -97,7 +97,7 @@ def rivals_words(effect: NamedEffect) -> list[str]:
 
 
 def deletion_words(effect: NamedEffect) -> str:
-    """What is lost without an effect, in a sentence; "" where that was not tested.
+    """Probability of an effect and what is lost without it; "" where neither is known.
 
     Examples
     --------
@@ -111,16 +111,20 @@ def deletion_words(effect: NamedEffect) -> str:
     ... )
     >>> deletion_words(NamedEffect(kind="payload", where="tool", parameters={}, deletion=test))
     'explains 98 % of what is left without it (z 5.4 on held-out runs, 9.0 on fitted ones)'
+    >>> by_impacts = NamedEffect(kind="backlash", where="joint2", parameters={}, probability=0.93)
+    >>> deletion_words(by_impacts)
+    'probability 0.93'
     """
+    found = [] if effect.probability is None else [f"probability {effect.probability:.2f}"]
     test = effect.deletion
-    if test is None:
-        return ""
-    share = 100 * max(0.0, test.share_without)
-    words = f"explains {share:.0f} % of what is left without it"
-    if test.share_in_channel > test.share_without + 0.05:
-        words += f", {100 * test.share_in_channel:.0f} % in one channel"
-    runs = f"z {test.held_out_z:.1f} on held-out runs, {test.training_z:.1f} on fitted ones"
-    return f"{words} ({runs})"
+    if test is not None:
+        share = 100 * max(0.0, test.share_without)
+        words = f"explains {share:.0f} % of what is left without it"
+        if test.share_in_channel > test.share_without + 0.05:
+            words += f", {100 * test.share_in_channel:.0f} % in one channel"
+        runs = f"z {test.held_out_z:.1f} on held-out runs, {test.training_z:.1f} on fitted ones"
+        found.append(f"{words} ({runs})")
+    return "; ".join(found)
 
 
 def doubtful_words(result: GapResult) -> list[str]:

@@ -16,6 +16,7 @@ __all__ = ["gap_html", "gap_text"]
 
 _EFFECTS = (
     "missing effect",
+    "probability",
     "parameter",
     "value",
     "95 % interval",
@@ -103,6 +104,7 @@ def _residual(result: GapResult) -> list[tuple[str, float]]:
 
 def _rows(effect: NamedEffect) -> list[tuple[str, ...]]:
     """Rows of an effect's parameters; the first names the effect."""
+    likely = "" if effect.probability is None else f"{100 * effect.probability:.0f} %"
     others = ", ".join(rivals_words(effect))
     found: list[tuple[str, ...]] = []
     for name, value in effect.parameters.items():
@@ -112,6 +114,7 @@ def _rows(effect: NamedEffect) -> list[tuple[str, ...]]:
         found.append(
             (
                 effect_words(effect.kind, effect.where) if first else "",
+                likely if first else "",
                 name.replace("_", " "),
                 f"{value:.4g}",
                 between,

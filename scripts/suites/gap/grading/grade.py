@@ -8,6 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from scripts.suites.gap.grading.parameters import (
+    in_words_of_truth,
+    judged_intervals,
+    parameter_error,
+)
+
 Named = tuple[str, str]
 """Kind and place."""
 Separable = Callable[[int, Named], bool]
@@ -17,65 +23,6 @@ NO_GAP, UNEXPLAINED, NAMED = "no_gap", "unexplained", "named"
 FAILED = "failed"
 """Verdict of a case for which the tool gave no result."""
 
-PARAMETERS: Mapping[str, tuple[str, ...]] = {
-    "viscous_friction": ("damping",),
-    "coulomb_friction": ("torque",),
-    "stribeck_friction": ("torque",),
-    "quadratic_drag": ("drag",),
-    "joint_compliance": ("stiffness",),
-    "backlash": ("gap",),
-    "structural_looseness": ("gap",),
-    "link_flexibility": ("stiffness",),
-    "link_mass": ("mass",),
-    "link_com": ("x", "y", "z"),
-    "payload": ("mass",),
-    "rotor_inertia": ("inertia",),
-    "actuator_gain": ("gain",),
-    "actuator_lag": ("time",),
-    "command_delay": ("delay",),
-    "encoder_offset": ("offset",),
-    "sensor_misalignment": ("x", "y", "z"),
-    "sensor_gain": ("gain",),
-    "sensor_bias": ("bias", "x", "y", "z"),
-    "sensor_delay": ("delay",),
-    "base_tilt": ("x", "y"),
-    "torque_ripple": ("amplitude",),
-    "joint_spring": ("stiffness",),
-    "load_friction": ("share",),
-    "asymmetric_friction": ("forward", "backward"),
-    "torque_limit": ("limit",),
-    "voltage_limit": ("stall_torque",),
-    "dead_zone": ("width",),
-    "gravity_compensation": ("share",),
-    "torque_constant": ("factor",),
-    "base_compliance": ("stiffness",),
-    "gear_eccentricity": ("sine", "cosine"),
-    "sensor_quantisation": ("step",),
-}
-"""Parameters by which an effect is judged; those of a kind make one vector."""
-SAID: Mapping[str, Mapping[str, str]] = {
-    "actuator_lag": {"time": "time_constant"},
-    "sensor_misalignment": {axis: f"turn_{axis}" for axis in "xyz"},
-    "base_tilt": {axis: f"tilt_{axis}" for axis in "xyz"},
-    "sensor_bias": {axis: f"bias_{axis}" for axis in "xyz"},
-}
-"""Name of a parameter in a result, where it is not that of the truth."""
-NEUTRAL = {"gain": 1.0, "factor": 1.0}
-"""Values that change nothing; an error is judged against the distance from them."""
-OTHERS: Mapping[str, Mapping[str, Callable[[Mapping[str, Any]], float]]] = {
-    "stribeck_friction": {
-        "static_ratio": lambda p: p["static_torque"] / p["torque"],
-        "speed": lambda p: p["speed"],
-    },
-    "link_flexibility": {"position": lambda p: p["position"]},
-    "structural_looseness": {"friction": lambda p: p["friction"]},
-    "joint_spring": {"reference": lambda p: p["reference"]},
-    "payload": {axis: (lambda p, axis=axis: p[axis]) for axis in "xyz"},  # type: ignore[misc]
-    "voltage_limit": {"no_load_speed": lambda p: p["no_load_speed"]},
-    "torque_ripple": {"periods": lambda p: p["order"], "phase": lambda p: p["phase"]},
-}
-"""Further parameters of a result that mean the same in the truth: what they are there. Damping and
-stiffness of stops are laws of another form there, and have no counterpart."""
 LISTED: frozenset[frozenset[str]] = frozenset(
     frozenset(pair)
     for pair in (
@@ -222,7 +169,7 @@ def grade(
         if given != wanted:
             raise ValueError(f"the {name} has format {given!r}; {wanted!r} is graded")
     verdict = str(result["verdict"])
-    effects = [_in_words_of_truth(e) for e in result.get("effects", ()) if verdict == NAMED]
+    effects = [in_words_of_truth(e) for e in result.get("effects", ()) if verdict == NAMED]
     true = [(str(e["kind"]), str(e["where"])) for e in truth["effects"]]
     said = [(str(e["kind"]), str(e["where"])) for e in effects]
     match = _matched(true, said, separable)
@@ -234,13 +181,11 @@ def grade(
     else:
         right = len(match) == len(true) == len(said)
     errors, covered, others = [], [], []
-    if role in ("single", "pair"):
-        for i, j in match.items():
-            if true[i] != said[j]:
-                continue
-            errors.append(_error(true[i][0], truth["effects"][i], effects[j]))
-            covered += _covered(true[i][0], truth["effects"][i], effects[j])
-            others += _covered_others(true[i][0], truth["effects"][i], effects[j])
+    for i, j in match.items() if role != "outside" else ():
+        if true[i] == said[j]:
+            errors.append(parameter_error(truth["effects"][i], effects[j]))
+            for judged in judged_intervals(truth["effects"][i], effects[j]):
+                (covered if judged.main else others).append(judged.held)
     gap = result.get("gap") or {}
     return Grade(
         case=str(truth["case"]),
@@ -318,58 +263,3 @@ def _matched(true: Sequence[Named], said: Sequence[Named], separable: Separable)
                 left.remove(j)
                 break
     return match
-
-
-def _in_words_of_truth(effect: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters and intervals of a named effect under the names that the truth has."""
-    words = {said: true for true, said in SAID.get(str(effect["kind"]), {}).items()}
-    found = dict(effect)
-    for part in ("parameters", "interval_95"):
-        found[part] = {words.get(k, k): v for k, v in (effect.get(part) or {}).items()}
-    return found
-
-
-def _values(kind: str, effect: Mapping[str, Any], names: Sequence[str]) -> np.ndarray:
-    given = effect.get("parameters", {})
-    return np.array([float(given.get(name, 0.0)) - NEUTRAL.get(name, 0.0) for name in names])
-
-
-def _names(kind: str, truth: Mapping[str, Any], effect: Mapping[str, Any]) -> list[str]:
-    given = effect.get("parameters", {})
-    names = [name for name in PARAMETERS.get(kind, ()) if name in truth["parameters"]]
-    return names if any(name in given for name in names) else []
-
-
-def _error(kind: str, truth: Mapping[str, Any], effect: Mapping[str, Any]) -> float:
-    names = _names(kind, truth, effect)
-    if not names:
-        return float("nan")
-    want, have = _values(kind, truth, names), _values(kind, effect, names)
-    return float(np.linalg.norm(have - want) / np.linalg.norm(want))
-
-
-def _covered(kind: str, truth: Mapping[str, Any], effect: Mapping[str, Any]) -> list[bool]:
-    intervals = effect.get("interval_95") or {}
-    held = []
-    for name in _names(kind, truth, effect):
-        if name in intervals:
-            low, high = intervals[name]
-            held.append(bool(low <= truth["parameters"][name] <= high))
-    return held
-
-
-def _covered_others(kind: str, truth: Mapping[str, Any], effect: Mapping[str, Any]) -> list[bool]:
-    """Whether the intervals of an effect's further parameters hold the truth."""
-    intervals, held = effect.get("interval_95") or {}, []
-    for name, of in OTHERS.get(kind, {}).items():
-        try:
-            true = float(of(truth["parameters"]))
-        except KeyError:
-            continue
-        if name in intervals:
-            low, high = intervals[name]
-            if name == "phase":  # the same after every turn
-                middle = 0.5 * (low + high)
-                true += 2 * np.pi * round((middle - true) / (2 * np.pi))
-            held.append(bool(low <= true <= high))
-    return held

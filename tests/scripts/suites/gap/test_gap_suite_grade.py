@@ -7,7 +7,8 @@ import pytest
 pytest.importorskip("numba")
 
 from scripts.suites.gap.effects.catalogue import CATALOGUE
-from scripts.suites.gap.grading.grade import LISTED, PARAMETERS, grade
+from scripts.suites.gap.grading.grade import LISTED, grade
+from scripts.suites.gap.grading.parameters import PARAMETERS
 from scripts.suites.gap.grading.tables import confusion, markdown, summary, text, wrong_cases
 
 

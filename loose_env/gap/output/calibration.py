@@ -1,0 +1,202 @@
+"""Calibration of an answer on blind recordings: probability of an effect, width of its intervals.
+
+No model is exact to the noise: differences of log-likelihood are thousands of nats, and intervals
+from the noise and the scatter of runs alone miss what the law of an effect leaves out. Both are
+therefore calibrated on recordings whose truth is known (`python -m scripts.suites.gap.calibrate`)
+and judged on others: the probability as a logistic map of what the tests measured, the intervals
+by split-conformal prediction (Lei et al., J. Am. Stat. Assoc. 113, 2018).
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+
+from loose_env.gap.output.result import Gap, NamedEffect
+from loose_env.io import restored
+from loose_env.typing import Array
+
+__all__ = [
+    "PROBABILITY_FEATURES",
+    "GapCalibration",
+    "interval_score",
+    "probability_features",
+    "stored_calibration",
+    "widened_interval",
+    "with_probability",
+]
+
+PROBABILITY_FEATURES = (
+    ("smaller z of the two sets of runs, logarithm", 1),
+    ("share of the error without it that it explains, logit", 1),
+    ("share of the error that the whole answer explains, logit", 1),
+    ("effects that held-out runs do not tell from it, logarithm", -1),
+)
+"""What the map reads, and the sign of its weight."""
+_FILE = "calibration.json"
+_SURE = 0.99
+"""Largest probability that is given, and one less the smallest: some hundreds of cases say no
+more."""
+_LEAST_Z, _LEAST_SHARE = 0.1, 0.005
+"""Smallest z, and distance of a share from 0 and 1, of which the logarithm is taken."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GapCalibration:
+    """What calibration found, as stored with the package."""
+
+    offset: float
+    """Log-odds of an effect with mean features."""
+    weights: tuple[float, ...]
+    """Of `PROBABILITY_FEATURES`, in their standard deviations."""
+    mean: tuple[float, ...]
+    """Mean of each feature."""
+    deviation: tuple[float, ...]
+    """Standard deviation of each feature."""
+    effects: int
+    """Effects that the map was fitted to."""
+    right: int
+    """How many of these were right."""
+    interval_factor: float
+    """Factor on the half widths of 95 % intervals."""
+    parameters: int
+    """Parameters that the factor was found from."""
+
+    def probability(self, features: Array) -> Array:
+        """Probabilities (...,) of features (..., F); one that is NaN counts as the mean."""
+        standard = (features - np.array(self.mean)) / np.array(self.deviation)
+        odds = self.offset + np.nan_to_num(standard) @ np.array(self.weights)
+        return np.asarray(np.clip(1 / (1 + np.exp(-odds)), 1 - _SURE, _SURE))
+
+
+@cache
+def stored_calibration() -> GapCalibration:
+    """The calibration in the package."""
+    file = files("loose_env.gap.output").joinpath(_FILE)
+    return restored(GapCalibration, json.loads(file.read_text(encoding="utf-8")), _FILE)
+
+
+def probability_features(effect: NamedEffect, gap: Gap, *, rivals: int | None = None) -> Array:
+    """What the map reads of an effect (F,); NaN where a part found by impacts has no such test.
+
+    Parameters
+    ----------
+    effect : NamedEffect
+        The effect with its tests.
+    gap : Gap
+        Residual before and after the whole answer.
+    rivals : int, optional
+        Effects that held-out runs do not tell from it; by default those it lists.
+    """
+    test = effect.deletion
+    z, share = np.nan, effect.impact_power_explained
+    if test is not None:
+        z = np.log(max(min(test.held_out_z, test.training_z), _LEAST_Z))
+        share = max(test.share_without, test.share_in_channel)
+    beyond = [max(each**2 - gap.noise_floor**2, 0.0) for each in (gap.before, gap.after)]
+    left = beyond[1] / beyond[0] if beyond[0] > 0 else 0.0
+    alike = len(effect.ambiguous_with) if rivals is None else rivals
+    return np.array(
+        [z, np.nan if share is None else _logit(share), _logit(1.0 - left), np.log1p(alike)]
+    )
+
+
+def with_probability(
+    effect: NamedEffect, gap: Gap, calibration: GapCalibration | None = None
+) -> NamedEffect:
+    """Add the probability of an effect, and of each one that cannot be told from it.
+
+    These share what they take from it: the probability it would have without them, less its own.
+
+    Parameters
+    ----------
+    effect : NamedEffect
+        The effect with its tests.
+    gap : Gap
+        Residual before and after the whole answer.
+    calibration : GapCalibration, optional
+        By default the one in the package.
+
+    Examples
+    --------
+    >>> from loose_env.gap.output.result import DeletionTest, EffectLocation
+    >>> test = DeletionTest(
+    ...     held_out_z=8.0,
+    ...     training_z=9.0,
+    ...     share_of_error=0.9,
+    ...     share_without=0.9,
+    ...     share_in_channel=0.9,
+    ... )
+    >>> alone = NamedEffect(kind="payload", where="tool", parameters={}, deletion=test)
+    >>> rival = EffectLocation(kind="link_mass", where="link6")
+    >>> gap = Gap(before=5.0, after=1.0)
+    >>> one = with_probability(alone, gap)
+    >>> two = with_probability(replace(alone, ambiguous_with=(rival,)), gap)
+    >>> one.probability >= two.probability, one.rival_probability is None
+    (True, True)
+    """
+    found = calibration or stored_calibration()
+    own = float(found.probability(probability_features(effect, gap)))
+    if not effect.ambiguous_with:
+        return replace(effect, probability=own)
+    together = float(found.probability(probability_features(effect, gap, rivals=0)))
+    shared = max(together - own, 0.0) / len(effect.ambiguous_with)
+    return replace(effect, probability=own, rival_probability=shared)
+
+
+def widened_interval(
+    value: float, interval: tuple[float, float], factor: float
+) -> tuple[float, float]:
+    """Interval with its half widths times a factor; a quantity of one sign keeps it.
+
+    Parameters
+    ----------
+    value : float
+        The estimate.
+    interval : tuple of float
+        Ends of its interval, in the same unit.
+    factor : float
+        At least 0.
+
+    Examples
+    --------
+    >>> widened_interval(1.0, (-1.0, 2.0), 2.0)
+    (-3.0, 3.0)
+    >>> widened_interval(4.0, (2.0, 8.0), 2.0)
+    (1.0, 16.0)
+    """
+    low, high = interval
+    if min(value, low) > 0 or max(value, high) < 0:
+        return value * (low / value) ** factor, value * (high / value) ** factor
+    return value + factor * (low - value), value + factor * (high - value)
+
+
+def interval_score(value: float, interval: tuple[float, float], truth: float) -> float:
+    """Smallest factor of `widened_interval` with which an interval holds the truth.
+
+    Infinite where no factor is enough: the estimate lies at the interval's end, or the sign is
+    another one.
+
+    Examples
+    --------
+    >>> interval_score(4.0, (2.0, 8.0), 16.0), interval_score(1.0, (0.5, 1.0), 1.2)
+    (2.0, inf)
+    """
+    low, high = interval
+    end = high if truth > value else low
+    if truth == value:
+        return 0.0
+    if min(value, low) > 0 or max(value, high) < 0:
+        if truth * value <= 0 or end == value:
+            return float("inf")
+        return float(np.log(truth / value) / np.log(end / value))
+    return float("inf") if end == value else (truth - value) / (end - value)
+
+
+def _logit(share: float) -> float:
+    within = float(np.clip(share, _LEAST_SHARE, 1 - _LEAST_SHARE))
+    return float(np.log(within / (1 - within)))
