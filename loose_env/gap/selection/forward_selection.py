@@ -259,12 +259,7 @@ def _sets(
 ) -> list[Sequence[Screened]]:
     """Sets of candidates that may explain the residual together."""
     problem = JointProblem(short, candidate_fits.windows.before, screened)
-    many = problem.greedy()
-    proposed = [
-        *problem.pairs(ALTERNATIVES),
-        *problem.kinds(FURTHER),
-        *([] if many is None else [many]),
-    ]
+    proposed = [*problem.pairs(ALTERNATIVES), *problem.kinds(FURTHER), *problem.greedy()]
     found: dict[frozenset[tuple[str, str, str]], Sequence[Screened]] = {}
     for each in proposed:
         found.setdefault(frozenset(member.effect.key for member in each.members), each.members)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,21 +123,52 @@ class JointProblem:
         Servos, gears and bearings of an arm are alike: settings that differ from the model's are
         seldom those of one joint.
         """
-        groups: dict[tuple[str, str], dict[str, int]] = {}
-        for k, each in enumerate(self.screened):
-            own = groups.setdefault((each.effect.kind, each.effect.variant), {})
-            own.setdefault(each.effect.where, k)
-        found = [self.solved(tuple(own.values())) for own in groups.values() if len(own) > 1]
+        found = [self.solved(own) for own in self._groups.values()]
         best: dict[str, Proposal] = {}
         for proposal in _best(found, len(found)):
             best.setdefault(proposal.members[0].effect.kind, proposal)
         return list(best.values())[:most]
 
-    def greedy(self) -> Proposal | None:
-        """Set of many candidates, one added after the other as long as each explains enough."""
-        places = [_place(each) for each in self.screened]
+    def greedy(self) -> list[Proposal]:
+        """Sets of many candidates, one added after the other as long as each explains enough.
+
+        Two are built: from single candidates alone, and from the kinds that explain most at all of
+        their locations. What is alike at every joint is told from richer effects at some of them
+        by the whole, not by its first member.
+        """
+        found = [self._grown(()), self._grown(self._alike())]
+        return [each for each in found if each is not None and len(each.members) > 1]
+
+    @cached_property
+    def _groups(self) -> dict[tuple[str, str], tuple[int, ...]]:
+        """Candidates (indices) of each kind and variant at several locations."""
+        groups: dict[tuple[str, str], dict[str, int]] = {}
+        for k, each in enumerate(self.screened):
+            own = groups.setdefault((each.effect.kind, each.effect.variant), {})
+            own.setdefault(each.effect.where, k)
+        return {key: tuple(own.values()) for key, own in groups.items() if len(own) > 1}
+
+    def _alike(self) -> tuple[int, ...]:
+        """Kinds at all of their locations (indices), one added after the other."""
         chosen: tuple[int, ...] = ()
-        best: Proposal | None = None
+        before = 0.0
+        while True:
+            kinds = {self.screened[k].effect.kind for k in chosen}
+            tried = [
+                (*chosen, *own) for (kind, _), own in self._groups.items() if kind not in kinds
+            ]
+            found = [(own, proposal) for own in tried if (proposal := self.solved(own))]
+            if not found:
+                return chosen
+            own, best = max(found, key=lambda each: each[1].predicted)
+            if best.predicted < before + _WORTH * (len(own) - len(chosen)):
+                return chosen
+            chosen, before = own, best.predicted
+
+    def _grown(self, chosen: tuple[int, ...]) -> Proposal | None:
+        """Set that grows from some candidates (indices) by one at a time."""
+        places = [_place(each) for each in self.screened]
+        best = self.solved(chosen)
         while len(chosen) < _GREEDY:
             taken = {places[k] for k in chosen}
             free = np.array([place not in taken for place in places])
@@ -153,7 +185,7 @@ class JointProblem:
             if further is None or further.predicted < before + _WORTH:
                 break
             best, chosen = further, (*chosen, k)
-        return best if best is not None and len(best.members) > 1 else None
+        return best
 
     def solved(self, chosen: tuple[int, ...]) -> Proposal | None:
         """Set of some candidates (indices), solved within all bounds; None if it gains nothing.
