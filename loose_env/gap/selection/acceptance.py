@@ -116,6 +116,20 @@ class Acceptance:
         material = material and not negligible(scored.fitted.hypothesis, self._new(scored))
         return self.significant(improvement) and material
 
+    def within_bounds(self, scored: ScoredFit) -> ScoredFit:
+        """Drop those of several new effects that end at a bound, one by one, and refit the others.
+
+        A parameter at its bound is no finding, and does not speak against the effects beside it.
+        """
+        while self._new(scored) > 1:
+            new = scored.fitted.effects[-self._new(scored) :]
+            at = at_bound(scored.fitted.structure, scored.fitted.free)
+            bounded = [effect for effect, _ in at if any(effect is each for each in new)]
+            if not bounded:
+                break
+            scored = self._without(scored, bounded[-1])
+        return scored
+
     def objection(self, scored: ScoredFit) -> str:
         """Return the objection to a hypothesis that improves by enough; "" if none."""
         new = scored.fitted.effects[-self._new(scored) :]

@@ -220,7 +220,8 @@ def _step(
         screened, lambda: _sets(short, candidate_fits, screened), say, share=share
     )
     ranked = acceptance.ranked(tried) if tried else []
-    for scored in ranked:
+    for each in ranked:
+        scored = acceptance.within_bounds(each) if acceptance.accepts(each) else each
         if not acceptance.accepts(scored):
             continue
         if objection := acceptance.objection(scored):

@@ -26,6 +26,8 @@ from loose_env.typing import Array
 
 __all__ = ["JointProblem", "Proposal"]
 
+Key = tuple[str, str]
+"""Kind and variant, or kind and location."""
 
 _ROWS = 8192
 """Rows multiplied at a time: a matter of memory."""
@@ -37,7 +39,7 @@ _TRIED = 5
 _COLLINEAR = 1e-3
 """Share of a signature beyond another one's, below which the two are one direction."""
 _GREEDY = 12
-"""Most effects of a greedily built set."""
+"""Effects from which on a set grows no further."""
 _WORTH = 0.01
 """Share of the sum of squares that one more effect of a set explains at least."""
 
@@ -130,62 +132,55 @@ class JointProblem:
         return list(best.values())[:most]
 
     def greedy(self) -> list[Proposal]:
-        """Sets of many candidates, one added after the other as long as each explains enough.
+        """Sets of many candidates, grown step by step as long as a step explains enough.
 
-        Two are built: from single candidates alone, and from the kinds that explain most at all of
-        their locations. What is alike at every joint is told from richer effects at some of them
-        by the whole, not by its first member.
+        Two are built: from single candidates alone, and from these and kinds at all of their
+        locations. What is alike at every joint is told from richer effects at some of them by the
+        whole, not by its first member.
         """
-        found = [self._grown(()), self._grown(self._alike())]
+        found = [self._grown(()), self._grown(tuple(self._groups.items()))]
         return [each for each in found if each is not None and len(each.members) > 1]
 
     @cached_property
-    def _groups(self) -> dict[tuple[str, str], tuple[int, ...]]:
+    def _groups(self) -> dict[Key, tuple[int, ...]]:
         """Candidates (indices) of each kind and variant at several locations."""
-        groups: dict[tuple[str, str], dict[str, int]] = {}
+        groups: dict[Key, dict[str, int]] = {}
         for k, each in enumerate(self.screened):
             own = groups.setdefault((each.effect.kind, each.effect.variant), {})
             own.setdefault(each.effect.where, k)
         return {key: tuple(own.values()) for key, own in groups.items() if len(own) > 1}
 
-    def _alike(self) -> tuple[int, ...]:
-        """Kinds at all of their locations (indices), one added after the other."""
-        chosen: tuple[int, ...] = ()
-        before = 0.0
-        while True:
-            kinds = {self.screened[k].effect.kind for k in chosen}
-            tried = [
-                (*chosen, *own) for (kind, _), own in self._groups.items() if kind not in kinds
-            ]
-            found = [(own, proposal) for own in tried if (proposal := self.solved(own))]
-            if not found:
-                return chosen
-            own, best = max(found, key=lambda each: each[1].predicted)
-            if best.predicted < before + _WORTH * (len(own) - len(chosen)):
-                return chosen
-            chosen, before = own, best.predicted
+    def _grown(self, groups: Sequence[tuple[Key, tuple[int, ...]]]) -> Proposal | None:
+        """Set that grows by one candidate, or one of some groups (indices), at a time.
 
-    def _grown(self, chosen: tuple[int, ...]) -> Proposal | None:
-        """Set that grows from some candidates (indices) by one at a time."""
-        places = [_place(each) for each in self.screened]
-        best = self.solved(chosen)
+        The step is taken that explains most, less `_WORTH` for each member.
+        """
+        chosen: tuple[int, ...] = ()
+        best: Proposal | None = None
         while len(chosen) < _GREEDY:
-            taken = {places[k] for k in chosen}
-            free = np.array([place not in taken for place in places])
-            tried: dict[int, None] = {}
-            for gram, slope in (self._pinned(chosen), self._reduced(chosen)):
-                size = np.diag(gram)
-                gains = np.where(free & (size > 0), slope**2 / np.maximum(size, 1e-12), 0.0)
-                tried |= {int(k): None for k in np.argsort(-gains)[:_TRIED] if gains[k] > 0}
-            if not tried:
+            kinds = {self.screened[k].effect.kind for k in chosen}
+            whole = [own for (kind, _), own in groups if kind not in kinds]
+            tried = [(*chosen, *own) for own in (*self._singles(chosen), *whole)]
+            found = [(own, each) for own in tried if (each := self.solved(own)) is not None]
+            if not found:
                 break
-            found = [(k, self.solved((*chosen, k))) for k in tried]
-            k, further = max(found, key=lambda each: 0.0 if each[1] is None else each[1].predicted)
-            before = 0.0 if best is None else best.predicted
-            if further is None or further.predicted < before + _WORTH:
+            own, further = max(found, key=lambda each: _worth(each[1]))
+            if best is not None and _worth(further) <= _worth(best):
                 break
-            best, chosen = further, (*chosen, k)
+            best, chosen = further, own
         return best
+
+    def _singles(self, chosen: tuple[int, ...]) -> list[tuple[int]]:
+        """Candidates (indices) that gain most beside some others."""
+        places = [_place(each) for each in self.screened]
+        taken = {places[k] for k in chosen}
+        free = np.array([place not in taken for place in places], dtype=bool)
+        tried: dict[int, None] = {}
+        for gram, slope in (self._pinned(chosen), self._reduced(chosen)):
+            size = np.diag(gram)
+            gains = np.where(free & (size > 0), slope**2 / np.maximum(size, 1e-12), 0.0)
+            tried |= {int(k): None for k in np.argsort(-gains)[:_TRIED] if gains[k] > 0}
+        return [(k,) for k in tried]
 
     def solved(self, chosen: tuple[int, ...]) -> Proposal | None:
         """Set of some candidates (indices), solved within all bounds; None if it gains nothing.
@@ -260,7 +255,12 @@ def _weights(comparison: ResidualModel, residual: Array) -> Array:
     return np.asarray(1.0 / np.sqrt(np.maximum(squares, 1.0)))[channel]
 
 
-def _place(each: Screened) -> tuple[str, str]:
+def _worth(proposal: Proposal) -> float:
+    """Share that a set explains, less what its members have to."""
+    return proposal.predicted - _WORTH * len(proposal.members)
+
+
+def _place(each: Screened) -> Key:
     """Kind and location: variants and starts of one effect are alternatives."""
     return each.effect.kind, each.effect.where
 
