@@ -222,10 +222,10 @@ def grade(
         if given != wanted:
             raise ValueError(f"the {name} has format {given!r}; {wanted!r} is graded")
     verdict = str(result["verdict"])
-    effects = [_in_words_of_truth(e) for e in result.get("effects", ()) if verdict == NAMED]
+    effects = list(result.get("effects", ())) if verdict == NAMED else []
     true = [(str(e["kind"]), str(e["where"])) for e in truth["effects"]]
     said = [(str(e["kind"]), str(e["where"])) for e in effects]
-    match = _matched(true, said, separable)
+    match = matched(true, said, separable)
     role = str(truth["role"])
     if role == "none":
         right = verdict == NO_GAP
@@ -233,14 +233,17 @@ def grade(
         right = verdict == UNEXPLAINED
     else:
         right = len(match) == len(true) == len(said)
-    errors, covered, others = [], [], []
+    errors: list[float] = []
+    covered: list[bool] = []
+    others: list[bool] = []
     if role in ("single", "pair"):
         for i, j in match.items():
             if true[i] != said[j]:
                 continue
-            errors.append(_error(true[i][0], truth["effects"][i], effects[j]))
-            covered += _covered(true[i][0], truth["effects"][i], effects[j])
-            others += _covered_others(true[i][0], truth["effects"][i], effects[j])
+            marks = effect_marks(truth["effects"][i], effects[j])
+            errors.append(marks.error)
+            covered += marks.covered
+            others += marks.covered_others
     gap = result.get("gap") or {}
     return Grade(
         case=str(truth["case"]),
@@ -302,8 +305,21 @@ def _number(value: Any) -> float:
     return float("nan") if value is None else float(value)
 
 
-def _matched(true: Sequence[Named], said: Sequence[Named], separable: Separable) -> dict[int, int]:
-    """Position of the named effect for every true one that was found."""
+def matched(true: Sequence[Named], said: Sequence[Named], separable: Separable) -> dict[int, int]:
+    """Position of the named effect for every true one that was found.
+
+    Parameters
+    ----------
+    true, said : sequence of (str, str)
+        True and named kinds and places.
+    separable : callable
+        Asked about pairs of `LISTED` where as many effects are named as there are.
+
+    Examples
+    --------
+    >>> matched([("payload", "tool")], [("backlash", "joint1"), ("payload", "tool")], bool)
+    {0: 1}
+    """
     match = {i: said.index(effect) for i, effect in enumerate(true) if effect in said}
     # asking is costly: only where the number of effects is right can an alternative change marks
     if len(said) != len(true) or len(match) == len(true):
@@ -318,6 +334,43 @@ def _matched(true: Sequence[Named], said: Sequence[Named], separable: Separable)
                 left.remove(j)
                 break
     return match
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EffectMarks:
+    """Marks of the parameters of one effect that was named by its own name."""
+
+    error: float
+    """Relative error of the vector of its parameters; NaN where none is given."""
+    covered: tuple[bool, ...]
+    """Whether each 95 % interval given of these parameters holds the truth."""
+    covered_others: tuple[bool, ...]
+    """The same of further parameters that mean the same in truth and result."""
+
+
+def effect_marks(truth: Mapping[str, Any], named: Mapping[str, Any]) -> EffectMarks:
+    """Mark the parameters of an effect.
+
+    Parameters
+    ----------
+    truth : mapping
+        An effect of a truth of format `gap-truth/1`.
+    named : mapping
+        The same effect of a result of format `loose-gap/1`.
+
+    Examples
+    --------
+    >>> true = {"kind": "payload", "where": "tool", "parameters": {"mass": 2.0}}
+    >>> marks = effect_marks(true, {**true, "interval_95": {"mass": [1.9, 2.2]}})
+    >>> marks.error, marks.covered
+    (0.0, (True,))
+    """
+    kind, effect = str(truth["kind"]), _in_words_of_truth(named)
+    return EffectMarks(
+        error=_error(kind, truth, effect),
+        covered=tuple(_covered(kind, truth, effect)),
+        covered_others=tuple(_covered_others(kind, truth, effect)),
+    )
 
 
 def _in_words_of_truth(effect: Mapping[str, Any]) -> dict[str, Any]:
