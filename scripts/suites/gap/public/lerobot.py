@@ -67,7 +67,7 @@ def write_lerobot(folder: Path, recording: Recording) -> Path:
         _write_data(beside / DATA, recording.runs, runs, names, tasks)
         _write_episodes(beside / EPISODES, recording.runs)
         write_text(beside / "meta/stats.json", json.dumps(_stats(runs, names), indent=1) + "\n")
-        write_text(beside / "mapping.toml", _mapping(recording, runs, names, model))
+        write_text(beside / "mapping.toml", _mapping(recording, runs, names, model, folder.name))
         shutil.copyfile(recording.model_path, beside / "model.xml")
         shutil.rmtree(folder, ignore_errors=True)
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -241,10 +241,21 @@ def _mapping(
     columns: Sequence[Mapping[str, Array]],
     names: Mapping[str, Sequence[str]],
     model: mujoco.MjModel,
+    folder: str,
 ) -> str:
-    """Mapping by which ``loose import`` reads the dataset back, a run for each episode."""
-    lines = ['format = "loose-mapping/1"', 'model = "model.xml"', "", "[sources.dataset]"]
+    """Mapping by which ``loose import`` reads the dataset back, a run for each episode.
+
+    A source is read with the same columns in all its episodes: runs of other columns are of
+    another source, which is the same folder.
+    """
+    kinds = list(dict.fromkeys(tuple(own) for own in columns))
+    sources = ["dataset"] if len(kinds) == 1 else [f"dataset{k + 1}" for k in range(len(kinds))]
+    lines = ['format = "loose-mapping/1"', 'model = "model.xml"']
+    for source in sources:
+        lines += ["", f"[sources.{source}]"]
+        lines += [f"file = {json.dumps(folder)}"] if len(kinds) > 1 else []
     for number, (run, own) in enumerate(zip(recording.runs, columns, strict=True)):
+        source = sources[kinds.index(tuple(own))]
         lines += ["", "[[runs]]", f'file = "{Path(run.name).stem}"', f'episodes = "{number}"']
         if run.excited:
             lines.append(f"excited = {json.dumps(list(run.excited))}")
@@ -256,6 +267,8 @@ def _mapping(
             for each in entries:
                 if each in own:
                     channel = f"{feature}[{each.removeprefix(PREFIX[feature])}]"
-                    unit = _unit(each, model)
-                    lines.append(f'"{each}" = {{ channel = "{channel}", unit = "{unit}" }}')
+                    lines.append(
+                        f'"{each}" = {{ source = "{source}", channel = "{channel}", '
+                        f'unit = "{_unit(each, model)}" }}'
+                    )
     return "\n".join(lines) + "\n"

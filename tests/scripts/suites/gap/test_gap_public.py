@@ -21,7 +21,7 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE as OF_TOOL
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEffect
 from loose_env.importing import import_recording
-from loose_env.recording import read_recording
+from loose_env.recording import Run, read_recording, write_recording
 from scripts.suites.gap.cases.cases import SEED, name_of
 from scripts.suites.gap.cases.draw import draw_case
 from scripts.suites.gap.cases.recordings import truth_of
@@ -40,6 +40,7 @@ from scripts.suites.gap.public import (
     read_score,
     read_suite,
     score,
+    write_lerobot,
 )
 from scripts.suites.gap.public.__main__ import main
 from scripts.suites.gap.public.answers import answer_schema
@@ -181,6 +182,31 @@ def test_the_lerobot_dataset_reads_back_with_the_same_numbers(
         for name in ("observation.state", "action"):
             feature = info["features"].get(name)
             assert feature is None or len(feature["units"]) == len(feature["names"])
+
+
+def test_runs_of_different_columns_make_one_dataset(tmp_path: Path) -> None:
+    rng, time = np.random.default_rng(0), np.arange(40) * 1e-3
+    joints = [f"joint{k}" for k in (1, 2, 3)]
+    read = {f"{joint}_{what}": rng.normal(size=40) for joint in joints for what in ("pos", "vel")}
+    shaken = Run(
+        name="run-01", time=time, sensors=read | {"tool_acc": rng.normal(size=(40, 3))},
+        controls={f"motor{k}": rng.normal(size=40) for k in (1, 2, 3)},
+        excited=("joint2",), pose={joint: 0.1 for joint in joints},
+    )  # fmt: skip
+    driven = Run(
+        name="run-02", time=time, sensors=read, torques={j: rng.normal(size=40) for j in joints}
+    )
+    want = write_recording(
+        tmp_path / "want", model_xml=model_xml(ARMS["planar3"]()), runs=[shaken, driven]
+    )
+    dataset = write_lerobot(tmp_path / "set", want)
+    have = import_recording([dataset], dataset / "mapping.toml", tmp_path / "have")
+    for one, other in zip(have.runs, want.runs, strict=True):
+        assert (one.excited, one.pose) == (other.excited, other.pose)
+        for group in ("sensors", "controls", "torques"):
+            assert set(getattr(one, group)) == set(getattr(other, group))
+            for name, values in getattr(other, group).items():
+                np.testing.assert_array_equal(getattr(one, group)[name], values)
 
 
 def test_a_perfect_answer_scores_one_and_an_empty_one_nothing(
