@@ -373,3 +373,14 @@ def test_the_example_of_the_page_is_an_answer(suite_folder: Path, tmp_path: Path
 def test_the_leaderboard_of_the_page_is_that_of_the_stored_scores() -> None:
     scores = [read_score(path) for path in stored_scores()]
     assert leaderboard(scores) in PAGE.read_text("utf-8")
+    for found in scores:
+        told = {"name": found.name, "suite": found.suite, "identity": found.identity}
+        again = total(found.cases, **told)
+        assert (again.right, again.found, again.named) == (found.right, found.found, found.named)
+        assert (again.recall, again.brier) == pytest.approx((found.recall, found.brier))
+
+
+def test_entries_lie_beside_their_answers() -> None:
+    for path in stored_scores():
+        cases = {case.case for case in read_score(path).cases}
+        assert cases == {file.stem for file in path.with_suffix("").glob("*.json")}
