@@ -25,7 +25,7 @@ from scripts.suites.gap.simulator.arms import ARMS, Figures
 from scripts.suites.gap.simulator.build import Factors
 
 SEED = 20_281
-"""Seed of the whole suite."""
+"""Seed of the published suite; a private one has another."""
 GROSS = 30.0
 """Largest size over the size that is just visible."""
 _SEVERAL = {"pair": 2, "triple": 3}
@@ -63,6 +63,8 @@ class Case:
     """Noise of the sensors."""
     sizes: tuple[dict[str, Any], ...] = ()
     """For each effect its size, the size that is just visible and their ratio."""
+    seed: int = SEED
+    """Seed of the suite that it belongs to."""
 
     @property
     def role(self) -> str:
@@ -72,7 +74,7 @@ class Case:
     @property
     def name(self) -> str:
         """Name of the recording; it tells nothing."""
-        return name_of(self.number)
+        return name_of(self.number, seed=self.seed)
 
 
 def role_of(number: int) -> str:
@@ -80,10 +82,13 @@ def role_of(number: int) -> str:
     return ROLES[number // 1000]
 
 
-def name_of(number: int) -> str:
-    """Name of a case's recording: numbers in an order that tells nothing."""
-    first, count, key = (0, TRIPLE, 1) if number < TRIPLE else (TRIPLE, LAST + 1 - TRIPLE, 4)
-    order = np.random.default_rng(np.random.SeedSequence([SEED, key])).permutation(count)
+def name_of(number: int, *, seed: int = SEED) -> str:
+    """Name of a case's recording: numbers in an order that tells nothing without the seed."""
+    if seed != SEED:
+        first, count, key = 0, LAST + 1, 1
+    else:  # the published suite had names before it had cases of many effects
+        first, count, key = (0, TRIPLE, 1) if number < TRIPLE else (TRIPLE, LAST + 1 - TRIPLE, 4)
+    order = np.random.default_rng(np.random.SeedSequence([seed, key])).permutation(count)
     return f"case-{first + int(order[number - first]):04d}"
 
 
@@ -121,7 +126,7 @@ def full_list(
     ]
 
 
-def draw_few(number: int, rng: np.random.Generator) -> Case:
+def draw_few(number: int, rng: np.random.Generator, *, even_lengths: bool = False) -> Case:
     """Draw a case with at most three effects.
 
     Parameters
@@ -130,6 +135,8 @@ def draw_few(number: int, rng: np.random.Generator) -> Case:
         Its number in the suite.
     rng : numpy.random.Generator
         Source of all that is random.
+    even_lengths : bool
+        Runs are as long where nothing is missing, so that their length tells nothing.
     """
     role, within = role_of(number), number % 1000
     if role == "none":
@@ -140,7 +147,7 @@ def draw_few(number: int, rng: np.random.Generator) -> Case:
         wanted = _several(rng, _SEVERAL[role])
     else:
         wanted = [OUTSIDE[within % len(OUTSIDE)]]
-    seconds = SHORT if role == "none" else LONG
+    seconds = SHORT if role == "none" and not even_lengths else LONG
     while True:
         form = _draw_form(rng, wanted)
         if form is None:

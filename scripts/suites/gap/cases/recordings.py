@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from loose_env.recording import Run, write_recording
-from scripts.suites.gap.cases.cases import SEED, Case
+from scripts.suites.gap.cases.cases import Case
 from scripts.suites.gap.cases.motions import Motion
 from scripts.suites.gap.cases.sensing import Signals, add_noise, rounded
 from scripts.suites.gap.effects.sensor import ACCELEROMETER
@@ -28,7 +28,7 @@ def runs_of(case: Case) -> list[Run]:
     runs = []
     readings = case.arm.assemble()[1]
     for i, motion in enumerate(case.motions):
-        rng = np.random.default_rng(np.random.SeedSequence([SEED, 2, case.number, i]))
+        rng = np.random.default_rng(np.random.SeedSequence([case.seed, 2, case.number, i]))
         signals = rounded(add_noise(case.arm.run(motion), case.noise, rng), readings)
         runs.append(_run(case, motion, signals, f"run-{i + 1:02d}"))
     return runs

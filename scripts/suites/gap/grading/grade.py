@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from scripts.suites.gap.grading.parameters import (
-    in_words_of_truth,
     judged_intervals,
     parameter_error,
 )
@@ -169,10 +168,10 @@ def grade(
         if given != wanted:
             raise ValueError(f"the {name} has format {given!r}; {wanted!r} is graded")
     verdict = str(result["verdict"])
-    effects = [in_words_of_truth(e) for e in result.get("effects", ()) if verdict == NAMED]
+    effects = list(result.get("effects", ())) if verdict == NAMED else []
     true = [(str(e["kind"]), str(e["where"])) for e in truth["effects"]]
     said = [(str(e["kind"]), str(e["where"])) for e in effects]
-    match = _matched(true, said, separable)
+    match = matched(true, said, separable)
     role = str(truth["role"])
     if role == "none":
         right = verdict == NO_GAP
@@ -247,8 +246,21 @@ def _number(value: Any) -> float:
     return float("nan") if value is None else float(value)
 
 
-def _matched(true: Sequence[Named], said: Sequence[Named], separable: Separable) -> dict[int, int]:
-    """Position of the named effect for every true one that was found."""
+def matched(true: Sequence[Named], said: Sequence[Named], separable: Separable) -> dict[int, int]:
+    """Position of the named effect for every true one that was found.
+
+    Parameters
+    ----------
+    true, said : sequence of (str, str)
+        True and named kinds and places.
+    separable : callable
+        Asked about pairs of `LISTED` where as many effects are named as there are.
+
+    Examples
+    --------
+    >>> matched([("payload", "tool")], [("backlash", "joint1"), ("payload", "tool")], bool)
+    {0: 1}
+    """
     match = {i: said.index(effect) for i, effect in enumerate(true) if effect in said}
     # asking is costly: only where the number of effects is right can an alternative change marks
     if len(said) != len(true) or len(match) == len(true):

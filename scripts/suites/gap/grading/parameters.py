@@ -8,7 +8,14 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["JudgedInterval", "in_words_of_truth", "judged_intervals", "parameter_error"]
+__all__ = [
+    "OTHERS",
+    "PARAMETERS",
+    "SAID",
+    "JudgedInterval",
+    "judged_intervals",
+    "parameter_error",
+]
 
 PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "viscous_friction": ("damping",),
@@ -71,7 +78,7 @@ OTHERS: Mapping[str, Mapping[str, Callable[[Mapping[str, Any]], float]]] = {
 stiffness of stops are laws of another form there, and have no counterpart."""
 
 
-def in_words_of_truth(effect: Mapping[str, Any]) -> dict[str, Any]:
+def _in_words_of_truth(effect: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters and intervals of a named effect under the names that the truth has."""
     words = {said: true for true, said in SAID.get(str(effect["kind"]), {}).items()}
     found = dict(effect)
@@ -93,11 +100,11 @@ def _names(kind: str, truth: Mapping[str, Any], effect: Mapping[str, Any]) -> li
 
 def parameter_error(truth: Mapping[str, Any], effect: Mapping[str, Any]) -> float:
     """Relative error of the parameters of a named effect, as one vector; NaN without any."""
-    kind = str(truth["kind"])
-    names = _names(kind, truth, effect)
+    said = _in_words_of_truth(effect)
+    names = _names(str(truth["kind"]), truth, said)
     if not names:
         return float("nan")
-    want, have = _values(truth, names), _values(effect, names)
+    want, have = _values(truth, names), _values(said, names)
     return float(np.linalg.norm(have - want) / np.linalg.norm(want))
 
 
@@ -129,7 +136,7 @@ def judged_intervals(truth: Mapping[str, Any], effect: Mapping[str, Any]) -> lis
     effect : mapping
         The effect of the same kind and place of a result.
     """
-    kind, said = str(truth["kind"]), in_words_of_truth(effect)
+    kind, said = str(truth["kind"]), _in_words_of_truth(effect)
     wanted = [(name, True, truth["parameters"][name]) for name in _names(kind, truth, said)]
     for name, of in OTHERS.get(kind, {}).items():
         try:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from loose_env.typing import Array
-from scripts.suites.gap.cases.cases import HELD_OUT, Case
+from scripts.suites.gap.cases.cases import HELD_OUT, SEED, Case
 from scripts.suites.gap.cases.draw import draw_case
 from scripts.suites.gap.cases.effect_sizing import VISIBLE, Visibility
 from scripts.suites.gap.cases.motions import Motion
@@ -136,19 +136,21 @@ class Comparison:
         return judge.score(float(rest @ rest))
 
 
-def separable_by_data(number: int) -> Separable:
+def separable_by_data(number: int, *, seed: int = SEED) -> Separable:
     """An answer for `grade.grade`, worked out only if it is asked.
 
     Parameters
     ----------
     number : int
         Number of the case; it is drawn again when the first question comes.
+    seed : int
+        Seed of its suite.
     """
     known: list[Comparison] = []
 
     def separable(effect: int, named: Named) -> bool:
         if not known:
-            known.append(Comparison(draw_case(number)))
+            known.append(Comparison(draw_case(number, seed=seed)))
         return known[0].separable(effect, named)
 
     return separable
