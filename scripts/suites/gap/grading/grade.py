@@ -179,7 +179,9 @@ def grade(
         right = verdict == UNEXPLAINED
     else:
         right = len(match) == len(true) == len(said)
-    errors, covered, others = [], [], []
+    errors: list[float] = []
+    covered: list[bool] = []
+    others: list[bool] = []
     for i, j in match.items() if role != "outside" else ():
         if true[i] == said[j]:
             errors.append(parameter_error(truth["effects"][i], effects[j]))
