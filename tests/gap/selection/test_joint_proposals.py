@@ -82,7 +82,7 @@ def test_friction_at_every_joint_is_proposed_as_such(tmp_path: Path) -> None:
     """Beside effects that are richer than friction, with a gap and a stiffness of their own."""
     spec = measurable(mujoco.MjSpec.from_string(PLANAR))
     machine = NominalModel(spec.copy())
-    dry, viscous = np.array([3.0, 2.0, 0.8]), np.array([4.0, 2.5, 1.0])
+    dry, viscous = np.array([6.0, 4.0, 2.0]), np.array([4.0, 3.0, 1.5])
     runs = [
         torque_run(
             machine,

@@ -42,6 +42,8 @@ _GREEDY = 12
 """Effects from which on a set grows no further."""
 _WORTH = 0.01
 """Share of the sum of squares that one more effect of a set explains at least."""
+_BETTER = 0.001
+"""The same for a parameter, and for another set of as many."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,22 +155,39 @@ class JointProblem:
     def _grown(self, groups: Sequence[tuple[Key, tuple[int, ...]]]) -> Proposal | None:
         """Set that grows by one candidate, or one of some groups (indices), at a time.
 
-        The step is taken that explains most, less `_WORTH` for each member.
+        The step is taken that is worth most. Where no further candidate is worth it, one of the
+        set is exchanged for another, and it may grow again: the first members were chosen for what
+        they explain of all that is missing, and the rest has come since.
         """
         chosen: tuple[int, ...] = ()
         best: Proposal | None = None
-        while len(chosen) < _GREEDY:
-            kinds = {self.screened[k].effect.kind for k in chosen}
-            whole = [own for (kind, _), own in groups if kind not in kinds]
-            tried = [(*chosen, *own) for own in (*self._singles(chosen), *whole)]
-            found = [(own, each) for own in tried if (each := self.solved(own)) is not None]
-            if not found:
-                break
-            own, further = max(found, key=lambda each: _worth(each[1]))
-            if best is not None and _worth(further) <= _worth(best):
-                break
-            best, chosen = further, own
-        return best
+        while True:
+            steps = (*self._singles(chosen), *self._wholes(chosen, groups))
+            further = [(*chosen, *own) for own in steps]
+            better = self._best_of(further if len(chosen) < _GREEDY else [], best)
+            better = better or self._best_of(self._exchanges(chosen), best)
+            if better is None:
+                return best
+            chosen, best = better
+
+    def _best_of(
+        self, sets: Sequence[tuple[int, ...]], best: Proposal | None
+    ) -> tuple[tuple[int, ...], Proposal] | None:
+        """Set (indices) that is worth most; None if none is worth more than the best so far."""
+        found = [(own, each) for own in sets if (each := self.solved(own)) is not None]
+        least = -np.inf if best is None else _worth(best) + _BETTER
+        found = [each for each in found if _worth(each[1]) > least]
+        return max(found, key=lambda each: _worth(each[1]), default=None)
+
+    def _exchanges(self, chosen: tuple[int, ...]) -> list[tuple[int, ...]]:
+        """Sets with one member exchanged for another candidate."""
+        rests = [tuple(k for k in chosen if k != member) for member in chosen]
+        return [
+            (*rest, *own)
+            for member, rest in zip(chosen, rests, strict=True)
+            for own in self._singles(rest)
+            if rest and own != (member,)
+        ]
 
     def _singles(self, chosen: tuple[int, ...]) -> list[tuple[int]]:
         """Candidates (indices) that gain most beside some others."""
@@ -181,6 +200,22 @@ class JointProblem:
             gains = np.where(free & (size > 0), slope**2 / np.maximum(size, 1e-12), 0.0)
             tried |= {int(k): None for k in np.argsort(-gains)[:_TRIED] if gains[k] > 0}
         return [(k,) for k in tried]
+
+    def _wholes(
+        self, chosen: tuple[int, ...], groups: Sequence[tuple[Key, tuple[int, ...]]]
+    ) -> list[tuple[int, ...]]:
+        """Groups of further kinds that gain most beside some candidates (indices)."""
+        kinds = {self.screened[k].effect.kind for k in chosen}
+        left = [own for (kind, _), own in groups if kind not in kinds]
+        if not left:
+            return []
+        gram, slope = self._reduced(chosen)
+
+        def gain(own: tuple[int, ...]) -> float:
+            within = gram[np.ix_(own, own)] + 1e-9 * np.diag(np.diag(gram)[list(own)] + 1e-12)
+            return float(slope[list(own)] @ np.linalg.lstsq(within, slope[list(own)])[0])
+
+        return sorted(left, key=lambda own: -gain(own))[:_TRIED]
 
     def solved(self, chosen: tuple[int, ...]) -> Proposal | None:
         """Set of some candidates (indices), solved within all bounds; None if it gains nothing.
@@ -256,8 +291,9 @@ def _weights(comparison: ResidualModel, residual: Array) -> Array:
 
 
 def _worth(proposal: Proposal) -> float:
-    """Share that a set explains, less what its members have to."""
-    return proposal.predicted - _WORTH * len(proposal.members)
+    """Share that a set explains, less what its members and their parameters have to."""
+    count = sum(len(member.effect.parameters) for member in proposal.members)
+    return proposal.predicted - _WORTH * len(proposal.members) - _BETTER * count
 
 
 def _place(each: Screened) -> Key:

@@ -43,7 +43,7 @@ def bounded_minimum(curvature: Array, slope: Array, low: Array, high: Array) -> 
     root = np.linalg.cholesky(scaled)
     bounds = (low * scale - _ROOM, high * scale + _ROOM)
     return (
-        np.asarray(lsq_linear(root.T, -np.linalg.solve(root, slope / scale), bounds=bounds).x)
+        np.asarray(lsq_linear(root.T, -np.linalg.solve(root, slope / scale), bounds=bounds, method="bvls").x)
         / scale
     )
 
