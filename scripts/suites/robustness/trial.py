@@ -12,12 +12,14 @@ import sys
 import tempfile
 import time
 import traceback
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from scripts.suites.robustness.cases import Case, write_case
 
-__all__ = ["MOST_BYTES", "OUTCOMES", "Outcome", "as_row", "run_case", "tried"]
+__all__ = ["MOST_BYTES", "OUTCOMES", "Outcome", "as_row", "outcome_of", "run_case", "tried"]
 
 OUTCOMES = ("result", "refused", "traceback", "unclear", "late", "died")
 """Outcomes of a case. "unclear" is a refusal of several lines or none."""
@@ -121,6 +123,11 @@ def _ended(
     return (None if late else status, usage), text
 
 
-def as_row(outcome: Outcome, number: int) -> str:
-    """Line of JSON of a numbered case."""
-    return json.dumps({"number": number} | asdict(outcome), ensure_ascii=False)
+def as_row(outcome: Outcome, number: int) -> dict[str, Any]:
+    """Row of a numbered case."""
+    return {"number": number} | asdict(outcome)
+
+
+def outcome_of(row: Mapping[str, Any]) -> Outcome:
+    """Outcome of a row."""
+    return Outcome(**{name: value for name, value in row.items() if name != "number"})
