@@ -42,10 +42,9 @@ def bounded_minimum(curvature: Array, slope: Array, low: Array, high: Array) -> 
     scaled = curvature / np.outer(scale, scale) + _RIDGE * np.eye(len(slope))
     root = np.linalg.cholesky(scaled)
     bounds = (low * scale - _ROOM, high * scale + _ROOM)
-    return (
-        np.asarray(lsq_linear(root.T, -np.linalg.solve(root, slope / scale), bounds=bounds, method="bvls").x)
-        / scale
-    )
+    target = -np.linalg.solve(root, slope / scale)
+    # an active-set method: four times as fast as the default for some tens of numbers
+    return np.asarray(lsq_linear(root.T, target, bounds=bounds, method="bvls").x) / scale
 
 
 @dataclass(frozen=True, eq=False)
