@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -159,10 +160,9 @@ def _path(
     settings: LassoSettings,
 ) -> list[Array]:
     """Coefficients at each penalty, in the units of the regressor."""
-    from skglm import GroupLasso
-
+    package: Any = import_module("skglm")
     widths = [regression.groups[g].width for g in candidates]
-    model: Any = GroupLasso(
+    model = package.GroupLasso(
         groups=widths,
         weights=np.sqrt(np.array(widths, dtype=float)),
         fit_intercept=False,

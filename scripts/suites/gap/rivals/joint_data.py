@@ -234,8 +234,8 @@ def noise_replicas(
     """
     actuators = Actuators.of(recording.model())
 
-    def noisy(values: Array | None) -> Array | None:
-        return None if values is None else values + _noise(values) * rng.normal(size=values.shape)
+    def noisy(values: Array) -> Array:
+        return np.asarray(values + _noise(values) * rng.normal(size=values.shape))
 
     replicas = []
     for run, own in zip(recording.runs, runs, strict=True):
@@ -244,7 +244,7 @@ def noise_replicas(
             raw,
             position=noisy(raw.position),
             velocity=noisy(raw.velocity),
-            measured=noisy(raw.measured),
+            measured=None if raw.measured is None else noisy(raw.measured),
         )
         replicas.append(_joint_run(raw, actuators, own.low_pass))
     return tuple(replicas)

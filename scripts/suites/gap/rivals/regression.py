@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -47,8 +47,8 @@ class RegressionSettings:
     """Of intervals."""
     longest_lag_s: float = 0.3
     """Longest lag at which autocorrelation of the residual counts [s]."""
-    filter: FilterSettings = FilterSettings()
-    grid: GridSettings = GridSettings()
+    filter: FilterSettings = field(default_factory=FilterSettings)
+    grid: GridSettings = field(default_factory=GridSettings)
 
     @property
     def prior_sd(self) -> float:
@@ -66,7 +66,7 @@ class Fit:
     """Of nuisances, then of the chosen groups in their order."""
     covariance: Array
     """Of the coefficients, with the autocorrelation of the residual in it."""
-    bound: Array
+    bound: tuple[int, ...]
     """Numbers of the nominal parameters that are on the bound of their tolerance."""
     objective: float
     """Weighted sum of squares, with that of the prior."""
@@ -136,7 +136,7 @@ class Regression:
     def independent_rows(self) -> float:
         """Number of independent training rows."""
         count = sum(self.rows[i].shape[0] * self.rows[i].shape[1] for i in self.training)
-        return count / self.inflation
+        return float(count / self.inflation)
 
     def fit(self, chosen: Sequence[int], gram: Array | None = None) -> Fit:
         """Fit some groups beside the nominal parameters, which stay within the tolerance."""
@@ -164,7 +164,7 @@ class Regression:
             chosen=tuple(chosen),
             coefficients=values,
             covariance=inverse * self.inflation,
-            bound=np.flatnonzero(bound),
+            bound=tuple(map(int, np.flatnonzero(bound))),
             objective=float(gram[-1, -1] - 2 * right @ values + values @ inner @ values),
         )
 
@@ -176,9 +176,9 @@ class Regression:
         """
         gram = self.gram() if gram is None else gram
         at = self.columns(fit.chosen)
-        free = np.delete(np.arange(len(at)), fit.bound)
-        fixed, own = at[fit.bound], at[free]
-        target = gram[:, -1] - gram[:, fixed] @ fit.coefficients[fit.bound]
+        bound = list(fit.bound)
+        fixed, own = at[bound], np.delete(at, bound)
+        target = gram[:, -1] - gram[:, fixed] @ fit.coefficients[bound]
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
         inner = gram[np.ix_(own, own)] / np.outer(scale[own], scale[own])
         factor = linalg.cho_factor(inner + _RIDGE * np.eye(len(own)))

@@ -16,7 +16,7 @@ import numpy as np
 from loose_env.recording import read_recording
 from loose_env.typing import Array
 from scripts.suites.gap.rivals.joint_data import joint_runs
-from scripts.suites.gap.rivals.regression import Regression, regression_of
+from scripts.suites.gap.rivals.regression import regression_of
 from scripts.suites.gap.rivals.results import Finding, VerdictSettings, write_finding
 
 __all__ = ["NetworkSettings", "improvement_z", "predicted", "run_residual_network"]
@@ -63,7 +63,7 @@ def run_residual_network(recording: Path, folder: Path, tolerance: float) -> Non
     regression = regression_of(recording, tolerance, rng)
     nominal = regression.fit([])
     residuals = [
-        regression.residual(nominal, i) / regression.noise for i in range(_runs(regression))
+        regression.residual(nominal, i) / regression.noise for i in range(len(regression.rows))
     ]
     inputs = _inputs(recording)
     prediction = predicted(inputs, residuals, settings, rng)
@@ -87,10 +87,6 @@ def run_residual_network(recording: Path, folder: Path, tolerance: float) -> Non
         ),
         limit,
     )
-
-
-def _runs(regression: Regression) -> int:
-    return len(regression.rows)
 
 
 def _inputs(folder: Path) -> list[Array]:
@@ -157,4 +153,4 @@ def improvement_z(before: Array, after: Array, rate_hz: float, settings: Network
         return 0.0
     blocks = gain[: count * length].reshape(count, length).mean(axis=1)
     error = float(blocks.std(ddof=1)) / np.sqrt(count)
-    return float(blocks.mean()) / max(error, 1e-12)
+    return float(blocks.mean() / max(error, 1e-12))

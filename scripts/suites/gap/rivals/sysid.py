@@ -21,6 +21,7 @@ import dataclasses
 import io
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -140,10 +141,14 @@ def run_sysid(recording: Path, folder: Path, tolerance: float) -> None:
     )
 
 
+def _package() -> Any:
+    """The package, which ships types of its own that are no part of MuJoCo's."""
+    return import_module("mujoco.sysid")
+
+
 def _fitted(parameters: Any, residual: Any, settings: SysidSettings) -> tuple[Any, Array]:
     """Parameters after the optimiser, and the Jacobian there."""
-    from mujoco import sysid
-
+    sysid = _package()
     with contextlib.redirect_stdout(io.StringIO()):  # it reports every iteration
         fitted, outcome = sysid.optimize(
             parameters, residual, optimizer="scipy_parallel_fd", verbose=False,
@@ -175,8 +180,7 @@ def _residual(
     ready: _Prepared, runs: tuple[int, ...], tolerance: float, settings: SysidSettings
 ) -> Callable[..., Any]:
     """Residual function of some runs, the rows of the prior last."""
-    from mujoco import sysid
-
+    sysid = _package()
     return _with_prior(
         sysid.build_residual_fn(
             models_sequences=[_sequences(ready, runs, settings)],
@@ -248,8 +252,7 @@ def _noise(ready: _Prepared, noisy: _Prepared, settings: SysidSettings) -> Array
 
     It holds the noise of the initial state and of measured torques too, which the model integrates.
     """
-    from mujoco import sysid
-
+    sysid = _package()
     both = []
     for own in (ready, noisy):
         sequences = _sequences(own, tuple(range(len(own.runs))), settings)
@@ -265,8 +268,7 @@ def _noise(ready: _Prepared, noisy: _Prepared, settings: SysidSettings) -> Array
 
 def _parameters(ready: _Prepared, tolerance: float, settings: SysidSettings) -> tuple[Any, Any]:
     """Decision variables and what each stands for, in the same order."""
-    from mujoco import sysid
-
+    sysid = _package()
     found, values = sysid.ParameterDict(), []
     model, (low, high) = ready.model, settings.scale_bounds
 
@@ -334,7 +336,9 @@ def _parameters(ready: _Prepared, tolerance: float, settings: SysidSettings) -> 
     return found, values
 
 
-def _array(write: Callable[[mujoco.MjSpec, float], None]) -> Callable[[mujoco.MjSpec, float], None]:
+def _array(
+    write: Callable[[mujoco.MjSpec, float], None],
+) -> Callable[[mujoco.MjSpec, float], None]:
     """Writer of a number, or of the polynomial that newer versions have in its place."""
 
     def either(spec: mujoco.MjSpec, value: float) -> None:
@@ -357,8 +361,7 @@ def _add_gains(
     add: Callable[..., None], ready: _Prepared, tolerance: float, settings: SysidSettings
 ) -> None:
     """Gain of each actuator, and the ratio of its velocity gain to its position gain."""
-    from mujoco import sysid
-
+    sysid = _package()
     for i in range(ready.model.nu):
         name = ready.model.actuator(i).name
         kp, kv = -ready.model.actuator_biasprm[i, 1], -ready.model.actuator_biasprm[i, 2]
@@ -408,8 +411,7 @@ def _with_prior(residual: Callable[..., Any], tolerance: float) -> Callable[...,
 
 def _sequences(ready: _Prepared, runs: tuple[int, ...], settings: SysidSettings) -> Any:
     """Windows of some runs as the package wants them."""
-    from mujoco import sysid
-
+    sysid = _package()
     rate = ready.runs[0].low_pass.rate_hz
     seconds = settings.window_s if ready.servo else settings.torque_window_s
     length = round(seconds * rate)
@@ -452,8 +454,7 @@ def _difference(ready: _Prepared, settings: SysidSettings) -> Callable[..., Any]
 
 def _half_widths(residuals: list[Array], jacobian: Array, settings: SysidSettings) -> Array:
     """Half widths of the intervals, of shape (parameters,)."""
-    from mujoco import sysid
-
+    sysid = _package()
     flat = [np.ravel(part) for part in residuals]
     # a column of zeros would make every interval infinite, and so would columns of unlike sizes
     size = np.linalg.norm(jacobian, axis=0)
@@ -498,11 +499,13 @@ def _named(fitted: Any, values: list[_Value | None], half: Array) -> list[NamedE
             told = _told(kind, value.names[part], change[part], own[part])
             effects.append(
                 NamedEffect(
-                    kind=kind, where=value.where, parameters={k: m for k, (m, _, _) in told.items()},
+                    kind=kind,
+                    where=value.where,
+                    parameters={k: m for k, (m, _, _) in told.items()},
                     interval_95={k: (a, b) for k, (_, a, b) in told.items() if np.isfinite(b - a)},
                     in_model=False,
                 )
-            )  # fmt: skip
+            )
     return effects
 
 
