@@ -165,7 +165,8 @@ def _within(parameters: Any, values: list[_Value | None], tolerance: float) -> A
         if value is not None and value.kind == "coulomb_friction":
             parameter.frozen = True
             continue
-        room = tolerance * np.abs(nominal)
+        # a ratio of two gains is off by both
+        room = (tolerance if value is not None else 2.0 * tolerance) * np.abs(nominal)
         if value is not None and value.kind == "link":
             room[1:] = _HAIR
         parameter.min_value, parameter.max_value = nominal - room - _HAIR, nominal + room + _HAIR
