@@ -129,7 +129,7 @@ def configuration() -> dict[str, Any]:
 @pytest.fixture(autouse=True)
 def same_code(monkeypatch: pytest.MonkeyPatch, configuration: dict[str, Any]) -> None:
     """Somebody who edits the tool while the tests run must not make them fail."""
-    monkeypatch.setattr(script, "configuration", lambda: configuration)
+    monkeypatch.setattr(script, "configuration", lambda *tool: configuration)
 
 
 @pytest.fixture
