@@ -115,7 +115,7 @@ def configuration(tool: str = TOOL) -> dict[str, Any]:
         # methods read recordings and write results by the package, and use nothing else of it
         own = code_hash(
             [package / "recording", Path(rivals.__file__).parent],
-            without=("__init__.py", "__main__.py", "comparison.py"),
+            without=("__init__.py", "__main__.py"),
         )
         made = f"{tool} {own}"
     return {

@@ -24,7 +24,8 @@ from scripts.suites.gap import run as suite
 from scripts.suites.gap.cases.cases import name_of, role_of
 from scripts.suites.gap.grading.grade import Grade, grade
 from scripts.suites.gap.grading.one_case import Folders
-from scripts.suites.gap.rivals import METHODS, __main__, comparison, run_method
+from scripts.suites.gap.rivals import METHODS, run_method
+from scripts.suites.gap.rivals import __main__ as comparison
 from scripts.suites.gap.rivals.inverse_dynamics import InverseDynamics
 from scripts.suites.gap.rivals.joint_data import FilterSettings, LowPass, joint_runs
 from scripts.suites.gap.rivals.residual_network import NetworkSettings, improvement_z, predicted
@@ -301,7 +302,7 @@ def test_the_table_is_of_the_cases_that_all_have(
     rows_of("stepwise_bic", tmp_path, "unexplained", [1, 2, 3])
     page = tmp_path / "page.md"
     page.write_text("<!-- methods: begin -->\n<!-- methods: end -->\n")
-    __main__.main(["--out", str(tmp_path), "--docs", str(page)])
+    comparison.main(["--out", str(tmp_path), "--docs", str(page)])
     said = capsys.readouterr().out
     assert "2 cases that all methods have run: 1-2." in said
     first, second = page.read_text().splitlines()[6:8]

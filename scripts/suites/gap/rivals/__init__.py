@@ -1,12 +1,12 @@
 """Other methods as tools of the suite: what a competent user would try on the same recordings.
 
 Data flow: joint_data -> inverse_dynamics -> candidates -> regression -> least_squares,
-stepwise_bic, group_lasso, residual_network; sysid; comparison. `joint_data` reads the recording,
+stepwise_bic, group_lasso, residual_network; sysid. `joint_data` reads the recording,
 low-passes and decimates it, `inverse_dynamics` and `candidates` make the columns of the regressor,
 `regression` fits them with the nominal parameters as a prior, `results` writes what was found.
 Each method is a function of recording, result folder and tolerance, as the tool under test is.
-Nothing here imports the suite's simulator, cases or effects but the list of case numbers in
-`comparison`.
+No method imports the suite's simulator, cases, effects or marks; the command (`__main__`), which
+prints the table, does.
 """
 
 from __future__ import annotations
