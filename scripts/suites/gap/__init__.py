@@ -6,7 +6,8 @@ act in the joints, `simulate` the integration, `effects` and `outside` what a mo
 `cases` the list of cases, `recordings` the writing, `grade` the marks, `alternatives` what data
 cannot tell apart, `tables` what is printed. Nothing of these imports MuJoCo or the tool under test.
 `tool` runs the tool on one recording, `one_case` a case from its drawing to its marks, and
-`scripts/suites/gap/run.py` the suite; `edits` takes a named effect off machine and model;
+`scripts/suites/gap/run.py` the suite; `edits` takes a named effect off machine and model; `rivals`
+holds other methods that can be run in place of the tool;
 `fingerprint` tells rows of other code apart.
 
 Compiled functions are kept on disk (numba). The compiler does not see that a function inside
