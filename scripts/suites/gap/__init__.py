@@ -1,13 +1,11 @@
 """Blind recordings for the gap tool: made by an arm integrated without MuJoCo, truth kept apart.
 
-`figures` holds the arms in numbers, `dynamics` their equations of motion, `laws` the torques that
-act in the joints, `simulate` the integration, `effects` and `outside` what a model can lack,
-`motions` the commands, `sensing` the readings, `sizing` how large an effect must be to be seen,
-`cases` the list of cases, `recordings` the writing, `grade` the marks, `alternatives` what data
-cannot tell apart, `tables` what is printed. Nothing of these imports MuJoCo or the tool under test.
-`tool` runs the tool on one recording, `one_case` a case from its drawing to its marks, and
-`scripts/suites/gap/run.py` the suite; `edits` takes a named effect off machine and model;
-`fingerprint` tells rows of other code apart.
+`simulator` holds the arms in numbers, their equations of motion, the torques that act in the joints
+and the integration; `effects` what a model can lack, `cases` the list of cases with their commands,
+readings and sizes, and the writing of recordings. Nothing of these imports MuJoCo or the tool under
+test. `grading` runs a tool on a recording and marks its result, `run.py` runs the suite. `rivals`
+holds other methods that can be run in place of the tool, `public` the benchmark for anyone's, and
+`studies` what is measured beside: edit test, calibration, cost, measured recordings.
 
 Compiled functions are kept on disk (numba). The compiler does not see that a function inside
 another one has changed: after an edit of `dynamics` or `laws` remove `__pycache__`.

@@ -6,7 +6,7 @@ stored: the same command goes on where it was stopped. No mark depends on the ba
 of workers. Only rows of the same code are put together (comments aside).
 
 Usage: python -m scripts.suites.gap.run [--quick | --numbers 0-9 1004 2001] [--out FOLDER]
-           [--docs] [--backend loky|threading|ray|dask|slurm] [--workers N]
+           [--tool NAME] [--docs] [--backend loky|threading|ray|dask|slurm] [--workers N]
        python -m scripts.suites.gap.run --show     (prints what is stored)
 """
 
@@ -33,6 +33,7 @@ from loose_agents.execution.study import write_between
 
 import loose_env
 from loose_env.errors import InvalidSetting
+from scripts.suites.gap import rivals
 from scripts.suites.gap.cases.cases import LAST, SEED, full_list, quick_list, role_of
 from scripts.suites.gap.grading.code_hash import code_hash
 from scripts.suites.gap.grading.one_case import (
@@ -51,6 +52,10 @@ from scripts.suites.gap.grading.tool import Tool, run_tool
 ROOT = Path(__file__).resolve().parents[3]
 OUT = ROOT / "out" / "gap_suite"
 DOCS = ROOT / "docs" / "gap_suite.md"
+TOOL = "loose_gap"
+"""Name of the tool under test."""
+TOOLS = (TOOL, *rivals.METHODS)
+"""Names of all tools."""
 ROWS = "gap_suite_rows.jsonl"
 """File of the rows, beside the page."""
 NEW = "# Identification accuracy of `loose gap`\n\n<!-- tables: begin -->\n<!-- tables: end -->\n"
@@ -101,13 +106,22 @@ def mixed(numbers: Sequence[int]) -> list[int]:
     )
 
 
-def configuration() -> dict[str, Any]:
-    """Everything that the rows depend on."""
+def configuration(tool: str = TOOL) -> dict[str, Any]:
+    """Everything that the rows of a tool depend on."""
     package = Path(loose_env.__file__).parent
+    if tool == TOOL:
+        made = code_hash([package / "gap", package / "recording", package / "statistics"])
+    else:
+        # methods read recordings and write results by the package, and use nothing else of it
+        own = code_hash(
+            [package / "recording", Path(rivals.__file__).parent],
+            without=("__init__.py", "__main__.py"),
+        )
+        made = f"{tool} {own}"
     return {
         "study": "gap suite",
         "seed": SEED,
-        "tool": code_hash([package / "gap", package / "recording", package / "statistics"]),
+        "tool": made,
         "suite": code_hash(
             [ROOT / "scripts" / "suites" / "gap"],
             without=(
@@ -117,6 +131,9 @@ def configuration() -> dict[str, Any]:
                 "rows.py",
                 "code_hash.py",
                 "run.py",
+                "rivals",
+                "public",
+                "studies",
             ),
         ),
         "versions": {
@@ -125,8 +142,28 @@ def configuration() -> dict[str, Any]:
     }
 
 
-def store_in(out: Path, *, afresh: bool = False) -> ShardStore:
-    """The rows in a folder.
+def folder_of(tool: str) -> Path:
+    """Default folder of the rows and results of a tool."""
+    return OUT if tool == TOOL else OUT.with_name(f"{OUT.name}_{tool}")
+
+
+def tool_named(name: str) -> Tool:
+    """The tool under test, or another method by its name.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is none of the name.
+    """
+    if name == TOOL:
+        return run_tool
+    if name not in rivals.METHODS:
+        raise InvalidSetting(f"{name!r} is no tool; there are {', '.join(TOOLS)}")
+    return functools.partial(rivals.run_method, name=name)
+
+
+def store_in(out: Path, *, tool: str = TOOL, afresh: bool = False) -> ShardStore:
+    """The rows of a tool in a folder.
 
     Raises
     ------
@@ -137,7 +174,7 @@ def store_in(out: Path, *, afresh: bool = False) -> ShardStore:
     if afresh:
         shutil.rmtree(folder, ignore_errors=True)
     try:
-        return ShardStore(folder, configuration(), RowCodec())
+        return ShardStore(folder, configuration(tool), RowCodec())
     except InvalidSetting as error:
         raise InvalidSetting(f"{error} (--afresh removes the rows)") from error
 
@@ -263,7 +300,17 @@ def parser_of() -> argparse.ArgumentParser:
     which.add_argument(
         "--numbers", nargs="+", metavar="CASE", help="chosen cases, as in 7 or 1000-1022"
     )
-    parser.add_argument("--out", type=Path, default=OUT, help="folder of rows and results")
+    parser.add_argument(
+        "--tool",
+        default=TOOL,
+        choices=TOOLS,
+        help="tool that is graded: loose gap, or another method on the same cases",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="folder of rows and results; default: out/gap_suite, of other methods with their name",
+    )
     parser.add_argument(
         "--blind",
         type=Path,
@@ -307,13 +354,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
             numbers = numbers_of(chosen.numbers)
         else:
             numbers = quick_list() if chosen.quick else full_list()
-        out = chosen.out.resolve()
+        out = (chosen.out or folder_of(chosen.tool)).resolve()
         folders = Folders(
             out=out,
             blind=(chosen.blind or out / "blind").resolve(),
             keep=chosen.keep_recordings or chosen.blind is not None,
         )
-        store = store_in(out, afresh=chosen.afresh)
+        store = store_in(out, tool=chosen.tool, afresh=chosen.afresh)
         for file in chosen.take:
             print(f"{take_rows(file, store)} rows taken from {file}", file=sys.stderr)
         if chosen.retry_failed:
@@ -324,13 +371,25 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if chosen.show:
             rows = stored(numbers, store)
         else:
-            rows = run_suite(numbers, folders, store, backend=BackendSettings.of(chosen))
+            rows = run_suite(
+                numbers,
+                folders,
+                store,
+                tool=tool_named(chosen.tool),
+                backend=BackendSettings.of(chosen),
+            )
         print("\n" + report(rows, len(numbers)))
         content = tables(rows, len(numbers))
         (out / "summary.md").write_text(content, encoding="utf-8")
         (out / "cases.txt").write_text("".join(line_of(r) + "\n" for r in rows), encoding="utf-8")
         page = chosen.docs
-        if page is None and not (chosen.quick or chosen.numbers) and len(rows) == len(numbers):
+        own = chosen.tool == TOOL
+        if page is not None and not own:
+            raise InvalidSetting(
+                "--docs writes the tables of loose gap; see scripts.suites.gap.rivals"
+            )
+        whole = not (chosen.quick or chosen.numbers) and len(rows) == len(numbers)
+        if page is None and own and whole:
             page = DOCS  # a whole run goes to the docs by itself
         if page is not None:
             write_between(page, content, new=NEW)

@@ -20,7 +20,7 @@ def code_hash(folders: Iterable[Path], *, without: Iterable[str] = ()) -> str:
     folders : iterable of Path
         Packages.
     without : iterable of str
-        Names of files that are left out.
+        Names of files, and of folders below the given ones, that are left out.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def code_hash(folders: Iterable[Path], *, without: Iterable[str] = ()) -> str:
     digest = hashlib.sha256()
     for folder in folders:
         for path in sorted(folder.rglob("*.py")):
-            if path.name in left_out:
+            if left_out.intersection(path.relative_to(folder).parts):
                 continue
             tree = ast.parse(path.read_text(encoding="utf-8"))
             digest.update(f"{folder.name}/{path.relative_to(folder).as_posix()}\n".encode())

@@ -11,7 +11,7 @@ import pytest
 
 from loose_env.errors import InvalidSetting
 from loose_env.gap import PROBABILITY_FEATURES, DeletionTest, Gap, GapResult, NamedEffect
-from scripts.suites.gap.calibrate import (
+from scripts.suites.gap.studies.calibrate import (
     EVIDENCE,
     CaseEvidence,
     add_evidence,

@@ -9,7 +9,7 @@ import pytest
 
 from loose_env.errors import InvalidData
 from loose_env.recording import Run, write_recording
-from scripts.suites.gap.cost import cost_of, table
+from scripts.suites.gap.studies.cost import cost_of, table
 from tests.gap.cases.recorded_runs import PENDULUM, pendulum_run
 
 

@@ -1,4 +1,4 @@
-"""The model that is written does in plain MuJoCo what the tool says it does."""
+"""The corrected model in plain MuJoCo, and on a machine without the effect."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.joint_elasticity import JointCompliance
 from loose_env.gap.model.effects.sensors import SensorGain
 from loose_env.gap.preparation.prepare import GapProblem
+from scripts.suites.gap.cases.draw import draw_case
 from scripts.suites.gap.grading.exported import exported_gap
+from scripts.suites.gap.studies.edits import EditRow, edit_rows, table
 from tests.gap.cases.exported_case import judged_with, prepared_arm
 
 
@@ -66,3 +68,26 @@ def test_what_a_model_file_cannot_carry_is_not_checked(problem: GapProblem, tmp_
     assert exported_gap(found(problem, effect, [1.1]), tmp_path) is None
     nothing = replace(found(problem, effect, [1.1]), effects=())
     assert exported_gap(nothing, tmp_path) is None
+
+
+# Edit test
+
+NUMBER = 1264
+
+
+def test_a_corrected_model_predicts_the_machine_without_the_effect() -> None:
+    (effect,) = draw_case(NUMBER).arm.effects
+    (row,) = edit_rows(NUMBER, kinds=(effect.kind, "rotor_inertia"))
+    assert row.effect == f"{effect.kind} at {effect.place.name}" and row.left == 0
+    assert row.edited < 1.2 < 2 * row.edited < row.unedited
+
+
+def test_nothing_is_edited_where_nothing_was_named_rightly() -> None:
+    assert edit_rows(NUMBER, kinds=("rotor_inertia",)) == []
+
+
+def test_the_table_has_a_line_for_each_effect() -> None:
+    row = EditRow(
+        number=3, effect="payload at tool", left=1, nominal=4.0, unedited=3.0, edited=1.01
+    )
+    assert table([row]).splitlines()[-1] == "| 3 | payload at tool | 1 | 4.00 | 3.00 | 1.01 |"

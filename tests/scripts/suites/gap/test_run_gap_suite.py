@@ -129,7 +129,7 @@ def configuration() -> dict[str, Any]:
 @pytest.fixture(autouse=True)
 def same_code(monkeypatch: pytest.MonkeyPatch, configuration: dict[str, Any]) -> None:
     """Somebody who edits the tool while the tests run must not make them fail."""
-    monkeypatch.setattr(script, "configuration", lambda: configuration)
+    monkeypatch.setattr(script, "configuration", lambda *tool: configuration)
 
 
 @pytest.fixture
@@ -199,9 +199,7 @@ def test_an_exception_is_a_row_and_can_be_tried_again(
     assert "1/5 = 20 %" in report and "the step is too coarse" in report
 
     (tmp_path / "mended").touch()
-    monkeypatch.setattr(
-        script, "run_suite", partial(script.run_suite, tool=partial(failing, notes))
-    )
+    monkeypatch.setattr(script, "tool_named", lambda name: partial(failing, notes))
     chosen = ["--numbers", *map(str, NUMBERS), "--out", str(folders.out)]
     chosen += ["--blind", str(folders.blind), "--backend", "threading", "--workers", "1"]
     script.main(chosen)
@@ -276,7 +274,7 @@ def test_rows_of_other_code_are_not_mixed(
     folders = write_blind(tmp_path)
     suite(folders)
     other = {**configuration, "tool": "another"}
-    monkeypatch.setattr(script, "configuration", lambda: other)
+    monkeypatch.setattr(script, "configuration", lambda *tool: other)
     with pytest.raises(InvalidSetting, match=r"tool is .*\(--afresh"):
         script.store_in(folders.out)
     assert not script.stored(NUMBERS, script.store_in(folders.out, afresh=True))
@@ -351,7 +349,7 @@ def test_rows_are_published_beside_the_page_and_taken_over(
     with pytest.raises(SystemExit, match="no file of rows"):
         script.main(take)
     file.write_text("\n".join(lines))
-    monkeypatch.setattr(script, "configuration", lambda: {**configuration, "tool": "another"})
+    monkeypatch.setattr(script, "configuration", lambda *tool: {**configuration, "tool": "another"})
     with pytest.raises(SystemExit, match="other code made the rows"):
         script.main(["--show", "--out", str(tmp_path / "third"), "--take", str(file)])
 

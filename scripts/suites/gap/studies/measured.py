@@ -1,6 +1,6 @@
 """`loose gap` on measured recordings: what is named, and the held-out error before and after.
 
-python -m scripts.suites.gap.measured RECORDING [RECORDING ...] --out FILE.jsonl [--each]
+python -m scripts.suites.gap.studies.measured RECORDING [RECORDING ...] --out FILE.jsonl [--each]
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from loose_env.recording import read_recording
 from scripts.suites.row_files import add, kept
 
 Row = dict[str, Any]
-DOCS = Path(__file__).resolve().parents[3] / "docs" / "gap.md"
+DOCS = Path(__file__).resolve().parents[4] / "docs" / "gap.md"
 _NAMED = 3
 """Held-out runs that are named; more are counted."""
 QUANTITY = "joint position [rad]"

@@ -1,7 +1,7 @@
 """Calibrate probabilities and intervals of `loose gap` on cases of the suite; judge on others.
 
-python -m scripts.suites.gap.calibrate --take FOLDER [FOLDER ...]
-python -m scripts.suites.gap.calibrate --fit --docs
+python -m scripts.suites.gap.studies.calibrate --take FOLDER [FOLDER ...]
+python -m scripts.suites.gap.studies.calibrate --fit --docs
 
 Folders are those of `scripts.suites.gap.run --out`. Taken cases are lines of
 docs/gap_evidence.jsonl: what each effect of an answer was judged by, whether the machine has it,
@@ -41,7 +41,7 @@ from scripts.suites.gap.grading.parameters import judged_intervals
 
 __all__ = ["CaseEvidence", "EffectEvidence", "fitted", "judged_text", "main", "taken"]
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 EVIDENCE = ROOT / "docs/gap_evidence.jsonl"
 STORED = ROOT / "loose_env/gap/output/calibration.json"
 DOCS = ROOT / "docs/gap_suite.md"

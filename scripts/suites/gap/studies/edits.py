@@ -1,6 +1,6 @@
 """Edit test: an effect is taken off the machine, and off the model that was corrected for it.
 
-python -m scripts.suites.gap.edits 1301 2130 [--docs]
+python -m scripts.suites.gap.studies.edits 1301 2130 [--docs]
 
 The corrected model without the effect, not refitted, has to predict the motion of the edited
 machine. A model that compensates one error by another fits the machine as it was and fails here
@@ -27,7 +27,7 @@ from scripts.suites.gap.run import numbers_of
 
 __all__ = ["EditRow", "edit_rows", "main"]
 
-DOCS = Path(__file__).resolve().parents[3] / "docs/gap_suite.md"
+DOCS = Path(__file__).resolve().parents[4] / "docs/gap_suite.md"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,6 @@
 """Time and memory of `loose gap`: each recording in a process of its own, on one thread.
 
-python -m scripts.suites.gap.cost [--cases 101 1636 1270] [--recordings FOLDER ...] [--docs]
+python -m scripts.suites.gap.studies.cost [--cases 101 1636 1270] [--recordings FOLDER ...] [--docs]
 
 Cases are those of the suite, by number; what their arms lack is in the table. Seconds are of the
 processor, start included; memory is the largest resident set.
@@ -28,7 +28,7 @@ from scripts.suites.gap.cases.recordings import runs_of, write_runs
 
 __all__ = ["Cost", "cost_of", "main", "table"]
 
-DOCS = Path(__file__).resolve().parents[3] / "docs" / "gap_suite.md"
+DOCS = Path(__file__).resolve().parents[4] / "docs" / "gap_suite.md"
 
 
 @dataclass(frozen=True, kw_only=True)
