@@ -1,7 +1,7 @@
 """Other methods as tools of the suite: what a competent user would try on the same recordings.
 
 Data flow: joint_data -> inverse_dynamics -> candidates -> regression -> least_squares,
-stepwise_bic, group_lasso, residual_network; sysid. `joint_data` reads the recording,
+group_lasso, residual_network; sysid_parameters -> sysid. `joint_data` reads the recording,
 low-passes and decimates it, `inverse_dynamics` and `candidates` make the columns of the regressor,
 `regression` fits them with the nominal parameters as a prior, `results` writes what was found.
 Each method is a function of recording, result folder and tolerance, as the tool under test is.
@@ -16,14 +16,14 @@ from pathlib import Path
 
 __all__ = ["METHODS", "run_method"]
 
-METHODS: dict[str, str] = {
-    "sysid": "run_sysid",
-    "least_squares": "run_least_squares",
-    "stepwise_bic": "run_stepwise_bic",
-    "group_lasso": "run_group_lasso",
-    "residual_network": "run_residual_network",
+METHODS: dict[str, tuple[str, str]] = {
+    "sysid": ("sysid", "run_sysid"),
+    "least_squares": ("least_squares", "run_least_squares"),
+    "stepwise_bic": ("least_squares", "run_stepwise_bic"),
+    "group_lasso": ("group_lasso", "run_group_lasso"),
+    "residual_network": ("residual_network", "run_residual_network"),
 }
-"""Names of the methods, which are those of their modules, and their functions."""
+"""Modules and functions of the methods, by name."""
 
 
 def run_method(recording: Path, folder: Path, tolerance: float, *, name: str) -> None:
@@ -40,5 +40,5 @@ def run_method(recording: Path, folder: Path, tolerance: float, *, name: str) ->
     name : str
         One of `METHODS`.
     """
-    module = import_module(f"{__name__}.{name}")
-    getattr(module, METHODS[name])(recording, folder, tolerance)
+    module, function = METHODS[name]
+    getattr(import_module(f"{__name__}.{module}"), function)(recording, folder, tolerance)

@@ -9,7 +9,7 @@ computed at the full rate and low-passed like the torque.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -17,14 +17,19 @@ import numpy as np
 
 from loose_env.recording import Recording
 from loose_env.typing import Array
-from scripts.suites.gap.rivals.inverse_dynamics import InverseDynamics
+from scripts.suites.gap.rivals.inverse_dynamics import (
+    Columns,
+    Group,
+    InverseDynamics,
+    Nuisance,
+    Read,
+)
 from scripts.suites.gap.rivals.joint_data import Actuators, JointRun
 
-__all__ = ["Columns", "GridSettings", "Group", "Nuisance", "columns_of"]
+__all__ = ["GridSettings", "columns_of"]
 
 TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
 """Parameters of an inertia tensor [kg m²]."""
-Read = Callable[[Array], dict[str, float]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,56 +50,6 @@ class GridSettings:
     """Largest angle for which a torque is linear in it [rad]."""
     largest_shift: float = 0.5
     """Largest shift of a centre of mass [m]: a link is hardly longer."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Group:
-    """Columns of one effect at one location."""
-
-    kind: str
-    where: str
-    width: int
-    """Number of columns."""
-    read: Read
-    """Parameters of the effect from its coefficients."""
-    basic: bool = True
-    """Whether it belongs to the classical set: inertia, friction, springs and rotors."""
-    grid: bool = False
-    """Whether it is one value of a grid."""
-    positive: bool = False
-    """Whether the first coefficient cannot be negative: friction brakes, rotors add inertia."""
-    nominal: float = 0.0
-    """Nominal value in the unit of the first coefficient: within the tolerance of it an effect
-    does not count."""
-    least: float = 0.0
-    """Value of the first coefficient beyond that up to which an effect does not count."""
-    largest: float = np.inf
-    """Largest coefficient for which the columns, which are derivatives, hold."""
-    tensor: bool = False
-    """Whether it is the inertia tensor of a link, which is no effect of its own."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Nuisance:
-    """A nominal parameter that is known within a relative tolerance."""
-
-    name: str
-    factor: float = 1.0
-    """Of the tolerance told."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Columns:
-    """Regressor of one run: rows are samples, then joints."""
-
-    target: Array
-    """Actuator torque minus nominal torque, of shape (t, n) [N m or N]."""
-    nuisance: Array
-    """Torque per relative change of a nominal parameter, of shape (t, n, p)."""
-    candidates: Array
-    """Columns of all groups side by side, of shape (t, n, c)."""
-    nuisances: tuple[Nuisance, ...]
-    groups: tuple[Group, ...]
 
 
 @dataclass

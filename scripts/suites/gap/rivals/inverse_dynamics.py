@@ -16,7 +16,7 @@ import numpy as np
 from loose_env.recording import Recording
 from loose_env.typing import Array
 
-__all__ = ["InverseDynamics", "Motion"]
+__all__ = ["Columns", "Group", "InverseDynamics", "Motion", "Nuisance", "Read"]
 
 Motion = tuple[Array, Array, Array]
 """Position, velocity and acceleration, each of shape (t, n)."""
@@ -24,6 +24,60 @@ _ANGLE = 1e-4
 """Step of angles [rad]: its square is far below the noise, its rounding error too."""
 _LENGTH = 1e-3
 """Step of centres of mass [m]; torques are quadratic in them, with a small square."""
+
+
+Read = Callable[[Array], dict[str, float]]
+"""Parameters of an effect from its coefficients."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """Columns of one effect at one location."""
+
+    kind: str
+    where: str
+    width: int
+    """Number of columns."""
+    read: Read
+    """Parameters of the effect from its coefficients."""
+    basic: bool = True
+    """Whether it belongs to the classical set: inertia, friction, springs and rotors."""
+    grid: bool = False
+    """Whether it is one value of a grid."""
+    positive: bool = False
+    """Whether the first coefficient cannot be negative: friction brakes, rotors add inertia."""
+    nominal: float = 0.0
+    """Nominal value in the unit of the first coefficient: within the tolerance of it an effect
+    does not count."""
+    least: float = 0.0
+    """Value of the first coefficient beyond that up to which an effect does not count."""
+    largest: float = np.inf
+    """Largest coefficient for which the columns, which are derivatives, hold."""
+    tensor: bool = False
+    """Whether it is the inertia tensor of a link, which is no effect of its own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nuisance:
+    """A nominal parameter that is known within a relative tolerance."""
+
+    name: str
+    factor: float = 1.0
+    """Of the tolerance told."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Columns:
+    """Regressor of one run: rows are samples, then joints."""
+
+    target: Array
+    """Actuator torque minus nominal torque, of shape (t, n) [N m or N]."""
+    nuisance: Array
+    """Torque per relative change of a nominal parameter, of shape (t, n, p)."""
+    candidates: Array
+    """Columns of all groups side by side, of shape (t, n, c)."""
+    nuisances: tuple[Nuisance, ...]
+    groups: tuple[Group, ...]
 
 
 @dataclass(frozen=True, kw_only=True)

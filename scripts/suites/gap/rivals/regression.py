@@ -20,8 +20,8 @@ from scipy import linalg, optimize, stats
 from loose_env.gap import NamedEffect
 from loose_env.recording import Recording, read_recording
 from loose_env.typing import Array
-from scripts.suites.gap.rivals.candidates import Columns, GridSettings, Group, columns_of
-from scripts.suites.gap.rivals.inverse_dynamics import InverseDynamics
+from scripts.suites.gap.rivals.candidates import GridSettings, columns_of
+from scripts.suites.gap.rivals.inverse_dynamics import Columns, Group, InverseDynamics
 from scripts.suites.gap.rivals.joint_data import (
     FilterSettings,
     JointRun,

@@ -312,7 +312,7 @@ def test_the_table_is_of_the_cases_that_all_have(
 
 def test_every_method_has_a_label_and_a_function() -> None:
     assert set(comparison.LABELS) == set(suite.TOOLS)
-    for name, function in METHODS.items():
+    for name, (_, function) in METHODS.items():
         assert function == f"run_{name}"
     with pytest.raises(InvalidSetting, match="there are loose_gap"):
         suite.tool_named("guessing")
