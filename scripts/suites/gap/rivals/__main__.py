@@ -2,11 +2,13 @@
 
 Usage: python -m scripts.suites.gap.run --tool stepwise_bic --numbers 1601-1633   (makes rows)
        python -m scripts.suites.gap.rivals [--docs]                               (the table)
+       python -m scripts.suites.gap.rivals --recording FOLDER [--tool sysid]      (one recording)
 """
 
 from __future__ import annotations
 
 import argparse
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +18,12 @@ from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.execution.study import write_between
 
 from loose_env.errors import InvalidSetting
+from loose_env.gap import read_result
 from scripts.suites.gap.cases.cases import LAST
 from scripts.suites.gap.grading.grade import NAMED, Grade
 from scripts.suites.gap.grading.one_case import Row, grade_of
 from scripts.suites.gap.grading.tables import share
+from scripts.suites.gap.rivals import METHODS, run_method
 from scripts.suites.gap.run import DOCS, TOOLS, folder_of, store_in, stored
 
 __all__ = ["LABELS", "MethodRow", "common_cases", "main", "method_row", "rows_of_tools", "table"]
@@ -148,8 +152,37 @@ def rows_of_tools(out: Path | None = None) -> dict[str, list[Row]]:
     return found
 
 
+def said_of(recording: Path, name: str, tolerance: float) -> str:
+    """What a method says of one recording, a line for each effect.
+
+    Parameters
+    ----------
+    recording : Path
+        Folder of the recording.
+    name : str
+        One of `METHODS`.
+    tolerance : float
+        Largest relative error of the nominal parameters.
+    """
+    with tempfile.TemporaryDirectory() as place:
+        run_method(recording, Path(place), tolerance, name=name)
+        result = read_result(place)
+    gap = result.gap
+    lines = [
+        f"{LABELS[name]}: {result.verdict}; residual on the held-out run {gap.before:.2f} noise sd "
+        f"before, {gap.after:.2f} after"
+    ]
+    for effect in (*result.effects, *result.doubtful):
+        values = []
+        for key, value in effect.parameters.items():
+            low, high = effect.interval_95.get(key, (np.nan, np.nan))
+            values.append(f"{key} {value:.4g} ({low:.4g} to {high:.4g})")
+        lines.append(f"  {effect.kind} at {effect.where}: {', '.join(values)}")
+    return "\n".join(lines)
+
+
 def main(words: Sequence[str] | None = None) -> None:
-    """Print the table, and write it into the docs."""
+    """Print the table, or what a method says of one recording."""
     parser = argparse.ArgumentParser(
         prog="rivals", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -164,8 +197,18 @@ def main(words: Sequence[str] | None = None) -> None:
         metavar="PAGE",
         help="write the table to a page (docs/gap_suite.md if none is named)",
     )
+    parser.add_argument(
+        "--recording", type=Path, metavar="FOLDER", help="run a method on one recording instead"
+    )
+    parser.add_argument("--tool", choices=list(METHODS), default="sysid", help="the method")
+    parser.add_argument(
+        "--tolerance", type=float, default=0.03, help="error of the nominal parameters"
+    )
     given = parser.parse_args(words)
     with errors_in_one_line("rivals"):
+        if given.recording is not None:
+            print(said_of(given.recording, given.tool, given.tolerance))
+            return
         rows = rows_of_tools(given.out)
         if not any(rows.values()):
             raise InvalidSetting(
