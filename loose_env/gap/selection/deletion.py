@@ -122,7 +122,8 @@ def at_bound(structure: ModelStructure, free: Array) -> list[tuple[Effect, str]]
 def worse_quantity(held_out: ResidualModel, scored: ScoredFit, before: ScoredFit) -> str:
     """Quantity that a hypothesis predicts worse on held-out runs than another; "" if none.
 
-    An error within the noise is no worse, whatever it was. A part with stops mistimes its impacts:
+    What an error grows by within the noise is no worsening: mean squares add up, and a quantity
+    that was predicted to the noise is not predicted better. A part with stops mistimes its impacts:
     of an acceleration or a force, the error may grow as that of two independent signals does.
 
     Parameters
@@ -141,6 +142,8 @@ def worse_quantity(held_out: ResidualModel, scored: ScoredFit, before: ScoredFit
     for quantity, (without, with_it) in errors.items():
         smooth = quantity.startswith(_SMOOTH)
         allowed = WORSE_BY_IMPACTS if impacts and not smooth else WORSE
-        if with_it > max(allowed * without, NOISE_RMS * noise[quantity][0]):
+        floor = noise[quantity][0]
+        most = max(allowed * without, floor) ** 2 + (NOISE_RMS**2 - 1.0) * floor**2
+        if with_it**2 > most:
             return quantity
     return ""

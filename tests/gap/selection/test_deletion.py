@@ -70,3 +70,9 @@ def test_what_predicts_worse_on_held_out_runs_is_told_by_its_quantity() -> None:
 def test_within_the_noise_nothing_is_worse() -> None:
     before = left(0.5)
     assert worse_quantity(COMPARED, scaled(before, 2.0), before) == ""
+
+
+def test_growth_within_the_noise_is_no_worsening() -> None:
+    before = left(1.24)
+    assert worse_quantity(COMPARED, scaled(before, 1.1), before) == ""
+    assert worse_quantity(COMPARED, scaled(before, 1.3), before) != ""
