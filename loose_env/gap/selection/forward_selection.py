@@ -202,7 +202,8 @@ def _step(
     """Search for one more effect."""
     comparison, short = comparisons
     best = found.best
-    left = _left(candidates, best.fitted.effects, found.dropped)
+    taken = {(e.kind, e.where) for e in (*best.fitted.effects, *found.dropped)}
+    left = [c for c in candidates if (c.kind, c.where) not in taken]
     candidate_fits = CandidateFits(comparison, short, scorer, best)
     proposed = proposals(comparison, best.fitted.hypothesis, left)
     screened = screen(
@@ -236,20 +237,6 @@ def _step(
         rivals = [each.bare for each in ranked]
         return SelectionStep(rivals=rivals, accepted=accepted, dropped=dropped)
     return SelectionStep(rivals=[each.bare for each in ranked], accepted=None)
-
-
-def _left(
-    candidates: Sequence[Effect], named: Sequence[Effect], dropped: Sequence[Effect]
-) -> list[Effect]:
-    """Candidates for one more effect: what is not in the model, and other forms of what is.
-
-    A payload away from the tool explains what the one at the tool leaves; the latter is then
-    insignificant beside it, and dropped. Two forms that add a motion each cannot stand together.
-    """
-    keys = {effect.key for effect in named}
-    places = {(e.kind, e.where) for e in named if e.adds_motion}
-    places |= {(e.kind, e.where) for e in dropped}
-    return [c for c in candidates if c.key not in keys and (c.kind, c.where) not in places]
 
 
 def _converged(
