@@ -145,6 +145,12 @@ class Effect:
         order = ("sensor" if not self.moves else likely, *known)
         return next((part for part in order if self.where in known[part]), "arm")
 
+    def shaped_by(self, parameter: str) -> bool:
+        """Whether a parameter shapes the effect, beside others that size it."""
+        if self.proportional is not None:
+            return parameter != self.parameters[self.proportional].name
+        return bool(self.limit) and parameter not in dict(self.limit)
+
     @property
     def drives(self) -> bool:
         """True if it changes the actuators.

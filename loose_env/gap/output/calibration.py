@@ -17,6 +17,7 @@ from importlib.resources import files
 
 import numpy as np
 
+from loose_env.gap.model.effect import Effect
 from loose_env.gap.output.result import Gap, NamedEffect
 from loose_env.io import restored
 from loose_env.typing import Array
@@ -62,10 +63,24 @@ class GapCalibration:
     """Effects that the map was fitted to."""
     right: int
     """How many of these were right."""
-    interval_factor: float
-    """Factor on the half widths of 95 % intervals."""
-    parameters: int
-    """Parameters that the factor was found from."""
+    size_factor: float
+    """Factor on the half widths of 95 % intervals of parameters that size an effect."""
+    shape_factor: float
+    """The same of parameters that shape it, such as a Stribeck speed or a payload's centre."""
+    sizes: int
+    """Parameters that size an effect, from which the factor was found."""
+    shapes: int
+    """The same of those that shape it."""
+
+    def factor_of(self, effect: Effect, parameter: str) -> float:
+        """Factor on the half widths of a parameter's interval.
+
+        One for parts with stops: their fits have many local optima, of which an interval says
+        nothing.
+        """
+        if effect.has_stops:
+            return 1.0
+        return self.shape_factor if effect.shaped_by(parameter) else self.size_factor
 
     def probability(self, features: Array) -> Array:
         """Probabilities (...,) of features (..., F); one that is NaN counts as the mean."""
@@ -152,7 +167,7 @@ def with_probability(
 def widened_interval(
     value: float, interval: tuple[float, float], factor: float
 ) -> tuple[float, float]:
-    """Interval with its half widths times a factor; a quantity of one sign keeps it.
+    """Interval with its half widths times a factor.
 
     Parameters
     ----------
@@ -165,36 +180,26 @@ def widened_interval(
 
     Examples
     --------
-    >>> widened_interval(1.0, (-1.0, 2.0), 2.0)
-    (-3.0, 3.0)
-    >>> widened_interval(4.0, (2.0, 8.0), 2.0)
-    (1.0, 16.0)
+    >>> widened_interval(1.0, (0.5, 2.0), 2.0)
+    (0.0, 3.0)
     """
     low, high = interval
-    if min(value, low) > 0 or max(value, high) < 0:
-        return value * (low / value) ** factor, value * (high / value) ** factor
     return value + factor * (low - value), value + factor * (high - value)
 
 
 def interval_score(value: float, interval: tuple[float, float], truth: float) -> float:
     """Smallest factor of `widened_interval` with which an interval holds the truth.
 
-    Infinite where no factor is enough: the estimate lies at the interval's end, or the sign is
-    another one.
+    Infinite where the estimate lies at the end beyond which the truth is.
 
     Examples
     --------
-    >>> interval_score(4.0, (2.0, 8.0), 16.0), interval_score(1.0, (0.5, 1.0), 1.2)
+    >>> interval_score(1.0, (0.5, 2.0), 3.0), interval_score(1.0, (0.5, 1.0), 1.2)
     (2.0, inf)
     """
-    low, high = interval
-    end = high if truth > value else low
     if truth == value:
         return 0.0
-    if min(value, low) > 0 or max(value, high) < 0:
-        if truth * value <= 0 or end == value:
-            return float("inf")
-        return float(np.log(truth / value) / np.log(end / value))
+    end = interval[truth > value]
     return float("inf") if end == value else (truth - value) / (end - value)
 
 

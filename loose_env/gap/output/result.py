@@ -170,8 +170,9 @@ class GapResult:
     """Location of the residual of the corrected model, on all runs."""
     residual_tests: tuple[ResidualTest, ...] = ()
     """Residual tests on the held-out runs."""
-    interval_factor: float = 1.0
-    """Factor on the half widths of intervals, for what the laws of effects leave out."""
+    interval_factors: Mapping[str, float] = field(default_factory=dict)
+    """Factors on the half widths of intervals, for what the laws of effects leave out: "size" of
+    parameters that size an effect, "shape" of those that shape it. Parts with stops have none."""
     identifiability: Identifiability = field(default_factory=Identifiability)
     """Effects that the recorded motions could not show, or distinguish."""
     warnings: tuple[str, ...] = ()

@@ -291,7 +291,7 @@ def named_effects(
                     p.name: float(v) for p, v in zip(effect.parameters, values, strict=True)
                 },
                 interval_95={
-                    p.name: _calibrated(p, float(v), end)
+                    p.name: _calibrated(effect, p, float(v), end)
                     for p, v, end in zip(effect.parameters, values, ends, strict=True)
                 },
                 ambiguous_with=tuple(
@@ -308,8 +308,9 @@ def named_effects(
 
 
 def _calibrated(
-    parameter: Parameter, value: float, interval: tuple[float, float]
+    effect: Effect, parameter: Parameter, value: float, interval: tuple[float, float]
 ) -> tuple[float, float]:
     """Interval of a value with the calibrated factor, within its bounds."""
-    low, high = widened_interval(value, interval, stored_calibration().interval_factor)
+    factor = stored_calibration().factor_of(effect, parameter.name)
+    low, high = widened_interval(value, interval, factor)
     return parameter.clipped(low), parameter.clipped(high)

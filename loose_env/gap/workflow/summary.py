@@ -84,7 +84,10 @@ def result_of(solution: GapSolution, evidence: ResidualDiagnostics | None = None
         ),
         remaining_location=evidence.remaining_location,
         residual_tests=evidence.residual_tests,
-        interval_factor=stored_calibration().interval_factor,
+        interval_factors={
+            "size": stored_calibration().size_factor,
+            "shape": stored_calibration().shape_factor,
+        },
         identifiability=evidence.identifiability,
         warnings=(*solution.warnings, *unnamed_words(solution.unnamed.pairs), *evidence.warnings),
         preflight=solution.preflight,

@@ -30,8 +30,10 @@ MAP = GapCalibration(
     deviation=(0.3, 1.0, 1.0, 0.5),
     effects=100,
     right=80,
-    interval_factor=1.5,
-    parameters=100,
+    size_factor=1.5,
+    shape_factor=2.5,
+    sizes=100,
+    shapes=50,
 )
 
 
@@ -90,5 +92,5 @@ def test_the_score_is_the_factor_with_which_an_interval_just_holds_the_truth(
 
 def test_the_stored_calibration_rests_on_cases() -> None:
     found = stored_calibration()
-    assert found.interval_factor >= 1
-    assert 0 < found.right <= found.effects and found.parameters >= 19
+    assert min(found.size_factor, found.shape_factor) >= 1
+    assert 0 < found.right <= found.effects and found.sizes >= 19

@@ -52,6 +52,10 @@ wrong effects a map that follows every feature is too sure."""
 _COVERAGE = 0.95
 _BINS = 10
 _MOST_BYTES = 20_000_000
+_MOST = 1e6
+"""Score in place of infinity, which JSON does not have."""
+_WITH_STOPS = ("structural_looseness", "backlash")
+"""Kinds whose intervals get no factor."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,9 +126,11 @@ def _effects(
         for effect in effects:
             own = true.get((effect.kind, effect.where))
             scores: dict[bool, list[float]] = {True: [], False: []}
-            for each in [] if own is None else judged_intervals(own, asdict(effect)):
+            apart = own is None or effect.kind in _WITH_STOPS
+            for each in [] if own is None or apart else judged_intervals(own, asdict(effect)):
                 score = interval_score(each.value, each.interval, each.truth)
-                scores[each.main].append(min(score * result.interval_factor, 1e6))
+                factor = result.interval_factors.get("size" if each.main else "shape", 1.0)
+                scores[each.main].append(min(score * factor, _MOST))
             features = probability_features(effect, result.gap)
             yield EffectEvidence(
                 kind=effect.kind,
@@ -173,14 +179,15 @@ def _features(effects: Sequence[EffectEvidence]) -> tuple[Array, Array]:
 
 
 def fitted(cases: Sequence[CaseEvidence]) -> GapCalibration:
-    """Logistic map of the largest posterior, each weight of its known sign, and interval factor.
+    """Logistic map of the largest posterior, each weight of its known sign, and interval factors.
 
-    The factor is the conformal quantile: of n scores the ceil(0.95 (n + 1))-th smallest.
+    A factor is the conformal quantile: of n scores the ceil(0.95 (n + 1))-th smallest; of fewer
+    than 19 the largest, with which n / (n + 1) are expected to hold the truth.
 
     Raises
     ------
     InvalidSetting
-        If the cases have fewer than 19 parameters, by which no 95 % quantile is known.
+        If the cases have no parameters.
     """
     effects = [e for case in cases for e in case.effects]
     features, right = _features(effects)
@@ -200,13 +207,10 @@ def fitted(cases: Sequence[CaseEvidence]) -> GapCalibration:
     signs = [(0, None) if sign > 0 else (None, 0) for _, sign in PROBABILITY_FEATURES]
     start = np.zeros(design.shape[1])
     best = minimize(cost, start, jac=True, bounds=[(-5, 5), *signs], method="L-BFGS-B").x
-    scores = np.sort([s for e in effects for s in (*e.main, *e.further)])
-    rank = int(np.ceil(_COVERAGE * (len(scores) + 1)))
-    if rank > len(scores):
-        raise InvalidSetting(
-            f"{len(scores)} parameters are too few for 95 % intervals; take cases until there "
-            "are 19"
-        )
+    sizes = np.sort([s for e in effects for s in e.main])
+    shapes = np.sort([s for e in effects for s in e.further])
+    if not len(sizes):
+        raise InvalidSetting("the cases have no parameters whose truth is known; take more cases")
     return GapCalibration(
         offset=float(best[0]),
         weights=tuple(float(w) for w in best[1:]),
@@ -214,9 +218,19 @@ def fitted(cases: Sequence[CaseEvidence]) -> GapCalibration:
         deviation=tuple(map(float, deviation)),
         effects=len(right),
         right=int(right.sum()),
-        interval_factor=max(1.0, float(scores[rank - 1])),
-        parameters=len(scores),
+        size_factor=_conformal(sizes),
+        shape_factor=_conformal(shapes),
+        sizes=len(sizes),
+        shapes=len(shapes),
     )
+
+
+def _conformal(scores: Array) -> float:
+    """Factor with which 95 % of new intervals hold the truth, at least 1; the largest of few."""
+    if not len(scores):
+        return 1.0
+    rank = min(int(np.ceil(_COVERAGE * (len(scores) + 1))), len(scores))
+    return max(1.0, float(scores[rank - 1]))
 
 
 def judged_text(cases: Sequence[CaseEvidence], calibration: GapCalibration) -> str:
@@ -243,13 +257,18 @@ def judged_text(cases: Sequence[CaseEvidence], calibration: GapCalibration) -> s
         "| intervals that hold the truth | factor 1 | with the factor |",
         "|---|---:|---:|",
     ]
-    factor = calibration.interval_factor
-    for name, main in (("main parameters", True), ("further parameters", False)):
+    factors = (calibration.size_factor, calibration.shape_factor)
+    names = ("parameters that size an effect", "parameters that shape it")
+    for name, factor, main in zip(names, factors, (True, False), strict=True):
         scores = np.array([s for e in effects for s in (e.main if main else e.further)])
         if len(scores):
             before, after = (int((scores <= f).sum()) for f in (1.0, factor))
             lines.append(f"| {name} | {_of(before, len(scores))} | {_of(after, len(scores))} |")
-    lines += ["", f"Factor {factor:.2f}, from {calibration.parameters} parameters of even numbers."]
+    lines += [
+        "",
+        f"Factors {factors[0]:.2f} and {factors[1]:.2f}, from {calibration.sizes} and "
+        f"{calibration.shapes} parameters of even numbers.",
+    ]
     return "\n".join(lines)
 
 

@@ -74,20 +74,20 @@ def test_a_map_of_some_cases_is_calibrated_on_others(tmp_path: Path) -> None:
         taken(_run(tmp_path / str(start), range(start, start + 80))) for start in (1000, 1400)
     )
     found = fitted(first)
-    assert (found.effects, found.right, found.parameters) == (80, 40, 40)
+    assert (found.effects, found.right, found.sizes) == (80, 40, 40)
     for weight, (_, sign) in zip(found.weights, PROBABILITY_FEATURES, strict=True):
         assert weight * sign >= 0
     # half widths of one standard deviation: about twice that holds 95 %
-    assert 1.5 < found.interval_factor < 3.0
+    assert 1.5 < found.size_factor < 3.0
     text = judged_text(second, found)
     assert "80 effects of 80 cases" in text
     error = float(text.split("calibration error ")[1].split()[0])
     assert error < 0.1
 
 
-def test_too_few_parameters_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidSetting, match="too few"):
-        fitted(taken(_run(tmp_path, range(1000, 1008))))
+def test_cases_without_parameters_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidSetting, match="no parameters"):
+        fitted(taken(_run(tmp_path, range(1002, 1004))))
 
 
 def test_an_unfinished_run_is_refused_in_one_line(tmp_path: Path) -> None:
