@@ -1,12 +1,12 @@
-"""Calibrate probabilities and intervals of `loose gap` on cases of the suite; judge on others.
+"""Calibrate probabilities and intervals of `loose gap` on cases of the suite.
 
 python -m scripts.suites.gap.studies.calibrate --take FOLDER [FOLDER ...]
 python -m scripts.suites.gap.studies.calibrate --fit --docs
 
 Folders are those of `scripts.suites.gap.run --out`. Taken cases are lines of
 docs/gap_evidence.jsonl: what each effect of an answer was judged by, whether the machine has it,
-and by what factor each interval would hold the truth. Cases of even numbers are fitted to, and
-stored with the package; those of odd numbers are judged.
+and by what factor each interval would hold the truth. What is stored with the package is fitted to
+all cases; it is judged case by case, each by what is fitted to all others.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.execution.study import write_between
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from loose_env.errors import InvalidData, InvalidSetting
@@ -233,42 +234,73 @@ def _conformal(scores: Array) -> float:
     return max(1.0, float(scores[rank - 1]))
 
 
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Effects and intervals of all cases, each judged by what was fitted to all other cases."""
+
+    said: Array
+    """Probability of each effect (E,)."""
+    right: Array
+    """Whether it is right (E,), 1 or 0."""
+    scores: Array
+    """Least factor of each interval to hold the truth (P,)."""
+    factors: Array
+    """Factor that it got (P,)."""
+    sizes: NDArray[np.bool_]
+    """Whether its parameter sizes the effect (P,)."""
+
+
+def left_out(cases: Sequence[CaseEvidence]) -> Judged:
+    """Judge every case by a calibration on all others."""
+    said: list[float] = []
+    right: list[float] = []
+    intervals: list[tuple[float, float, bool]] = []
+    for k, case in enumerate(cases):
+        if not case.effects:
+            continue
+        found = fitted([*cases[:k], *cases[k + 1 :]])
+        features, own = _features(case.effects)
+        said += found.probability(features).tolist()
+        right += own.tolist()
+        for effect in case.effects:
+            intervals += [(score, found.size_factor, True) for score in effect.main]
+            intervals += [(score, found.shape_factor, False) for score in effect.further]
+    scores, factors, sizes = (np.array(column) for column in zip(*intervals, strict=True))
+    return Judged(np.array(said), np.array(right), scores, factors, sizes.astype(bool))
+
+
 def judged_text(cases: Sequence[CaseEvidence], calibration: GapCalibration) -> str:
     """Tables of said probability against share right, and of intervals that hold the truth."""
-    effects = [e for case in cases for e in case.effects]
-    features, right = _features(effects)
-    said = calibration.probability(features)
-    found = reliability(said, right, bins=_BINS)
+    judged = left_out(cases)
+    found = reliability(judged.said, judged.right, bins=_BINS)
     lines = [
-        f"{len(effects)} effects of {len(cases)} cases of odd numbers; fitted to "
-        f"{calibration.effects} others, {calibration.right} of them right.",
+        f"{len(judged.said)} effects of {len(cases)} cases, {int(judged.right.sum())} of them "
+        "right; each judged by what is fitted to the other cases.",
         "",
         "| probability | effects | right |",
         "|---:|---:|---:|",
     ]
     for mean, share, count in zip(found.confidence, found.right, found.count, strict=True):
         lines.append(f"| {mean:.2f} | {count} | {share:.2f} |")
-    brier = float(np.mean((said - right) ** 2))
-    error = expected_calibration_error(said, right, bins=_BINS)
+    brier = float(np.mean((judged.said - judged.right) ** 2))
+    error = expected_calibration_error(judged.said, judged.right, bins=_BINS)
     lines += [
         "",
         f"Expected calibration error {error:.3f} ({_BINS} bins), Brier score {brier:.3f}.",
         "",
-        "| intervals that hold the truth | factor 1 | with the factor |",
-        "|---|---:|---:|",
+        "| intervals that hold the truth | without a factor | with the factor | factor |",
+        "|---|---:|---:|---:|",
     ]
-    factors = (calibration.size_factor, calibration.shape_factor)
-    names = ("parameters that size an effect", "parameters that shape it")
-    for name, factor, main in zip(names, factors, (True, False), strict=True):
-        scores = np.array([s for e in effects for s in (e.main if main else e.further)])
-        if len(scores):
-            before, after = (int((scores <= f).sum()) for f in (1.0, factor))
-            lines.append(f"| {name} | {_of(before, len(scores))} | {_of(after, len(scores))} |")
-    lines += [
-        "",
-        f"Factors {factors[0]:.2f} and {factors[1]:.2f}, from {calibration.sizes} and "
-        f"{calibration.shapes} parameters of even numbers.",
-    ]
+    for name, sizes, factor in (
+        ("parameters that size an effect", True, calibration.size_factor),
+        ("parameters that shape it", False, calibration.shape_factor),
+    ):
+        own = judged.sizes == sizes
+        before = int((judged.scores[own] <= 1.0).sum())
+        after = int((judged.scores[own] <= judged.factors[own]).sum())
+        count = int(own.sum())
+        if count:
+            lines.append(f"| {name} | {_of(before, count)} | {_of(after, count)} | {factor:.2f} |")
     return "\n".join(lines)
 
 
@@ -276,23 +308,22 @@ def _of(part: int, whole: int) -> str:
     return f"{part} of {whole} = {100 * part / whole:.0f} %"
 
 
-def draw(cases: Sequence[CaseEvidence], calibration: GapCalibration, path: Path) -> Path:
-    """Draw the reliability of the probabilities on cases that they were not fitted to."""
+def draw(judged: Judged, path: Path) -> Path:
+    """Draw the reliability of the probabilities."""
     import matplotlib as mpl
 
     mpl.use("svg")
     mpl.rcParams["svg.hashsalt"] = "gap"
     from matplotlib.figure import Figure
 
-    features, right = _features([e for case in cases for e in case.effects])
-    found = reliability(calibration.probability(features), right, bins=_BINS)
+    found = reliability(judged.said, judged.right, bins=_BINS)
     figure = Figure(figsize=(4.2, 3.8), layout="constrained")
     axes = figure.add_subplot()
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1, label="calibrated")
     spread = 1.96 * np.sqrt(found.confidence * (1 - found.confidence) / found.count)
     low, high = np.minimum(spread, found.right), np.minimum(spread, 1 - found.right)
     axes.errorbar(
-        found.confidence, found.right, yerr=[low, high], fmt="o", capsize=3, label="odd numbers"
+        found.confidence, found.right, yerr=[low, high], fmt="o", capsize=3, label="effects"
     )
     for x, y, count in zip(found.confidence, found.right, found.count, strict=True):
         axes.annotate(f"{count}", (x, y), textcoords="offset points", xytext=(6, -10), fontsize=8)
@@ -311,7 +342,7 @@ def main(words: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--take", type=Path, nargs="+", default=[], help="runs of the suite")
     parser.add_argument("--evidence", type=Path, default=EVIDENCE, help="file of taken cases")
-    parser.add_argument("--fit", action="store_true", help="fit to even numbers, and store")
+    parser.add_argument("--fit", action="store_true", help="fit to all cases, and store")
     parser.add_argument("--docs", action="store_true", help="write tables and figure to the docs")
     given = parser.parse_args(words)
     with errors_in_one_line("calibrate", interrupted="nothing was changed"):
@@ -319,18 +350,16 @@ def main(words: Sequence[str] | None = None) -> None:
             count = add_evidence([c for f in given.take for c in taken(f)], given.evidence)
             print(f"{given.evidence} has {count} cases")
         cases = read_evidence(given.evidence)
-        even = [case for case in cases if case.number % 2 == 0]
-        odd = [case for case in cases if case.number % 2]
+        if sum(bool(case.effects) for case in cases) < 2:
+            raise InvalidSetting("two cases with effects are needed at least; take some")
         if given.fit:
-            write_text(STORED, json_text(asdict(fitted(even))))
+            write_text(STORED, json_text(asdict(fitted(cases))))
             stored_calibration.cache_clear()
-        if not any(case.effects for case in odd):
-            raise InvalidSetting("there are no cases of odd numbers to judge by; take some")
-        text = judged_text(odd, stored_calibration())
+        text = judged_text(cases, stored_calibration())
         print(text)
         if given.docs:
             write_between(DOCS, text, name="calibration")
-            draw(odd, stored_calibration(), FIGURE)
+            draw(left_out(cases), FIGURE)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from scripts.suites.gap.studies.calibrate import (
     add_evidence,
     fitted,
     judged_text,
+    left_out,
     main,
     read_evidence,
     taken,
@@ -69,17 +70,18 @@ def test_evidence_is_kept_once_a_case(tmp_path: Path) -> None:
     assert all(len(c.effects[0].main) == c.effects[0].right for c in cases)
 
 
-def test_a_map_of_some_cases_is_calibrated_on_others(tmp_path: Path) -> None:
-    first, second = (
-        taken(_run(tmp_path / str(start), range(start, start + 80))) for start in (1000, 1400)
-    )
-    found = fitted(first)
+def test_each_case_is_judged_by_what_is_fitted_to_the_others(tmp_path: Path) -> None:
+    cases = taken(_run(tmp_path, range(1000, 1080)))
+    found = fitted(cases)
     assert (found.effects, found.right, found.sizes) == (80, 40, 40)
     for weight, (_, sign) in zip(found.weights, PROBABILITY_FEATURES, strict=True):
         assert weight * sign >= 0
     # half widths of one standard deviation: about twice that holds 95 %
     assert 1.5 < found.size_factor < 3.0
-    text = judged_text(second, found)
+    judged = left_out(cases)
+    held = judged.scores <= judged.factors
+    assert held.mean() >= 0.9 > (judged.scores <= 1.0).mean()
+    text = judged_text(cases, found)
     assert "80 effects of 80 cases" in text
     error = float(text.split("calibration error ")[1].split()[0])
     assert error < 0.1
