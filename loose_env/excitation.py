@@ -15,7 +15,6 @@ from typing import Annotated
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from loose_env.arms import CREST_FACTOR, LinearArm, LinearPose
@@ -29,7 +28,6 @@ __all__ = [
     "SeatDrive",
     "Shaping",
     "at_levels",
-    "compensation",
     "torque_signals",
 ]
 
@@ -48,7 +46,7 @@ class Excitation(Checked):
     band: tuple[float, float]
     """Band of the excitation [Hz]."""
     shaping: tuple[Shaping | None, ...] | None = field(default=None, compare=False)
-    """Spectrum of each joint's torque, from `compensation`; None for a flat one."""
+    """Spectrum of each joint's torque; None for a flat one."""
     shaker_rms: NonNegative = 0.0
     """Rms force of the shaker beside the arm [N]; 0 leaves it off."""
 
@@ -305,44 +303,3 @@ def torque_signals(
         torque[j, :before] = period[index[:before]]
         torque[j, before + count :] = period[index[before + count :]]
     return torque
-
-
-def compensation(frequency: Array, transfer: NDArray[np.complex128]) -> Shaping:
-    """Shape of the torque that makes the joint motion white instead of the torque (8.2.2).
-
-    Parameters
-    ----------
-    frequency : ndarray (K,)
-        Frequencies of the measured transfer function, increasing [Hz].
-    transfer : ndarray (K,)
-        Measured joint acceleration per torque, for example from
-        `loose_env.statistics.transfer_function`.
-
-    Returns
-    -------
-    Shaping
-        Amplitude 1 / abs(transfer), limited to a tenfold range about its median so that a
-        deep antiresonance does not take all the power.
-
-    Raises
-    ------
-    InvalidSetting
-        If the two arrays do not match or hold no usable value.
-    """
-    f, h = np.asarray(frequency, dtype=float), np.abs(np.asarray(transfer))
-    if f.ndim != 1 or f.shape != h.shape or len(f) < 2 or np.any(np.diff(f) <= 0):
-        raise InvalidSetting(
-            "compensation needs increasing frequencies and one transfer value for each, got "
-            f"shapes {f.shape} and {h.shape}"
-        )
-    if not np.isfinite(h).all() or not np.any(h > 0):
-        raise InvalidSetting("the transfer function must be finite and not zero everywhere")
-    inverse = 1 / np.maximum(h, 1e-12 * h.max())
-    middle = np.median(inverse)
-    inverse = np.clip(inverse, middle / np.sqrt(10), middle * np.sqrt(10))
-
-    def shape(at: Array) -> Array:
-        result: Array = np.interp(at, f, inverse)
-        return result
-
-    return shape

@@ -14,12 +14,10 @@ from loose_env.excitation import (
     Excitation,
     SeatDrive,
     at_levels,
-    compensation,
     torque_signals,
 )
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
-from loose_env.statistics import acceleration_from_angle, spectral_flatness, transfer_function
 from loose_env.typing import Array
 
 BAND = (30.0, 150.0)
@@ -207,68 +205,3 @@ def test_the_seat_drive_of_a_slide_is_the_force_that_it_transmits() -> None:
     assert drive.slide(3, (0.0, -2.0, 0.0)) == pytest.approx(across)
     # A seat nearer to the base carries more of the arm.
     assert drive.hinge(1) > drive.hinge(2) > drive.hinge(3) > 0
-
-
-# --- making the joint motion white
-
-
-@pytest.mark.parametrize(("joint", "flat_enough"), [(0, 0.6), (1, 0.75)])
-def test_compensation_makes_the_joint_acceleration_white(joint: int, flat_enough: float) -> None:
-    # VERA's beam bends inside the band: flat torque gives anything but flat motion. Joint 1 has
-    # an antiresonance deeper than the tenfold range of the compensation.
-    rig = SimulatedRig(vera(), sensors=SensorSuite.ideal())
-    torque = np.where(np.arange(2) == joint, 0.5, 0.0)
-
-    def measured(seed: int, **settings: Any) -> tuple[Array, Array]:
-        record = rig.measure(
-            np.array([0.2, 0.9]),
-            shake(*torque, duration=4.8, **settings),
-            rng=np.random.default_rng(seed),
-        )
-        motion = acceleration_from_angle(record.encoder[joint], record.rate, BAND)
-        return record.command[joint], motion
-
-    command, motion = measured(1)
-    found = transfer_function(command, motion, 1000.0, segments=8)
-    inside = (found.frequencies >= BAND[0]) & (found.frequencies <= BAND[1])
-    shape = compensation(found.frequencies[inside], found.response[0, inside])
-    shaping = tuple(shape if j == joint else None for j in range(2))
-    _, whitened = measured(2, shaping=shaping)
-    before, after = (spectral_flatness(x, 1000.0, BAND, segments=8) for x in (motion, whitened))
-    assert before < 0.4
-    assert after > flat_enough
-
-
-def test_compensation_undoes_the_transfer_function() -> None:
-    frequency = np.linspace(30, 150, 50)
-    transfer = (1 + frequency / 100) * np.exp(1j * frequency)
-    shape = compensation(frequency, transfer)
-    product = shape(frequency) * np.abs(transfer)
-    np.testing.assert_allclose(product, product[0], rtol=1e-12)
-
-
-def test_compensation_stays_within_a_tenfold_range() -> None:
-    frequency = np.linspace(30, 150, 51)
-    transfer = np.ones(51)
-    transfer[10], transfer[40] = 1e-9, 1e9
-    weights = compensation(frequency, transfer)(frequency)
-    assert weights.max() / weights.min() == pytest.approx(10.0)
-    assert np.isfinite(weights).all()
-
-
-@pytest.mark.parametrize(
-    ("frequency", "transfer", "message"),
-    [
-        ([30.0, 40.0], [1.0], r"shapes \(2,\) and \(1,\)"),
-        ([40.0, 30.0], [1.0, 1.0], "increasing frequencies"),
-        ([30.0], [1.0], "increasing frequencies"),
-        ([[30.0, 40.0]], [[1.0, 1.0]], "increasing frequencies"),
-        ([30.0, 40.0], [1.0, np.nan], "finite and not zero everywhere"),
-        ([30.0, 40.0], [0.0, 0.0], "finite and not zero everywhere"),
-    ],
-)
-def test_a_transfer_function_that_cannot_be_undone_is_refused(
-    frequency: Any, transfer: Any, message: str
-) -> None:
-    with pytest.raises(InvalidSetting, match=message):
-        compensation(np.array(frequency), np.array(transfer, dtype=complex))

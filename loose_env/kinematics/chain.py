@@ -63,7 +63,8 @@ class Chain:
     def of(cls, arm: Arm, pose: ArrayLike) -> Chain:
         """Extract the joints of an arm at a pose [rad] (n,) from its MuJoCo model.
 
-        Bending modes of the arm stay at rest and are no joints of the chain.
+        The tool's position is a function of pose and parameters (3.1). Bending modes of the arm
+        stay at rest and are no joints of the chain.
 
         Raises
         ------
@@ -111,8 +112,8 @@ def require_kind(kind: str) -> None:
 def geometric_jacobian(chain: Chain, frame: Frame = "world") -> Array:
     """Columns of the Jacobian, linear part above angular part (3.2, 3.28, 3.29, 3.32).
 
-    A revolute joint gives z × (p - o) and z, a prismatic one z and nothing. The thesis prints
-    only the revolute form.
+    A revolute joint gives z × (p - o) and z (3.54), a prismatic one z and nothing (3.55). The
+    thesis prints the whole column only in the revolute form.
 
     Parameters
     ----------

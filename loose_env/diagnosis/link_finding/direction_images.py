@@ -95,7 +95,7 @@ class ToolFrames:
         return len(self._seen)
 
     def images(self, poses: ArrayLike) -> Array:
-        """Rotation from each link's frame to the tool's.
+        """Rotation from each link's frame to the tool's, a product of joint turns (4.28, 4.29).
 
         Parameters
         ----------
@@ -182,7 +182,7 @@ class ToolFrames:
 def predicted_images(
     frames: ToolFrames, pose_before: ArrayLike, pose_after: ArrayLike, direction: ArrayLike
 ) -> Array:
-    """Direction that each hypothesis expects after a move.
+    """Direction that each hypothesis expects after a move (4.27).
 
     A slide at link k carries the direction seen before along with the joints beyond k; play in
     joint j shows the joint's own line, whatever was seen.

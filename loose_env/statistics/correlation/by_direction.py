@@ -34,7 +34,7 @@ class MaximumCorrelation(NamedTuple):
 
 
 def correlation_along(x: ArrayLike, a: ArrayLike, direction: ArrayLike) -> float:
-    """Correlate x with the component of a along a direction (4.10, 4.13).
+    """Correlate x with the component of a along a direction (4.10 to 4.13).
 
     Parameters
     ----------

@@ -22,22 +22,27 @@ from loose_env.thesis.shared.sections import Section, Table
 
 EQUATIONS: dict[str, str] = {
     **dict.fromkeys(
-        ("3.49", "3.50", "3.61", "3.62", "3.63", "3.64", "3.66", "3.67"),
+        ("3.49", "3.50", "3.63", "3.64", "3.66", "3.67"),
         "loose_env.thesis.methods.looseness.parameter_recursion.identify_planar",
     ),
     **dict.fromkeys(
-        ("3.51", "3.52", "3.53"),
+        ("3.51", "3.52"),
         "loose_env.thesis.methods.looseness.parameter_recursion.velocity_components",
     ),
+    "3.53": "loose_env.thesis.methods.looseness.looseness_joint.tool_velocity",
+    **dict.fromkeys(("3.54", "3.55"), "loose_env.kinematics.chain.geometric_jacobian"),
     **dict.fromkeys(
-        ("3.54", "3.56", "3.58", "3.59", "3.60"),
+        ("3.56", "3.58", "3.59", "3.60"),
         "loose_env.thesis.methods.looseness.parameter_recursion.rotation_arms",
     ),
     **dict.fromkeys(
-        ("3.55", "3.57", "3.68", "3.69"),
+        ("3.57", "3.68", "3.69"),
         "loose_env.thesis.methods.looseness.parameter_recursion.slide_direction",
     ),
-    "3.65": "loose_env.thesis.methods.looseness.parameter_recursion.distended_angles",
+    **dict.fromkeys(
+        ("3.61", "3.65"),
+        "loose_env.thesis.methods.looseness.parameter_recursion.distended_angles",
+    ),
 }
 """Function of each equation."""
 
@@ -83,6 +88,8 @@ def section(seed: int) -> Section:
             "the link-finding method, told in a section of its own.",
             "The place and the angle of joint 1 in the world: a method from velocities cannot "
             f"find these {told['parameters_never_found']} figures, as the thesis says.",
+            "The internal angle between two arms (3.62): a link is their difference as vectors, "
+            "whose norm is the law of cosines (3.63).",
             "Compliance of the jig, and mechanical friction of the joints and the seat: the "
             "docked test is simulated with a stiff jig and free guides.",
         ],

@@ -41,27 +41,27 @@ EQUATIONS: dict[str, str] = {
     **dict.fromkeys(
         ("3.3", "3.30"), "loose_env.thesis.methods.looseness.looseness_joint.tool_velocity"
     ),
-    "3.1": "loose_env.kinematics.chain.Chain",
+    "3.1": "loose_env.kinematics.chain.Chain.of",
     "3.26": "loose_env.thesis.methods.looseness.looseness_joint.looseness_transform",
     "3.27": "loose_env.thesis.methods.looseness.looseness_joint.slot_direction",
     "3.31": "loose_env.thesis.methods.looseness.looseness_joint.insert_looseness",
-    "3.33": "loose_env.thesis.methods.looseness.looseness_joint.changed_columns",
+    "3.33": "loose_env.thesis.methods.looseness.looseness_joint.displaced",
     "3.34": "loose_env.thesis.methods.looseness.looseness_joint.velocity_error",
     **dict.fromkeys(
-        ("3.9", "3.14", "3.15", "3.16", "3.17", "3.20", "3.21", "3.23", "3.24"),
+        ("3.9", "3.15", "3.16", "3.17", "3.20", "3.21", "3.23", "3.24"),
         "loose_env.thesis.methods.looseness.static_force_test.tool_acceleration",
     ),
     "3.10": "loose_env.thesis.methods.looseness.static_force_test.joint_torques",
-    "3.11": "loose_env.thesis.methods.looseness.looseness_joint.seated_inertia",
+    "3.11": "loose_env.thesis.methods.motion.joint_loads.arm_loads",
     **dict.fromkeys(
         ("3.18", "3.19"), "loose_env.thesis.methods.looseness.static_force_test.simulate_docked"
     ),
     "3.22": "loose_env.thesis.methods.looseness.static_force_test.docked_acceleration",
     "3.25": "loose_env.thesis.methods.looseness.static_force_test.dock_force",
-    **dict.fromkeys(("3.35", "3.36"), "loose_env.faults.set_seat"),
-    # The seated arm as MuJoCo has it; the tests integrate the equations beside it.
-    **dict.fromkeys([f"3.{k}" for k in range(37, 41)], "loose_env.faults.seated_spec"),
-    **dict.fromkeys([f"3.{k}" for k in range(42, 49)], "loose_env.faults.seated_spec"),
+    **dict.fromkeys(
+        ("3.35", "3.36"), "loose_env.thesis.methods.motion.seat_motion.draw_seat_velocity"
+    ),
+    "3.43": "loose_env.thesis.methods.looseness.looseness_joint.seated_inertia",
     "4.21": "loose_env.thesis.methods.looseness.looseness_joint.tool_velocity",
     "4.24": "loose_env.thesis.methods.looseness.static_force_test.tool_acceleration",
 }
@@ -126,6 +126,9 @@ def section(seed: int) -> Section:
             "that its ratio is an upper bound.",
             "The link-to-link recursions of velocity and acceleration (3.5, 3.8) and the closed "
             "loop behind (3.12, 3.13): the simulation solves the whole equations of motion.",
+            "The equations of motion of the loose arm as printed (3.37 to 3.42, 3.44 to 3.48) and "
+            "the torque without potential loads (3.14): no function writes them out. MuJoCo "
+            "integrates the arm with its seat; tests integrate the printed equations beside it.",
             "Mechanical friction of the joints beyond viscous damping: it would weigh most on "
             "the static-force alternative, whose ratio is therefore an upper bound.",
             "Noise of tracker, force sensor and drive torque is assumed, not taken from a "

@@ -32,11 +32,8 @@ from loose_env.thesis.methods.motion.manipulability import (
 from loose_env.thesis.printed import printed
 from loose_env.thesis.shared.sections import Section, Table
 
-EQUATIONS: dict[str, str] = {
-    "4.2.3": "loose_env.kinematics.seat_loads.reactions",
-    "8.2.3": "loose_env.thesis.methods.motion.manipulability.submanipulator",
-}
-"""Function of each equation."""
+EQUATIONS: dict[str, str] = {}
+"""Function of each equation; sections 4.2.3 and 8.2.3 number none."""
 
 AGREES_DEG = 2.0
 """Largest difference from a printed direction that counts as agreement [deg]."""

@@ -32,7 +32,7 @@ EQUATIONS: dict[str, str] = {
     "4.12": "loose_env.statistics.correlation.by_direction.correlation_along",
     "4.13": "loose_env.statistics.correlation.by_direction.correlation_along",
     "4.14": "loose_env.statistics.correlation.by_direction.correlation_loop",
-    "4.15": "loose_env.statistics.correlation.by_direction.lowest_correlation_search",
+    "4.15": "loose_env.statistics.correlation.by_direction.correlation_loop",
 }
 """Function of each equation."""
 

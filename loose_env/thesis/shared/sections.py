@@ -76,6 +76,7 @@ SECTIONS: dict[str, str] = {
         "experiment_six": "ch6_experiments.shaken_vera.experiment_six",
         "index_tables": "ch4_diagnosis.index_tables",
         "link_finding": "ch4_diagnosis.link_finding",
+        "vera_link_finding": "ch4_diagnosis.vera_link_finding",
     }.items()
 }
 """Module of each section by its key. A module has ``section(seed) -> Section``."""

@@ -88,9 +88,14 @@ def test_noise_is_that_of_the_settings():
     np.testing.assert_array_equal(found.acceleration, again.acceleration)
 
 
-def test_the_arm_raised_and_extended_rings_near_its_columns_mode():
+def test_the_arm_raised_and_extended_rings_lower_than_anywhere_else():
+    # The column's mode with locked joints is an input; guide and servo lower it, and less mass at
+    # less height raises it, by an amount that nothing sets.
     raised = StrokePose(name="raised", swing=0.0, lift=0.76, start=0.55, end=1.05)
-    assert ringing(Guideway(), raised) == pytest.approx(8.0, abs=0.6)
+    low = StrokePose(name="low", swing=0.0, lift=0.0, start=0.55, end=1.05)
+    found, lowered = ringing(Guideway(), raised), ringing(Guideway(), low)
+    assert 7.2 < found < 8.0
+    assert lowered > 1.1 * found
 
 
 def test_measures_of_repeatability():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import find_peaks
 
-from loose_env.arms import ShakenArm
+from loose_env.arms import COIL, ShakenArm
 from loose_env.arms.response.shaken import ShakenResponse
 from loose_env.excitation import Excitation
 from loose_env.rig import SimulatedRig
@@ -30,9 +30,34 @@ def peaks(response: ShakenResponse, axis: int) -> list[float]:
     return [float(f) for f in response.frequency[find_peaks(size)[0]]]
 
 
-def test_the_threaded_rod_resonates_where_it_was_measured():
-    found = peaks(answer("threaded_rod", (300.0, 2000.0), 1.0), 0)
-    assert found == [pytest.approx(printed("signals")["dominant_frequency_hz"], rel=0.03)]
+def test_the_rod_absorbs_the_coils_motion_at_the_slides_own_frequency():
+    # The rod's stiffness is set by its resonance between slide and coil. That the slide alone on
+    # that rod stops the coil, a factor sqrt(coil / (coil + slide)) lower, is not set anywhere.
+    response = answer("threaded_rod", (300.0, 2000.0), 1.0)
+    coil = np.abs(response.probes[COIL][:, 0])
+    own = 710.0 * np.sqrt(0.39 / (0.39 + 0.50))
+    assert response.frequency[np.argmin(coil)] == pytest.approx(own, rel=0.02)
+
+
+def test_mass_on_the_slide_lowers_the_rods_resonance():
+    # 0.40 kg of looseness joint instead of 0.15 kg of cube, on the rod that fits 710 Hz without it.
+    arm = replace(slide_rig(looseness_angle=0.0, stinger="threaded_rod"), band=(300.0, 2000.0))
+    found = peaks(ShakenArm(arm, points=1701).at([0.0]), 0)
+    light, heavy, coil = 0.50, 0.50 + 0.40, 0.39
+    lower = np.sqrt((1 / heavy + 1 / coil) / (1 / light + 1 / coil))
+    assert found == [pytest.approx(printed("signals")["dominant_frequency_hz"] * lower, rel=0.02)]
+
+
+def test_slide_and_coil_move_together_below_the_resonance_and_apart_above():
+    response = answer("threaded_rod", (100.0, 1500.0), 1.0)
+    ratio = response.probes[SLIDE][:, 0] / response.probes[COIL][:, 0]
+    phase = np.degrees(np.abs(np.angle(ratio)))
+    assert phase[response.frequency < 350].max() < 15.0
+    assert phase[response.frequency > 600].min() > 165.0
+    # In the band of Experiment Four the rod alone would raise 350 Hz over 100 Hz by this much.
+    own = 710.0 * np.sqrt(0.39 / (0.39 + 0.50))
+    rise = np.interp(350.0, response.frequency, np.abs(ratio)) / np.abs(ratio[0])
+    assert rise == pytest.approx((1 - (100 / own) ** 2) / (1 - (350 / own) ** 2), rel=0.03)
 
 
 def test_the_stiff_stinger_resonates_far_above_the_band():

@@ -29,7 +29,7 @@ from loose_env.typing import Array
 
 EQUATIONS: dict[str, str] = {
     "3.41": "loose_env.thesis.methods.motion.joint_loads.two_link_loads",
-    "6.1": "loose_env.kinematics.chain.Chain.of",
+    "6.1": "loose_env.thesis.methods.motion.loose_planar_arm.tool_position",
     "6.2": "loose_env.thesis.methods.motion.joint_loads.two_link_loads",
     "6.3": "loose_env.thesis.methods.motion.joint_loads.two_link_loads",
     "6.4": "loose_env.thesis.methods.motion.joint_loads.two_link_loads",

@@ -64,7 +64,7 @@ def insert_looseness(
 def displaced(
     chain: Chain, link: int, axis: ArrayLike, displacement: float, *, kind: JointKind = "prismatic"
 ) -> Chain:
-    """Move everything distal to a loose seat by the seat's displacement [m or rad].
+    """Move everything distal to a loose seat by its displacement [m or rad]; no more (3.33).
 
     Joints 1 to ``link`` stay; later joints and the tool move along the slide, or turn about the
     hinge, which lies on joint ``link``.
@@ -142,7 +142,9 @@ def looseness_transform(
 
 
 def tool_velocity(jacobian: ArrayLike, rates: ArrayLike) -> Array:
-    """Tool velocity (m,) from a Jacobian (m, n) and joint velocities (n,) (3.3); loose arm (3.30).
+    """Tool velocity (m,) from a Jacobian (m, n) and joint velocities (n,): (3.3, 3.53, 4.21).
+
+    With the looseness joint's column and rate among them it is that of the loose arm (3.30).
 
     Examples
     --------
@@ -166,7 +168,7 @@ def velocity_error(
 
 
 def changed_columns(before: ArrayLike, after: ArrayLike, *, tolerance: float) -> NDArray[np.bool_]:
-    """Mask (n,) of the columns of a Jacobian (m, n) that changed beyond a tolerance (3.33).
+    """Mask (n,) of the columns of a Jacobian (m, n) that changed beyond a tolerance.
 
     Examples
     --------
@@ -233,7 +235,7 @@ class Condition:
 def seated_inertia(
     arm: Arm, pose: ArrayLike, fault: Healthy | Preload | StructuralLooseness | Backlash
 ) -> Array:
-    """Inertia matrix of the driven joints and, for a fault, its seat (3.11 with 3.43).
+    """Inertia matrix M of the driven joints and, for a fault, its seat, ordered as in (3.43).
 
     ``arm``: the arm; its bending modes are at rest and left out. ``pose`` (n,): joint positions
     [rad]. ``fault``: the seat. Healthy gives the nominal (n, n) matrix. Returns (n, n) or (n+1,

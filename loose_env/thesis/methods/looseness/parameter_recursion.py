@@ -33,7 +33,7 @@ class PlanarParameters:
 
 
 def velocity_components(jacobian: ArrayLike, rates: ArrayLike) -> Array:
-    """Tool velocity from each joint alone (3.51, 3.52); they add up to the whole (3.53).
+    """Tool velocity from each joint alone (3.51, 3.52).
 
     ``jacobian`` (d, n): rows of the Jacobian. ``rates`` (n,): joint velocities. Returns (n, d):
     component of joint i in row i.
@@ -49,7 +49,7 @@ def velocity_components(jacobian: ArrayLike, rates: ArrayLike) -> Array:
 
 
 def rotation_arms(velocities: ArrayLike, rates: ArrayLike) -> Array:
-    """Vector from each revolute joint to the tool (3.58-3.60).
+    """Vector from each revolute joint to the tool (3.58-3.60), all axes along z (3.56).
 
     ``velocities`` (n, 2): tool velocity while joint i alone turns [m/s], all in one frame.
     ``rates`` (n,): velocity of that joint [rad/s]. Returns (n, 2): vectors [m].
@@ -74,7 +74,7 @@ def identify_planar(
     *,
     kinds: Sequence[JointKind] | None = None,
 ) -> PlanarParameters:
-    """Find lengths and offsets by going from the tool to the base (3.50, 3.61-3.64, 3.66, 3.67).
+    """Find lengths and offsets from the tool to the base (3.49, 3.50, 3.63, 3.64, 3.66, 3.67).
 
     The joint angle is taken as the angle between link i and link i-1. The thesis prints
     (3.65) instead, the angle between link i and the vector from its end to the tool, which
@@ -115,7 +115,7 @@ def identify_planar(
 
 
 def distended_angles(velocities: ArrayLike, rates: ArrayLike) -> Array:
-    """Angles of links 1 to n-1 as printed in (3.65): to the arm R of the next joint.
+    """Angles of links 1 to n-1 as printed in (3.65): to the arm R of the next joint (3.61).
 
     Only the last of them is a joint angle, that of joint n; the others turn with every joint
     beyond.

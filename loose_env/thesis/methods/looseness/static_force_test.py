@@ -67,12 +67,12 @@ def joint_torques(jacobian: ArrayLike, force: ArrayLike) -> Array:
 def tool_acceleration(
     jacobian: ArrayLike, inertia: ArrayLike, torque: ArrayLike, force: ArrayLike | None = None
 ) -> Array:
-    """Tool acceleration at low speed, J M⁻¹ (τ* + J^T f) (3.9, 3.15-3.17, 3.20-3.24).
+    """Tool acceleration at low speed, J M⁻¹ (τ* + J^T f) (3.9, 3.15-3.17, 3.20-3.24, 4.24).
 
     ``jacobian`` (m, n): rows of the Jacobian; n counts the looseness joint if there is one.
-    ``inertia`` (n, n): inertia matrix. ``torque`` (n,) or (n, N): joint torques, potential loads
-    taken off (3.14); 0 at a looseness joint. ``force`` (m,) or (m, N): force of the surroundings on
-    the tool; none for a free arm.
+    ``inertia`` (n, n): inertia matrix. ``torque`` (n,) or (n, N): joint torques without potential
+    loads, which the caller takes off; 0 at a looseness joint. ``force`` (m,) or (m, N): force of
+    the surroundings on the tool; none for a free arm.
 
     Examples
     --------
@@ -243,7 +243,7 @@ def simulate_docked(
     jig: Jig = "clamp",
     every: int = 1,
 ) -> DockedRecord:
-    """Drive the joints of a planar arm whose tool is held.
+    """Drive the joints of a planar arm whose tool is held (3.18, 3.19, integrated by MuJoCo).
 
     Each joint has its drive's torque, its soft centring spring and its own damping; no brake.
 

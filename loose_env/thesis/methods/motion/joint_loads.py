@@ -137,7 +137,7 @@ def two_link_loads(
 def arm_loads(
     arm: Arm, pose: ArrayLike, rates: ArrayLike, accelerations: ArrayLike, *, gravity: bool = True
 ) -> JointLoads:
-    """Loads of any arm in one pose and motion, from MuJoCo's inverse dynamics.
+    """Loads of any arm in one pose and motion: (3.11), MuJoCo's inverse dynamics.
 
     Bending modes are at rest. Friction and springs of the joints are left out, as in 6.1.2.
     ``pose``, ``rates``, ``accelerations`` (n,): of the joints [rad, rad/s, rad/s²]. ``gravity``:

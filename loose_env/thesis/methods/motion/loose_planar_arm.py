@@ -41,7 +41,7 @@ def looseness_direction(arm: LoosePlanarArm, theta: ArrayLike) -> Array:
 
 
 def tool_position(arm: LoosePlanarArm, theta: ArrayLike, d: ArrayLike) -> Array:
-    """Position of the tool (5.3).
+    """Position of the tool (5.3); with the seat at zero that of the tight arm (6.1).
 
     ``theta`` (2, N) or (2,): joint angles, rad. ``d`` (N,) or (): displacement of the seat, m.
     Returns (2, N) or (2,): position in the world frame, m.

@@ -84,7 +84,8 @@ def draw_seat_velocity(seat: SeatMotion, d: ArrayLike, rng: np.random.Generator)
     """Draw a velocity for each displacement, by region (figure 5.7).
 
     Free, it is uniform between the two velocities that cross the gap in a time step. At a stop
-    it is zero with probability `SeatMotion.at_rest`, else uniform and away from the stop.
+    it is zero with probability `SeatMotion.at_rest`, else uniform and away from the stop (3.35,
+    3.36).
 
     ``seat``: gap [m], time step [s] and probability of rest. ``d`` (N,): displacement, m. Returns
     (N,): velocity, m/s, positive towards the distal stop.
