@@ -18,7 +18,7 @@ import importlib.metadata
 import shutil
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,8 @@ from loose_agents.execution.study import write_between
 import loose_env
 from loose_env.errors import InvalidSetting
 from scripts.suites.gap import rivals
-from scripts.suites.gap.cases.cases import LAST, SEED, full_list, quick_list, role_of
+from scripts.suites.gap.cases.cases import SEED, full_list, quick_list
+from scripts.suites.gap.cases.numbers import mixed, numbers_of
 from scripts.suites.gap.grading.code_hash import code_hash
 from scripts.suites.gap.grading.one_case import (
     Folders,
@@ -46,7 +47,7 @@ from scripts.suites.gap.grading.one_case import (
     shard_for,
 )
 from scripts.suites.gap.grading.rows import take_rows, write_rows
-from scripts.suites.gap.grading.tables import markdown, text, wrong_cases
+from scripts.suites.gap.grading.tables import lines_of_cases, markdown, text
 from scripts.suites.gap.grading.tool import Tool, run_tool
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -60,50 +61,6 @@ ROWS = "gap_suite_rows.jsonl"
 """File of the rows, beside the page."""
 NEW = "# Identification accuracy of `loose gap`\n\n<!-- tables: begin -->\n<!-- tables: end -->\n"
 """Page that is made where there is none."""
-
-
-def numbers_of(words: Iterable[str]) -> list[int]:
-    """Numbers of cases from words such as ``7`` and ``1000-1003``.
-
-    Raises
-    ------
-    InvalidSetting
-        If a word is neither, or a number lies outside 0 to 3999.
-
-    Examples
-    --------
-    >>> numbers_of(["2001", "0-2", "1"])
-    [2001, 0, 1, 2]
-    """
-    found: dict[int, None] = {}
-    for word in words:
-        ends = word.split("-")
-        if len(ends) > 2 or not all(end.isdecimal() for end in ends):
-            raise InvalidSetting(f"{word!r} is no case; give numbers as in 7 or 1000-1003")
-        first, last = int(ends[0]), int(ends[-1])
-        if not first <= last <= LAST:
-            raise InvalidSetting(
-                f"{word}: cases have numbers from 0 to {LAST}, the lower one first"
-            )
-        found.update(dict.fromkeys(range(first, last + 1)))
-    return list(found)
-
-
-def mixed(numbers: Sequence[int]) -> list[int]:
-    """The same numbers in an order in which a run cut short has a little of every role.
-
-    Examples
-    --------
-    >>> mixed([0, 1, 2, 3, 1000, 1001, 2000])
-    [0, 1000, 2000, 1, 2, 1001, 3]
-    """
-    roles: dict[str, list[int]] = {}
-    for number in sorted(set(numbers)):
-        roles.setdefault(role_of(number), []).append(number)
-    return sorted(
-        (number for own in roles.values() for number in own),
-        key=lambda n: (roles[role_of(n)].index(n) / len(roles[role_of(n)]), n),
-    )
 
 
 def configuration(tool: str = TOOL) -> dict[str, Any]:
@@ -285,7 +242,7 @@ def tables(rows: Sequence[Row], asked: int) -> str:
         parts += [
             "Cases that are not right, with the gap on held-out runs before and after [noise sd]:",
             "",
-            wrong_cases(wrong),
+            lines_of_cases(wrong),
         ]
     return "\n".join(parts).rstrip() + "\n"
 
@@ -342,6 +299,14 @@ def parser_of() -> argparse.ArgumentParser:
         help="write the tables to a page (docs/gap_suite.md if none is named), as a whole "
         "run does by itself",
     )
+    parser.add_argument(
+        "--docs-cases",
+        nargs="?",
+        type=Path,
+        const=DOCS,
+        metavar="PAGE",
+        help="write a line for every case asked for to a page, between its marks `cases`",
+    )
     add_backend_options(parser)
     return parser
 
@@ -391,6 +356,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         whole = not (chosen.quick or chosen.numbers) and len(rows) == len(numbers)
         if page is None and own and whole:
             page = DOCS  # a whole run goes to the docs by itself
+        if chosen.docs_cases is not None:
+            every = lines_of_cases([(row["number"], grade_of(row), row["error"]) for row in rows])
+            write_between(chosen.docs_cases, every.rstrip(), name="cases")
         if page is not None:
             write_between(page, content, new=NEW)
             write_rows(page.with_name(ROWS), store.configuration, rows)

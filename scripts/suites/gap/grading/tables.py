@@ -176,8 +176,8 @@ def markdown(grades: Sequence[Grade]) -> str:
     return "\n".join(parts) + "\n"
 
 
-def wrong_cases(cases: Sequence[tuple[int, Grade, str]]) -> str:
-    """What was true and what was said in cases that are not right, as markdown.
+def lines_of_cases(cases: Sequence[tuple[int, Grade, str]]) -> str:
+    """What was true and what was said in cases, as markdown.
 
     Parameters
     ----------

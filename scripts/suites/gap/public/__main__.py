@@ -26,11 +26,11 @@ from loose_agents.execution.script_errors import errors_in_one_line
 from loose_env.gap import GapSettings, find_gap, result_of
 from loose_env.io import write_text
 from loose_env.recording import read_recording
+from scripts.suites.gap.cases.numbers import numbers_of
 from scripts.suites.gap.public.answers import answer_of, answer_schema, write_answer
 from scripts.suites.gap.public.board import leaderboard, read_score, stored_scores, write_board
 from scripts.suites.gap.public.making import MakeSettings, make
 from scripts.suites.gap.public.scoring import score, table, write_score
-from scripts.suites.gap.run import numbers_of
 
 __all__ = ["main"]
 

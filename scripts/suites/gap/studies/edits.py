@@ -22,8 +22,8 @@ from loose_env.gap import GapSettings, GapSolution, find_gap, prediction_error
 from loose_env.recording import read_recording
 from scripts.suites.gap.cases.cases import HELD_OUT, Case
 from scripts.suites.gap.cases.draw import draw_case, tolerance_of
+from scripts.suites.gap.cases.numbers import numbers_of
 from scripts.suites.gap.cases.recordings import runs_of, write_runs
-from scripts.suites.gap.run import numbers_of
 
 __all__ = ["EditRow", "edit_rows", "main"]
 

@@ -9,7 +9,7 @@ pytest.importorskip("numba")
 from scripts.suites.gap.effects.catalogue import CATALOGUE
 from scripts.suites.gap.grading.grade import LISTED, grade
 from scripts.suites.gap.grading.parameters import PARAMETERS
-from scripts.suites.gap.grading.tables import confusion, markdown, summary, text, wrong_cases
+from scripts.suites.gap.grading.tables import confusion, lines_of_cases, markdown, summary, text
 
 
 def truth(role: str, *effects: tuple[str, str, dict]) -> dict:
@@ -148,7 +148,7 @@ def test_the_table_of_cases_that_are_not_right():
     friction = ("coulomb_friction", "joint2", {"torque": 1.0})
     taken = grade(said("named", NAMED_PLAY), truth("single", friction))
     lost = grade(said("unexplained"), truth("none"))
-    _, _, first, second = wrong_cases([(1003, taken, ""), (7, lost, "no | runs")]).splitlines()
+    _, _, first, second = lines_of_cases([(1003, taken, ""), (7, lost, "no | runs")]).splitlines()
     assert [cell.strip() for cell in first.split("|")][1:4] == [
         "1003",
         "forward",
