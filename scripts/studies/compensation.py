@@ -157,7 +157,7 @@ def study(arm: Arm, settings: Settings) -> dict[Compensation, tuple[Array, Array
                     errors[kind].append(pair)
                     motion = acceleration_from_angle(healthy.encoder[joint], healthy.rate, arm.band)
                     flatness[kind].append(
-                        spectral_flatness(motion, healthy.rate, arm.band, segments=8)
+                        float(spectral_flatness(motion, healthy.rate, arm.band, segments=8))
                     )
                 line.advance(1)
     return {kind: (np.array(errors[kind]), np.array(flatness[kind])) for kind in COMPENSATIONS}
