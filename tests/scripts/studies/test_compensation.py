@@ -17,7 +17,7 @@ from loose_env.statistics import acceleration_from_angle, spectral_flatness
 
 @pytest.fixture(scope="module")
 def study() -> ModuleType:
-    return importlib.import_module("scripts.studies.compensation")
+    return importlib.import_module("scripts.studies.thesis.compensation")
 
 
 @pytest.mark.parametrize(("joint", "flat_enough"), [(0, 0.6), (1, 0.75)])

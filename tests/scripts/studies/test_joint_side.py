@@ -13,7 +13,7 @@ from loose_env.arms import planar
 
 @pytest.fixture(scope="module")
 def study() -> ModuleType:
-    return importlib.import_module("scripts.studies.joint_side")
+    return importlib.import_module("scripts.studies.thesis.joint_side")
 
 
 def test_the_auc_counts_pairs(study: ModuleType) -> None:

@@ -9,7 +9,7 @@ change of the tool's transmission against the nominal arm. An index of an arm is
 the joints. The area under the ROC curve (AUC) is the probability that a loose arm shows more of an
 index than a healthy one: 0.5 is chance.
 
-Usage: python scripts/studies/joint_side.py [--arms 128] [--level 3] [--seed 0]
+Usage: python scripts/studies/thesis/joint_side.py [--arms 128] [--level 3] [--seed 0]
 """
 
 from __future__ import annotations
