@@ -45,7 +45,7 @@ def test_the_layout_has_a_transmission_for_each_sensor_axis_and_joint(
     for group in ("link_transmission_by_instrument", "nominal_link_transmission_by_instrument"):
         assert sum(n.startswith(f"{group}.") for n in names) == carriers * axes * 3
     assert sum(n.startswith("link_rms.") for n in names) == carriers * axes
-    space = env.observation_space
+    space: Any = env.observation_space
     assert space["links"].shape[:2] == (carriers, axes)
     shown, _ = env.reset(seed=1)
     assert space.contains(shown)
