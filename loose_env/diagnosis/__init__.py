@@ -110,6 +110,12 @@ from loose_env.diagnosis.records.excitation_design import (
     holding_modes,
     propose_excitation,
 )
+from loose_env.diagnosis.records.link_readings import (
+    LinkReadings,
+    NominalLinks,
+    link_axes,
+    link_readings_of,
+)
 from loose_env.diagnosis.records.model_uncertainty import (
     stiffness_errors,
 )
@@ -181,6 +187,8 @@ __all__ = [
     "InformationFactors",
     "LinkFindingSettings",
     "LinkPosterior",
+    "LinkReadings",
+    "NominalLinks",
     "NoveltyReference",
     "Order",
     "ParticleSettings",
@@ -219,7 +227,9 @@ __all__ = [
     "holding_modes",
     "judge_turn",
     "least_records",
+    "link_axes",
     "link_posterior",
+    "link_readings_of",
     "log_mean_bingham",
     "looks_healthy",
     "measure_direction",

@@ -56,7 +56,9 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     runs from -1 at the low end of its range to 1; `layout.pose_of` reads it back. `layout`
     lists every element with name, unit and scaling; `print(env.unwrapped.layout.table())` shows
     them. With `raw=True` a `Dict` of the same vector as `"statistics"` and the signals of the
-    latest record.
+    latest record. With
+    `SensorSuite(link_accelerometers=...)` each slot also holds the transmission to the sensors on
+    links, the nominal one and their rms, and `raw` has their signals as `"links"`.
 
     ## Rewards
     +1 for the right hypothesis, -1 for a wrong one or for running out of records, -0.25 for being

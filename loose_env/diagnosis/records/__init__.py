@@ -1,4 +1,5 @@
 """Statistics, predictions and model uncertainty of single records.
 
-Data flow: excitation_design -> model_uncertainty -> prediction -> record_statistics.
+Data flow: excitation_design -> model_uncertainty -> link_readings -> prediction ->
+record_statistics.
 """

@@ -18,7 +18,13 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm, LinearArm, MismatchDraw
-from loose_env.diagnosis import SensorFloor, predict, statistics_of
+from loose_env.diagnosis import (
+    NominalLinks,
+    SensorFloor,
+    link_readings_of,
+    predict,
+    statistics_of,
+)
 from loose_env.envs.episode.actions import Action, ActionLayout
 from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.episode.reset_options import ResetOptions, checked_true_arm
@@ -108,6 +114,8 @@ class EpisodeBatch:
             Excitation(torque_rms=(0.0,) * arm.n, duration=seconds, band=arm.band)
         self.observations = ObservationLayout(arm, settings)
         self.floor = SensorFloor.of(settings.sensors, arm.band)
+        choice = settings.sensors.on_links
+        self._nominal_links = None if choice is None else NominalLinks(arm, choice)
         self.divergences: Counter[str] = Counter()
         self._episodes: list[Episode | None] = [None] * num
         self._levels = np.array([0.0, *arm.levels])
@@ -271,12 +279,21 @@ class EpisodeBatch:
         if measurement is not None and failure is None:
             try:
                 statistics = statistics_of(measurement)
+                links = None if self._nominal_links is None else link_readings_of(measurement)
             except InvalidData as error:
                 failure = f"the readings make no statistics: {error}"
             else:
                 nominal = predict(self.nominal.at(episode.pose), measurement.excitation, self.floor)
+                expected = None
+                if self._nominal_links is not None:
+                    expected = self._nominal_links.transmission(episode.pose, measurement.excited)
                 episode.slots[episode.records] = self.observations.slot_of(
-                    action.levels, share, statistics, nominal
+                    action.levels,
+                    share,
+                    statistics,
+                    nominal,
+                    links=links,
+                    nominal_links=expected,
                 )
         episode.records += 1
         if failure is not None:

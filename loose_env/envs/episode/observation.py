@@ -3,43 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, held_inertia
-from loose_env.diagnosis import Prediction, RecordStatistics
+from loose_env.arms import Arm
+from loose_env.diagnosis import LinkReadings, Prediction, RecordStatistics
 from loose_env.envs.episode.actions import JointPose
+from loose_env.envs.episode.elements import Element, global_elements, slot_elements
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.errors import UnknownName
+from loose_env.errors import InvalidData, UnknownName
 from loose_env.typing import Array
 
-__all__ = ["Element", "ObservationLayout"]
-
-Scaling = Literal["linear", "log10", "asinh"]
-_AXES = "xyz"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Element:
-    """One number of the observation."""
-
-    name: str
-    """Name; elements of record k start with ``record<k>.``."""
-    unit: str
-    """Unit before scaling; 1 for a pure number."""
-    scaling: Scaling
-    """Linear: value / scale. log10: log10(value / scale). asinh: asinh(value / scale)."""
-    scale: float
-    """Scale, in the element's unit."""
-    low: float
-    """Lower bound after scaling; smaller values are clipped to it."""
-    high: float
-    """Upper bound after scaling."""
+__all__ = ["ObservationLayout"]
 
 
 class ObservationLayout:
@@ -65,8 +43,8 @@ class ObservationLayout:
 
     def __init__(self, arm: Arm, settings: DiagnosisSettings) -> None:
         self.arm, self.settings = arm, settings
-        self.global_elements = tuple(_global_elements(arm, settings))
-        self.slot_elements = tuple(_slot_elements(arm, settings))
+        self.global_elements = tuple(global_elements(arm, settings))
+        self.slot_elements = tuple(slot_elements(arm, settings))
         self.slots = settings.max_records
         self.size = len(self.global_elements) + self.slots * len(self.slot_elements)
         self._joint_pose = JointPose(arm)
@@ -116,9 +94,25 @@ class ObservationLayout:
         return self._global_scaling.forward(values)
 
     def slot_of(
-        self, levels: NDArray[np.intp], share: Array, record: RecordStatistics, nominal: Prediction
+        self,
+        levels: NDArray[np.intp],
+        share: Array,
+        record: RecordStatistics,
+        nominal: Prediction,
+        *,
+        links: LinkReadings | None = None,
+        nominal_links: Array | None = None,
     ) -> NDArray[np.float32]:
-        """Scale the elements of one record."""
+        """Scale the elements of one record.
+
+        ``links``, ``nominal_links`` (L, a, n): what accelerometers on links measured and would
+        show on the nominal arm; needed where the settings have such sensors.
+
+        Raises
+        ------
+        InvalidData
+            If the settings have accelerometers on links and no readings of them are given.
+        """
         on = np.flatnonzero(record.excited)
 
         def spread(values: Array) -> Array:
@@ -151,6 +145,14 @@ class ObservationLayout:
             _axial_numbers(nominal.lowest_direction),
             [nominal.lowest_coherence, nominal.maximum_correlation],
         ]
+        if self.settings.sensors.on_links is not None:
+            if links is None or nominal_links is None:
+                raise InvalidData("the observation holds accelerometers on links; give readings")
+            values += [
+                links.transmission_by_instrument.ravel(),
+                nominal_links.ravel(),
+                links.rms.ravel(),
+            ]
         return self._slot_scaling.forward(np.concatenate(values))
 
     def __iter__(self) -> Iterator[Element]:
@@ -300,86 +302,3 @@ def _spans(elements: tuple[Element, ...]) -> dict[str, slice]:
         start = spans[name].start if name in spans else k
         spans[name] = slice(start, k + 1)
     return spans
-
-
-def _global_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
-    def linear(name: str, unit: str, scale: float, low: float, high: float) -> Element:
-        return Element(name=name, unit=unit, scaling="linear", scale=scale, low=low, high=high)
-
-    for name, unit in JointPose(arm).elements:
-        yield linear(f"now.{name}", unit, 1.0, -1.0, 1.0)
-    yield linear("spent.records", "1", 1.0, 0.0, 1.0)
-    longest = settings.max_records * max(settings.durations)
-    yield linear("spent.seconds", "s", longest, 0.0, 1.0)
-    most = settings.max_records * arm.n * len(arm.levels)
-    yield linear("spent.levels", "1", float(most), 0.0, 1.0)
-    yield linear("left.records", "1", 1.0, 0.0, 1.0)
-
-
-def _slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
-    axes = [_AXES[a] for a in arm.axes]
-    pairs = [(a, b) for i, a in enumerate(axes) for b in axes[i + 1 :]]
-    products = [(a, b) for i, a in enumerate(axes) for b in axes[i:]]
-    joints = list(zip(arm.joints, arm.sliding, strict=True))
-    top = arm.levels[-1]
-
-    def linear(name: str, unit: str, scale: float, low: float, high: float) -> Element:
-        return Element(name=name, unit=unit, scaling="linear", scale=scale, low=low, high=high)
-
-    def asinh(name: str, unit: str, scale: float) -> Element:
-        return Element(name=name, unit=unit, scaling="asinh", scale=scale, low=-6.0, high=6.0)
-
-    def log(name: str, unit: str, scale: float) -> Element:
-        return Element(name=name, unit=unit, scaling="log10", scale=scale, low=-4.0, high=4.0)
-
-    inertias = held_inertia(arm.spec, arm.joints)
-
-    def second_order(prefix: str) -> Iterator[Element]:
-        for kind in ("transmission", "transmission_by_instrument"):
-            for joint, slides in joints:
-                unit, scale = ("1", 0.25) if slides else ("m", 0.25 * arm.reach)
-                for axis in axes:
-                    yield asinh(f"{prefix}{kind}.{joint}_{axis}", unit, scale)
-        for joint, slides in joints:
-            unit, scale = ("m/s²", top) if slides else ("rad/s²", top / arm.reach)
-            yield log(f"{prefix}joint_rms.{joint}", unit, scale)
-
-    def inertia(prefix: str) -> Iterator[Element]:
-        for (joint, slides), carried in zip(joints, inertias, strict=True):
-            # A bending mode can make the apparent inertia negative (joint 1 of VERA).
-            # Bounds of 200 scales hold twice what the joint carries, on heavy arms too.
-            unit, least = ("kg", 1.0) if slides else ("kg·m²", 0.1)
-            yield asinh(f"{prefix}inertia.{joint}", unit, max(least, round(carried / 100, 3)))
-
-    def tool(prefix: str) -> Iterator[Element]:
-        for axis in axes:
-            yield log(f"{prefix}tool_rms.{axis}", "m/s²", top)
-        for a, b in pairs:
-            yield linear(f"{prefix}tool_correlation.{a}{b}", "1", 1.0, -1.0, 1.0)
-        for a, b in products:
-            yield linear(f"{prefix}lowest_direction.{a}{b}", "1", 1.0, -1.0, 1.0)
-        yield linear(f"{prefix}coherence.lowest", "1", 1.0, 0.0, 1.0)
-        yield linear(f"{prefix}correlation.maximum", "1", 1.0, 0.0, 1.0)
-
-    yield linear("valid", "1", 1.0, 0.0, 1.0)
-    for name, unit in JointPose(arm).elements:
-        yield linear(name, unit, 1.0, -1.0, 1.0)
-    for joint in arm.joints:
-        yield linear(f"level.{joint}", "1", float(len(arm.levels)), 0.0, 1.0)
-    for joint in arm.joints:
-        yield linear(f"torque.{joint}", "of limit", 1.0, 0.0, 1.0)
-    for joint in arm.joints:
-        yield linear(f"level_share.{joint}", "1", 1.0, 0.0, 1.0)
-    yield linear("duration", "s", max(settings.durations), 0.0, 1.0)
-    yield from second_order("")
-    yield from inertia("")
-    yield from tool("")
-    for axis in axes:
-        yield asinh(f"skewness.{axis}", "1", 1.0)
-    for axis in axes:
-        yield asinh(f"kurtosis.{axis}", "1", 1.0)
-    yield asinh("lowest_skewness", "1", 1.0)
-    yield asinh("lowest_kurtosis", "1", 1.0)
-    yield from second_order("nominal_")
-    yield from inertia("nominal_")
-    yield from tool("nominal_")

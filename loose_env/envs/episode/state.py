@@ -10,6 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
+from loose_env.diagnosis import link_axes
 from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.faults import Fault
@@ -73,14 +74,16 @@ def raw_space(arm: Arm, settings: DiagnosisSettings, layout: ObservationLayout) 
     def box(*shape: int) -> spaces.Box:
         return spaces.Box(-_LIMIT, _LIMIT, shape, dtype=np.float32)
 
-    return spaces.Dict(
-        {
-            "statistics": layout.space,
-            "command": box(n, count),
-            "encoder": box(n, count),
-            "tool": box(d, count),
-        }
-    )
+    signals: dict[str, spaces.Space[Any]] = {
+        "statistics": layout.space,
+        "command": box(n, count),
+        "encoder": box(n, count),
+        "tool": box(d, count),
+    }
+    choice = settings.sensors.on_links
+    if choice is not None:
+        signals["links"] = box(len(choice.on(arm)), len(link_axes(arm, choice)), count)
+    return spaces.Dict(signals)
 
 
 def raw_observation(
@@ -89,7 +92,7 @@ def raw_observation(
     """Lay the signals of the latest record beside the statistics.
 
     The command is in N·m, or N where the joint slides; the encoder in mrad, or mm, off the
-    commanded pose; the tool in m/s².
+    commanded pose; the tool in m/s², and so the links where they carry accelerometers.
     """
     n, d, count = arm.n, len(arm.axes), _longest(settings)
     signals = {
@@ -97,14 +100,20 @@ def raw_observation(
         "encoder": np.zeros((n, count), dtype=np.float32),
         "tool": np.zeros((d, count), dtype=np.float32),
     }
+    choice = settings.sensors.on_links
+    if choice is not None:
+        shape = (len(choice.on(arm)), len(link_axes(arm, choice)), count)
+        signals["links"] = np.zeros(shape, dtype=np.float32)
     if last is not None and last.failure is None:
         channels = {
             "command": last.command,
             "encoder": 1e3 * (last.encoder[:, 1:-1] - last.pose[:, None]),
             "tool": last.tool,
         }
+        if choice is not None and last.links is not None:
+            channels["links"] = last.links
         for name, channel in channels.items():
-            signals[name][:, : channel.shape[1]] = np.clip(channel, -_LIMIT, _LIMIT)
+            signals[name][..., : channel.shape[-1]] = np.clip(channel, -_LIMIT, _LIMIT)
     return {"statistics": flat, **signals}
 
 

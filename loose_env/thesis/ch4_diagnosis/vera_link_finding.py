@@ -36,6 +36,8 @@ EQUATIONS: dict[str, str] = {
 }
 """Function of each equation."""
 
+Directions = Sequence[float] | Array
+"""Directions of the five poses, in their order [rad]."""
 LINKS = ("slide at link 1", "slide at link 2")
 JOINTS = ("play in joint 1", "play in joint 2")
 HYPOTHESES = (*LINKS, *JOINTS)
@@ -65,7 +67,7 @@ class PairCount:
     """Pairs whose move is no multiple of half a turn; such a move tells nothing."""
 
 
-def pair_count(directions: Sequence[float]) -> PairCount:
+def pair_count(directions: Directions) -> PairCount:
     """Judge every pair of poses by (4.31).
 
     ``directions``: in the tool frame, pose by pose [rad].
@@ -79,13 +81,13 @@ def pair_count(directions: Sequence[float]) -> PairCount:
             nominal_direction=direction,
             nominal_correlation=1.0,
         )
-        for theta2, direction in zip(poses(), directions, strict=True)
+        for theta2, direction in zip(poses(), map(float, directions), strict=True)
     ]
     found = [judge_turn(a, b, 2, _NEARER) for a, b in combinations(sightings, 2)]
     return PairCount(right=found.count("still"), asked=len(found) - found.count("unclear"))
 
 
-def scatter(directions: Sequence[float], which: Sequence[int] | None = None) -> dict[str, float]:
+def scatter(directions: Directions, which: Sequence[int] | None = None) -> dict[str, float]:
     """Scatter of the directions about what each hypothesis expects [rad].
 
     A slide has one unknown direction in its link's frame: the scatter is the root of the squared
@@ -115,7 +117,7 @@ def scatter(directions: Sequence[float], which: Sequence[int] | None = None) -> 
     return found
 
 
-def named(directions: Sequence[float], which: Sequence[int] | None = None) -> str:
+def named(directions: Directions, which: Sequence[int] | None = None) -> str:
     """Link in whose frame the directions scatter least, of `LINKS`."""
     found = scatter(directions, which)
     return min(LINKS, key=lambda name: found[name])

@@ -22,8 +22,8 @@ SHAKEN_BAND = (20.0, 350.0)
 class ShakenVeraParameters:
     """Parameters of the rig that the thesis does not print, one set for all cases.
 
-    The defaults were identified by ``scripts/studies/identify_shaken_vera.py`` from the printed
-    directions and magnitudes of the five healthy cases together: twelve parameters from ten
+    The defaults were identified by ``scripts/studies/thesis/identify_shaken_vera.py`` from the
+    printed directions and magnitudes of the five healthy cases together: twelve parameters from ten
     numbers, so that agreement with these ten is no evidence for any single value.
     """
 

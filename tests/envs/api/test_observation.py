@@ -26,7 +26,8 @@ from loose_env.arms import (
 )
 from loose_env.diagnosis import RecordStatistics, statistics_of
 from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.episode.observation import Element, ObservationLayout
+from loose_env.envs.episode.elements import Element
+from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.faults.difficulty import Difficulty
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.envs.vector_env import DiagnosisVectorEnv

@@ -10,14 +10,14 @@ import pytest
 
 from loose_env.arms import LinearArm, vera
 from loose_env.excitation import at_levels
-from loose_env.rig import SimulatedRig
+from loose_env.rig import Measurement, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import acceleration_from_angle, spectral_flatness
 
 
 @pytest.fixture(scope="module")
 def study() -> ModuleType:
-    return importlib.import_module("scripts.studies.compensation")
+    return importlib.import_module("scripts.studies.thesis.compensation")
 
 
 @pytest.mark.parametrize(("joint", "flat_enough"), [(0, 0.6), (1, 0.75)])
@@ -35,9 +35,9 @@ def test_shaped_torque_makes_the_joint_motion_white(
     white = study.shaped(flat, at, joint, shape)
     after = rig.measure(pose, white, rng=np.random.default_rng(2))
 
-    def flatness(record: object) -> float:
-        motion = acceleration_from_angle(record.encoder[joint], record.rate, arm.band)  # type: ignore[attr-defined]
-        return spectral_flatness(motion, record.rate, arm.band, segments=8)  # type: ignore[attr-defined]
+    def flatness(record: Measurement) -> float:
+        motion = acceleration_from_angle(record.encoder[joint], record.rate, arm.band)
+        return float(spectral_flatness(motion, record.rate, arm.band, segments=8))
 
     assert flatness(before) < 0.4
     assert flatness(after) > flat_enough

@@ -8,7 +8,7 @@ fitted to ten numbers: a good fit is no evidence for any one of them. ``--stiff-
 at twenty times the identified stiffness and fits the other ten, for comparison. Each result is
 checked against what was not fitted: the pin half released, which the thesis saw turn no direction.
 
-Usage: python scripts/studies/identify_shaken_vera.py [--seed 0] [--generations 40] [--stiff-pin]
+Usage: python scripts/studies/thesis/identify_shaken_vera.py [--generations 40] [--stiff-pin]
 """
 
 from __future__ import annotations

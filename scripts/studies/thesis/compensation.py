@@ -7,7 +7,7 @@ healthy record of the same arm, as they would be on a real one. The rms accelera
 tool is the same each time. Loose and healthy records give the direction of lowest correlation and
 that of the change of transmission; the study keeps their angles to the true direction.
 
-Usage: python scripts/studies/compensation.py [--arms 64] [--level 3] [--seed 0]
+Usage: python scripts/studies/thesis/compensation.py [--arms 64] [--level 3] [--seed 0]
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ def study(arm: Arm, settings: Settings) -> dict[Compensation, tuple[Array, Array
                     errors[kind].append(pair)
                     motion = acceleration_from_angle(healthy.encoder[joint], healthy.rate, arm.band)
                     flatness[kind].append(
-                        spectral_flatness(motion, healthy.rate, arm.band, segments=8)
+                        float(spectral_flatness(motion, healthy.rate, arm.band, segments=8))
                     )
                 line.advance(1)
     return {kind: (np.array(errors[kind]), np.array(flatness[kind])) for kind in COMPENSATIONS}

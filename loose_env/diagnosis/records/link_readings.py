@@ -1,0 +1,132 @@
+"""Accelerometers on links: their transmission in a record, and the nominal arm's."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms import Arm, LinearArm, link_site
+from loose_env.errors import InvalidData
+from loose_env.rig import Measurement
+from loose_env.sensors import LinkAccelerometers
+from loose_env.statistics import (
+    acceleration_from_angle,
+    bandpass,
+    covariances,
+    transmission_by_instrument_from,
+)
+from loose_env.typing import Array
+
+__all__ = ["LinkReadings", "NominalLinks", "link_axes", "link_readings_of"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinkReadings:
+    """Statistics of the accelerometers on L links with a axes each, base first."""
+
+    transmission_by_instrument: Array
+    """Acceleration per joint acceleration, the command as instrument, frame of the link
+    [m, 1 where the joint slides] (L, a, n); zero for joints that were not excited."""
+    rms: Array
+    """Rms acceleration in the band [m/s²] (L, a)."""
+
+
+def link_axes(arm: Arm, choice: LinkAccelerometers) -> tuple[str, ...]:
+    """Names of the axes that each accelerometer measures.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> link_axes(planar(2), LinkAccelerometers())
+    ('x', 'y')
+    """
+    return ("tangent",) if choice.tangential else tuple("xyz"[axis] for axis in arm.axes)
+
+
+def link_readings_of(measurement: Measurement) -> LinkReadings:
+    """Work out the statistics of the accelerometers on links.
+
+    Raises
+    ------
+    InvalidData
+        If the measurement has none, failed, or nothing moves.
+    """
+    if measurement.links is None:
+        raise InvalidData(
+            "the record has no accelerometers on links; set link_accelerometers to False, or take "
+            "a rig that carries them"
+        )
+    count, axes, _ = measurement.links.shape
+    on = np.flatnonzero(measurement.excited)
+    rate, band = measurement.rate, measurement.excitation.band
+    signals = measurement.links.reshape(count * axes, -1)
+    motion = bandpass(signals, rate, band)
+    joint = acceleration_from_angle(measurement.encoder[on], rate, band)
+    command = bandpass(measurement.command[on], rate, band)
+    found = transmission_by_instrument_from(
+        covariances(command, joint), covariances(command, motion)
+    )
+    wide = np.zeros((count * axes, len(measurement.pose)))
+    wide[:, on] = found
+    return LinkReadings(
+        transmission_by_instrument=wide.reshape(count, axes, -1),
+        rms=motion.std(axis=1).reshape(count, axes),
+    )
+
+
+class NominalLinks:
+    """Transmission of the nominal, healthy arm to the accelerometers on its links.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    choice : LinkAccelerometers
+        Which links carry one, where, and along which axes.
+
+    Examples
+    --------
+    At the proximal end link 1 sits on its own joint, which moves it nowhere.
+
+    >>> from loose_env.arms import planar
+    >>> links = NominalLinks(planar(2), LinkAccelerometers(place="proximal"))
+    >>> links.transmission([0.0, 0.5], [True, False]).round(2)[:, :, 0].tolist()
+    [[0.0, 0.0], [0.14, 0.26]]
+    """
+
+    def __init__(self, arm: Arm, choice: LinkAccelerometers) -> None:
+        self._linear: list[LinearArm] = []
+        for link in choice.on(arm):
+            at, spec = link_site(arm, link, choice.place), arm.spec.copy()
+            name = f"accelerometer{link}"
+            site = spec.body(at.body).add_site(name=name, pos=list(at.position))
+            if choice.tangential:
+                site.quat = at.tangential_quat
+            axes = (0,) if choice.tangential else arm.axes
+            sensed = dataclasses.replace(arm, spec=spec, tool=name, axes=axes)
+            self._linear.append(LinearArm(sensed, remember=32))
+
+    def transmission(
+        self, pose: Sequence[float] | Array, excited: Sequence[bool] | NDArray[np.bool_]
+    ) -> Array:
+        """Acceleration per joint acceleration at a pose [rad] (n,), command as instrument.
+
+        Returns
+        -------
+        ndarray (L, a, n)
+            As `LinkReadings.transmission_by_instrument`, for flat torque.
+        """
+        mask, q = np.asarray(excited, dtype=bool), np.asarray(pose, dtype=float)
+        on = np.flatnonzero(mask)
+        rows = []
+        for linear in self._linear:
+            answer = linear.at(q).response(mask)
+            joint = answer.joint[:, on].real.mean(axis=0)
+            wide = np.zeros((answer.tool.shape[1], len(q)))
+            wide[:, on] = np.linalg.solve(joint.T, answer.tool.real.mean(axis=0).T).T
+            rows.append(wide)
+        return np.array(rows)
