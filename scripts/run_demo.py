@@ -1,4 +1,4 @@
-"""The main job: four agents diagnose the same hidden faults on the VERA arm.
+"""The main job: agents and blind rows diagnose the same hidden faults on the VERA arm.
 
 Usage: python scripts/run_demo.py [options of scripts/agents/compare.py]
 """
@@ -13,11 +13,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from scripts.agents import compare
 
 EPISODES = 300
-AGENTS = ("greedy", "ppo", "random", "thesis")
+AGENTS = ("greedy", "ppo", "random", *compare.CLASSICAL)
 
 
 def main() -> None:
-    """Compare the four agents on VERA and write the page; later options win.
+    """Compare the agents on VERA and write the page; later options win.
 
     In this process and with rows as JSON: it needs no package beyond those of `make run`.
     """

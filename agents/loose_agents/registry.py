@@ -9,6 +9,8 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 from loose_agents.core.base import Agent, Problem
 from loose_agents.core.belief_agent import BeliefAgent, Sure
@@ -20,6 +22,8 @@ from loose_agents.core.estimators import (
     tuned,
     tuned_stopping,
 )
+from loose_agents.policies.blind import BlindAgent
+from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.policies.oracle import oracle_agent
 from loose_agents.policies.policies import POLICIES, make_policy
@@ -29,6 +33,7 @@ from loose_agents.policies.spatial_link_finding import (
 )
 from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
+from loose_env.faults import UNSURE
 
 __all__ = ["AGENTS", "WEIGHTS", "belief_agent", "describe", "make_agent"]
 
@@ -55,26 +60,43 @@ def _of(estimator: str, policy: str) -> Callable[[Problem, int], Agent]:
     return lambda problem, seed: belief_agent(estimator, policy, problem, seed=seed)
 
 
-def _link_finding(order: Order) -> Callable[[Problem, int], Agent]:
+def _classical(order: Order | None = None) -> Callable[[Problem, int], Agent]:
+    """The classical method, in the order tuned for the arm or in a given one.
+
+    Its thresholds are in units of errors: the defaults do for an arm that was not tuned.
+    """
+
     def make(problem: Problem, seed: int) -> Agent:
-        if len(problem.arm.axes) == 3:
-            # In space; its thresholds follow from the mismatch and need no tuning.
-            rules = LinkFindingSettings(order=order)
-            return SpaceLinkFindingAgent(
-                problem, SpaceLinkFindingSettings(policy="turns", rules=rules), seed=seed
-            )
-        path = WEIGHTS / f"{problem.arm.name}-{order}.json"
-        if not path.is_file():
-            warnings.warn(
-                f"link finding {order} is not tuned for arm {problem.arm.name!r}: it plays with "
-                "untuned thresholds; scripts/agents/tune_link_finding.py tunes them",
-                stacklevel=2,
-            )
-            return LinkFindingAgent(problem, LinkFindingSettings(order=order), seed=seed)
-        settings = LinkFindingSettings(**json.loads(path.read_text(encoding="utf-8")))
-        return LinkFindingAgent(problem, settings, seed=seed)
+        settings = ClassicalSettings(**_tuned_search("classical", problem))
+        if order is not None:
+            settings = replace(settings, order=order)
+        return ClassicalAgent(problem, settings, seed=seed)
 
     return make
+
+
+def _classical_literal(problem: Problem, seed: int) -> Agent:
+    if len(problem.arm.axes) == 3:
+        # In space; its thresholds follow from the mismatch and need no tuning.
+        return SpaceLinkFindingAgent(problem, SpaceLinkFindingSettings(policy="turns"), seed=seed)
+    settings = _tuned_search("classical_literal", problem)
+    if not settings:
+        warnings.warn(
+            f"classical_literal is not tuned for arm {problem.arm.name!r}: it plays with untuned "
+            "thresholds; scripts/agents/tune_link_finding.py tunes them",
+            stacklevel=2,
+        )
+    return LinkFindingAgent(problem, LinkFindingSettings(**settings), seed=seed)
+
+
+def _tuned_search(name: str, problem: Problem) -> dict[str, Any]:
+    """Settings of a search tuned for an arm; none where it was not."""
+    path = WEIGHTS / f"{problem.arm.name}-{name}.json"
+    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+
+
+def _blind(verdict: str) -> Callable[[Problem, int], Agent]:
+    return lambda problem, seed: BlindAgent(problem, verdict, seed=seed)
 
 
 def _learned(name: str, training: str = "") -> Callable[[Problem, int], Agent]:
@@ -99,9 +121,17 @@ LEARNED = {"ppo": "ppo", "recurrent_ppo": "ppo_lstm", "maskable_ppo": "maskable_
 
 AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     "random": (_of("posterior", "random"), "random moves and shakes until its posterior is sure"),
-    "thesis": (_link_finding("outward"), "the thesis's link finding, from the base outward"),
-    "inward": (_link_finding("inward"), "the same, from the tool inward"),
-    "bisection": (_link_finding("bisection"), "the same, halving the arm"),
+    "classical": (
+        _classical(),
+        "the thesis's link finding by the change of motion, all poses pooled",
+    ),
+    "outward": (_classical("outward"), "the same, from the base outward"),
+    "inward": (_classical("inward"), "the same, from the tool inward"),
+    "bisection": (_classical("bisection"), "the same, halving the arm"),
+    "classical_literal": (
+        _classical_literal,
+        "the thesis's link finding to the letter: lowest correlation, two poses compared",
+    ),
     "images": (
         lambda problem, seed: SpaceLinkFindingAgent(problem, seed=seed),
         "predicted directions of every hypothesis, all joints at once",
@@ -116,6 +146,8 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     ),
     "greedy": (_of("amortised", "greedy"), "the learned posterior, the most telling record next"),
     "look_ahead": (_of("amortised", "look_ahead"), "the same, two records ahead"),
+    "always_healthy": (_blind("healthy"), "blind: healthy, after the cheapest record"),
+    "always_unsure": (_blind(UNSURE), "blind: unsure, after the cheapest record"),
     "oracle": (
         lambda problem, seed: oracle_agent(problem, seed=seed),
         "no agent: greedy, told the hidden direction and friction",

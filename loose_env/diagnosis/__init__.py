@@ -82,6 +82,11 @@ from loose_env.diagnosis.link_finding.planar import (
     looks_healthy,
     next_joint,
 )
+from loose_env.diagnosis.link_finding.pooled_scatter import (
+    PlaceDirections,
+    PooledScatter,
+    RecordScatter,
+)
 from loose_env.diagnosis.link_finding.search import (
     TurnSearch,
 )
@@ -192,11 +197,14 @@ __all__ = [
     "NoveltyReference",
     "Order",
     "ParticleSettings",
+    "PlaceDirections",
+    "PooledScatter",
     "PoseSets",
     "PosteriorSettings",
     "Prediction",
     "Proposal",
     "RecordInformation",
+    "RecordScatter",
     "RecordStatistics",
     "Repeated",
     "SeatFeatures",

@@ -1,7 +1,7 @@
 """Compare agents on the same hidden faults: tables, raw rows, and a page if asked.
 
-Usage: python scripts/agents/compare.py --env loose_env/Planar-v0 --agents random thesis --episodes
-400
+Usage: python scripts/agents/compare.py --env loose_env/Planar-v0 --agents random classical
+--episodes 400
 
 Estimators are crossed with ways of choosing poses by --estimators and --policies; both are named
 together as in --agents posterior/random. Agents called name#1, name#2, ... are trainings of one
@@ -53,6 +53,10 @@ from loose_env.report import comparison_text
 
 EPISODES = 4000
 """Episodes of a published comparison."""
+
+CLASSICAL = ("classical", "classical_literal", "images", "always_healthy", "always_unsure")
+"""Reference first, then what every comparison shows beside it: the method's letter, its way by
+predicted directions, and the blind rows."""
 
 NO_AGENTS = {"oracle": "knows the hidden direction and friction, which no agent is told"}
 """Rows that are no agents, and why; their names get a star."""
@@ -108,19 +112,19 @@ def names_of(options: Options, problem: Problem) -> list[str]:
     if not (named or crossed):
         trained = (WEIGHTS / f"posterior-{setting_name(problem)}").is_dir()
         usual = ["greedy", "constant"] if trained else ["posterior/greedy"]
-        named = [*usual, "random", "thesis"]
+        named = [*usual, "random", *CLASSICAL]
     return list(dict.fromkeys([*named, *crossed]))
 
 
 def reference_of(options: Options, names: Sequence[str]) -> str | None:
-    """Agent that the others are compared with: the thesis's method, or the first one."""
+    """Agent that the others are compared with: the classical method, or the first one."""
     if options.reference is not None:
         if options.reference not in names:
             raise ValueError(f"--reference {options.reference} does not play; {list(names)} do")
         return str(options.reference)
     if len(names) < 2:
         return None
-    return "thesis" if "thesis" in names else names[0]
+    return CLASSICAL[0] if CLASSICAL[0] in names else names[0]
 
 
 def levels_of(options: Options) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Tune the thresholds of the thesis's method on training episodes.
+"""Tune the classical method, or its letter, on training episodes.
 
 Random search: every candidate plays the same training episodes; the best tenth play more.
 The seed of the training episodes is never one of the evaluation's.
@@ -11,18 +11,19 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from loose_agents.benchmark.sharded import problem_of
-from loose_agents.core.base import Problem
+from loose_agents.core.base import Agent, Problem
 from loose_agents.evaluation.env_arguments import arguments_of
 from loose_agents.evaluation.evaluate import evaluate
 from loose_agents.execution.command import command, option
 from loose_agents.execution.progress import ProgressLine
+from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings
 from loose_agents.policies.link_finding import LinkFindingAgent
 
 from loose_env.arms import MismatchDraw
@@ -80,12 +81,29 @@ class RememberingRig:
         )
 
 
-def candidate(
-    order: Order, joints: int, levels: int, rng: np.random.Generator
-) -> LinkFindingSettings:
-    """Draw settings, the untuned defaults in the middle of the ranges."""
+Method = Literal["classical", "classical_literal"]
+
+
+def candidate(joints: int, levels: int, rng: np.random.Generator) -> ClassicalSettings:
+    """Draw settings of the classical method, the untuned defaults among the ranges."""
+    orders = get_args(Order)
+    return ClassicalSettings(
+        order=orders[int(rng.integers(len(orders)))],
+        in_turn=bool(rng.random() < 0.1),
+        falling_level=bool(rng.random() < 0.4),
+        duration=2 if rng.random() < 0.8 else 1,
+        seen=round(float(np.exp(rng.uniform(np.log(0.3), np.log(6.0)))), 2),
+        healthy_poses=int(rng.integers(1, 6)),
+        clear=round(float(rng.uniform(2.5, 8.0)), 1),
+        outlier=round(float(np.exp(rng.uniform(np.log(8.0), np.log(60.0)))), 1),
+        line=round(float(rng.uniform(4.0, 14.0)), 1),
+    )
+
+
+def literal_candidate(joints: int, levels: int, rng: np.random.Generator) -> LinkFindingSettings:
+    """Draw settings of the method's letter, the untuned defaults in the middle of the ranges."""
     return LinkFindingSettings(
-        order=order,
+        order="outward",
         joint=int(rng.integers(1, joints + 1)),
         level=levels if rng.random() < 0.8 else levels - 1,
         still=float(rng.uniform(0.05, 0.7)),
@@ -99,49 +117,59 @@ def candidate(
     )
 
 
+Draw = Callable[[int, int, np.random.Generator], Any]
+METHODS: Mapping[Method, tuple[Draw, Callable[[Problem, Any], Agent]]] = {
+    "classical": (candidate, ClassicalAgent),
+    "classical_literal": (literal_candidate, LinkFindingAgent),
+}
+"""How settings of each method are drawn, and the agent that plays them."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Options:
     """Options of the search."""
 
     env: str = option("loose_env/Vera-v0", "environment id")
     arguments: str = option("{}", "its arguments, as JSON")
-    orders: tuple[Order, ...] = option(get_args(Order), "orders of search to tune")
-    candidates: Count = option(300, "settings to try an order")
+    methods: tuple[Method, ...] = option(get_args(Method), "methods to tune")
+    candidates: Count = option(300, "settings to try a method")
     episodes: Count = option(96, "episodes each")
     out: str = option("agents/loose_agents/weights", "folder of the results")
 
 
 def tune(options: Options) -> None:
-    """Search, print the best settings of each order and write them."""
+    """Search, print the best settings of each method and write them."""
     problem = problem_of(options.env, arguments_of(options.arguments))
     arm = problem.arm
     # The rig of the engine that the arguments name.
     rig = RememberingRig(EpisodeBatch(arm, problem.settings, num=WIDTH).rig)
-    for order in options.orders:
-        rng = np.random.default_rng([TRAINING_SEED, len(order)])
-        tried: list[tuple[float, LinkFindingSettings]] = []
-        print(order, file=sys.stderr, flush=True)
+    for method in options.methods:
+        draw, agent = METHODS[method]
+        rng = np.random.default_rng([TRAINING_SEED, len(method)])
+        tried: list[tuple[float, Any]] = []
+        print(method, file=sys.stderr, flush=True)
         with ProgressLine(options.candidates, unit="candidates") as line:
             for _ in range(options.candidates):
-                found = candidate(order, arm.n, len(arm.levels), rng)
-                tried.append((_score(problem, found, options.episodes, rig), found))
+                found = draw(arm.n, len(arm.levels), rng)
+                score = _score(problem, agent(problem, found), options.episodes, rig)
+                tried.append((score, found))
                 line.advance(1, f"best return {max(t[0] for t in tried):+.3f}")
         finalists = sorted(tried, key=lambda t: -t[0])[: max(options.candidates // 10, 2)]
         score, winner = max(
-            ((_score(problem, f, 4 * options.episodes, rig), f) for _, f in finalists),
+            (
+                (_score(problem, agent(problem, f), 4 * options.episodes, rig), f)
+                for _, f in finalists
+            ),
             key=lambda t: t[0],
         )
         print(
-            f"{arm.name} {order}: return {score:+.3f} on {4 * options.episodes} training episodes"
+            f"{arm.name} {method}: return {score:+.3f} on {4 * options.episodes} training episodes"
         )
-        path = Path(options.out) / f"{arm.name}-{order}.json"
+        path = Path(options.out) / f"{arm.name}-{method}.json"
         write_text(path, json.dumps(asdict(winner), indent=1) + "\n")
 
 
-def _score(
-    problem: Problem, found: LinkFindingSettings, episodes: int, rig: RememberingRig
-) -> float:
-    agent = LinkFindingAgent(problem, found)
+def _score(problem: Problem, agent: Agent, episodes: int, rig: RememberingRig) -> float:
     rows = evaluate(
         agent,
         "",

@@ -44,7 +44,7 @@ Finding = Literal["still", "turned", "unclear"]
 
 @dataclass(frozen=True, kw_only=True)
 class LinkFindingSettings:
-    """Thresholds and excitation of the method; the defaults are the thesis's, untuned."""
+    """Thresholds and excitation of the method; the thesis prints no thresholds."""
 
     order: Order = "outward"
     """Order of the joints: from the base out, from the tool in, or halving."""

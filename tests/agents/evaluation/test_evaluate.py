@@ -160,13 +160,13 @@ def test_training_keeps_away_from_the_evaluation_seeds() -> None:
 def test_tuned_link_finding_beats_the_best_blind_guess_on_vera() -> None:
     settings = DiagnosisSettings()
     problem = Problem.of(vera(), settings)
-    agent = make_agent("thesis", problem)
-    rows = evaluate(agent, "thesis", problem.arm, settings, episodes=96, seed=11)
+    agent = make_agent("classical_literal", problem)
+    rows = evaluate(agent, "classical_literal", problem.arm, settings, episodes=96, seed=11)
     # Always saying healthy is right on a third of the arms.
     assert sum(r.success for r in rows) / len(rows) > 1 / 3
 
 
 def test_an_unknown_agent_is_refused_with_the_known_ones(problem: Problem) -> None:
-    with pytest.raises(UnknownName, match="thesis"):
+    with pytest.raises(UnknownName, match="classical"):
         make_agent("fortune_teller", problem)
-    assert {"random", "thesis", "bisection", "ppo"} <= set(AGENTS)
+    assert {"random", "classical", "bisection", "ppo"} <= set(AGENTS)

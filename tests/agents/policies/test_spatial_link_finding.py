@@ -31,7 +31,7 @@ def test_predicted_images_find_most_easy_faults_of_a_planar_arm() -> None:
     assert np.mean([r.records for r in played]) < 7
 
 
-@pytest.mark.parametrize("name", ["thesis", "inward", "bisection", "images"])
+@pytest.mark.parametrize("name", ["classical", "inward", "classical_literal", "images"])
 @pytest.mark.parametrize("arm", [six_axis(), scara()], ids=lambda a: a.name)
 def test_every_link_finding_agent_plays_arms_in_space(arm: Arm, name: str) -> None:
     problem = Problem.of(arm, EASY)
@@ -43,12 +43,12 @@ def test_every_link_finding_agent_plays_arms_in_space(arm: Arm, name: str) -> No
 
 def test_the_registry_keeps_the_planar_method_for_planar_arms() -> None:
     arm = planar(4)
-    assert isinstance(make_agent("bisection", Problem.of(arm, EASY)), LinkFindingAgent)
+    assert isinstance(make_agent("classical_literal", Problem.of(arm, EASY)), LinkFindingAgent)
     assert isinstance(make_agent("images", Problem.of(arm, EASY)), SpaceLinkFindingAgent)
     arm = six_axis()
-    agent = make_agent("bisection", Problem.of(arm, EASY))
+    agent = make_agent("classical_literal", Problem.of(arm, EASY))
     assert isinstance(agent, SpaceLinkFindingAgent)
-    assert agent.settings.rules.order == "bisection"
+    assert agent.settings.policy == "turns"
 
 
 def test_rows_do_not_depend_on_how_many_arms_run_side_by_side() -> None:
@@ -59,7 +59,7 @@ def test_turns_move_one_joint_and_images_move_several() -> None:
     arm = six_axis()
     problem = Problem.of(arm, EASY)
     most = {}
-    for name in ("thesis", "images"):
+    for name in ("classical_literal", "images"):
         agent = make_agent(name, problem)
         batch = EpisodeBatch(arm, EASY, num=1, threads=1)
         # The seat at link 6 carries little weight: it opens.
@@ -74,7 +74,7 @@ def test_turns_move_one_joint_and_images_move_several() -> None:
             if seen:
                 moved.append(int(np.sum(action[: arm.n] != EASY.stay)))
         most[name] = max(moved, default=0)
-    assert most["thesis"] <= 1
+    assert most["classical_literal"] <= 1
     assert most["images"] > 1
 
 

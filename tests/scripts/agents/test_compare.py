@@ -44,7 +44,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("jinja2")
     pytest.importorskip("matplotlib")
     out = tmp_path_factory.mktemp("compare")
-    options = ["--agents", "random", "thesis", "--workers", "1", "--curve", "2", "--page"]
+    options = ["--agents", "random", "classical", "--workers", "1", "--curve", "2", "--page"]
     compare.main([*FAST, "--out", str(out), *options])
     return out
 
@@ -54,9 +54,9 @@ def test_agents_meet_the_same_arms(whole: Path) -> None:
     hidden = ("seed", "episode", "truth", "gap", "friction", "friction_ratio", "direction")
     by_agent = {
         agent: [[row[name] for name in hidden] for row in rows if row["agent"] == agent]
-        for agent in ("random", "thesis")
+        for agent in ("random", "classical")
     }
-    assert by_agent["random"] == by_agent["thesis"]
+    assert by_agent["random"] == by_agent["classical"]
     assert [row[1] for row in by_agent["random"]] == list(range(5))
     assert configuration["engine"] == "mujoco"
     assert configuration["settings"][0]["durations"] == [0.2]
@@ -71,9 +71,9 @@ def test_agents_that_may_not_stop_take_every_record(whole: Path) -> None:
 
 def test_the_page_says_how_to_make_it_again(whole: Path) -> None:
     page = (whole / "index.html").read_text(encoding="utf-8")
-    assert "--agents random thesis" in page
+    assert "--agents random classical" in page
     assert "Simulated by MuJoCo" in page
-    assert "Return against thesis" in page
+    assert "Return against classical" in page
     assert list((whole / "shards").iterdir()) == []
 
 
@@ -92,12 +92,14 @@ def test_rows_are_the_same_for_any_worker_count_shard_and_width(
 
 def test_rows_are_the_same_from_two_processes(whole: Path, tmp_path: Path) -> None:
     pytest.importorskip("joblib")
-    expected = [row for row in read_rows(whole / "rows.json")[0] if row["agent"] == "thesis"]
-    assert run(tmp_path, "--agents", "thesis", "--workers", "2", "--shard", "3") == expected
+    expected = [row for row in read_rows(whole / "rows.json")[0] if row["agent"] == "classical"]
+    assert run(tmp_path, "--agents", "classical", "--workers", "2", "--shard", "3") == expected
 
 
 def test_each_difficulty_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rows = run(tmp_path, "--agents", "thesis", "--difficulties", "easy", "hard", "--workers", "1")
+    rows = run(
+        tmp_path, "--agents", "classical", "--difficulties", "easy", "hard", "--workers", "1"
+    )
     assert [row["difficulty"] for row in rows] == ["easy"] * 5 + ["hard"] * 5
     assert "By difficulty" in capsys.readouterr().out
 
@@ -110,8 +112,8 @@ def test_estimators_are_crossed_with_policies() -> None:
     assert compare.reference_of(options, ["a/x", "b/x"]) == "a/x"
     plain = parsed(compare.Options, [])
     names = compare.names_of(plain, problem)
-    assert names == ["greedy", "constant", "random", "thesis"]
-    assert compare.reference_of(plain, names) == "thesis"
+    assert names == ["greedy", "constant", "random", *compare.CLASSICAL]
+    assert compare.reference_of(plain, names) == "classical"
     assert compare.names_of(plain, untrained)[0] == "posterior/greedy"
     assert plain.seed == EVALUATION_SEED and plain.episodes == 4000
 
@@ -129,7 +131,7 @@ def test_further_lines_stand_below_the_table(
         return f"{len(rows)} episodes, {problem.arm.name}: a line"
 
     monkeypatch.setattr(compare, "LINES", [bound])
-    run(tmp_path, "--agents", "thesis", "--workers", "1")
+    run(tmp_path, "--agents", "classical", "--workers", "1")
     assert "5 episodes, vera: a line" in capsys.readouterr().out
 
 
@@ -138,16 +140,16 @@ def test_further_lines_stand_below_the_table(
     [
         (["--agents", "nobody"], "unknown agent 'nobody'"),
         (
-            ["--agents", "thesis", "--episodes", "0"],
+            ["--agents", "classical", "--episodes", "0"],
             "--episodes must be a whole number, 1 or more; got 0",
         ),
-        (["--agents", "thesis", "--reference", "random"], "does not play"),
+        (["--agents", "classical", "--reference", "random"], "does not play"),
         (["--estimators", "posterior"], "give both or neither"),
-        (["--agents", "thesis", "--arguments", "["], "must be JSON"),
-        (["--agents", "thesis", "--rows", "csv"], "parquet or json"),
-        (["--agents", "thesis", "--curve", "4"], "--curve must be 1 to 3"),
-        (["--agents", "thesis", "--difficulties", "grim"], "unknown difficulty 'grim'"),
-        (["--agents", "thesis", "--backend", "carrier"], "carrier"),
+        (["--agents", "classical", "--arguments", "["], "must be JSON"),
+        (["--agents", "classical", "--rows", "csv"], "parquet or json"),
+        (["--agents", "classical", "--curve", "4"], "--curve must be 1 to 3"),
+        (["--agents", "classical", "--difficulties", "grim"], "unknown difficulty 'grim'"),
+        (["--agents", "classical", "--backend", "carrier"], "carrier"),
     ],
 )
 def test_errors_teach_before_anything_is_played(
@@ -173,9 +175,9 @@ def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(evaluation_shards, "evaluate_shard", counted)
     with pytest.raises(SystemExit, match="goes on"):
-        run(tmp_path, "--agents", "thesis", "--workers", "1")
+        run(tmp_path, "--agents", "classical", "--workers", "1")
     played.append(-1)  # no second interruption
-    rows = run(tmp_path, "--agents", "thesis", "--workers", "1")
+    rows = run(tmp_path, "--agents", "classical", "--workers", "1")
     assert played == [0, -1, 2, 4]
     assert [row["episode"] for row in rows] == list(range(5))
     assert np.isfinite([row["reward"] for row in rows]).all()

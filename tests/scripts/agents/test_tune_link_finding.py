@@ -10,7 +10,7 @@ import pytest
 from scripts.agents import tune_link_finding
 
 SMALL = [
-    *("--env", "loose_env/Planar-v0", "--orders", "inward", "--candidates", "2"),
+    *("--env", "loose_env/Planar-v0", "--methods", "classical_literal", "--candidates", "2"),
     *("--episodes", "2"),
 ]
 ARGUMENTS = {"n_links": 2, "durations": [0.2], "max_records": 2}
@@ -18,15 +18,15 @@ ARGUMENTS = {"n_links": 2, "durations": [0.2], "max_records": 2}
 
 def test_the_best_settings_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tune_link_finding.main([*SMALL, "--arguments", json.dumps(ARGUMENTS), "--out", str(tmp_path)])
-    found = json.loads((tmp_path / "planar2-inward.json").read_text())
-    assert found["order"] == "inward"
+    found = json.loads((tmp_path / "planar2-classical_literal.json").read_text())
+    assert found["order"] == "outward"
     assert found["joint"] in (1, 2)
     said = capsys.readouterr()
-    assert said.out.startswith("planar2 inward: return ")
+    assert said.out.startswith("planar2 classical_literal: return ")
     # No terminal: one line for each of the two candidates, none written over.
     assert "\r" not in said.err
     first, *rest = said.err.splitlines()
-    assert first.split()[0] == "inward"
+    assert first.split()[0] == "classical_literal"
     assert [line.split("|")[2].split()[0] for line in rest] == ["1/2", "2/2"]
     assert "best return" in said.err
 

@@ -1,0 +1,43 @@
+"""Blind rows: one verdict on every arm, after the cheapest record. What no agent may fall below."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_agents.core.base import EpisodeAgent, Problem
+from loose_agents.core.belief_agent import records_taken
+
+__all__ = ["BlindAgent"]
+
+
+class BlindAgent(EpisodeAgent):
+    """Gives the same verdict on every arm, whatever the record shows.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    verdict : str
+        A hypothesis, or "unsure".
+    """
+
+    def __init__(self, problem: Problem, verdict: str, *, seed: int = 0) -> None:
+        super().__init__(problem, seed=seed)
+        self.verdict = verdict
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Keep nothing."""
+        return ()
+
+    def act(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.int64]:
+        """Take the cheapest record, since none is no choice; then give the verdict."""
+        problem = self.problem
+        if records_taken(problem, observation):
+            return problem.verdict(self.verdict)
+        levels = np.zeros(problem.arm.n, dtype=np.intp)
+        levels[0] = 1
+        shortest = int(np.argmin(problem.settings.durations))
+        return problem.actions.encode(levels=levels, duration=shortest)

@@ -1,0 +1,238 @@
+"""The classical method as run today: directions of change, pooled over all poses seen.
+
+The steps of 4.2.2: shake, find the direction in which motion is not passed on, move one joint,
+shake again, see whether the direction turned, repeat. The direction is that of the change of
+motion against the nominal arm (3.34), and every judgement uses all poses so far.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_agents.core.base import EpisodeAgent, Problem
+from loose_agents.core.belief_agent import records_taken
+from loose_agents.core.estimators import record_from
+from loose_env.diagnosis import (
+    Order,
+    PlaceDirections,
+    PooledScatter,
+    RecordScatter,
+    ToolFrames,
+    next_joint,
+)
+from loose_env.envs import difficulty_named
+from loose_env.errors import InvalidSetting
+from loose_env.io import Checked, Count, Positive
+from loose_env.typing import Array
+
+__all__ = ["ClassicalAgent", "ClassicalSettings", "Search"]
+
+_TURN = np.radians(15.0)
+"""Turn that the joint of the order must promise; else any joint may move [rad]."""
+_SAME = np.radians(6.0)
+"""Angle below which no move tells two places apart [rad]: mounting and leakage make 2 to 3."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClassicalSettings(Checked):
+    """Order of the joints, excitation, and thresholds of the decisions.
+
+    The source prints no figures for its thresholds; these are tuned on training episodes.
+    """
+
+    order: Order = "bisection"
+    """Order of the joints: from the base out, from the tool in, or halving."""
+    in_turn: bool = False
+    """True to shake one joint per record, each in its turn; False for all at once."""
+    falling_level: bool = False
+    """True to go to the next lower level while nothing shows, so that seats that only hit their
+    stops are seen; False to stay at the top one, which opens the most seats."""
+    duration: int = 2
+    """Index of the records' length; the longest by default."""
+    seen: Positive = 0.5
+    """Change along one place, over what errors make of it, from which something is loose [1]."""
+    healthy_poses: Count = 2
+    """Records that show nothing before the verdict healthy."""
+    clear: Positive = 5.0
+    """Scatter above the best place's from which a place is ruled out, chi-square [1]."""
+    outlier: Positive = 20.0
+    """Scatter at which a record begins to count as an outlier, chi-square [1]."""
+    line: Positive = 10.0
+    """Rms angle to a joint's line up to which a slide is taken for play in it (3.4) [deg]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.order not in get_args(Order):
+            raise InvalidSetting(f"order is one of {list(get_args(Order))}, got {self.order!r}")
+
+
+@dataclass
+class Search:
+    """State of one search."""
+
+    rng: np.random.Generator
+    pool: PooledScatter
+    level: int
+    records: list[RecordScatter] = field(default_factory=list)
+    """Records that hold something, in order."""
+    tried: list[tuple[float, int]] = field(default_factory=list)
+    """Excess of each of them, and its level."""
+    left: tuple[str, ...] = ()
+    """Places that the scatter leaves, best first; empty while nothing is seen."""
+    moved: int | None = None
+    """Joint that was moved last, from 1; None for several or none."""
+
+
+class ClassicalAgent(EpisodeAgent):
+    """Link finding with directions of change, pooled over poses (3.34, 3.4, 4.2.2).
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    settings : ClassicalSettings
+        Order, excitation and thresholds.
+
+    Raises
+    ------
+    InvalidSetting
+        If none of the hypotheses is structural looseness or backlash.
+    """
+
+    def __init__(
+        self, problem: Problem, settings: ClassicalSettings | None = None, *, seed: int = 0
+    ) -> None:
+        super().__init__(problem, seed=seed)
+        self.settings = ClassicalSettings() if settings is None else settings
+        rules = problem.settings
+        self.frames = ToolFrames(problem.arm)
+        mismatch = difficulty_named(rules.difficulty).mismatch
+        self.places = PlaceDirections(problem.linear, rules.sensors, mismatch)
+        self.among = np.array([name in problem.hypotheses for name in self.places.names])
+        if not self.among.any():
+            raise InvalidSetting(
+                "link finding needs structural looseness or backlash among the hypotheses, got "
+                f"{problem.hypotheses}"
+            )
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Start with every place in question, at the top level."""
+        pool = PooledScatter.none(self.places, outlier=self.settings.outlier)
+        return Search(rng=rng, pool=pool, level=len(self.problem.arm.levels))
+
+    def act(self, observation: NDArray[np.float32], memory: Search) -> NDArray[np.int64]:
+        """Process the latest record, then move on or decide."""
+        problem, settings = self.problem, self.settings
+        taken, most = records_taken(problem, observation), problem.settings.max_records
+        if taken == 0:  # steps 1 and 2
+            return self._measure(memory, taken, self._stay())
+        self._look(observation, taken - 1, memory)
+        pose = problem.layout.pose_of(observation)
+        if memory.pool.excess < settings.seen:
+            memory.left = ()
+            if taken >= min(settings.healthy_poses, most):
+                return problem.verdict("healthy")
+            if settings.falling_level:
+                memory.level = 1 + (memory.level - 2) % len(problem.arm.levels)
+            memory.moved = None
+            return self._measure(memory, taken, self._random_move(pose, memory))
+        memory.level = max(memory.tried)[1]
+        left = self._left(memory.pool)
+        memory.left = tuple(memory.pool.names[k] for k in left)
+        move = self._next(pose, memory.pool, left) if len(left) > 1 and taken < most else None
+        if move is None:
+            return problem.verdict(memory.pool.names[self._as_play(memory, int(left[0]))])
+        moves = self._stay()
+        moves[move[0]] = move[1]
+        memory.moved = move[0] + 1
+        return self._measure(memory, taken, moves)
+
+    def _look(self, observation: NDArray[np.float32], slot: int, memory: Search) -> None:
+        """Add a record to the pool; an empty slot adds nothing."""
+        record = record_from(self.problem.layout, observation, slot)
+        if record is None:
+            return
+        seen = self.places.of(record)
+        memory.tried.append((seen.excess, memory.level))
+        memory.records.append(seen)
+        memory.pool = memory.pool.after(seen)
+
+    def _left(self, pool: PooledScatter) -> NDArray[np.intp]:
+        """Places that the scatter of all poses leaves, best first (steps 6 and 7)."""
+        scatter = np.where(self.among, pool.by_hypothesis, np.inf)
+        order = np.argsort(scatter, kind="stable")
+        near = scatter[order] < scatter[order[0]] + self.settings.clear
+        return np.asarray(order[near], dtype=np.intp)
+
+    def _as_play(self, memory: Search, best: int) -> int:
+        """The joint to whose line a slide has kept in every pose, else the slide itself.
+
+        Motion in one dimension, the driven joint's own, is play in that joint (3.4).
+        """
+        n, count = self.problem.arm.n, len(memory.pool.axes)
+        if best >= n:
+            return best
+        slides = memory.pool.scatter[best * count : (best + 1) * count]
+        shown = np.stack([record.directions for record in memory.records])  # (T, P, d)
+        slide, lines = shown[:, best * count + int(slides.argmin())], shown[:, n * count :]
+        off = np.sqrt(np.mean(_angle(np.einsum("tjd,td->tj", lines, slide)) ** 2, axis=0))
+        off[~self.among[n:]] = np.inf
+        joint = int(np.argmin(off))
+        return n + joint if off[joint] <= np.radians(self.settings.line) else best
+
+    def _next(
+        self, pose: Array, pool: PooledScatter, left: NDArray[np.intp]
+    ) -> tuple[int, int] | None:
+        """Joint, from 0, and its move that split the places left; None if none does (step 3).
+
+        The joint of the order moves if it turns the best place's direction against another's,
+        else the one that does so most.
+        """
+        n, steps = self.problem.arm.n, self.problem.actions.steps
+        allowed = self.problem.actions.allowed_moves(pose)
+        # Joint 1 carries the whole arm along and turns nothing in the tool frame.
+        options = [
+            (j, int(k))
+            for j in range(1, n)
+            for k in np.flatnonzero(allowed[j])
+            if abs(steps[j, k]) > 1e-6
+        ]
+        if not options:
+            return None
+        where = np.array([pose + steps[j, k] * (np.arange(n) == j) for j, k in options])
+        slides = np.einsum("ckij,kj->cki", self.frames.images(where), pool.directions)
+        shown = np.concatenate([slides, self.frames.unit_lines(where)], axis=1)[:, left]
+        split = _angle(np.einsum("cpi,ci->cp", shown[:, 1:], shown[:, 0]))
+        most = split.max(axis=1)
+        links = 1 + left % n
+        low, high = int(links.min()), int(links.max())
+        wanted = next_joint(self.settings.order, low, high) - 1 if low < high else -1
+        mine = (np.array([j for j, _ in options]) == wanted) & (most >= _TURN)
+        # Beyond 30 degrees two directions are told apart, and more is no better.
+        worth = np.minimum(split, np.radians(30.0)).sum(axis=1)
+        best = int(np.argmax(np.where(mine, worth, -1.0) if mine.any() else worth))
+        return options[best] if most[best] >= _SAME else None
+
+    def _stay(self) -> NDArray[np.intp]:
+        return np.full(self.problem.arm.n, self.problem.settings.stay, dtype=np.intp)
+
+    def _random_move(self, pose: Array, memory: Search) -> NDArray[np.intp]:
+        allowed = self.problem.actions.allowed_moves(pose)
+        return np.array([memory.rng.choice(np.flatnonzero(row)) for row in allowed])
+
+    def _measure(self, memory: Search, taken: int, moves: NDArray[np.intp]) -> NDArray[np.int64]:
+        n, settings = self.problem.arm.n, self.settings
+        levels = np.full(n, memory.level, dtype=np.intp)
+        if settings.in_turn:
+            levels[np.arange(n) != taken % n] = 0
+        duration = min(settings.duration, len(self.problem.settings.durations) - 1)
+        return self.problem.actions.encode(moves=moves, levels=levels, duration=duration)
+
+
+def _angle(cosine: Array) -> Array:
+    """Angle between axes from the cosine [rad]."""
+    return np.asarray(np.arccos(np.minimum(np.abs(cosine), 1.0)))
