@@ -141,11 +141,10 @@ def _return_freed_memory() -> None:
     """
     if not sys.platform.startswith("linux"):
         return
-    try:
-        tune = ctypes.CDLL(None).mallopt
-    except (OSError, AttributeError):  # another C library, such as musl
-        return
-    tune(_M_MMAP_THRESHOLD, _BLOCK_BYTES)
+    # the interpreter's own process, whose C library has it unless it is another one, such as musl
+    tune = getattr(ctypes.pythonapi, "mallopt", None)
+    if tune is not None:
+        tune(_M_MMAP_THRESHOLD, _BLOCK_BYTES)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
