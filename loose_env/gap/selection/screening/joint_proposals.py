@@ -162,9 +162,10 @@ class JointProblem:
         chosen: tuple[int, ...] = ()
         best: Proposal | None = None
         while True:
-            steps = (*self._singles(chosen), *self._wholes(chosen, groups))
-            further = [(*chosen, *own) for own in steps]
-            better = self._best_of(further if len(chosen) < _GREEDY else [], best)
+            better = None
+            if len(chosen) < _GREEDY:
+                steps = (*self._singles(chosen), *self._wholes(chosen, groups))
+                better = self._best_of([(*chosen, *own) for own in steps], best)
             better = better or self._best_of(self._exchanges(chosen), best)
             if better is None:
                 return best

@@ -20,7 +20,7 @@ from scipy import linalg
 
 from loose_env.typing import Array
 from scripts.suites.gap.rivals.regression import Fit, Regression, regression_of
-from scripts.suites.gap.rivals.results import Finding, write_finding
+from scripts.suites.gap.rivals.results import write_finding
 
 __all__ = ["LassoSettings", "kept", "run_group_lasso", "selected_groups"]
 
@@ -66,17 +66,8 @@ def run_group_lasso(recording: Path, folder: Path, tolerance: float) -> None:
     settings = LassoSettings()
     regression = regression_of(recording, tolerance, np.random.default_rng(settings.seed))
     fit = kept(regression, selected_groups(regression, settings), settings)
-    write_finding(
-        folder,
-        Finding(
-            method="group_lasso",
-            before=regression.held_out(regression.fit([])),
-            after=regression.held_out(fit),
-            held_out=regression.runs[-1],
-            effects=[regression.effect(fit, i) for i in range(len(fit.chosen))],
-            settings={"tolerance": tolerance, "seed": settings.seed},
-        ),
-    )
+    told = {"tolerance": tolerance, "seed": settings.seed}
+    write_finding(folder, regression.finding("group_lasso", fit, told))
 
 
 def selected_groups(regression: Regression, settings: LassoSettings) -> list[int]:

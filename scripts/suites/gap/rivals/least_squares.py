@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from scripts.suites.gap.rivals.regression import Fit, Regression, regression_of
-from scripts.suites.gap.rivals.results import Finding, write_finding
+from scripts.suites.gap.rivals.results import write_finding
 
 __all__ = [
     "DenseSettings",
@@ -60,17 +60,8 @@ def run_least_squares(recording: Path, folder: Path, tolerance: float) -> None:
     regression = regression_of(recording, tolerance, np.random.default_rng(settings.seed))
     named = named_groups(regression, settings)
     fit = regression.fit(named)
-    write_finding(
-        folder,
-        Finding(
-            method="least_squares",
-            before=regression.held_out(regression.fit([])),
-            after=regression.held_out(fit),
-            held_out=regression.runs[-1],
-            effects=[regression.effect(fit, i) for i in range(len(named))],
-            settings={"tolerance": tolerance, "seed": settings.seed, "level": settings.level},
-        ),
-    )
+    told = {"tolerance": tolerance, "seed": settings.seed, "level": settings.level}
+    write_finding(folder, regression.finding("least_squares", fit, told))
 
 
 def named_groups(regression: Regression, settings: DenseSettings) -> list[int]:
@@ -116,17 +107,8 @@ def run_stepwise_bic(recording: Path, folder: Path, tolerance: float) -> None:
     settings = StepwiseSettings()
     regression = regression_of(recording, tolerance, np.random.default_rng(settings.seed))
     fit = selected(regression, settings)
-    write_finding(
-        folder,
-        Finding(
-            method="stepwise_bic",
-            before=regression.held_out(regression.fit([])),
-            after=regression.held_out(fit),
-            held_out=regression.runs[-1],
-            effects=[regression.effect(fit, i) for i in range(len(fit.chosen))],
-            settings={"tolerance": tolerance, "seed": settings.seed},
-        ),
-    )
+    told = {"tolerance": tolerance, "seed": settings.seed}
+    write_finding(folder, regression.finding("stepwise_bic", fit, told))
 
 
 def selected(regression: Regression, settings: StepwiseSettings) -> Fit:

@@ -10,9 +10,10 @@ The last run is held out. Autocorrelation of the residual divides the number of 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import linalg, optimize, stats
@@ -28,6 +29,7 @@ from scripts.suites.gap.rivals.joint_data import (
     joint_runs,
     noise_replicas,
 )
+from scripts.suites.gap.rivals.results import Finding
 
 __all__ = ["Fit", "Regression", "RegressionSettings", "regression_of"]
 
@@ -261,6 +263,17 @@ class Regression:
         widths = [self.groups[g].width for g in fit.chosen]
         start = self.nuisances + sum(widths[:position])
         return slice(start, start + widths[position])
+
+    def finding(self, method: str, fit: Fit, settings: Mapping[str, Any]) -> Finding:
+        """What a method found: the groups of a fit, beside the fit of none."""
+        return Finding(
+            method=method,
+            before=self.held_out(self.fit([])),
+            after=self.held_out(fit),
+            held_out=self.runs[-1],
+            effects=[self.effect(fit, i) for i in range(len(fit.chosen))],
+            settings=settings,
+        )
 
 
 def _unit(i: int, like: Array) -> Array:

@@ -269,12 +269,11 @@ def left_out(cases: Sequence[CaseEvidence]) -> Judged:
     return Judged(np.array(said), np.array(right), scores, factors, sizes.astype(bool))
 
 
-def judged_text(cases: Sequence[CaseEvidence], calibration: GapCalibration) -> str:
+def judged_text(judged: Judged, cases: int, calibration: GapCalibration) -> str:
     """Tables of said probability against share right, and of intervals that hold the truth."""
-    judged = left_out(cases)
     found = reliability(judged.said, judged.right, bins=_BINS)
     lines = [
-        f"{len(judged.said)} effects of {len(cases)} cases, {int(judged.right.sum())} of them "
+        f"{len(judged.said)} effects of {cases} cases, {int(judged.right.sum())} of them "
         "right; each judged by what is fitted to the other cases.",
         "",
         "| probability | effects | right |",
@@ -355,11 +354,12 @@ def main(words: Sequence[str] | None = None) -> None:
         if given.fit:
             write_text(STORED, json_text(asdict(fitted(cases))))
             stored_calibration.cache_clear()
-        text = judged_text(cases, stored_calibration())
+        judged = left_out(cases)
+        text = judged_text(judged, len(cases), stored_calibration())
         print(text)
         if given.docs:
             write_between(DOCS, text, name="calibration")
-            draw(left_out(cases), FIGURE)
+            draw(judged, FIGURE)
 
 
 if __name__ == "__main__":

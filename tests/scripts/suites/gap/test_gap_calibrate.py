@@ -81,7 +81,7 @@ def test_each_case_is_judged_by_what_is_fitted_to_the_others(tmp_path: Path) -> 
     judged = left_out(cases)
     held = judged.scores <= judged.factors
     assert held.mean() >= 0.9 > (judged.scores <= 1.0).mean()
-    text = judged_text(cases, found)
+    text = judged_text(judged, len(cases), found)
     assert "80 effects of 80 cases" in text
     error = float(text.split("calibration error ")[1].split()[0])
     assert error < 0.1
