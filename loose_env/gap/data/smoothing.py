@@ -11,66 +11,36 @@ frequencies, from where it is the less noisy of the two.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
-from scipy.signal import butter, sosfiltfilt, welch
-from scipy.stats import chi2
+from scipy.signal import sosfiltfilt
 
 from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Channel, Trial
+from loose_env.gap.data.motion_band import HIGHEST, ORDER, Band, band_end, low_pass
 from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-__all__ = ["Band", "Motion", "even_grid", "filled", "motion_band", "smooth_motion"]
+__all__ = [
+    "Motion",
+    "even_grid",
+    "filled",
+    "smooth_motion",
+    "with_readings",
+]
 
 
-_ORDER = 4
-"""Order of the low-pass filter, which acts twice."""
-_STANDS_OUT = 4.0
-"""Power of a motion over that of the noise that makes it visible, in a long run."""
-_BULK = 0.99
-"""Share of the mean square speed that is the bulk of a motion."""
-_CHANCE = 1e-3
-"""Chance that noise stands out anywhere in a reading."""
-_LOWEST = 2.0
-"""Lowest end of a band [Hz]."""
-_ROOM = 2.0
-"""End of the band over the highest frequency of the motion: nearly all of that passes."""
-_HIGHEST = 0.4
-"""Highest end of a band, as a share of the sample rate: below half of it."""
 _EVALUATED = 1.8
 """Compared samples per period of the band's end; the errors of neighbours hang together little."""
 _KERNEL = 4096
 """Samples over which the filters' gains are measured, at most."""
-
-
-@lru_cache(maxsize=256)
-def _low_pass(order: int, end: float, rate: float) -> Array:
-    """Second-order sections of a Butterworth low-pass, shared by all hypotheses."""
-    return np.asarray(butter(order, end, fs=rate, output="sos"))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Band:
-    """Zero-phase low-pass filter on a uniform grid."""
-
-    rate: float
-    """Sample rate of the grid [1/s]."""
-    end: float
-    """Cut-off frequency, at which half of an amplitude passes [Hz]."""
-
-    def smooth(self, values: Array) -> Array:
-        """Filter values (T, ...) forwards and backwards."""
-        low = _low_pass(_ORDER, self.end, self.rate)
-        pad = min(len(values) - 1, int(2 * self.rate / self.end))
-        return np.asarray(sosfiltfilt(low, values, axis=0, padlen=pad))
+_POSITION, _SPEED = int(mujoco.mjtSensor.mjSENS_JOINTPOS), int(mujoco.mjtSensor.mjSENS_JOINTVEL)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,6 +59,8 @@ class Motion:
     """Acceleration [rad/s², m/s²] (G, joints)."""
     noise: Array
     """Standard deviation of position, speed and acceleration (3, joints)."""
+    crossing: Array
+    """Frequency above which a speed sensor counts, infinite without one (joints,) [Hz]."""
     chosen: NDArray[np.intp]
     """Indices of the compared grid points (E,)."""
 
@@ -116,50 +88,6 @@ def filled(time: Array, values: Array, grid: Array) -> Array:
     if good.all() and len(grid) == len(time) and np.allclose(grid, time, rtol=0, atol=1e-9):
         return values
     return np.asarray(np.interp(grid, time[good], values[good]))
-
-
-def motion_band(columns: Sequence[Array], rate: float) -> float:
-    """Highest frequency at which any of some readings exceeds its noise [Hz].
-
-    Parameters
-    ----------
-    columns : sequence of ndarray (T,)
-        Positions and speeds, without gaps.
-    rate : float
-        Samples per second.
-
-    Examples
-    --------
-    >>> time = np.arange(4000) / 500
-    >>> noisy = np.sin(2 * np.pi * 3 * time) + np.random.default_rng(1).normal(0, 0.01, 4000)
-    >>> 2.9 < motion_band([noisy], 500.0) < 5.0
-    True
-    """
-    return min(max((_ends(v, rate)[1] for v in columns), default=_LOWEST), _HIGHEST * rate)
-
-
-def _ends(values: Array, rate: float) -> tuple[float, float]:
-    """Upper frequencies of most of a reading's motion, and of all above noise [Hz].
-
-    Most of the motion is 99 % of the mean square speed above the noise.
-    """
-    floor = noise_floor(values)
-    change = np.diff(values, 2)
-    size = min(len(change), max(64, int(2 * rate)))
-    frequency, power = welch(change, fs=rate, window="blackmanharris", nperseg=size, detrend=False)
-    # Second differences amplify high frequencies, of signal and noise alike.
-    raised = (2 - 2 * np.cos(2 * np.pi * frequency / rate)) ** 2
-    segments = max(1, (len(change) - size // 2) // (size - size // 2))
-    by_chance = chi2.isf(_CHANCE / len(frequency), 2 * segments) / (2 * segments)
-    stands_out = max(_STANDS_OUT * (1 + 2 / np.sqrt(segments)), by_chance)
-    visible = power > stands_out * raised * floor**2 * 2 / rate
-    # One line alone may be interference: its neighbour has to exceed the noise too.
-    sure = np.flatnonzero(visible[1:-1] & (visible[:-2] | visible[2:])) + 1
-    if not len(sure):
-        return _LOWEST, _LOWEST
-    speeds = np.cumsum(power[sure] / np.sqrt(raised[sure]))
-    bulk = sure[int(np.searchsorted(speeds, _BULK * speeds[-1]))]
-    return max(_LOWEST, float(frequency[bulk])), max(_LOWEST, float(frequency[sure[-1]]))
 
 
 def smooth_motion(
@@ -193,8 +121,8 @@ def smooth_motion(
     rate = trial.rate
     positions, speeds = _joint_columns(trial, machine, channels, readings or {}, grid)
     if band is None:
-        band = Band(rate=rate, end=_band_end(trial, machine, channels, positions, speeds))
-    if len(grid) < 4 * _ORDER or grid[-1] < 2.0 / band.end:
+        band = Band(rate=rate, end=band_end(trial, machine, channels, positions, speeds))
+    if len(grid) < 4 * ORDER or grid[-1] < 2.0 / band.end:
         raise InvalidData(
             f"{trial.name}: {trial.time[-1]:.3g} s are too short to smooth a motion with; an "
             f"inverse comparison needs at least {2.0 / band.end:.2g} s"
@@ -202,91 +130,78 @@ def smooth_motion(
     count = len(machine.joints)
     found = np.zeros((3, len(grid), count))
     found[0] = trial.position
-    noise = np.zeros((3, count))
+    noise, crossing = np.zeros((3, count)), np.full(count, np.inf)
     for joint, values in positions.items():
         speed = speeds.get(joint)
-        crossing = _crossing(values, speed, band)
-        found[:, :, joint] = _smoothed(values, speed, band, crossing)
-        noise[:, joint] = _noise_left(values, speed, band, crossing)
+        crossing[joint] = _crossing(values, speed, band)
+        found[:, :, joint] = _smoothed(values, speed, band, crossing[joint])
+        noise[:, joint] = _noise_left(values, speed, band, crossing[joint])
     every = max(1, int(rate / (_EVALUATED * band.end)))
     return Motion(
         band=band, time=grid, position=found[0], speed=found[1], acceleration=found[2],
-        noise=noise, chosen=np.arange(0, len(grid), every),
+        noise=noise, crossing=crossing, chosen=np.arange(0, len(grid), every),
     )  # fmt: skip
 
 
-def _band_end(
+def with_readings(
+    motion: Motion,
     trial: Trial,
     machine: NominalModel,
     channels: Sequence[Channel],
-    positions: dict[int, Array],
-    speeds: dict[int, Array],
-) -> float:
-    """End of the band of a run [Hz].
+    readings: Mapping[str, Array],
+) -> Motion:
+    """Motion with other readings of some sensors, through the same filters.
 
-    The end of the motion; or lower, where noise of the acceleration exceeds that of the torque, but
-    not so low that it cuts most of the motion: the model is not linear in that.
+    Parameters
+    ----------
+    motion : Motion
+        The smoothed motion of a run. Joints without other readings keep theirs.
+    trial, machine, channels
+        What it was smoothed from.
+    readings : mapping
+        Column -> readings (T,) in place of those measured.
     """
-    rate = trial.rate
-    ends = [_ends(values, rate) for values in positions.values()]
-    bulk = max((low for low, _ in ends), default=_LOWEST)
-    highest = motion_band([*positions.values(), *speeds.values()], rate)
-    balanced = _balance(trial, machine, channels, positions, speeds)
-    end = max(balanced, _ROOM * bulk) if balanced > 0 else np.inf
-    return float(min(_ROOM * highest, end, _HIGHEST * rate))
-
-
-def _balance(
-    trial: Trial,
-    machine: NominalModel,
-    channels: Sequence[Channel],
-    positions: dict[int, Array],
-    speeds: dict[int, Array],
-) -> float:
-    """Frequency where torque noise equals inertia times acceleration noise [Hz].
-
-    Geometric mean over the joints whose torque was measured; 0 if there are none.
-    """
-    frequency = np.geomspace(_LOWEST, _HIGHEST * trial.rate, 200)
-    turn = 2 * np.pi * frequency
-    found = []
-    for k, channel in enumerate(channels):
-        prefix, _, name = channel.column.partition(".")
-        if prefix != "torque" or not np.isfinite(trial.measured[:, k]).any():
-            continue
-        joint = machine.joint_number(name)
-        if joint not in positions:
-            continue
-        known = 1 / (turn**2 * noise_floor(positions[joint])) ** 2
-        if joint in speeds:
-            known = known + 1 / (turn * noise_floor(speeds[joint])) ** 2
-        ratio = machine.inertias[joint] / np.sqrt(known) / noise_floor(trial.measured[:, k])
-        found.append(frequency[min(int(np.searchsorted(ratio, 1.0)), len(frequency) - 1)])
-    return float(np.exp(np.mean(np.log(found)))) if found else 0.0
+    there = {j for c in readings if (j := _joint_read(machine, c)[1]) is not None}
+    positions, speeds = _joint_columns(trial, machine, channels, readings, motion.time)
+    parts = [motion.position.copy(), motion.speed.copy(), motion.acceleration.copy()]
+    for joint in there & positions.keys():
+        smooth = _smoothed(
+            positions[joint], speeds.get(joint), motion.band, float(motion.crossing[joint])
+        )
+        for part, values in zip(parts, smooth, strict=True):
+            part[:, joint] = values
+    return replace(motion, position=parts[0], speed=parts[1], acceleration=parts[2])
 
 
 def _joint_columns(
     trial: Trial,
     machine: NominalModel,
     channels: Sequence[Channel],
-    readings: dict[str, Array],
+    readings: Mapping[str, Array],
     grid: Array,
 ) -> tuple[dict[int, Array], dict[int, Array]]:
     """Position and speed readings on the grid, by joint index."""
     positions: dict[int, Array] = {}
     speeds: dict[int, Array] = {}
     for k, channel in enumerate(channels):
-        prefix, _, name = channel.column.partition(".")
+        kind, joint = _joint_read(machine, channel.column)
         values = readings.get(channel.column, trial.measured[:, k])
-        if prefix != "sensor" or not np.isfinite(values).any():
+        if joint is None or not np.isfinite(values).any():
             continue
-        sensor = machine.model.sensor(name)
-        kind, joint = int(sensor.type[0]), int(sensor.objid[0])
-        if kind == mujoco.mjtSensor.mjSENS_JOINTPOS and joint not in positions:
-            positions[joint] = filled(trial.time, values, grid)
-        elif kind == mujoco.mjtSensor.mjSENS_JOINTVEL and joint not in speeds:
-            speeds[joint] = filled(trial.time, values, grid)
+        found = positions if kind == _POSITION else speeds
+        if joint not in found:
+            found[joint] = filled(trial.time, values, grid)
     return positions, speeds
+
+
+def _joint_read(machine: NominalModel, column: str) -> tuple[int, int | None]:
+    """Sensor type and joint of a column; no joint if it reads no position or speed of one."""
+    prefix, _, name = column.partition(".")
+    if prefix != "sensor":
+        return -1, None
+    sensor = machine.model.sensor(name)
+    kind = int(sensor.type[0])
+    return kind, int(sensor.objid[0]) if kind in (_POSITION, _SPEED) else None
 
 
 def _derivative(values: Array, rate: float, order: int = 1) -> Array:
@@ -299,9 +214,9 @@ def _derivative(values: Array, rate: float, order: int = 1) -> Array:
 
 def _low(values: Array, band: Band, crossing: float) -> Array:
     """Complementary low-pass of the encoder: 1 / (1 + (f / crossing)²), zero-phase."""
-    if crossing >= _HIGHEST * band.rate:
+    if crossing >= HIGHEST * band.rate:
         return values
-    low = _low_pass(1, crossing, band.rate)
+    low = low_pass(1, crossing, band.rate)
     pad = min(len(values) - 1, int(2 * band.rate / crossing))
     return np.asarray(sosfiltfilt(low, values, padlen=pad))
 

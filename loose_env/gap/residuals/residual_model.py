@@ -208,8 +208,9 @@ class ResidualModel:
         machine: NominalModel | None = None,
         trials: Sequence[Trial] | None = None,
         floors: Array | None = None,
+        inverse: InverseDynamics | None = None,
     ) -> ResidualModel:
-        """Copy with another machine, other runs, or other noise of the channels (C,).
+        """Copy with another machine, runs, noise of the channels (C,), or inverse dynamics.
 
         Features of random runs keep the sensor noise as their weight.
         """
@@ -219,7 +220,7 @@ class ResidualModel:
             self.channels,
             self.floors if floors is None else floors,
             threads=self.threads,
-            inverse=self.inverse if trials is None else None,
+            inverse=inverse or (self.inverse if trials is None else None),
             chaotic=self.chaotic,
             read=self.read,
         )
@@ -269,8 +270,8 @@ class ResidualModel:
     def lighter(self, *, stiff: bool = False) -> ResidualModel:
         """Copy with a cheaper integrator: one evaluation a step instead of four.
 
-        The difference that an effect makes is nearly the same, since the step error is in both; not
-        where it adds a stiff spring.
+        The difference that an effect makes is nearly the same, since the step error is in both.
+        Inverse runs take longer steps where there are unmeasured degrees of freedom.
 
         Parameters
         ----------
@@ -278,15 +279,18 @@ class ResidualModel:
             Whether either has a stiff spring: then both take every step, else several as
             one where the machine allows it (`NominalModel.joined`).
         """
-        if self.machine.integrator != _RUNGE_KUTTA:
+        cheaper = self.machine.integrator == _RUNGE_KUTTA
+        if self.inverse is None and not cheaper:
             return self
-        joined = 1 if stiff else self.machine.merged_steps
+        joined = 1 if stiff or not cheaper else self.machine.merged_steps
         if joined not in self._lighter:
-            self._lighter[joined] = self.like(
-                machine=replace(
-                    self.machine, integrator=_IMPLICIT, merged_steps=joined, uniform_steps=True
+            machine = self.machine
+            if cheaper:
+                machine = replace(
+                    machine, integrator=_IMPLICIT, merged_steps=joined, uniform_steps=True
                 )
-            )
+            inverse = self.inverse and self.inverse.lighter()
+            self._lighter[joined] = self.like(machine=machine, inverse=inverse)
         return self._lighter[joined]
 
     def lightly(

@@ -14,21 +14,21 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.noise_floor import noise_floor
-from loose_env.gap.data.smoothing import Motion, filled, smooth_motion
+from loose_env.gap.data.smoothing import Motion, filled, smooth_motion, with_readings
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.simulation.compared_torques import ComparedTorques, compared_torques
 from loose_env.gap.simulation.driven_effects import has_friction, rubbing
 from loose_env.gap.simulation.simulator import _layout
 from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
@@ -38,28 +38,14 @@ from loose_env.typing import Array
 __all__ = ["InverseDynamics"]
 
 
-_TURNING = 3.0
-"""Speed below which the direction of motion is in doubt [standard deviations of its noise]."""
-_MOVES = 10.0
-"""Largest speed of a joint that counts as moving [standard deviations of its noise]."""
 _REPEATS = 12
 """Steps in which a reading is followed back to what was there."""
 _SEED = 20
 """Of the noise that is added to see what becomes of it."""
+_LONG_STEP = 2e-3
+"""Step of the lighter copy [s]: a fourteenth of the period of the stiffest spring from which fits
+start."""
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Run:
-    """Measured torques of a run, as compared."""
-
-    motion: Motion
-    measured: Array
-    """Torques after the filter, NaN where they are not compared (T, C)."""
-    floors: Array
-    """Standard deviation of the residual (C,)."""
-    torque: Array
-    """Part of it due to the noise of the measured torque (C,)."""
 
 
 class InverseDynamics:
@@ -97,6 +83,17 @@ class InverseDynamics:
         self._motions = [smooth_motion(trial, machine, channels) for trial in self.trials]
         self._corrected: dict[object, list[Motion]] = {}
         self._drive = Drive(machine, threads=threads)
+        self._exact = True
+
+    def lighter(self) -> InverseDynamics:
+        """Copy that takes longer steps where there are unmeasured degrees of freedom.
+
+        Their torques are corrected by what the steps change in the nominal model.
+        """
+        found = copy.copy(self)
+        found._drive = Drive(self.machine, threads=self.threads, step=_LONG_STEP)
+        found._exact, found.simulated = False, 0
+        return found
 
     @cached_property
     def _torques(self) -> dict[int, int]:
@@ -105,10 +102,11 @@ class InverseDynamics:
         return {k: self.machine.joint_number(n) for k, (kind, _, n) in pairs if kind == "torque"}
 
     @cached_property
-    def _runs(self) -> list[_Run]:
+    def _runs(self) -> list[ComparedTorques]:
         """Compared torques with their noise."""
         spread = self._propagated()
-        return [self._run(t, spread[t]) for t in range(len(self.trials))]
+        runs = zip(self.trials, self._motions, spread, strict=True)
+        return [compared_torques(trial, m, self._torques, noise) for trial, m, noise in runs]
 
     def measured(self, trial: int) -> Array:
         """Return torques of a run as compared, NaN elsewhere (T, C)."""
@@ -165,7 +163,7 @@ class InverseDynamics:
                 for k, c in enumerate(self.channels)
                 if self._motion_sensor(c.column) and np.isfinite(run.measured[:, k]).any()
             }
-            found.append(smooth_motion(run, self.machine, self.channels, readings, motion.band))
+            found.append(with_readings(motion, run, self.machine, self.channels, readings))
         return found
 
     def spacing(self, trial: int) -> int:
@@ -220,7 +218,9 @@ class InverseDynamics:
         model = hypothesis.model(self.machine, self.machine.step or self.machine.model.opt.timestep)
         self.simulated += sum(len(m.chosen) for m in motions)
         if model.nv > self.machine.model.nv:
-            found = [m.band.smooth(self._drive.torque(hypothesis, m))[m.chosen] for m in motions]
+            found = [self._driven(hypothesis, m) for m in motions]
+            if not self._exact:
+                found = [f + error for f, error in zip(found, self._step_errors, strict=True)]
         else:
             rigid = self._rigid(model, motions)
             extra = [self._dry(hypothesis, model, m) for m in motions]
@@ -235,6 +235,17 @@ class InverseDynamics:
                 for joint, name in enumerate(self.machine.joints):
                     torque[:, joint] = effect.sensed_torque(name, torque[:, joint], own)
         return found
+
+    def _driven(self, hypothesis: Hypothesis, motion: Motion) -> Array:
+        """Drive torques (E, joints) with unmeasured degrees of freedom."""
+        return motion.band.smooth(self._drive.torque(hypothesis, motion))[motion.chosen]
+
+    @cached_property
+    def _step_errors(self) -> list[Array]:
+        """What the drive's steps change in the nominal model's torques (E, joints), run by run."""
+        nominal = Hypothesis(effects=(), values=())
+        rigid = self._needed(nominal, self._motions)
+        return [r - self._driven(nominal, m) for r, m in zip(rigid, self._motions, strict=True)]
 
     @cached_property
     def _loads(self) -> list[Array]:
@@ -303,12 +314,7 @@ class InverseDynamics:
 
     def _corrected_motion(self, trial: int, reading: list[tuple[Effect, Array]]) -> Motion:
         """Invert the sensor effects on readings by fixed-point iteration."""
-        run, motion = self.trials[trial], self._motions[trial]
-        shown = {
-            c.column: motion.band.smooth(filled(run.time, run.measured[:, k], motion.time))
-            for k, c in enumerate(self.channels)
-            if self._motion_sensor(c.column) and np.isfinite(run.measured[:, k]).any()
-        }
+        run, motion, shown = self.trials[trial], self._motions[trial], self._shown[trial]
         there = shown
         for _ in range(_REPEATS):
             read = there
@@ -320,9 +326,21 @@ class InverseDynamics:
             + there[c.column]
             - shown[c.column]
             for k, c in enumerate(self.channels)
-            if c.column in shown
+            if c.column in shown and not np.array_equal(there[c.column], shown[c.column])
         }
-        return smooth_motion(run, self.machine, self.channels, raw, motion.band)
+        return with_readings(motion, run, self.machine, self.channels, raw)
+
+    @cached_property
+    def _shown(self) -> list[dict[str, Array]]:
+        """Smoothed readings (G,) of each run's joint positions and speeds, by column."""
+        return [
+            {
+                c.column: motion.band.smooth(filled(run.time, run.measured[:, k], motion.time))
+                for k, c in enumerate(self.channels)
+                if self._motion_sensor(c.column) and np.isfinite(run.measured[:, k]).any()
+            }
+            for run, motion in zip(self.trials, self._motions, strict=True)
+        ]
 
     def _propagated(self) -> list[Array]:
         """Variance of the torque due to the motion's noise (joints,), run by run.
@@ -341,25 +359,6 @@ class InverseDynamics:
                     total += np.mean((one - other) ** 2, axis=0)
         return found
 
-    def _run(self, number: int, propagated: Array) -> _Run:
-        trial, motion = self.trials[number], self._motions[number]
-        measured = np.full(trial.measured.shape, np.nan)
-        floors, own = np.full((2, len(self.channels)), np.nan)
-        kept = motion.chosen
-        edge = min(2.0 / motion.band.end, 0.1 * float(motion.time[-1]))
-        inside = (motion.time[kept] >= edge) & (motion.time[kept] <= motion.time[-1] - edge)
-        passed = _share_passed(motion)
-        for channel, joint in self._torques.items():
-            raw = trial.measured[:, channel]
-            if not np.isfinite(raw).any():
-                continue
-            torque = filled(trial.time, raw, motion.time)
-            good = inside & np.isfinite(raw[kept]) & _directed(motion, joint)[kept]
-            measured[kept[good], channel] = motion.band.smooth(torque)[kept[good]]
-            own[channel] = np.sqrt(passed) * noise_floor(torque)
-            floors[channel] = np.hypot(own[channel], np.sqrt(propagated[joint]))
-        return _Run(motion=motion, measured=measured, floors=floors, torque=own)
-
 
 def _times(model: mujoco.MjModel, mass: Array, acceleration: Array) -> Array:
     """Multiply packed lower-triangular mass matrices (E, nC) by vectors (E, nv)."""
@@ -377,22 +376,4 @@ def _moved(motion: Motion, kind: int, joint: int) -> Motion:
     parts = [motion.position, motion.speed, motion.acceleration]
     parts[kind] = parts[kind].copy()
     parts[kind][:, joint] += motion.noise[kind, joint]
-    return Motion(
-        band=motion.band, time=motion.time, position=parts[0], speed=parts[1],
-        acceleration=parts[2], noise=motion.noise, chosen=motion.chosen,
-    )  # fmt: skip
-
-
-def _share_passed(motion: Motion) -> float:
-    """Share of white noise power that the filter passes."""
-    impulse = np.zeros(min(len(motion.time), 4096))
-    impulse[len(impulse) // 2] = 1.0
-    return float(np.sum(motion.band.smooth(impulse) ** 2))
-
-
-def _directed(motion: Motion, joint: int) -> NDArray[np.bool_]:
-    """Mask of known directions of a joint's motion (G,); all if it never moves."""
-    speed, noise = np.abs(motion.speed[:, joint]), motion.noise[1, joint]
-    if float(speed.max()) < _MOVES * noise:
-        return np.ones(len(speed), dtype=bool)
-    return np.asarray(speed > _TURNING * noise)
+    return replace(motion, position=parts[0], speed=parts[1], acceleration=parts[2])

@@ -31,6 +31,8 @@ _FOLLOW = 20.0
 """Rate at which a joint returns to the measured motion [1/s]."""
 _SETTLE = 1.0
 """How long the model moves beforehand, so that what is not measured takes part [s]."""
+_SHARE_OF_PERIOD = 1 / 12
+"""Longest step over the shortest period of the compared torques."""
 _SLOW = 2 * np.pi * 2.0
 """Rate at which at least a joint that is not measured comes to rest by then [1/s]."""
 
@@ -44,10 +46,13 @@ class Drive:
         The nominal model.
     threads : int
         Threads of the pool; 0: all processors.
+    step : float
+        Longest time step [s]; 0: the machine's own.
     """
 
-    def __init__(self, machine: NominalModel, *, threads: int = 0) -> None:
+    def __init__(self, machine: NominalModel, *, threads: int = 0, step: float = 0.0) -> None:
         self.machine, self.threads = machine, threads
+        self.step = step or machine.step or float(machine.model.opt.timestep)
 
     def torque(self, hypothesis: Hypothesis, motion: Motion) -> Array:
         """Drive torques of the measured joints, on the motion's grid (G, joints) [N·m, N].
@@ -59,22 +64,24 @@ class Drive:
         motion : Motion
             Motion of the measured joints.
         """
-        machine, joints = self.machine, self.machine.joints
-        longest = machine.step or float(machine.model.opt.timestep)
+        joints = self.machine.joints
         interval = float(motion.time[1])
-        inside = max(1, int(np.ceil(interval / longest - 1e-6)))
-        step = interval / inside
+        # steps of a grid interval, and grid intervals of a step; one of the two is 1
+        inside = max(1, int(np.ceil(interval / self.step - 1e-6)))
+        joined = max(1, int(min(self.step, _SHARE_OF_PERIOD / motion.band.end) / interval + 1e-6))
+        step = interval * joined / inside
         model, rotors = self._model(hypothesis, step)
         dofs = [int(model.joint(name).dofadr[0]) for name in joints]
         places = [int(model.joint(name).qposadr[0]) for name in joints]
         # Before the run, its beginning is extrapolated by point reflection at the first sample.
-        before = min(len(motion.time) - 1, round(_SETTLE / interval))
+        before = min(len(motion.time) - 1, round(_SETTLE / interval)) // joined * joined
         turned = 2 * motion.position[0] - motion.position[before:0:-1]
         positions = np.concatenate([turned, motion.position])
         speeds = np.concatenate([motion.speed[before:0:-1], motion.speed])
         # Leapfrog: MuJoCo's semi-implicit step has speeds half a step before positions.
         grid = interval * np.arange(len(positions), dtype=np.float64)
-        times = step * np.arange((len(grid) - 1) * inside + 1, dtype=np.float64)
+        count = -(-(len(grid) - 1) * inside // joined) + 1
+        times = step * np.arange(count, dtype=np.float64)
         middles = step * (np.arange(len(times) + 1, dtype=np.float64) - 0.5)
         position = _between(grid, positions, times)
         speed = _between(grid, speeds, middles)
@@ -83,7 +90,7 @@ class Drive:
         control[0, :, -len(joints) :] = rotors * (
             rate + 2 * _FOLLOW * speed + _FOLLOW**2 * position
         )
-        measured = before * inside
+        measured = before * inside // joined
         batch = Batch(_sluggish(model, joints), 1, self.threads)
         batch.qpos[:, places] = position[0]
         batch.qvel[:, dofs] = speed[0]
@@ -98,6 +105,8 @@ class Drive:
         )
         given = out["actuator_force"][0, :, -len(joints) :]
         led = (given - rotors * out["qacc"][0][:, dofs])[::inside]
+        if joined > 1:
+            led = _between(times[measured:], led, grid[before:])
         return np.asarray(led - torque_terms(hypothesis, motion.position, motion.speed))
 
     def _model(self, hypothesis: Hypothesis, step: float) -> tuple[mujoco.MjModel, Array]:

@@ -8,7 +8,8 @@ import pytest
 
 from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import align_run, channels_of
-from loose_env.gap.data.smoothing import motion_band, smooth_motion
+from loose_env.gap.data.motion_band import motion_band
+from loose_env.gap.data.smoothing import smooth_motion
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel

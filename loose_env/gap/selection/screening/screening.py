@@ -1,7 +1,7 @@
 """Screening: ranks candidates by predicted explained variance; it never decides.
 
-Every candidate is simulated once from each of its starts, on top of the current fit; those that add
-no spring with a cheaper integrator. The resulting change of the residual is its signature. The
+Every candidate is simulated once from each of its starts, on top of the current fit, both with a
+cheaper integrator. The resulting change of the residual is its signature. The
 current parameters are free to absorb part of a signature; the remainder is projected onto the
 residual.
 
@@ -37,7 +37,7 @@ _SMALLEST_SHARE, _LARGEST_SHARE = 1e-6, 4.0
 _FAR = 0.5
 """Distance of a start that is another, in free numbers: some one of them is so far off."""
 _MANY = 4
-"""Starts of one candidate above which only the best are simulated as exactly as a spring needs."""
+"""Starts of one candidate above which only the best on the loudest run are simulated on all."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,12 +89,14 @@ def screen(
     slow = _slow_rows(comparison)
     lens = CurrentFit.of(fitted, slow) if 0 < slow.sum() < len(slow) else None
     stiff = any(e.adds_motion for e in fitted.effects)
-    lighter, alike = comparison.lightly(fitted.hypothesis, fitted.residual, stiff=stiff)
     proposed = dict(proposed) | _best_starts(
         comparison, fitted, known, candidates, proposed, signatures
     )
     seen: dict[int, list[Screened]] = {}
-    for springs, compared, base in ((True, comparison, fitted.residual), (False, lighter, alike)):
+    for springs in (True, False):
+        compared, base = comparison.lightly(
+            fitted.hypothesis, fitted.residual, stiff=stiff or springs
+        )
         own = [effect for effect in candidates if effect.adds_motion == springs]
         axes = {
             id(effect): (effect, _axes_of(effect))
@@ -140,8 +142,7 @@ def _best_starts(
 ) -> dict[tuple[str, str, str], list[tuple[float, ...]]]:
     """Select the best starts of candidates with many, such as loose-link directions.
 
-    A stiff spring is inaccurate in a cheaper simulation, but equally so for all of its starts. Of
-    starts that differ in nuisance parameters alone, such as the stiffness of stops, the best one
+    Of starts that differ in nuisance parameters alone, such as the stiffness of stops, the best one
     represents all.
     """
     entries = [
