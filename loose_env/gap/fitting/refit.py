@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from loose_env.gap.fitting.gauss_newton import (
     BESIDE_STOPS,
     Fit,
@@ -13,9 +15,10 @@ from loose_env.gap.fitting.gauss_newton import (
     sensitivities,
 )
 from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 
-__all__ = ["fit_without", "fitted_on", "polished", "refined", "settled"]
+__all__ = ["fit_in_form", "fit_without", "fitted_on", "polished", "refined", "settled"]
 
 
 _ROUGHLY = 0.01
@@ -47,6 +50,44 @@ def fit_without(
         settings = replace(settings, enough=max(settings.enough, _ROUGHLY))
     known = fitted.jacobian[:, kept]
     return fit(comparison, others, fitted.free[kept], settings=settings, known=known)
+
+
+def fit_in_form(comparison: ResidualModel, fitted: Fit, effect: Effect, form: Effect) -> Fit:
+    """Fit another form of an effect in its place.
+
+    Parameters
+    ----------
+    comparison : ResidualModel
+        The runs of the fit.
+    fitted : Fit
+        The fit.
+    effect : Effect
+        One of its effects.
+    form : Effect
+        The same kind at the same location in another form. Parameters of both start at their
+        fitted values, others where they change nothing, or at a start of the form.
+    """
+    own = fitted.structure.slice_of(effect)
+    known = dict(
+        zip(
+            (p.name for p in effect.parameters),
+            values_of(effect.parameters, fitted.free[own]),
+            strict=True,
+        )
+    )
+    otherwise = form.starts[0] if form.nothing is None else form.nothing
+    values = [
+        float(known.get(p.name, value)) for p, value in zip(form.parameters, otherwise, strict=True)
+    ]
+    effects = [form if each is effect else each for each in fitted.effects]
+    start = np.concatenate(
+        [
+            fitted.free[: own.start],
+            free_of(form.parameters, np.array(values)),
+            fitted.free[own.stop :],
+        ]
+    )
+    return fit(comparison, fitted.structure.with_effects(effects), start)
 
 
 def fitted_on(comparison: ResidualModel, fitted: Fit) -> Fit:

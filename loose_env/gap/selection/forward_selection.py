@@ -25,7 +25,6 @@ from loose_env.gap.settings import (
     ALTERNATIVES,
     CONFIRMED_Z,
     FURTHER,
-    LEADING,
     SCREENING_RUNS,
     SCREENING_S,
     SEARCH_Z,
@@ -177,7 +176,7 @@ def select_effects(
             found.unfinished = True
             return found
     white = found.best.autocorrelation_z < SEARCH_Z and not found.best.above_noise
-    if 2 <= len(found.best.fitted.effects) <= LEADING and not white:
+    if len(found.best.fitted.effects) >= 2 and not white:
         say("swap step: confusable effects in place of the identified ones")
         exchange = SwapStep(comparison, short, scorer, candidates, found.base, settings)
         better = keep.scored("exchanged", lambda: exchange.improved(found.best, say))

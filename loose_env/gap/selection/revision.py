@@ -2,7 +2,9 @@
 
 Forward selection identifies the first effect from a residual that is due to several. Its best proxy
 for the mixture may have a better alternative, or need fewer effects beside it, once the others are
-in the model. Effects whose 95 % confidence intervals include zero are dropped.
+in the model; one of its own forms among them, such as a payload whose centre is off the tool, which
+took a shift of the link's centre beside it. Effects whose 95 % confidence intervals include zero
+are dropped.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import numpy as np
 from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.profile_bounds import short_of_limit, short_of_nothing
-from loose_env.gap.fitting.refit import fit_without, polished, refined
+from loose_env.gap.fitting.refit import fit_in_form, fit_without, polished, refined
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import ResidualModel
@@ -25,6 +27,7 @@ from loose_env.gap.selection.screening.screening import screen
 from loose_env.gap.settings import (
     ALTERNATIVES,
     FURTHER,
+    LEADING,
     SearchSettings,
 )
 
@@ -64,7 +67,8 @@ class SwapStep:
         """Return the best hypothesis after swaps; ``best`` itself if none is better.
 
         A hypothesis replaces another if it would have been ranked above it: its residual is
-        smaller, or it fits equally well with fewer parameters.
+        smaller, or it fits equally well with fewer parameters. Of more than `LEADING` effects only
+        other forms of each are tried: a matter of cost.
 
         Parameters
         ----------
@@ -78,7 +82,9 @@ class SwapStep:
                 continue  # an effect that a swap made insignificant
             if effect.has_stops and not self.settings.swap_stops:
                 continue
-            better = self._in_place_of(effect, best)
+            better = self._in_another_form(effect, best)
+            if better is None and len(best.fitted.effects) <= LEADING:
+                better = self._in_place_of(effect, best)
             if better is not None:
                 before, after = (
                     ", ".join(map(repr, scored.fitted.effects)) for scored in (best, better)
@@ -86,6 +92,20 @@ class SwapStep:
                 say(f"  swapped {before} for {after}")
                 best = better
         return best
+
+    def _in_another_form(self, effect: Effect, best: ScoredFit) -> ScoredFit | None:
+        """Return the best hypothesis with another form of an effect; None if none is better."""
+        place = effect.kind, effect.where
+        forms = [c for c in self.candidates if (c.kind, c.where) == place and c.key != effect.key]
+        if not forms:
+            return None
+        before = self._without(best, effect)
+        acceptance = Acceptance(self.comparison, self.scorer, self.base, before, self.settings)
+        tried = [self.scorer.score(fit_in_form(self.comparison, best.fitted, effect, form))
+                 for form in forms]  # fmt: skip
+        return self._better(
+            sorted(tried, key=lambda scored: scored.total), before, best, acceptance
+        )
 
     def _in_place_of(self, effect: Effect, best: ScoredFit) -> ScoredFit | None:
         """Return the best hypothesis with one effect replaced; None if none is better."""
@@ -103,7 +123,18 @@ class SwapStep:
         # the start says little of a delay; at the same joint a fit is worth its cost
         there = [s for s in screened if joint_of(s.effect) == joint_of(effect) is not None]
         taken += [s for s in there if s not in taken][:FURTHER]
-        for scored in candidate_fits.replacements(taken, best.fitted):
+        tried = candidate_fits.replacements(taken, best.fitted)
+        return self._better(tried, before, best, acceptance)
+
+    def _better(
+        self,
+        tried: Sequence[ScoredFit],
+        before: ScoredFit,
+        best: ScoredFit,
+        acceptance: Acceptance,
+    ) -> ScoredFit | None:
+        """Return the first of some replacements that is better than what it replaces."""
+        for scored in tried:
             simpler = self._without_insignificant(scored, before, best, acceptance)
             if acceptance.ranked([best, simpler])[0] is not simpler:
                 continue

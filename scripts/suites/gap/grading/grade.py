@@ -171,8 +171,8 @@ def grade(
     effects = list(result.get("effects", ())) if verdict == NAMED else []
     true = [(str(e["kind"]), str(e["where"])) for e in truth["effects"]]
     said = [(str(e["kind"]), str(e["where"])) for e in effects]
-    match = matched(true, said, separable)
     role = str(truth["role"])
+    match = matched(true, said, separable, one_by_one=role == "machine")
     if role == "none":
         right = verdict == NO_GAP
     elif role == "outside":
@@ -248,7 +248,13 @@ def _number(value: Any) -> float:
     return float("nan") if value is None else float(value)
 
 
-def matched(true: Sequence[Named], said: Sequence[Named], separable: Separable) -> dict[int, int]:
+def matched(
+    true: Sequence[Named],
+    said: Sequence[Named],
+    separable: Separable,
+    *,
+    one_by_one: bool = False,
+) -> dict[int, int]:
     """Position of the named effect for every true one that was found.
 
     Parameters
@@ -257,6 +263,8 @@ def matched(true: Sequence[Named], said: Sequence[Named], separable: Separable) 
         True and named kinds and places.
     separable : callable
         Asked about pairs of `LISTED` where as many effects are named as there are.
+    one_by_one : bool
+        Whether it is asked whatever the number: of a whole machine every effect counts by itself.
 
     Examples
     --------
@@ -264,8 +272,8 @@ def matched(true: Sequence[Named], said: Sequence[Named], separable: Separable) 
     {0: 1}
     """
     match = {i: said.index(effect) for i, effect in enumerate(true) if effect in said}
-    # asking is costly: only where the number of effects is right can an alternative change marks
-    if len(said) != len(true) or len(match) == len(true):
+    # asking is costly: only where their number is right can an alternative make a list right
+    if (len(said) != len(true) and not one_by_one) or len(match) == len(true):
         return match
     left = [j for j in range(len(said)) if j not in match.values()]
     for i, effect in enumerate(true):

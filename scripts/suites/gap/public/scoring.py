@@ -186,7 +186,7 @@ def mark_case(
     # grading takes an effect outside the catalogue for one that cannot be named
     true = () if marks.role == "outside" else marks.truth
     effects = answer.effects if answer.verdict == NAMED else ()
-    match = matched(true, marks.said, separable)
+    match = matched(true, marks.said, separable, one_by_one=marks.role == "machine")
     own = [
         (truth["effects"][i], dataclasses.asdict(effects[j]))
         for i, j in match.items()
