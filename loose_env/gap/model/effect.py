@@ -339,6 +339,14 @@ class Effect:
         """Propose starts from the resolution of its sensor's readings; 0 if they have none."""
         return ()
 
+    def propose_stiffness(self, stiffness: float) -> tuple[tuple[float, ...], ...]:
+        """Propose starts from the stiffness that measured torques suggest for its joint."""
+        return ()
+
+    def propose_limit(self, torque: float) -> tuple[tuple[float, ...], ...]:
+        """Propose starts from the largest torque [N·m, N] that the motion of its joint takes."""
+        return ()
+
     def propose_along(self, residual: ResidualAccelerations) -> tuple[tuple[float, ...], ...]:
         """Propose starts from accelerometer residuals; none where they are uninformative."""
         return ()

@@ -10,6 +10,7 @@ are dropped.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -32,6 +33,9 @@ from loose_env.gap.settings import (
 )
 
 __all__ = ["SwapStep", "drop_insignificant", "refit_without"]
+
+_MOSTLY = 0.9
+"""Predicted gain of one effect over that of two it may replace, from which it is fitted: cost."""
 
 
 class SwapStep:
@@ -78,19 +82,18 @@ class SwapStep:
             Receives progress messages, line by line.
         """
         for effect in best.fitted.effects:
-            if not any(effect is each for each in best.fitted.effects):
+            if not _among((effect,), best.fitted.effects):
                 continue  # an effect that a swap made insignificant
             if effect.has_stops and not self.settings.swap_stops:
                 continue
             better = self._in_another_form(effect, best)
             if better is None and len(best.fitted.effects) <= LEADING:
-                better = self._in_place_of(effect, best)
-            if better is not None:
-                before, after = (
-                    ", ".join(map(repr, scored.fitted.effects)) for scored in (best, better)
-                )
-                say(f"  swapped {before} for {after}")
-                best = better
+                better = self._in_place_of((effect,), best)
+            best = _said(best, better, say)
+        for two in combinations(best.fitted.effects, 2):
+            there = {joint_of(effect) for effect in two}
+            if _among(two, best.fitted.effects) and len(there) == 1 and None not in there:
+                best = _said(best, self._in_place_of(two, best), say)
         return best
 
     def _in_another_form(self, effect: Effect, best: ScoredFit) -> ScoredFit | None:
@@ -107,22 +110,30 @@ class SwapStep:
             sorted(tried, key=lambda scored: scored.total), before, best, acceptance
         )
 
-    def _in_place_of(self, effect: Effect, best: ScoredFit) -> ScoredFit | None:
-        """Return the best hypothesis with one effect replaced; None if none is better."""
+    def _in_place_of(self, effects: Sequence[Effect], best: ScoredFit) -> ScoredFit | None:
+        """Return the best hypothesis with one or two effects replaced by one; None if none is."""
         named = {(e.kind, e.where) for e in best.fitted.effects}
         confusables = [
-            c for c in self.candidates if confusable(effect, c) and (c.kind, c.where) not in named
+            c
+            for c in self.candidates
+            if all(confusable(e, c) for e in effects) and (c.kind, c.where) not in named
         ]
         if not confusables:
             return None
-        before = self._without(best, effect)
+        before = best
+        for effect in effects:
+            before = self._without(before, effect)
         candidate_fits = CandidateFits(self.comparison, self.short, self.scorer, before)
         acceptance = Acceptance(self.comparison, self.scorer, self.base, before, self.settings)
         screened = screen(self.short, candidate_fits.windows.before, confusables)
         taken = screened[:ALTERNATIVES]
-        # the start says little of a delay; at the same joint a fit is worth its cost
-        there = [s for s in screened if joint_of(s.effect) == joint_of(effect) is not None]
-        taken += [s for s in there if s not in taken][:FURTHER]
+        if len(effects) == 1:
+            # the start says little of a delay; at the same joint a fit is worth its cost
+            there = [s for s in screened if joint_of(s.effect) == joint_of(effects[0]) is not None]
+            taken += [s for s in there if s not in taken][:FURTHER]
+        else:
+            together = 1.0 - best.fitted.cost / before.fitted.cost
+            taken = [s for s in taken if s.predicted > _MOSTLY * together]
         tried = candidate_fits.replacements(taken, best.fitted)
         return self._better(tried, before, best, acceptance)
 
@@ -207,3 +218,17 @@ def refit_without(
 ) -> ScoredFit:
     """Refit to ``problem.fit`` without one effect, with fresh sensitivities."""
     return scorer.score(refined(fit_without(problem.fit, scored.fitted, effect), problem.fit))
+
+
+def _among(some: Sequence[Effect], effects: Sequence[Effect]) -> bool:
+    """Return whether all of some effects are still among others, by identity."""
+    return all(any(one is each for each in effects) for one in some)
+
+
+def _said(best: ScoredFit, better: ScoredFit | None, say: Callable[[str], None]) -> ScoredFit:
+    """Return the better hypothesis, if there is one, and say what was swapped."""
+    if better is None:
+        return best
+    before, after = (", ".join(map(repr, scored.fitted.effects)) for scored in (best, better))
+    say(f"  swapped {before} for {after}")
+    return better

@@ -80,7 +80,7 @@ class InverseDynamics:
         self.threads = threads
         self.simulated = 0
         self._batches: dict[tuple[object, ...], tuple[Batch, list[Array]]] = {}
-        self._motions = [smooth_motion(trial, machine, channels) for trial in self.trials]
+        self.motions = [smooth_motion(trial, machine, channels) for trial in self.trials]
         self._corrected: dict[object, list[Motion]] = {}
         self._drive = Drive(machine, threads=threads)
         self._exact = True
@@ -96,7 +96,7 @@ class InverseDynamics:
         return found
 
     @cached_property
-    def _torques(self) -> dict[int, int]:
+    def torque_joints(self) -> dict[int, int]:
         """Joints of the torque channels, by channel index."""
         pairs = ((k, c.column.partition(".")) for k, c in enumerate(self.channels))
         return {k: self.machine.joint_number(n) for k, (kind, _, n) in pairs if kind == "torque"}
@@ -105,8 +105,8 @@ class InverseDynamics:
     def _runs(self) -> list[ComparedTorques]:
         """Compared torques with their noise."""
         spread = self._propagated()
-        runs = zip(self.trials, self._motions, spread, strict=True)
-        return [compared_torques(trial, m, self._torques, noise) for trial, m, noise in runs]
+        runs = zip(self.trials, self.motions, spread, strict=True)
+        return [compared_torques(trial, m, self.torque_joints, noise) for trial, m, noise in runs]
 
     def measured(self, trial: int) -> Array:
         """Return torques of a run as compared, NaN elsewhere (T, C)."""
@@ -130,7 +130,7 @@ class InverseDynamics:
         found = []
         for run, own, rigid in zip(self._runs, changed, self._rigid_change, strict=True):
             level = np.ones(len(self.channels))
-            for channel, joint in self._torques.items():
+            for channel, joint in self.torque_joints.items():
                 compared = np.isfinite(run.measured[run.motion.chosen, channel])
                 if compared.any():
                     noise = run.torque[channel] ** 2
@@ -142,7 +142,7 @@ class InverseDynamics:
 
     def _change(self, hypothesis: Hypothesis) -> list[Array]:
         """Change of the torques (E, joints) of each run with added motion noise."""
-        pair = (self._needed(hypothesis, motions) for motions in (self._noisier, self._motions))
+        pair = (self._needed(hypothesis, motions) for motions in (self._noisier, self.motions))
         return [one - other for one, other in zip(*pair, strict=True)]
 
     @cached_property
@@ -154,7 +154,7 @@ class InverseDynamics:
     def _noisier(self) -> list[Motion]:
         """Motions with sensor noise added a second time."""
         found = []
-        for number, (run, motion) in enumerate(zip(self.trials, self._motions, strict=True)):
+        for number, (run, motion) in enumerate(zip(self.trials, self.motions, strict=True)):
             rng = np.random.default_rng([_SEED, number])
             readings = {
                 c.column: run.measured[:, k]
@@ -168,7 +168,7 @@ class InverseDynamics:
 
     def spacing(self, trial: int) -> int:
         """Spacing of the compared samples."""
-        return int(self._motions[trial].chosen[1])
+        return int(self.motions[trial].chosen[1])
 
     def shows(self, effect: Effect) -> bool:
         """Return whether an effect changes the inverse dynamics torque.
@@ -205,10 +205,10 @@ class InverseDynamics:
     def _columns(self, hypothesis: Hypothesis) -> list[Array]:
         needed = self._needed(hypothesis, self._motions_for(hypothesis))
         found = []
-        for trial, motion, torque in zip(self.trials, self._motions, needed, strict=True):
+        for trial, motion, torque in zip(self.trials, self.motions, needed, strict=True):
             columns = np.full((len(trial.time), len(self.channels)), np.nan)
             kept = motion.chosen
-            for channel, joint in self._torques.items():
+            for channel, joint in self.torque_joints.items():
                 columns[kept, channel] = torque[:, joint]
             found.append(columns)
         return found
@@ -222,11 +222,11 @@ class InverseDynamics:
             if not self._exact:
                 found = [f + error for f, error in zip(found, self._step_errors, strict=True)]
         else:
-            rigid = self._rigid(model, motions)
+            rigid = self.rigid(model, motions)
             extra = [self._dry(hypothesis, model, m) for m in motions]
             found = [r + e for r, e in zip(rigid, extra, strict=True)]
         if any(map(has_friction, hypothesis.effects)):
-            each = zip(found, self._motions, self._loads, strict=True)
+            each = zip(found, self.motions, self._loads, strict=True)
             found = [torque + rubbing(hypothesis, m, torque, load) for torque, m, load in each]
         for effect, own in hypothesis.pairs:
             if type(effect).sensed_torque is Effect.sensed_torque:
@@ -244,16 +244,16 @@ class InverseDynamics:
     def _step_errors(self) -> list[Array]:
         """What the drive's steps change in the nominal model's torques (E, joints), run by run."""
         nominal = Hypothesis(effects=(), values=())
-        rigid = self._needed(nominal, self._motions)
-        return [r - self._driven(nominal, m) for r, m in zip(rigid, self._motions, strict=True)]
+        rigid = self._needed(nominal, self.motions)
+        return [r - self._driven(nominal, m) for r, m in zip(rigid, self.motions, strict=True)]
 
     @cached_property
     def _loads(self) -> list[Array]:
         """Torques of gravity and inertial coupling in the nominal arm (E, joints), run by run."""
         model = copy.copy(self.machine.model)
-        return [-bias for bias in self._rigid(model, self._motions, bias_only=True)]
+        return [-bias for bias in self.rigid(model, self.motions, bias_only=True)]
 
-    def _rigid(
+    def rigid(
         self, model: mujoco.MjModel, motions: list[Motion], *, bias_only: bool = False
     ) -> list[Array]:
         """Rigid-body term M a + bias - passive of all runs (E, joints) each, or the bias alone."""
@@ -302,7 +302,7 @@ class InverseDynamics:
             if type(effect).read is not Effect.read and self._motion_sensor(column_of(effect.where))
         ]
         if not reading:
-            return self._motions
+            return self.motions
         key = tuple((id(effect), values.tobytes()) for effect, values in reading)
         if key not in self._corrected:
             if len(self._corrected) > 32:
@@ -314,7 +314,7 @@ class InverseDynamics:
 
     def _corrected_motion(self, trial: int, reading: list[tuple[Effect, Array]]) -> Motion:
         """Invert the sensor effects on readings by fixed-point iteration."""
-        run, motion, shown = self.trials[trial], self._motions[trial], self._shown[trial]
+        run, motion, shown = self.trials[trial], self.motions[trial], self._shown[trial]
         there = shown
         for _ in range(_REPEATS):
             read = there
@@ -339,7 +339,7 @@ class InverseDynamics:
                 for k, c in enumerate(self.channels)
                 if self._motion_sensor(c.column) and np.isfinite(run.measured[:, k]).any()
             }
-            for run, motion in zip(self.trials, self._motions, strict=True)
+            for run, motion in zip(self.trials, self.motions, strict=True)
         ]
 
     def _propagated(self) -> list[Array]:
@@ -350,12 +350,12 @@ class InverseDynamics:
         """
         nominal = Hypothesis(effects=(), values=())
         model = nominal.model(self.machine, self.machine.step or self.machine.model.opt.timestep)
-        base = self._rigid(model, self._motions)
-        found = [np.zeros(len(self.machine.joints)) for _ in self._motions]
+        base = self.rigid(model, self.motions)
+        found = [np.zeros(len(self.machine.joints)) for _ in self.motions]
         for kind in range(3):
             for joint in range(len(self.machine.joints)):
-                moved = [_moved(motion, kind, joint) for motion in self._motions]
-                for total, one, other in zip(found, self._rigid(model, moved), base, strict=True):
+                moved = [_moved(motion, kind, joint) for motion in self.motions]
+                for total, one, other in zip(found, self.rigid(model, moved), base, strict=True):
                     total += np.mean((one - other) ** 2, axis=0)
         return found
 

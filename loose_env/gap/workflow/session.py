@@ -287,7 +287,7 @@ class GapSession:
         found = missing_torque(self.problem.search, self.best.fitted.hypothesis)
         if found is None:
             raise InvalidData("no run has commands and is long enough for a torque that is missing")
-        position, speed, acceleration, torque = (part[:, number] for part in found)
+        position, speed, acceleration, torque, _ = (part[:, number] for part in found)
         return MissingTorque(
             position=position, speed=speed, acceleration=acceleration, torque=torque
         )

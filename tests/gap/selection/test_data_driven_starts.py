@@ -40,7 +40,7 @@ def compared(recording: Recording) -> ResidualModel:
 def test_the_missing_torque_is_what_the_model_lacks(tmp_path: Path) -> None:
     found = missing_torque(compared(record(tmp_path / "r")), NOTHING)
     assert found is not None
-    _, speed, _, torque = found
+    _, speed, _, torque, _ = found
     moving = np.abs(speed[:, 1]) > 0.2
     rate = np.sum(torque[moving, 1] * speed[moving, 1]) / np.sum(speed[moving, 1] ** 2)
     assert rate == pytest.approx(DAMPING, rel=0.1)
@@ -201,3 +201,13 @@ def test_a_loose_link_shakes_the_tool_along_its_own_direction(where: str, angle:
     assert off < 0.3  # a fit gets on from there
     gaps = {start[1] for start in starts}
     assert min(gaps) < 2e-4 < max(gaps)
+
+
+def test_a_torque_limit_starts_where_the_drive_gave_most(tmp_path: Path) -> None:
+    comparison = compared(record(tmp_path / "r"))
+    limit = CATALOGUE["torque_limit"](comparison.machine, comparison.machine.actuators[1])
+    ((start,),) = proposals(comparison, NOTHING, [limit])[limit.key]
+    found = missing_torque(comparison, NOTHING)
+    assert found is not None
+    needed = np.abs(found[4][:, 1])
+    assert 0.8 * needed.max() < start <= needed.max() and start > 2 * np.median(needed)

@@ -188,7 +188,7 @@ def test_reversals_are_left_out_for_their_joint_alone() -> None:
         machine, [Run(name="run", time=run.time, sensors=sensors, torques=run.torques)]
     )
     assert comparison.inverse is not None
-    motion, left_out = comparison.inverse._motions[0], {}
+    motion, left_out = comparison.inverse.motions[0], {}
     rows = comparison.rows
     for joint in range(3):
         channel = [c.name for c in comparison.channels].index(f"torque.joint{joint + 1}")
@@ -278,9 +278,9 @@ def test_a_model_led_along_a_motion_needs_what_inverse_dynamics_say() -> None:
     comparison = compared(machine, runs_of(machine, machine.model, 1))
     inverse = comparison.inverse
     assert inverse is not None
-    motion = inverse._motions[0]
+    motion = inverse.motions[0]
     led = motion.band.smooth(inverse._drive.torque(NOTHING, motion))[motion.chosen]
-    rigid = inverse._rigid(NOTHING.model(machine, 0.001), [motion])[0]
+    rigid = inverse.rigid(NOTHING.model(machine, 0.001), [motion])[0]
     assert np.all(np.std((led - rigid)[5:-5], axis=0) < 0.01 * np.std(rigid, axis=0))
 
 

@@ -14,6 +14,9 @@ from loose_env.gap.data.smoothing import smooth_motion
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.selection.screening.data_driven_starts import proposals
+from loose_env.gap.selection.screening.stiffness_starts import joint_stiffness
+from loose_env.recording import Run
 from tests.gap.cases.effect_arms import PLANAR
 from tests.gap.cases.recorded_runs import compared, measurable, torque_run
 
@@ -30,7 +33,7 @@ def test_a_spring_hangs_in_its_sag_when_a_run_begins() -> None:
     run = torque_run(MACHINE, MACHINE.model, np.random.default_rng(1))
     comparison = compared(MACHINE, [run])
     assert comparison.inverse is not None
-    motion = comparison.inverse._motions[0]
+    motion = comparison.inverse.motions[0]
     still = replace(
         motion, position=np.tile(motion.position[:1], (len(motion.time), 1)),
         speed=np.zeros_like(motion.speed), acceleration=np.zeros_like(motion.acceleration),
@@ -46,7 +49,7 @@ def test_a_soft_spring_shuts_out_noise_and_a_resonance_lets_it_in() -> None:
     comparison = compared(MACHINE, runs)
     channel = [c.name for c in comparison.channels].index("torque.joint2")
     own = comparison.rows.channel == channel
-    end = comparison.inverse._motions[0].band.end  # type: ignore[union-attr]
+    end = comparison.inverse.motions[0].band.end  # type: ignore[union-attr]
 
     def level(mode: float, ratio: float) -> float:
         stiffness = SPRING.carried * (2 * np.pi * mode) ** 2  # type: ignore[attr-defined]
@@ -71,3 +74,38 @@ def test_the_band_ends_with_the_motion_or_where_the_torques_noise_is_the_less(no
         assert motion.band.end == pytest.approx(2 * highest)
     else:
         assert motion.band.end < 2 * highest
+
+
+def compliant_run(stiffness: float) -> Run:
+    """A motion of rotors, and the torques by which a compliant second joint follows it."""
+    run = torque_run(MACHINE, MACHINE.model, np.random.default_rng(4), noise=1e-4)
+    comparison = compared(MACHINE, [run])
+    assert comparison.inverse is not None
+    motion = comparison.inverse.motions[0]
+    torque = comparison.inverse._drive.torque(spring(stiffness, 0.05), motion)
+    return replace(
+        run, torques={name: torque[:, MACHINE.joint_number(name)] for name in run.torques}
+    )
+
+
+@pytest.mark.parametrize("mode", [3.0, 8.0])
+def test_the_stiffness_of_a_joint_is_read_from_its_torque(mode: float) -> None:
+    stiffness = SPRING.carried * (2 * np.pi * mode) ** 2  # type: ignore[attr-defined]
+    comparison = compared(MACHINE, [compliant_run(stiffness)])
+    found = joint_stiffness(comparison, NOTHING)
+    assert found["joint2"] == pytest.approx(stiffness, rel=0.1)
+    starts = proposals(comparison, NOTHING, [SPRING])[SPRING.key]
+    assert starts[0][0] == found["joint2"] and set(SPRING.close_starts) <= set(starts)
+
+
+def test_longer_steps_change_little_of_what_a_spring_does() -> None:
+    run = torque_run(MACHINE, MACHINE.model, np.random.default_rng(1))
+    comparison = compared(MACHINE, [run])
+    lighter = comparison.lighter()
+    stiffness = SPRING.carried * (2 * np.pi * 8.0) ** 2  # type: ignore[attr-defined]
+    tried = [NOTHING, spring(stiffness, 0.4)]
+    exact, cheap = (
+        found[1] - found[0] for found in (comparison.residuals(tried), lighter.residuals(tried))
+    )
+    assert np.linalg.norm(exact) > 10
+    assert np.linalg.norm(cheap - exact) < 0.06 * np.linalg.norm(exact)

@@ -118,6 +118,10 @@ class JointCompliance(SplitJoint):
         """Starts: modes of a compliant, a medium and a stiff drive."""
         return stiffness_starts(self.carried, self.parameters[0])
 
+    def propose_stiffness(self, stiffness: float) -> tuple[tuple[float, ...], ...]:
+        """Start there with a likely damping, beside the other starts."""
+        return ((self.parameters[0].clipped(stiffness), _LIKELY_DAMPING), *self.close_starts)
+
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add the spring behind the joint."""
         stiffness, ratio = float(values[0]), float(values[1])

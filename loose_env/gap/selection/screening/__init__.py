@@ -1,5 +1,5 @@
 """Linearised screening of candidates, their starting points, sets of them, and quick fits.
 
-Data flow: data_driven_starts -> linear_problem -> grouping -> signatures -> screening ->
-joint_proposals -> window_fits.
+Data flow: stiffness_starts -> data_driven_starts -> linear_problem -> grouping -> signatures ->
+screening -> joint_proposals -> window_fits.
 """

@@ -3,7 +3,8 @@
 The motion of runs with commands is smoothed and put into the inverse dynamics of the model, and the
 result is subtracted from the actuator torque at the measured commands and state. An effect with too
 many possible starts, such as a ripple of any period, fits its start to this residual torque. A
-loose link takes its direction from the accelerometer residuals.
+loose link takes its direction from the accelerometer residuals, a compliant joint its stiffness
+from measured torques (`loose_env.gap.selection.screening.stiffness_starts`).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from loose_env.gap.model.effect import Effect, ResidualAccelerations
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.screening.stiffness_starts import joint_stiffness
 from loose_env.gap.simulation.driven_effects import Driven
 from loose_env.gap.simulation.torque_terms import torque_terms
 from loose_env.typing import Array
@@ -33,6 +35,9 @@ _DYNAMICS_SAMPLES = 6000
 """Samples of all runs that are evaluated, at most."""
 _TURNING = 0.01
 """Speed below which the direction of friction is in doubt, as a share of the largest."""
+_LARGEST = 0.99
+"""Share of the samples that need less torque than what counts as the largest: the smoothed
+acceleration has outliers."""
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
 
@@ -58,18 +63,29 @@ def proposals(
     for effect in candidates:
         if type(effect).propose_from is not Effect.propose_from:
             starts[effect.key] = _from_readings(comparison, effect)
+    springs = [e for e in candidates if type(e).propose_stiffness is not Effect.propose_stiffness]
+    if springs:
+        stiffness = joint_stiffness(comparison, hypothesis)
+        starts |= {
+            e.key: e.propose_stiffness(stiffness[e.where]) for e in springs if e.where in stiffness
+        }
     searching = [effect for effect in candidates if effect.searches]
-    found = missing_torque(comparison, hypothesis) if searching else None
+    limits = [e for e in candidates if type(e).propose_limit is not Effect.propose_limit]
+    found = missing_torque(comparison, hypothesis) if searching or limits else None
     if found is None:
         return starts
-    angle, speed, acceleration, torque = found
-    joints = comparison.machine.joints
+    angle, speed, acceleration, torque, needed = found
+    machine = comparison.machine
     for effect in searching:
-        k = joints.index(effect.where)
+        k = machine.joint_number(effect.where)
         if np.ptp(angle[:, k]) > 0:
             starts[effect.key] = effect.propose(
                 angle[:, k], speed[:, k], acceleration[:, k], torque[:, k]
             )
+    for effect in limits:
+        k = machine.joint_number(machine.actuated_joint[effect.where])
+        largest = float(np.quantile(np.abs(needed[:, k]), _LARGEST))
+        starts[effect.key] = effect.propose_limit(largest)
     return starts
 
 
@@ -83,14 +99,14 @@ def _from_readings(comparison: ResidualModel, effect: Effect) -> tuple[tuple[flo
 
 def missing_torque(
     comparison: ResidualModel, hypothesis: Hypothesis
-) -> tuple[Array, Array, Array, Array] | None:
-    """Motion and residual torque of all runs with commands.
+) -> tuple[Array, Array, Array, Array, Array] | None:
+    """Motion, residual torque and needed torque of all runs with commands.
 
     Returns
     -------
     tuple of ndarray (T, joints), or None
-        [rad, m], [rad/s, m/s], [rad/s², m/s²], [N·m, N]; None if no run has commands and is long
-        enough, or the actuator torques are not known (`loose_env.gap.data.actuator_states`).
+        [rad, m], [rad/s, m/s], [rad/s², m/s²], twice [N·m, N]; None if no run has commands and is
+        long enough, or the actuator torques are not known (`loose_env.gap.data.actuator_states`).
     """
     machine = comparison.machine
     rigid = [(effect, values) for effect, values in hypothesis.pairs if not effect.adds_motion]
@@ -111,25 +127,25 @@ def missing_torque(
         parts.append(found)
     if not parts:
         return None
-    position, speed, acceleration, torque = (
+    position, speed, acceleration, torque, needed = (
         np.concatenate(part) for part in zip(*parts, strict=True)
     )
-    return position, speed, acceleration, torque
+    return position, speed, acceleration, torque, needed
 
 
 def _missing(
     model: mujoco.MjModel, known: Hypothesis, trial: Trial, motion: Motion, most: int
-) -> tuple[Array, Array, Array, Array] | None:
-    """Motion and residual torque of one run; None where an activation is not known."""
+) -> tuple[Array, Array, Array, Array, Array] | None:
+    """Motion, residual and needed torque of one run; None where an activation is not known."""
     times = trial.step * np.arange(trial.steps, dtype=np.float64)
     controls = trial.controls
     for effect, values in known.pairs:
         controls = effect.command(times, controls, values)
-    own = activations(model, controls, trial.step)
-    if own is None:
+    states = activations(model, controls, trial.step)
+    if states is None:
         return None
     given = _about(controls, trial.step, motion.time)
-    acting = _about(own, trial.step, motion.time)
+    acting = _about(states, trial.step, motion.time)
     # At the ends of a run the filter is one-sided.
     ends = min(int(motion.band.rate / motion.band.end), len(motion.time) // 4)
     chosen = np.arange(ends, len(motion.time) - ends, max(1, len(motion.time) // most))
@@ -137,22 +153,25 @@ def _missing(
     friction = model.dof_frictionloss[:joints]
     slow = _TURNING * np.maximum(np.abs(motion.speed).max(axis=0), 1e-9)
     data = mujoco.MjData(model)
-    torque, driven = np.zeros((len(chosen), joints)), Driven.of(known)
-    for row, k in zip(torque, chosen, strict=True):
+    torque, needed = np.zeros((2, len(chosen), joints))
+    driven = Driven.of(known)
+    for row, own, k in zip(torque, needed, chosen, strict=True):
         data.qpos[:joints], data.qvel[:joints] = motion.position[k], motion.speed[k]
         data.qacc[:joints] = motion.acceleration[k]
         data.ctrl[: controls.shape[1]] = given[k]
         data.act[:] = acting[k]
         mujoco.mj_inverse(model, data)
-        needed = data.qfrc_inverse[:joints].copy()
+        rigid = data.qfrc_inverse[:joints].copy()
         mujoco.mj_fwdActuation(model, data)
         drive = data.qfrc_actuator[:joints]
         load = -data.qfrc_bias[:joints]
         rubbing = friction + driven.frictions(drive, load, motion.speed[k])
-        row[:] = drive - needed - rubbing * np.tanh(motion.speed[k] / slow)
-    torque += torque_terms(known, motion.position[chosen], motion.speed[chosen])
+        own[:] = rigid + rubbing * np.tanh(motion.speed[k] / slow)
+        row[:] = drive - own
+    further = torque_terms(known, motion.position[chosen], motion.speed[chosen])
     return (
-        motion.position[chosen], motion.speed[chosen], motion.acceleration[chosen], torque,
+        motion.position[chosen], motion.speed[chosen], motion.acceleration[chosen],
+        torque + further, needed - further,
     )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import mujoco
@@ -67,6 +68,24 @@ class _Limit(Effect):
             log=True,
         )  # fmt: skip
 
+    def _starts(self, torques: Sequence[float]) -> tuple[float, ...]:
+        """Limits to start from, below that of the model."""
+        limit = self.parameters[0]
+        return tuple(dict.fromkeys(limit.clipped(min(t, 0.8 * limit.high)) for t in torques))
+
+    def propose_limit(self, torque: float) -> tuple[tuple[float, ...], ...]:
+        """Start where the drive gave most: a limit is what it never passed."""
+        return self._about((torque / self._gear,))
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts around the typical torque."""
+        return self._about([share * self.parameters[0].scale for share in _STARTS])
+
+    def _about(self, torques: Sequence[float]) -> tuple[tuple[float, ...], ...]:
+        """Starts at some limits."""
+        return tuple((value,) for value in self._starts(torques))
+
     def _set(self, spec: mujoco.MjSpec, limit: float) -> mujoco.MjsActuator:
         """Set the limit of a spec's actuator."""
         actuator = spec.actuator(self.where)
@@ -85,15 +104,6 @@ class TorqueLimit(_Limit):
     def parameters(self) -> tuple[Parameter, ...]:
         """Largest force of the actuator; on the joint it is that times its gear."""
         return (self._limit("limit"),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts around the typical torque."""
-        (limit,) = self.parameters
-        found = dict.fromkeys(
-            limit.clipped(min(s * limit.scale, 0.8 * limit.high)) for s in _STARTS
-        )
-        return tuple((value,) for value in found)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Set the actuator's force range."""
@@ -124,14 +134,10 @@ class VoltageLimit(_Limit):
         )
         return (self._limit("stall_torque"), speed)
 
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts around the typical torque and speed."""
-        stall, speed = self.parameters
-        found = dict.fromkeys(
-            stall.clipped(min(s * stall.scale, 0.8 * stall.high)) for s in _STARTS
-        )
-        return tuple((value, s * speed.scale) for value in found for s in _SPEEDS)
+    def _about(self, torques: Sequence[float]) -> tuple[tuple[float, ...], ...]:
+        """Starts at some stall torques and around the typical speed."""
+        usual = self.parameters[1].scale
+        return tuple((value, s * usual) for value in self._starts(torques) for s in _SPEEDS)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Limit the force without back-EMF, which acts beyond the limit as the actuator's damping.
