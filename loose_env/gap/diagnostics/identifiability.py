@@ -208,7 +208,7 @@ def _of_candidates(
 ) -> list[_Signature]:
     """Candidates at the first of their starts, without those that affect no reading."""
     entries = [(c, tuple(c.starts[0])) for c in candidates]
-    return [each for each in _changes(short, base, entries, unit, cheap=True) if each.change.any()]
+    return [each for each in _changes(short, base, entries, unit) if each.change.any()]
 
 
 def _changes(
@@ -216,13 +216,10 @@ def _changes(
     base: Fit,
     entries: Sequence[tuple[Effect, tuple[float, ...]]],
     unit: float,
-    *,
-    cheap: bool = False,
 ) -> list[_Signature]:
     """Changes of the readings by effects of some size, on top of the best fit.
 
-    The difference of two cheap simulations is accurate enough for effects that add no spring: the
-    step error is in both.
+    The difference of two cheap simulations is accurate enough: the step error is in both.
     """
     found: list[_Signature | None] = [None] * len(entries)
     stiff = any(effect.adds_motion for effect in base.effects)
@@ -230,9 +227,7 @@ def _changes(
         own = [k for k, (effect, _) in enumerate(entries) if effect.adds_motion == springs]
         if not own:
             continue
-        compared, alike = short, base.residual
-        if cheap and not springs:
-            compared, alike = short.lightly(base.hypothesis, base.residual, stiff=stiff)
+        compared, alike = short.lightly(base.hypothesis, base.residual, stiff=stiff or springs)
         changes = Signatures().of(compared, base, [entries[k] for k in own], alike)
         for k, (effect, values, change) in zip(own, changes, strict=True):
             found[k] = _Signature(effect, values, unit * change)

@@ -27,6 +27,7 @@ from loose_env.gap.selection.screening.grouping import confusable, joint_of
 from loose_env.gap.selection.screening.screening import screen
 from loose_env.gap.settings import (
     ALTERNATIVES,
+    EQUAL_LOG_LIKELIHOOD,
     FURTHER,
     LEADING,
     SearchSettings,
@@ -34,6 +35,8 @@ from loose_env.gap.settings import (
 
 __all__ = ["SwapStep", "drop_insignificant", "refit_without"]
 
+_ROUNDS = 3
+"""Rounds of swaps at most; what is swapped in may have a better form itself."""
 _MOSTLY = 0.9
 """Predicted gain of one effect over that of two it may replace, from which it is fitted: cost."""
 
@@ -72,7 +75,7 @@ class SwapStep:
 
         A hypothesis replaces another if it would have been ranked above it: its residual is
         smaller, or it fits equally well with fewer parameters. Of more than `LEADING` effects only
-        other forms of each are tried: a matter of cost.
+        other forms of each, and one for two at a joint, are tried: a matter of cost.
 
         Parameters
         ----------
@@ -81,6 +84,15 @@ class SwapStep:
         say : callable
             Receives progress messages, line by line.
         """
+        for _ in range(_ROUNDS):
+            found = self._round(best, say)
+            if found is best:
+                break
+            best = found
+        return best
+
+    def _round(self, best: ScoredFit, say: Callable[[str], None]) -> ScoredFit:
+        """Try every effect of a hypothesis once, then every two at one joint."""
         for effect in best.fitted.effects:
             if not _among((effect,), best.fitted.effects):
                 continue  # an effect that a swap made insignificant
@@ -106,9 +118,8 @@ class SwapStep:
         acceptance = Acceptance(self.comparison, self.scorer, self.base, before, self.settings)
         tried = [self.scorer.score(fit_in_form(self.comparison, best.fitted, effect, form))
                  for form in forms]  # fmt: skip
-        return self._better(
-            sorted(tried, key=lambda scored: scored.total), before, best, acceptance
-        )
+        tried.sort(key=lambda scored: scored.total)
+        return self._better(tried, before, best, acceptance, lead=EQUAL_LOG_LIKELIHOOD)
 
     def _in_place_of(self, effects: Sequence[Effect], best: ScoredFit) -> ScoredFit | None:
         """Return the best hypothesis with one or two effects replaced by one; None if none is."""
@@ -143,10 +154,18 @@ class SwapStep:
         before: ScoredFit,
         best: ScoredFit,
         acceptance: Acceptance,
+        *,
+        lead: float = -np.inf,
     ) -> ScoredFit | None:
-        """Return the first of some replacements that is better than what it replaces."""
+        """Return the first of some replacements that is better than what it replaces.
+
+        One that leaves as many effects is also ahead by ``lead`` in twice the log-likelihood.
+        """
         for scored in tried:
             simpler = self._without_insignificant(scored, before, best, acceptance)
+            fewer = len(simpler.fitted.effects) < len(best.fitted.effects)
+            if not fewer and best.total - simpler.total < lead:
+                continue
             if acceptance.ranked([best, simpler])[0] is not simpler:
                 continue
             if not acceptance.objection(scored):

@@ -236,7 +236,9 @@ def test_a_part_with_stops_is_not_exchanged_in_noise_that_it_makes(
     )  # fmt: skip
     scorer, tried = Scorer(runs, problem.held_out), list[str]()
     best = scorer.score(fitted)
-    monkeypatch.setattr(SwapStep, "_in_place_of", lambda _, effect, best: tried.append(effect.kind))
+    monkeypatch.setattr(
+        SwapStep, "_in_place_of", lambda _, effects, best: tried.extend(e.kind for e in effects)
+    )
     for settings in (SearchSettings(), beside_stops(SearchSettings())):
         assert SwapStep(runs, runs, scorer, effects, best, settings).improved(best) is best
     assert tried == ["backlash", "payload", "payload"]
