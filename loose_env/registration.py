@@ -44,7 +44,7 @@ _SIX_AXIS = ("hold",)
 _SCARA = ("hold",)
 _FROM_FILE = ("model", "true_model", "tool", "joints", "hold")
 _SINGLE = ("render_mode", "rig", "threads", "true_arm")
-_VECTOR = ("threads", "true_arm")
+_VECTOR = ("render_mode", "threads", "true_arm", "autoreset_mode")
 
 
 def register() -> None:
@@ -163,7 +163,7 @@ def _vector(arm: Any, num_envs: int, arguments: dict[str, Any], of_arm: tuple[st
     from loose_env.envs import DiagnosisVectorEnv
 
     own = _take(arguments, *_VECTOR)
-    _take(arguments, "render_mode")
+    _take(arguments, "max_episode_steps")  # the episodes end by themselves
     settings = _settings(arguments, (*of_arm, *_VECTOR))
     return DiagnosisVectorEnv(arm, settings, num_envs=num_envs, **own)
 

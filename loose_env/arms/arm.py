@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.arms.packed_spec import PackedSpec
 from loose_env.arms.reach import largest_reach
 from loose_env.arms.shaker import COIL, Shaker
 from loose_env.errors import InvalidSetting, UnknownName
@@ -204,6 +205,24 @@ class Arm:
             raise InvalidSetting(f"band must be 0 < low < high in Hz, got {self.band}")
         if any(b <= a for a, b in zip(self.levels, self.levels[1:], strict=False)):
             raise InvalidSetting(f"levels must increase, got {self.levels}")
+
+    def __copy__(self) -> Arm:
+        """Return the arm itself: it is read-only."""
+        return self
+
+    def __deepcopy__(self, memo: object) -> Arm:
+        """Return the arm itself: it is read-only."""
+        return self
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Fields as plain data, for pickle."""
+        found = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {**found, "spec": PackedSpec.of(self.spec)}
+
+    def __setstate__(self, stored: dict[str, Any]) -> None:
+        """Take up fields from pickle."""
+        for name, value in {**stored, "spec": stored["spec"].unpack()}.items():
+            object.__setattr__(self, name, value)
 
     @property
     def probe_sites(self) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> vector_env -> sb3.
 """
 
-from loose_env.envs.diagnosis_env import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv, EnvState
 from loose_env.envs.episode.actions import Action, ActionLayout
 from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
 from loose_env.envs.episode.observation import ObservationLayout
@@ -21,7 +21,7 @@ from loose_env.envs.rendering.scenery import arrow, draw_base, draw_measure, hal
 from loose_env.envs.rendering.spatial.arm import SpaceDrawing
 from loose_env.envs.rendering.spatial.view import SpaceView
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.vector_env import DiagnosisVectorEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv, VectorState, batch_seeds
 
 __all__ = [
     "DIFFICULTIES",
@@ -41,6 +41,7 @@ __all__ = [
     "DiagnosisSettings",
     "DiagnosisVectorEnv",
     "Difficulty",
+    "EnvState",
     "EpisodeBatch",
     "FaultSampler",
     "Loop",
@@ -50,7 +51,9 @@ __all__ = [
     "PlanarView",
     "SpaceDrawing",
     "SpaceView",
+    "VectorState",
     "arrow",
+    "batch_seeds",
     "difficulty_named",
     "draw_base",
     "draw_measure",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
@@ -11,13 +12,26 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm, MismatchDraw
 from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
+from loose_env.envs.episode.state import Episode
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.errors import UnknownName
+from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault
 from loose_env.rig import Measurement
 
-__all__ = ["DiagnosisEnv", "new_seed"]
+__all__ = ["DiagnosisEnv", "EnvState", "new_seed"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EnvState:
+    """All that the future of an environment depends on, beside its arguments."""
+
+    seed: int | None
+    """Root seed of the run of episodes."""
+    number: int
+    """Number of the episode under it."""
+    episode: Episode | None
+    """The latest episode: hidden fault, true arm, pose, records."""
 
 
 class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
@@ -117,6 +131,7 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
         threads: int = 0,
         true_arm: Arm | None = None,
     ) -> None:
+        self._rig = rig
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise UnknownName(
                 f"unknown render_mode {render_mode!r}; modes are {self.metadata['render_modes']}"
@@ -209,6 +224,47 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
             )
         episode = self.batch.episode(0)
         return self._picture.draw(episode, verdict=episode.verdict)
+
+    def get_state(self) -> EnvState:
+        """Copy of the state: `set_state` goes on from it, in this environment or one like it."""
+        return EnvState(seed=self._seed, number=self._number, episode=self.batch.episode_copy(0))
+
+    def set_state(self, state: EnvState) -> None:
+        """Go on from a state that `get_state` gave.
+
+        Raises
+        ------
+        InvalidSetting
+            If it is none, or was taken from an environment of another arm or other settings.
+        """
+        if not isinstance(state, EnvState):
+            raise InvalidSetting(f"a state is what get_state() gives, got {state!r:.60}")
+        self.batch.restore(0, state.episode)
+        self._seed, self._number = state.seed, state.number
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Arguments and state: a copy is built anew, so that no engine is copied."""
+        return {
+            "arguments": {
+                "arm": self.arm,
+                "settings": self.settings,
+                "render_mode": self.render_mode,
+                "rig": self._rig,
+                "threads": self.batch.threads,
+                "true_arm": None if self.batch.true_arm is self.arm else self.batch.true_arm,
+            },
+            "state": self.get_state(),
+            "attributes": {
+                name: getattr(self, name)
+                for name in ("spec", "action_space", "_np_random", "_np_random_seed")
+            },
+        }
+
+    def __setstate__(self, stored: dict[str, Any]) -> None:
+        """Build the environment from its arguments and take up the state."""
+        self.__init__(**stored["arguments"])  # type: ignore[misc]
+        self.set_state(stored["state"])
+        self.__dict__.update(stored["attributes"])
 
     def close(self) -> None:
         """Close the picture."""

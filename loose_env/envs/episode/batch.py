@@ -8,6 +8,7 @@ before change nothing.
 
 from __future__ import annotations
 
+import copy
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol
@@ -38,7 +39,7 @@ from loose_env.envs.episode.state import (
 from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.errors import InvalidData
+from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import UNSURE, Fault, Healthy, SeveralFaults, hypotheses, place_of
 from loose_env.rig import Job, Measurement, ReducedRig, SimulatedRig
@@ -156,10 +157,36 @@ class EpisodeBatch:
         )
         episode.fault = given.hidden_fault(self.sampler, episode.stream(_FAULT))
         episode.pose = given.first_pose(episode.stream(_POSE))
-        true = given.true_arm(self.difficulty.mismatch, episode.stream(_MISMATCH))
-        self.rig.mount(slot, episode.fault, true)
+        episode.mismatch = given.true_arm(self.difficulty.mismatch, episode.stream(_MISMATCH))
+        self.rig.mount(slot, episode.fault, episode.mismatch)
         self._episodes[slot] = episode
         return {"action_mask": self.mask(slot)}
+
+    def episode_copy(self, slot: int) -> Episode | None:
+        """Copy of a slot's latest episode, None where none was started."""
+        return copy.deepcopy(self._episodes[slot])
+
+    def check_fits(self, episode: Episode | None) -> None:
+        """Refuse an episode of another arm or other settings.
+
+        Raises
+        ------
+        InvalidSetting
+            If its records have another form.
+        """
+        shape = (self.settings.max_records, len(self.observations.slot_elements))
+        if episode is not None and episode.slots.shape != shape:
+            raise InvalidSetting(
+                f"the state is of records {episode.slots.shape}, here they are {shape}: it was "
+                "taken from an environment of another arm or other settings"
+            )
+
+    def restore(self, slot: int, episode: Episode | None) -> None:
+        """Put a copy of an episode into a slot, and its arm on the rig."""
+        self.check_fits(episode)
+        if episode is not None:
+            self.rig.mount(slot, episode.fault, episode.mismatch)
+        self._episodes[slot] = copy.deepcopy(episode)
 
     def mask(self, slot: int) -> NDArray[np.bool_]:
         """Return the allowed choices of a slot's next action."""

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
+from loose_env.arms import Arm, MismatchDraw
 from loose_env.diagnosis import link_axes
 from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.settings import DiagnosisSettings
@@ -29,6 +29,7 @@ class Episode:
     fault: Fault
     pose: Array
     slots: NDArray[np.float32]
+    mismatch: MismatchDraw | None = None
     records: int = 0
     seconds: float = 0.0
     levels: int = 0
