@@ -147,7 +147,7 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     "greedy": (_of("amortised", "greedy"), "the learned posterior, the most telling record next"),
     "look_ahead": (_of("amortised", "look_ahead"), "the same, two records ahead"),
     "always_healthy": (_blind("healthy"), "blind: healthy, after the cheapest record"),
-    "always_unsure": (_blind(UNSURE), "blind: unsure, after the cheapest record"),
+    "always_unsure": (_blind(UNSURE), "blind: unsure, after the cheapest records that allow it"),
     "oracle": (
         lambda problem, seed: oracle_agent(problem, seed=seed),
         "no agent: greedy, told the hidden direction and friction",

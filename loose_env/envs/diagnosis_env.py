@@ -58,10 +58,16 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     A joint that slides goes in proportion through its range: 90 degrees are half of it. With a
     verdict nothing is measured and the rest is ignored. Levels beyond a joint's torque limit
     are clipped; the share that remains is in the observation and in `info["level_share"]`. With
-    all levels off, or no torque left beside gravity, the arm moves, a record is spent and its
-    slot stays empty. `action_masks()` and `info["action_mask"]` say what makes sense: no move
-    past a joint limit (such a joint stays), no verdict before the first record (it is ignored),
-    no going on after the last record (it ends the episode as a wrong verdict).
+    all levels off the last joint is excited at its top level, for a record without excitation shows
+    nothing. With no torque left beside gravity the arm moves, a record is spent and its slot stays
+    empty. `action_masks()` and `info["action_mask"]` say what makes sense: no move past a joint
+    limit (such a joint stays), no verdict before the first measured record (it is ignored, and the
+    rest of the action is done), no "unsure" before the third one (ignored too; `unsure_after`), no
+    going on after the last record (it ends the episode as a wrong verdict).
+
+    Why "unsure" waits: a policy that learns from scratch cannot tell faults apart yet. Said after
+    one cheap record, "unsure" would pay -0.31 and the best blind name, "healthy", -0.39: giving up
+    would be a local optimum, and exploration ends there. After three records it pays -0.42.
 
     ## Observation Space
     A flat float32 `Box` with finite bounds: the pose and what has been spent, then a slot for

@@ -47,8 +47,7 @@ class PolicyForm:
     pose and spending as the environment shows them; what else the estimator has to show.
 
     It chooses a move for every joint, a level for every joint (0 for off), a record length, and
-    whether to stop. If every joint is off, the last one shakes at its top level: a record
-    without excitation shows nothing.
+    whether to stop.
 
     Parameters
     ----------
@@ -134,7 +133,8 @@ class PolicyForm:
     ) -> NDArray[np.int64]:
         """Convert a choice to an action of the environment; arguments as in `stops`."""
         if self.stops(choice, records, least=least):
-            return self.problem.verdict(best_verdict(self.problem, probabilities))
+            unsure = self.problem.actions.allows_unsure(records, records)
+            return self.problem.verdict(best_verdict(self.problem, probabilities, unsure=unsure))
         return self.measuring(choice)
 
     def measuring(self, choice: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -142,11 +142,10 @@ class PolicyForm:
         problem = self.problem
         n = problem.arm.n
         choice = np.asarray(choice)
-        levels = choice[n : 2 * n].astype(np.intp)
-        if not levels.any():
-            levels[-1] = len(problem.arm.levels)
         return problem.actions.encode(
-            moves=choice[:n].astype(np.intp), levels=levels, duration=int(choice[2 * n])
+            moves=choice[:n].astype(np.intp),
+            levels=choice[n : 2 * n].astype(np.intp),
+            duration=int(choice[2 * n]),
         )
 
     def mask(self, pose: NDArray[np.float64], records: int, *, least: int = 1) -> NDArray[np.bool_]:
@@ -274,6 +273,5 @@ class LearnedAgent(EpisodeAgent):
             done = records > 0 and (
                 records >= problem.settings.max_records or self.stopping.stop(situation)
             )
-        if done:
-            return problem.verdict(verdict_of(problem, situation))
-        return form.measuring(choice)
+        named = verdict_of(problem, situation) if done else None
+        return form.measuring(choice) if named is None else problem.verdict(named)

@@ -191,7 +191,7 @@ class EpisodeBatch:
     def mask(self, slot: int) -> NDArray[np.bool_]:
         """Return the allowed choices of a slot's next action."""
         episode = self.episode(slot)
-        return self.actions.mask(episode.pose, episode.records)
+        return self.actions.mask(episode.pose, episode.records, episode.measured)
 
     def observe(self, slot: int) -> NDArray[np.float32]:
         """Return the flat observation of a slot."""
@@ -216,10 +216,10 @@ class EpisodeBatch:
             episode = self.episode(slot)
             if episode.ended:
                 raise ResetNeeded("the episode has ended: call reset() before step()")
-            if episode.records >= self.settings.max_records and action.verdict == 0:
-                outcomes[slot] = self._end(episode, None, {"out_of_records": True})
-            elif action.verdict > 0 and episode.records > 0:
+            if self._heard(episode, action):
                 outcomes[slot] = self._end(episode, self.verdicts[action.verdict - 1], {})
+            elif episode.records >= self.settings.max_records:
+                outcomes[slot] = self._end(episode, None, {"out_of_records": True})
             else:
                 ignored = action.verdict > 0
                 info: dict[str, Any] = {"verdict_ignored": ignored}
@@ -230,7 +230,7 @@ class EpisodeBatch:
                 )
                 info["level_share"] = share
                 waiting[slot] = (action, share, info)
-                if any(excitation.excited):  # not where gravity leaves a drive no torque
+                if any(excitation.excited):  # not where gravity leaves the drives no torque
                     jobs.append(self._job(slot, episode, excitation))
         for k, measurement in self._measured(jobs):
             slot = jobs[k].slot
@@ -239,6 +239,13 @@ class EpisodeBatch:
         for slot, (action, share, info) in waiting.items():  # nothing was excited
             outcomes[slot] = self._record(slot, action, share, None, info)
         return [outcomes[slot] for slot in slots]
+
+    def _heard(self, episode: Episode, action: Action) -> bool:
+        """Return whether an action's verdict counts: there is something to base it on."""
+        if action.verdict == self.actions.unsure:
+            return self.actions.allows_unsure(episode.records, episode.measured)
+        last = episode.records >= self.settings.max_records
+        return action.verdict > 0 and (last or episode.measured > 0)
 
     def _measured(self, jobs: Sequence[Job]) -> Iterable[tuple[int, Measurement]]:
         """Measure; a simulated rig gives each record out while it works on the next ones."""
@@ -356,7 +363,7 @@ class EpisodeBatch:
             "poses": len(episode.visited),
             "records": episode.records,
             "seconds": episode.seconds,
-            "action_mask": self.actions.mask(episode.pose, episode.records),
+            "action_mask": self.actions.mask(episode.pose, episode.records, episode.measured),
         }
 
 

@@ -38,6 +38,11 @@ class Episode:
     ended: bool = False
     verdict: str | None = None
 
+    @property
+    def measured(self) -> int:
+        """Number of records that show something."""
+        return int(np.count_nonzero(self.slots[:, 0]))
+
     def stream(self, kind: int, index: int = 0) -> np.random.Generator:
         """Return the generator of one kind of draw."""
         key = (self.number, kind, index)
