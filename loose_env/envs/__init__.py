@@ -6,6 +6,7 @@ Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> vector
 from loose_env.envs.diagnosis_env import DiagnosisEnv, EnvState
 from loose_env.envs.episode.actions import Action, ActionLayout
 from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
+from loose_env.envs.episode.elements import Element
 from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.episode.state import Outcome
 from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty, difficulty_named
@@ -41,6 +42,7 @@ __all__ = [
     "DiagnosisSettings",
     "DiagnosisVectorEnv",
     "Difficulty",
+    "Element",
     "EnvState",
     "EpisodeBatch",
     "FaultSampler",

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,21 +14,19 @@ from scipy.special import logsumexp
 
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Estimator, Situation, Sure, records_taken
-from loose_env.diagnosis import Belief, FaultPosterior, PosteriorSettings, RecordStatistics
-from loose_env.envs import ObservationLayout, difficulty_named
+from loose_env.diagnosis import Belief
+from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.wrappers import Posterior, analytic_posterior, record_from
 
 __all__ = [
     "ESTIMATORS",
     "WEIGHTS",
-    "Posterior",
     "Tracker",
-    "analytic_posterior",
     "belief_of",
     "feature_size",
     "further_features",
     "make_estimator",
-    "record_from",
     "setting_name",
     "tuned",
 ]
@@ -61,64 +59,12 @@ def setting_name(problem: Problem) -> str:
     return f"{problem.arm.name}-{name}"
 
 
-def record_from(
-    layout: ObservationLayout, observation: NDArray[np.float32], slot: int
-) -> RecordStatistics | None:
-    """Decode one record's statistics from an observation; None for an empty slot."""
-    row = layout.slots_of(observation)[slot]
-    if row[0] < 0.5:
-        return None
-    at = layout.groups_of(row)
-    arm = layout.arm
-    n, d = arm.n, len(arm.axes)
-    rms = at["tool_rms"]
-    covariance = np.diag(rms**2)
-    upper = np.triu_indices(d, 1)
-    covariance[upper] = at["tool_correlation"] * rms[upper[0]] * rms[upper[1]]
-    covariance.T[upper] = covariance[upper]
-    products = np.zeros((d, d))
-    products[np.triu_indices(d)] = at["lowest_direction"]
-    products = products + np.triu(products, 1).T
-    return RecordStatistics(
-        pose=at["pose"],
-        torque=at["torque"] * np.array(arm.torque_limits),
-        duration=float(at["duration"][0]),
-        transmission=at["transmission"].reshape(n, d).T,
-        transmission_by_instrument=at["transmission_by_instrument"].reshape(n, d).T,
-        joint_rms=at["joint_rms"],
-        inertia=at["inertia"],
-        tool_covariance=covariance,
-        lowest_direction=np.linalg.eigh(products)[1][:, -1],
-        lowest_coherence=float(at["coherence"][0]),
-        maximum_correlation=float(at["correlation"][0]),
-        skewness=at["skewness"],
-        kurtosis=at["kurtosis"],
-        lowest_skewness=float(at["lowest_skewness"][0]),
-        lowest_kurtosis=float(at["lowest_kurtosis"][0]),
-    )
-
-
 @dataclass
 class _Memory:
     """Belief of one episode and the number of records in it."""
 
     belief: Any
     records: int = 0
-
-
-class Posterior(Protocol):
-    """Protocol of a posterior, analytic or learned, updated record by record."""
-
-    hypotheses: tuple[str, ...]
-    """Hypotheses in the order of its probabilities."""
-
-    def start(self) -> Any:
-        """Return the prior, an object with ``probabilities``."""
-        ...
-
-    def update(self, belief: Any, record: RecordStatistics) -> Any:
-        """Update with one record."""
-        ...
 
 
 class Tracker:
@@ -139,7 +85,9 @@ class Tracker:
 
     def __init__(self, problem: Problem, posterior: Posterior | None = None) -> None:
         self.problem = problem
-        self.posterior = analytic_posterior(problem) if posterior is None else posterior
+        self.posterior = (
+            analytic_posterior(problem.linear, problem.settings) if posterior is None else posterior
+        )
         known = self.posterior.hypotheses
         unknown = [name for name in problem.hypotheses if name not in known]
         if unknown:
@@ -209,26 +157,6 @@ def belief_of(situation: Situation) -> Belief:
             f"not one whose memory is {type(situation.memory).__name__}"
         )
     return belief
-
-
-def analytic_posterior(problem: Problem) -> FaultPosterior:
-    """Build the posterior whose likelihood is derived from the nominal arm alone.
-
-    Raises
-    ------
-    InvalidSetting
-        If a kind of fault that may come up has no model in it.
-    """
-    difficulty = difficulty_named(problem.settings.difficulty)
-    return FaultPosterior(
-        problem.linear,
-        problem.settings.sensors,
-        PosteriorSettings(
-            friction=difficulty.friction,
-            mismatch=difficulty.mismatch,
-            kinds=difficulty.probabilities(problem.settings.kinds),
-        ),
-    )
 
 
 def _posterior(problem: Problem) -> Estimator:

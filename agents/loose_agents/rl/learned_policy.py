@@ -16,7 +16,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from loose_agents.core.base import PROBABILITY_FLOOR, EpisodeAgent, Problem
+from loose_agents.core.base import EpisodeAgent, Problem
 from loose_agents.core.belief_agent import (
     Estimator,
     Situation,
@@ -28,6 +28,7 @@ from loose_agents.core.belief_agent import (
 from loose_agents.core.estimators import feature_size, further_features, make_estimator
 from loose_agents.rl.network import FORMAT, PolicyNetwork, load_network
 from loose_env.errors import InvalidData
+from loose_env.wrappers import posterior_bounds, posterior_features
 
 __all__ = ["CONFIGURATION", "LearnedAgent", "PolicyForm"]
 
@@ -41,10 +42,7 @@ FURTHER_BOUND = 5.0
 class PolicyForm:
     """Observation and action encoding of the learned policy.
 
-    It sees, one after the other: the probabilities of the hypotheses; their logarithms (the
-    natural ones, those below 1e-6 cut off, divided by 7); the largest probability; the logarithm of
-    what is left beside it, from 0 to 1 at 0.1 %; the entropy as a share of the largest possible;
-    pose and spending as the environment shows them; what else the estimator has to show.
+    It sees the `loose_env.wrappers.posterior_features`, then what else the estimator has to show.
 
     It chooses a move for every joint, a level for every joint (0 for off), a record length, and
     whether to stop.
@@ -75,10 +73,7 @@ class PolicyForm:
         kinds = len(problem.hypotheses)
         start = problem.layout.global_elements
         bounds = [
-            *[(0.0, 1.0)] * kinds,
-            *[(-2.0, 0.0)] * kinds,
-            *[(0.0, 1.0)] * 3,
-            *((e.low, e.high) for e in start),
+            *posterior_bounds(kinds, start),
             *[(-FURTHER_BOUND, FURTHER_BOUND)] * further,
         ]
         low, high = np.array(bounds, dtype=np.float32).T
@@ -92,9 +87,6 @@ class PolicyForm:
         further: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
         """Observation of the policy (features,)."""
-        p = np.asarray(probabilities, dtype=float)
-        logs = np.log(np.maximum(p, PROBABILITY_FLOOR)) / 7.0
-        entropy = -np.sum(p * np.log(np.maximum(p, 1e-12))) / np.log(max(len(p), 2))
         start = observation[: len(self.problem.layout.global_elements)]
         shown = np.zeros(0) if further is None else np.asarray(further, dtype=float)
         if shown.shape != (self.further,):
@@ -102,9 +94,7 @@ class PolicyForm:
                 f"the estimator said that it shows {self.further} numbers, it showed {shown.shape}"
             )
         shown = np.clip(shown, -FURTHER_BOUND, FURTHER_BOUND)
-        doubt = np.log(np.maximum(1 - p.max(), 1e-3)) / np.log(1e-3)
-        summed = [p.max(), doubt, entropy]
-        both = np.concatenate([p, logs, summed, start, shown]).astype(np.float32)
+        both = np.concatenate([posterior_features(probabilities, start), shown]).astype(np.float32)
         space = self.observation_space
         return np.asarray(np.clip(both, space.low, space.high))
 
