@@ -42,7 +42,7 @@ _VERA = ("hold",)
 _PLANAR = ("n_links", "vertical", "hold")
 _SIX_AXIS = ("hold",)
 _SCARA = ("hold",)
-_FROM_FILE = ("model", "true_model", "tool", "joints", "hold")
+_FROM_FILE = ("model", "true_model", "tool", "tool_offset", "joints", "hold")
 _SINGLE = ("render_mode", "rig", "threads", "true_arm")
 _VECTOR = ("render_mode", "threads", "true_arm", "autoreset_mode")
 

@@ -6,7 +6,13 @@ library -> files.
 
 from loose_env.arms.arm import Arm, Gears, Holding, HoldKind
 from loose_env.arms.engine_warnings import quiet
-from loose_env.arms.files.load import DESK_ARM, arm_from_file, arm_of_model_file, describe_file
+from loose_env.arms.files.load import (
+    DESK_ARM,
+    arm_from_file,
+    arm_of_model_file,
+    describe_file,
+    unfelt_words,
+)
 from loose_env.arms.files.model_reader import (
     ModelFile,
     compile_spec,
@@ -98,6 +104,7 @@ __all__ = [
     "scara",
     "servoed",
     "six_axis",
+    "unfelt_words",
     "vera",
     "vera_spec",
     "wind_up",

@@ -27,6 +27,7 @@ from loose_env.faults import (
     SeveralFaults,
     StructuralLooseness,
     place_of,
+    places_of_kind,
 )
 
 __all__ = ["FaultSampler"]
@@ -88,7 +89,8 @@ class FaultSampler:
             kinds = [k for k in KINDS if self.probabilities.get(k, 0.0) > 0]
             edges = np.cumsum([self.probabilities[k] for k in kinds])
             kind = kinds[min(int(np.searchsorted(edges, u[0], side="right")), len(kinds) - 1)]
-            place = 1 + min(int(u[1] * self.arm.n), self.arm.n - 1)
+            places = places_of_kind(self.arm, kind)
+            place = places[min(int(u[1] * len(places)), len(places) - 1)]
         else:
             name, _, _ = hypothesis.partition("@")
             kind, place = name, place_of(hypothesis) or 1  # type: ignore[assignment]
@@ -147,7 +149,8 @@ class FaultSampler:
         places = 1 + rng.permutation(self.arm.n)[:count]
         faults = []
         for place in sorted(int(p) for p in places):
-            kind = kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
+            here = weights * [place in places_of_kind(self.arm, k) for k in kinds]
+            kind = kinds[int(rng.choice(len(kinds), p=here / here.sum()))]
             part = "joint" if kind == "backlash" else "link"
             faults.append(self.draw(rng, hypothesis=f"{kind}@{part}{place}"))
         return self.further.softened(SeveralFaults(faults=tuple(faults)))  # type: ignore[arg-type]
