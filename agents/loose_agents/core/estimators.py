@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,11 +30,27 @@ __all__ = [
     "make_estimator",
     "setting_name",
     "tuned",
+    "weights_path",
 ]
 
 
 WEIGHTS = Path(__file__).parents[1] / "weights"
 """Folder of tuned settings and trained weights."""
+
+
+OWN_WEIGHTS = "LOOSE_ENV_WEIGHTS"
+"""Environment variable: folder of weights of one's own, which go before the shipped ones."""
+
+
+def weights_path(name: str) -> Path:
+    """Path of weights or tuned settings by name, such as "ppo-vera-default".
+
+    Those in the folder that the environment variable ``LOOSE_ENV_WEIGHTS`` names come first.
+    """
+    own = os.environ.get(OWN_WEIGHTS)
+    if own and (Path(own) / name).exists():
+        return Path(own) / name
+    return WEIGHTS / name
 
 
 def tuned(problem: Problem) -> dict[str, Any]:
@@ -43,7 +60,7 @@ def tuned(problem: Problem) -> dict[str, Any]:
     levels of one joint, ``information`` the factors on expected information. Written by
     scripts/agents/tune_agents.py and scripts/agents/fit_information.py.
     """
-    path = WEIGHTS / f"{setting_name(problem)}.json"
+    path = weights_path(f"{setting_name(problem)}.json")
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
 
@@ -168,7 +185,7 @@ def _amortised(problem: Problem) -> Estimator:
 
     difficulty = difficulty_named(problem.settings.difficulty)
     posterior = AmortisedPosterior.load(
-        WEIGHTS / f"posterior-{setting_name(problem)}",
+        weights_path(f"posterior-{setting_name(problem)}"),
         problem.linear,
         problem.settings.sensors,
         difficulty.mismatch,
