@@ -7,6 +7,7 @@ such as ``posterior/random``.
 from __future__ import annotations
 
 import importlib
+import inspect
 import json
 import os
 import sys
@@ -227,6 +228,10 @@ def _from_outside(name: str, problem: Problem, seed: int) -> Agent:
         raise UnknownName(
             f"no agent {name!r}: {error}; give module:Class, with the module importable from here"
         ) from error
+    try:
+        inspect.signature(kind).bind(problem, seed=seed)
+    except (TypeError, ValueError) as error:
+        raise UnknownName(f"{name!r} is not made by Class(problem, seed=seed): {error}") from error
     agent = kind(problem, seed=seed)
     if not callable(getattr(agent, "predict", None)):
         raise UnknownName(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -64,13 +64,22 @@ class FaultSampler:
     ) -> None:
         self.arm: Arm = linear.arm
         self.difficulty = difficulty
-        self.probabilities = difficulty.probabilities(kinds)
+        self.probabilities = self._with_a_place(difficulty.probabilities(kinds))
         self.drive = SeatDrive(linear)
         self.linear = linear
         """The nominal arm."""
         rng = np.random.default_rng(0)
         self._poses = [np.zeros(self.arm.n), *(self.arm.random_pose(rng) for _ in range(64))]
         self._masses = SeatMasses(linear, self._poses)
+
+    def _with_a_place(self, shares: Mapping[str, float]) -> Mapping[str, float]:
+        """Shares of the kinds that can be somewhere, of one together."""
+        arm = self.arm
+        found = {k: p for k, p in shares.items() if k == "healthy" or places_of_kind(arm, k)}
+        if len(found) == len(shares):
+            return shares
+        total = sum(found.values())
+        return {kind: share / total for kind, share in found.items()}
 
     @cached_property
     def further(self) -> FurtherSeats:
