@@ -1,7 +1,7 @@
 """Arms under test: their models, their linear response, how joints are braked or servoed.
 
-Data flow: engine_warnings -> reach -> shaker -> arm -> response -> spec_parts -> holding ->
-library -> files.
+Data flow: engine_warnings -> reach -> shaker -> packed_spec -> arm -> response -> spec_parts ->
+holding -> library -> files.
 """
 
 from loose_env.arms.arm import Arm, Gears, Holding, HoldKind

@@ -1,6 +1,7 @@
 """The diagnosis environments.
 
-Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> vector_env -> sb3.
+Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> vector_inputs ->
+vector_env -> sb3.
 """
 
 from loose_env.envs.diagnosis_env import DiagnosisEnv, EnvState
@@ -22,7 +23,8 @@ from loose_env.envs.rendering.scenery import arrow, draw_base, draw_measure, hal
 from loose_env.envs.rendering.spatial.arm import SpaceDrawing
 from loose_env.envs.rendering.spatial.view import SpaceView
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.vector_env import DiagnosisVectorEnv, VectorState, batch_seeds
+from loose_env.envs.vector_env import DiagnosisVectorEnv, VectorState
+from loose_env.envs.vector_inputs import batch_seeds
 
 __all__ = [
     "DIFFICULTIES",

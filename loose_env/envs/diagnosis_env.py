@@ -100,10 +100,10 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     For the planar arm also `n_links` and `vertical`; for `loose_env/Arm-v0` `model`, the path of
     an MJCF or URDF file, `tool`, `tool_offset` and `joints`. Where the tool lies on a joint's axis
     it does not feel play there, which is no hypothesis then; `tool_offset`, three lengths in metres
-    in the tool's frame, moves the accelerometer off it. `true_arm` is the arm that is measured, where the
-    nominal model is wrong about more than `difficulty` says, an effect that it lacks above all; for
-    `loose_env/Arm-v0` `true_model`, the path of its file. Without it the nominal arm is measured,
-    with the difficulty's mismatch.
+    in the tool's frame, moves the accelerometer off it. `true_arm` is the arm that is measured,
+    where the nominal model is wrong about more than `difficulty` says, an effect that it lacks
+    above all; for `loose_env/Arm-v0` `true_model`, the path of its file. Without it the nominal arm
+    is measured, with the difficulty's mismatch.
 
     Options of `reset` hold for one episode. `{"fault": ...}` seats a given fault, or one drawn
     under a given hypothesis. It may lie outside the hypotheses, as "several_faults" does, two

@@ -17,41 +17,17 @@ from loose_env.envs.diagnosis_env import new_seed
 from loose_env.envs.episode.batch import EpisodeBatch
 from loose_env.envs.episode.state import Episode
 from loose_env.envs.settings import DiagnosisSettings
+from loose_env.envs.vector_inputs import checked_mask, checked_seeds, mode_named, own_options
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.io import is_whole
 
-__all__ = ["DiagnosisVectorEnv", "VectorState", "batch_seeds"]
+__all__ = ["DiagnosisVectorEnv", "VectorState"]
 
 _SHARED = (
     *("actions", "arm", "hypotheses", "layout", "metadata", "render_mode", "settings", "spec"),
     "verdicts",
 )
 """Attributes that are the same object for every environment of a batch."""
-
-
-def batch_seeds(seed: int, count: int) -> list[int]:
-    """Root seeds of the environments of a batch; two batches share no episode.
-
-    The first is ``seed`` itself, the others are numbers of 128 bits made from it. Seeds that count
-    up would do worse: of 16 environments each, batches seeded 0 and 1 would share 15.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the batch.
-    count : int
-        Number of environments.
-
-    Examples
-    --------
-    >>> batch_seeds(7, 1)
-    [7]
-    >>> len({*batch_seeds(7, 64), *batch_seeds(8, 64)})
-    128
-    """
-    further = (np.random.SeedSequence(seed, spawn_key=(i,)) for i in range(1, count))
-    states = (each.generate_state(2, np.uint64) for each in further)
-    return [seed, *(int(high) << 64 | int(low) for high, low in states)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +58,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
     * ``DISABLED``: ``reset(options={"reset_mask": ended})`` begins it; to step before is an error.
 
     Environment 0 of a batch seeded with s plays the same episodes as a single environment seeded
-    with s, the others those of `batch_seeds`. A sequence of seeds is taken as it is.
+    with s, the others those of `loose_env.envs.batch_seeds`. A sequence of seeds is taken as it is.
 
     Parameters
     ----------
@@ -142,7 +118,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
                 "environment has 'human' too"
             )
         super().__init__()
-        self.autoreset_mode = _mode(autoreset_mode)
+        self.autoreset_mode = mode_named(autoreset_mode)
         # The class's own dictionary says what the default is.
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = render_mode
@@ -187,11 +163,11 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
                 f"{options!r:.60}"
             )
         given = dict(options or {})
-        chosen = self._reset_mask(given.pop("reset_mask", None))
-        own = self._own_options(given.pop("env_options", None))
+        chosen = checked_mask(given.pop("reset_mask", None), self.num_envs)
+        own = own_options(given.pop("env_options", None), self.num_envs)
         if not all(self.batch.has_episode(int(i)) for i in np.flatnonzero(~chosen)):
             raise ResetNeeded("the first reset() begins all episodes: give it no reset_mask")
-        seeds = self._checked_seeds(seed)
+        seeds = checked_seeds(seed, self.num_envs)
         infos: dict[str, Any] = {}
         for i in np.flatnonzero(chosen):
             if seeds[i] is not None:
@@ -364,65 +340,8 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         self._numbers[i] += 1  # only now: a refused reset leaves the sequence as it was
         return info
 
-    def _own_options(self, given: Any) -> list[Mapping[str, Any]]:
-        """Options of each environment alone."""
-        if given is None:
-            return [{}] * self.num_envs
-        fits = isinstance(given, Sequence) and not isinstance(given, str)
-        if not fits or len(given) != self.num_envs:
-            raise InvalidSetting(
-                f"env_options are {self.num_envs} mappings, one for each environment, None where "
-                f"there are none; got {given!r:.60}"
-            )
-        for each in given:
-            if each is not None and not isinstance(each, Mapping):
-                raise InvalidSetting(
-                    f"each of env_options is a mapping such as {{'fault': 'healthy'}}, or None; "
-                    f"got {each!r:.60}"
-                )
-        return [{} if each is None else each for each in given]
-
-    def _checked_seeds(self, given: Any) -> list[int | None]:
-        """One seed for each environment; a single one is spread by `batch_seeds`."""
-        several = isinstance(given, (Sequence, np.ndarray)) and not isinstance(given, str)
-        seeds = list(given) if several else [given]
-        for seed in seeds:
-            if seed is not None and (not is_whole(seed) or seed < 0):
-                raise InvalidSetting(f"a seed is a whole number, zero or more; got {seed!r}")
-        if not several:
-            first = seeds[0]
-            return (
-                [None] * self.num_envs
-                if first is None
-                else [*batch_seeds(int(first), self.num_envs)]
-            )
-        if len(seeds) != self.num_envs:
-            raise InvalidSetting(f"{self.num_envs} seeds are needed, got {len(seeds)}")
-        return [None if seed is None else int(seed) for seed in seeds]
-
-    def _reset_mask(self, given: Any) -> NDArray[np.bool_]:
-        if given is None:
-            return np.ones(self.num_envs, dtype=bool)
-        mask = np.asarray(given)
-        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
-            raise InvalidSetting(
-                f"reset_mask must be {self.num_envs} booleans, at least one of them true; "
-                f"got {given!r}"
-            )
-        return mask
-
     def _observe(self) -> Any:
         singles = [self.batch.shown(i) for i in range(self.num_envs)]
         if not self.settings.raw:
             return np.stack(singles)
         return {key: np.stack([s[key] for s in singles]) for key in singles[0]}
-
-
-def _mode(given: AutoresetMode | str) -> AutoresetMode:
-    """Mode of that name or value."""
-    for mode in AutoresetMode:
-        if given is mode or given in (mode.value, mode.name):
-            return mode
-    raise InvalidSetting(
-        f"autoreset_mode is one of {[mode.value for mode in AutoresetMode]}, got {given!r}"
-    )
