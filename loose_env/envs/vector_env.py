@@ -213,9 +213,9 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
                 else:
                     self._ended[i] = True
             infos = self._add_info(infos, info, i)
-        for i in np.flatnonzero(over):
-            infos = self._add_info(infos, self._begin(int(i), {}), int(i))
-            self._ended[i] = False
+        for fresh in np.flatnonzero(over):
+            infos = self._add_info(infos, self._begin(int(fresh), {}), int(fresh))
+            self._ended[fresh] = False
         return self._observe(), rewards, terminated, truncated, infos
 
     def action_masks(self) -> NDArray[np.bool_]:

@@ -117,7 +117,7 @@ class LatestRecord(_RecordWrapper):
     ) -> NDArray[np.float32]:
         taken = round(float(start[self._spent]) * self._most)
         # Of a layout of one slot there is only that one.
-        return records[min(max(taken, 1), len(records)) - 1]
+        return np.asarray(records[min(max(taken, 1), len(records)) - 1])
 
 
 class MeasuredMinusNominal(_RecordWrapper):

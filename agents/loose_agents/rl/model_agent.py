@@ -85,7 +85,7 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
         return ModelAgent(problem, _network(stored, state, actions.nvec), seed=seed)
     estimator = make_estimator(_estimator(Path(path)), problem)
     form = PolicyForm(problem, feature_size(estimator))
-    sees = form.observation_space.shape[0]  # type: ignore[index]
+    sees = form.observation_space.shape[0]
     if seen != sees:
         raise InvalidData(
             f"{path} sees {seen} numbers; the observation of arm {problem.arm.name!r} has "
