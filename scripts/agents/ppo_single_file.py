@@ -143,7 +143,7 @@ def train(options: Options) -> list[float]:
         used = fresh.flatten() == 0
         flat = [x.flatten(0, 1)[used] for x in (seen, masks, actions, logs, advantages, values)]
         for _ in range(4):
-            for some in torch.randperm(len(flat[0])).split(128):
+            for some in torch.split(torch.randperm(len(flat[0])), 128):
                 s, m, a, before, advantage, value = (x[some] for x in flat)
                 parts = network.distributions(s, m)
                 ratio = (log_probability(parts, a) - before).exp()
@@ -152,7 +152,7 @@ def train(options: Options) -> list[float]:
                 miss = (network.value(s) - advantage - value).square().mean()
                 entropy = torch.stack([d.entropy() for d in parts]).sum(0).mean()
                 optimiser.zero_grad()
-                (0.5 * miss - gain - 0.003 * entropy).backward()
+                torch.autograd.backward(0.5 * miss - gain - 0.003 * entropy)
                 nn.utils.clip_grad_norm_(network.parameters(), 0.5)
                 optimiser.step()
         if update % max(1, updates // 10) == 0 or update == updates - 1:
