@@ -131,7 +131,7 @@ class MeasuredMinusNominal(_RecordWrapper):
     >>> import gymnasium, loose_env
     >>> env = MeasuredMinusNominal(gymnasium.make("loose_env/Vera-v0"))
     >>> env.observation_space.shape, env.layout.slot_elements[-1].name
-    ((476,), 'lowest_kurtosis')
+    ((464,), 'lowest_kurtosis')
     """
 
     def _changed(self) -> RecordLayout:

@@ -110,16 +110,20 @@ def _network(
     kind = stored.described.get("policy_class")
     module = kind.get("__module__", "") if isinstance(kind, dict) else ""
     try:
-        return network_from_tensors(
+        network = network_from_tensors(
             state,
             nvec,
             activation="tanh" if activation is None else activation.__name__.lower(),
             masked="maskable" in str(module),
         )
+        options = network.layers[-1].weight.shape[0]
+        if options != nvec.sum():
+            raise ValueError(f"it has {options} options, the problem {nvec.sum()}")
     except (KeyError, IndexError, ValueError) as error:
         raise InvalidData(
             f"{stored.path} holds no policy of this kind: {type(error).__name__}: {error!s:.200}"
         ) from error
+    return network
 
 
 def _estimator(path: Path) -> str:

@@ -205,8 +205,6 @@ def network_from_tensors(
         layers=layers, nvec=nvec, cells=tuple(cells), activation=activation, masked=masked
     )
     _check_chain(network)
-    if layers[-1].weight.shape[0] != nvec.sum():
-        raise ValueError(f"{layers[-1].weight.shape[0]} options, of {nvec.sum()} that there are")
     return network
 
 

@@ -318,7 +318,7 @@ def test_the_registry_plays_the_weights_of_the_arm(
     problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_policy(problem, tmp_path / f"ppo-{setting_name(problem)}")
-    monkeypatch.setattr("loose_agents.registry.WEIGHTS", tmp_path)
+    monkeypatch.setenv("LOOSE_ENV_WEIGHTS", str(tmp_path))
     assert isinstance(make_agent("ppo", problem), LearnedAgent)
 
 
