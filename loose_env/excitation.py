@@ -15,9 +15,10 @@ from typing import Annotated
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 
-from loose_env.arms import CREST_FACTOR, LinearArm, LinearPose
+from loose_env.arms import CREST_FACTOR, Arm, LinearArm, LinearPose, Response
 from loose_env.errors import InvalidSetting
 from loose_env.io import Checked, NonNegative, positive
 from loose_env.typing import Array
@@ -71,6 +72,11 @@ class Excitation(Checked):
         return tuple(t > 0 for t in self.torque_rms)
 
 
+UNFELT_LEVER = 0.1
+"""Distance from the axis of a joint that the tool does not feel, over the reach, at which its level
+counts [1]: about that of an accelerometer mounted beside the axis."""
+
+
 def at_levels(pose: LinearPose, levels: Array, *, duration: float) -> tuple[Excitation, Array]:
     """Find the torques that give the nominal tool the wanted acceleration.
 
@@ -112,8 +118,10 @@ def at_levels(pose: LinearPose, levels: Array, *, duration: float) -> tuple[Exci
     torque, share = np.zeros(arm.n), np.ones(arm.n)
     on = wanted > 0
     if on.any():
-        tool = pose.response(on).tool
-        per_torque = np.sqrt(np.mean(np.sum(np.abs(tool) ** 2, axis=1), axis=0))
+        response = pose.response(on)
+        per_torque = np.sqrt(np.mean(np.sum(np.abs(response.tool) ** 2, axis=1), axis=0))
+        if arm.unfelt_joints:
+            per_torque = np.maximum(per_torque, _least_felt(response, on, arm))
         spare = np.array(arm.torque_limits) - np.abs(pose.gravity_torque)
         allowed = np.maximum(spare[on], 0.0) / CREST_FACTOR
         needed = wanted[on] / per_torque
@@ -123,6 +131,20 @@ def at_levels(pose: LinearPose, levels: Array, *, duration: float) -> tuple[Exci
         torque_rms=tuple(float(t) for t in torque), duration=duration, band=arm.band
     )
     return excitation, share
+
+
+def _least_felt(response: Response, on: NDArray[np.bool_], arm: Arm) -> Array:
+    """Acceleration that counts for an unfelt joint per torque, 0 for the others (m,).
+
+    No torque would give the tool on the joint's axis its level; what is asked for then is the
+    level at a distance of `UNFELT_LEVER` times the reach.
+    """
+    found = np.zeros(int(on.sum()))
+    for k, joint in enumerate(np.flatnonzero(on)):
+        if joint + 1 in arm.unfelt_joints:
+            turning = np.sqrt(np.mean(np.abs(response.joint[:, joint, k]) ** 2))
+            found[k] = UNFELT_LEVER * arm.reach * turning
+    return found
 
 
 class SeatDrive:

@@ -7,6 +7,7 @@ Every id takes ``hold``: "brake", "servo" or "compliant"; see `loose_env.arms.ho
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import fields
 from typing import Any
 
@@ -16,6 +17,7 @@ from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = [
     "IDS",
+    "MAX_EPISODE_STEPS",
     "make_arm",
     "make_arm_vector",
     "make_planar",
@@ -38,25 +40,34 @@ IDS = (
 )
 """Every registered id."""
 
+MAX_EPISODE_STEPS = 14
+"""Steps after which Gymnasium's time limit cuts an episode: one more than the longest episode of
+twelve records and a verdict, so that it never does."""
+REWARD_THRESHOLDS = (0.80, 0.82, 0.65, None, None)
+"""Mean return from which an id counts as solved: what the best agents reach, rounded down
+(docs/agents.md); None where no agent is published."""
+
 _VERA = ("hold",)
 _PLANAR = ("n_links", "vertical", "hold")
 _SIX_AXIS = ("hold",)
 _SCARA = ("hold",)
-_FROM_FILE = ("model", "true_model", "tool", "joints", "hold")
+_FROM_FILE = ("model", "true_model", "tool", "tool_offset", "joints", "hold")
 _SINGLE = ("render_mode", "rig", "threads", "true_arm")
-_VECTOR = ("threads", "true_arm")
+_VECTOR = ("render_mode", "threads", "true_arm", "autoreset_mode")
 
 
 def register() -> None:
     """Register all ids with Gymnasium; those already there are left alone."""
     here = "loose_env.registration"
     names = ("vera", "planar", "six_axis", "scara", "arm")
-    for env_id, name in zip(IDS, names, strict=True):
+    for env_id, name, threshold in zip(IDS, names, REWARD_THRESHOLDS, strict=True):
         if env_id not in gymnasium.registry:
             gymnasium.register(
                 id=env_id,
                 entry_point=f"{here}:make_{name}",
                 vector_entry_point=f"{here}:make_{name}_vector",
+                reward_threshold=threshold,
+                max_episode_steps=MAX_EPISODE_STEPS,
             )
 
 
@@ -156,14 +167,24 @@ def _single(
     from loose_env.envs import DiagnosisEnv
 
     own = _take(arguments, *_SINGLE)
-    return DiagnosisEnv(arm, _settings(arguments, (*of_arm, *_SINGLE)), **own)
+    settings = _settings(arguments, (*of_arm, *_SINGLE))
+    needed = settings.max_records + 2
+    if needed > MAX_EPISODE_STEPS:
+        # An entry point is not told whether the user gave another limit.
+        warnings.warn(
+            f"max_records={settings.max_records} needs max_episode_steps={needed} given to "
+            f"gymnasium.make: without it episodes are cut after {MAX_EPISODE_STEPS} steps",
+            UserWarning,
+            stacklevel=3,
+        )
+    return DiagnosisEnv(arm, settings, **own)
 
 
 def _vector(arm: Any, num_envs: int, arguments: dict[str, Any], of_arm: tuple[str, ...]) -> Any:
     from loose_env.envs import DiagnosisVectorEnv
 
     own = _take(arguments, *_VECTOR)
-    _take(arguments, "render_mode")
+    _take(arguments, "max_episode_steps")  # the episodes end by themselves
     settings = _settings(arguments, (*of_arm, *_VECTOR))
     return DiagnosisVectorEnv(arm, settings, num_envs=num_envs, **own)
 

@@ -37,6 +37,7 @@ ORDER = (
     ("doctor",),
     ("diagnosis", "gap"),
     ("envs",),
+    ("wrappers",),
     ("registration",),
     ("evaluation",),
     ("instrument",),

@@ -6,10 +6,15 @@ such as ``posterior/random``.
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import json
+import os
+import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from loose_agents.core.base import Agent, Problem
@@ -21,6 +26,7 @@ from loose_agents.core.estimators import (
     setting_name,
     tuned,
     tuned_stopping,
+    weights_path,
 )
 from loose_agents.policies.blind import BlindAgent
 from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings
@@ -35,7 +41,7 @@ from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
 from loose_env.faults import UNSURE
 
-__all__ = ["AGENTS", "WEIGHTS", "belief_agent", "describe", "make_agent"]
+__all__ = ["AGENTS", "WEIGHTS", "belief_agent", "describe", "is_outside", "make_agent"]
 
 
 def belief_agent(estimator: str, policy: str, problem: Problem, *, seed: int = 0) -> BeliefAgent:
@@ -91,7 +97,7 @@ def _classical_literal(problem: Problem, seed: int) -> Agent:
 
 def _tuned_search(name: str, problem: Problem) -> dict[str, Any]:
     """Settings of a search tuned for an arm; none where it was not."""
-    path = WEIGHTS / f"{problem.arm.name}-{name}.json"
+    path = weights_path(f"{problem.arm.name}-{name}.json")
     return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
 
 
@@ -105,7 +111,7 @@ def _learned(name: str, training: str = "") -> Callable[[Problem, int], Agent]:
 
         folder = f"{LEARNED[name]}-{setting_name(problem)}"
         agent = LearnedAgent.load(
-            problem, WEIGHTS / (f"{folder}-{training}" if training else folder)
+            problem, weights_path(f"{folder}-{training}" if training else folder)
         )
         stop = tuned(problem).get("stop", {}).get(name)
         if stop is not None:  # earns more than the policy's own stopping, on training episodes
@@ -147,7 +153,7 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     "greedy": (_of("amortised", "greedy"), "the learned posterior, the most telling record next"),
     "look_ahead": (_of("amortised", "look_ahead"), "the same, two records ahead"),
     "always_healthy": (_blind("healthy"), "blind: healthy, after the cheapest record"),
-    "always_unsure": (_blind(UNSURE), "blind: unsure, after the cheapest record"),
+    "always_unsure": (_blind(UNSURE), "blind: unsure, after the cheapest records that allow it"),
     "oracle": (
         lambda problem, seed: oracle_agent(problem, seed=seed),
         "no agent: greedy, told the hidden direction and friction",
@@ -163,6 +169,8 @@ def describe(name: str) -> str:
     """Describe an agent in a short phrase."""
     if name in AGENTS:
         return AGENTS[name][1]
+    if is_outside(name):
+        return f"from {name}"
     estimator, _, policy = name.partition("/")
     _require(name, estimator, policy)
     return f"{ESTIMATORS[estimator][1]}; {POLICIES[policy][1]}"
@@ -172,26 +180,72 @@ def make_agent(name: str, problem: Problem, *, seed: int = 0) -> Agent:
     """Make an agent for a problem.
 
     A learned agent's further trainings, from other seeds, are ``ppo#2``, ``ppo#3``, ...;
-    ``ppo#1`` is the first, ``ppo`` itself.
+    ``ppo#1`` is the first, ``ppo`` itself. From outside the package come
+
+    * ``module:Class``, called as ``Class(problem, seed=seed)``, with `predict`;
+    * ``path/model.zip``, a model of stable-baselines3 (`loose_agents.rl.model_agent`);
+    * ``path/folder``, a policy that ``scripts/agents/train.py --export`` wrote.
 
     Raises
     ------
     UnknownName
         If there is no agent of that name.
+    InvalidData
+        If a file is no model of this problem.
     """
     if name in AGENTS:
         return AGENTS[name][0](problem, seed)
     plain, _, training = name.partition("#")
     if plain in LEARNED and training.isdigit():
         return _learned(plain, "" if training == "1" else training)(problem, seed)
+    if is_outside(name):
+        return _from_outside(name, problem, seed)
     estimator, _, policy = name.partition("/")
     _require(name, estimator, policy)
     return belief_agent(estimator, policy, problem, seed=seed)
+
+
+def is_outside(name: str) -> bool:
+    """Return whether a name stands for an agent from outside the package."""
+    return name.endswith(".zip") or Path(name).is_dir() or ":" in name
+
+
+def _from_outside(name: str, problem: Problem, seed: int) -> Agent:
+    if name.endswith(".zip"):
+        from loose_agents.rl.model_agent import model_agent
+
+        return model_agent(name, problem, seed=seed)
+    if Path(name).is_dir():
+        from loose_agents.rl.learned_policy import LearnedAgent
+
+        return LearnedAgent.load(problem, name)
+    module, _, attribute = name.partition(":")
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())  # a class beside the command, as python itself finds it
+    try:
+        kind = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError, TypeError) as error:
+        raise UnknownName(
+            f"no agent {name!r}: {error}; give module:Class, with the module importable from here"
+        ) from error
+    try:
+        inspect.signature(kind).bind(problem, seed=seed)
+    except (TypeError, ValueError) as error:
+        raise UnknownName(f"{name!r} is not made by Class(problem, seed=seed): {error}") from error
+    agent = kind(problem, seed=seed)
+    if not callable(getattr(agent, "predict", None)):
+        raise UnknownName(
+            f"{name!r} makes a {type(agent).__name__}, which has no predict(observation, state, "
+            "episode_start, deterministic)"
+        )
+    found: Agent = agent
+    return found
 
 
 def _require(name: str, estimator: str, policy: str) -> None:
     if estimator not in ESTIMATORS or policy not in POLICIES:
         raise UnknownName(
             f"unknown agent {name!r}; agents are {list(AGENTS)}, or an estimator of "
-            f"{list(ESTIMATORS)} and a policy of {list(POLICIES)}, as in posterior/random"
+            f"{list(ESTIMATORS)} and a policy of {list(POLICIES)}, as in posterior/random; "
+            "from outside come module:Class, path/model.zip and the folder of an exported policy"
         )

@@ -1,12 +1,18 @@
 """Arms under test: their models, their linear response, how joints are braked or servoed.
 
-Data flow: engine_warnings -> reach -> shaker -> arm -> response -> spec_parts -> holding ->
-library -> files.
+Data flow: engine_warnings -> reach -> shaker -> packed_spec -> arm -> response -> spec_parts ->
+holding -> library -> files.
 """
 
 from loose_env.arms.arm import Arm, Gears, Holding, HoldKind
 from loose_env.arms.engine_warnings import quiet
-from loose_env.arms.files.load import DESK_ARM, arm_from_file, arm_of_model_file, describe_file
+from loose_env.arms.files.load import (
+    DESK_ARM,
+    arm_from_file,
+    arm_of_model_file,
+    describe_file,
+    unfelt_words,
+)
 from loose_env.arms.files.model_reader import (
     ModelFile,
     compile_spec,
@@ -98,6 +104,7 @@ __all__ = [
     "scara",
     "servoed",
     "six_axis",
+    "unfelt_words",
     "vera",
     "vera_spec",
     "wind_up",

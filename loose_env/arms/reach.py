@@ -9,13 +9,15 @@ import numpy as np
 
 from loose_env.typing import Array
 
-__all__ = ["largest_reach"]
+__all__ = ["largest_levers", "largest_reach"]
 
 Range = tuple[float, float] | None
 
 _STARTS = 12
 """Random poses from which the search starts, beside the model's own."""
 _SWEEPS = 60
+_POSES = 24
+"""Random poses at which levers are looked at."""
 _ENOUGH = 1e-9
 """Relative gain below which a sweep over the joints ends, and a pose counts as no farther."""
 
@@ -122,3 +124,43 @@ def _cross(a: Array, b: Array) -> Array:
     """Cross product of two vectors (3,), without what `numpy.cross` asks of many."""
     (x, y, z), (u, v, w) = a, b
     return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+
+
+def largest_levers(
+    model: mujoco.MjModel, joints: Sequence[str], ranges: Sequence[Range], tool: str
+) -> Array:
+    """Largest distance of the tool from each joint's axis over random poses [m] (n,).
+
+    Infinite where a joint slides: every motion of it moves the tool.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The bare arm; bending modes stay at rest.
+    joints : sequence of str
+        Its driven joints, base first.
+    ranges : sequence of (float, float) or None
+        Allowed positions of each joint [rad or m]; None for a hinge that turns without end.
+    tool : str
+        Site of the tool.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> arm = planar(2)
+    >>> largest_levers(arm.model, arm.joints, arm.joint_ranges, arm.tool).round(2).tolist()
+    [0.6, 0.3]
+    """
+    data = mujoco.MjData(model)
+    ids = [int(model.joint(name).id) for name in joints]
+    slides = np.array([model.jnt_type[i] == mujoco.mjtJoint.mjJNT_SLIDE for i in ids])
+    low = np.array([-np.pi if r is None else r[0] for r in ranges])
+    high = np.array([np.pi if r is None else r[1] for r in ranges])
+    rng = np.random.default_rng(0)  # the same arm always has the same levers
+    found = np.zeros(len(ids))
+    for _ in range(_POSES):
+        data.qpos[[model.jnt_qposadr[i] for i in ids]] = low + (high - low) * rng.random(len(ids))
+        mujoco.mj_kinematics(model, data)
+        away = data.site(tool).xpos - data.xanchor[ids]
+        found = np.maximum(found, np.linalg.norm(np.cross(data.xaxis[ids], away), axis=1))
+    return np.where(slides, np.inf, found)

@@ -1,11 +1,13 @@
 """The diagnosis environments.
 
-Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> vector_env -> sb3.
+Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> vector_inputs ->
+vector_env -> sb3.
 """
 
-from loose_env.envs.diagnosis_env import DiagnosisEnv
+from loose_env.envs.diagnosis_env import DiagnosisEnv, EnvState
 from loose_env.envs.episode.actions import Action, ActionLayout
 from loose_env.envs.episode.batch import BatchRig, EpisodeBatch
+from loose_env.envs.episode.elements import Element
 from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.episode.state import Outcome
 from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty, difficulty_named
@@ -21,7 +23,8 @@ from loose_env.envs.rendering.scenery import arrow, draw_base, draw_measure, hal
 from loose_env.envs.rendering.spatial.arm import SpaceDrawing
 from loose_env.envs.rendering.spatial.view import SpaceView
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.vector_env import DiagnosisVectorEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv, VectorState
+from loose_env.envs.vector_inputs import batch_seeds
 
 __all__ = [
     "DIFFICULTIES",
@@ -41,6 +44,8 @@ __all__ = [
     "DiagnosisSettings",
     "DiagnosisVectorEnv",
     "Difficulty",
+    "Element",
+    "EnvState",
     "EpisodeBatch",
     "FaultSampler",
     "Loop",
@@ -50,7 +55,9 @@ __all__ = [
     "PlanarView",
     "SpaceDrawing",
     "SpaceView",
+    "VectorState",
     "arrow",
+    "batch_seeds",
     "difficulty_named",
     "draw_base",
     "draw_measure",

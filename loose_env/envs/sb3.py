@@ -6,12 +6,15 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
+from loose_env.envs.diagnosis_env import new_seed
 from loose_env.envs.vector_env import DiagnosisVectorEnv
-from loose_env.errors import UnknownName
+from loose_env.envs.vector_inputs import batch_seeds
+from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = ["Sb3VecEnv"]
 
@@ -27,19 +30,46 @@ class Sb3VecEnv(VecEnv):
     ----------
     env : DiagnosisVectorEnv
         The environments, made for example by ``gymnasium.make_vec(id, num_envs=8)``.
+
+    Raises
+    ------
+    InvalidSetting
+        If it is another environment, or does not reset in the same step.
     """
 
     def __init__(self, env: DiagnosisVectorEnv) -> None:
+        if not isinstance(env, DiagnosisVectorEnv):
+            raise InvalidSetting(
+                f"Sb3VecEnv adapts a DiagnosisVectorEnv, as gymnasium.make_vec gives it; got "
+                f"{type(env).__name__}: wrap single environments and give them to "
+                "stable_baselines3's DummyVecEnv instead"
+            )
+        if env.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise InvalidSetting(
+                "stable-baselines3 resets in the same step: make the environments with "
+                f"autoreset_mode='SameStep', got {env.autoreset_mode.value!r}"
+            )
         self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._actions: NDArray[np.int64] | None = None
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, dtype=int)
 
+    def seed(self, seed: int | None = None) -> list[int | None]:
+        """Seed the next reset; the environments' seeds are those of `loose_env.envs.batch_seeds`.
+
+        Returns
+        -------
+        list of int
+            Root seed of each environment.
+        """
+        self._seeds = [*batch_seeds(new_seed() if seed is None else int(seed), self.num_envs)]
+        return list(self._seeds)
+
     def reset(self) -> Any:
-        """Begin an episode in every environment."""
+        """Begin an episode in every environment, with the options of each."""
         seeds = self._seeds if any(s is not None for s in self._seeds) else None
-        options = self._options[0] if any(self._options) else None
+        options = {"env_options": self._options} if any(self._options) else None
         observation, infos = self.env.reset(seed=seeds, options=options)
         self.reset_infos = [self._info(infos, i) for i in range(self.num_envs)]
         self._returns[:], self._lengths[:] = 0.0, 0
@@ -61,6 +91,7 @@ class Sb3VecEnv(VecEnv):
         for i in range(self.num_envs):
             info = self._info(infos, i)
             if done[i]:
+                self.reset_infos[i] = info
                 info = self._info(infos["final_info"], i)
                 info["terminal_observation"] = infos["final_obs"][i]
                 info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
@@ -73,19 +104,28 @@ class Sb3VecEnv(VecEnv):
         """Close the environments."""
         self.env.close()
 
+    def get_images(self) -> Sequence[Any]:
+        """Picture of every environment; they need the render_mode "rgb_array"."""
+        return self.env.render()
+
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Attribute of the environments; it is the same object for all."""
-        if attr_name == "render_mode":
-            return [None for _ in self._chosen(indices)]
-        return [getattr(self.env, attr_name) for _ in self._chosen(indices)]
+        values = self.env.get_attr(attr_name)
+        return [values[i] for i in self._chosen(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of the vector environment, for all of it at once."""
-        setattr(self.env, attr_name, value)
+        """Refuse, as the environments of a batch do."""
+        self.env.set_attr(attr_name, value)
 
     def has_attr(self, attr_name: str) -> bool:
-        """Return whether the environments have an attribute."""
-        return hasattr(self.env, attr_name)
+        """Return whether the environments have an attribute or a method."""
+        if attr_name == "action_masks":
+            return True
+        try:
+            self.env.get_attr(attr_name)
+        except UnknownName:
+            return False
+        return True
 
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,20 +15,50 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm
 from loose_env.envs.diagnosis_env import new_seed
 from loose_env.envs.episode.batch import EpisodeBatch
+from loose_env.envs.episode.state import Episode
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.errors import InvalidAction, InvalidSetting
+from loose_env.envs.vector_inputs import checked_mask, checked_seeds, mode_named, own_options
+from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.io import is_whole
 
-__all__ = ["DiagnosisVectorEnv"]
+__all__ = ["DiagnosisVectorEnv", "VectorState"]
+
+_SHARED = (
+    *("actions", "arm", "hypotheses", "layout", "metadata", "render_mode", "settings", "spec"),
+    "verdicts",
+)
+"""Attributes that are the same object for every environment of a batch."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VectorState:
+    """All that the future of a vector environment depends on, beside its arguments."""
+
+    seeds: tuple[int | None, ...]
+    """Root seed of each environment."""
+    numbers: tuple[int, ...]
+    """Number of each environment's episode under its root seed."""
+    episodes: tuple[Episode | None, ...]
+    """Each environment's latest episode."""
+    ended: tuple[bool, ...]
+    """True for each environment that is to be reset before it goes on."""
 
 
 class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
     """`num_envs` diagnosis episodes side by side, simulated in one batch.
 
-    Episodes end by themselves and start anew in the same step: the observation is the new
-    episode's first one, that of the ended episode is in `infos["final_obs"]`, its info in
-    `infos["final_info"]`. Environment i of a batch seeded with s plays the same episodes as a
-    single environment seeded with s + i.
+    `autoreset_mode` says what becomes of an episode that has ended, as in Gymnasium's own vector
+    environments:
+
+    * ``SAME_STEP``, the default: the next one begins in the same step. The observation is its
+      first one, that of the ended episode is in `infos["final_obs"]`, its info in
+      `infos["final_info"]`. No step is lost, which matters where an episode takes three.
+    * ``NEXT_STEP``: the next step begins it, whatever the action, with reward 0. Gymnasium's
+      wrappers of observations (`NormalizeObservation` and others) need this one.
+    * ``DISABLED``: ``reset(options={"reset_mask": ended})`` begins it; to step before is an error.
+
+    Environment 0 of a batch seeded with s plays the same episodes as a single environment seeded
+    with s, the others those of `loose_env.envs.batch_seeds`. A sequence of seeds is taken as it is.
 
     Parameters
     ----------
@@ -41,6 +72,17 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         Simulation threads; 0 takes all processors.
     true_arm : Arm, optional
         The arm that is measured; the nominal one by default. See `loose_env.envs.EpisodeBatch`.
+    autoreset_mode : AutoresetMode or str
+        A mode or its value: "SameStep", "NextStep" or "Disabled".
+    render_mode : {"rgb_array"}, optional
+        With "rgb_array" `render` returns a picture of each environment.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no environment, or the mode is none.
+    UnknownName
+        If a batch cannot be drawn that way.
 
     Examples
     --------
@@ -52,7 +94,8 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": [],
+        "render_modes": ["rgb_array"],
+        "render_fps": 2,
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
 
@@ -64,14 +107,25 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         num_envs: int = 1,
         threads: int = 0,
         true_arm: Arm | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        render_mode: str | None = None,
     ) -> None:
-        if isinstance(num_envs, bool) or num_envs < 1:
+        if not is_whole(num_envs) or num_envs < 1:
             raise InvalidSetting(f"num_envs must be 1 or more, got {num_envs!r}")
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise UnknownName(
+                f"a batch has no render_mode {render_mode!r}; it has 'rgb_array', and a single "
+                "environment has 'human' too"
+            )
         super().__init__()
-        self.num_envs = num_envs
+        self.autoreset_mode = mode_named(autoreset_mode)
+        # The class's own dictionary says what the default is.
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.render_mode = render_mode
+        self.num_envs = int(num_envs)
         self.settings = DiagnosisSettings() if settings is None else settings
         self.batch = EpisodeBatch(
-            arm, self.settings, num=num_envs, threads=threads, true_arm=true_arm
+            arm, self.settings, num=self.num_envs, threads=threads, true_arm=true_arm
         )
         self.arm = arm
         self.hypotheses, self.verdicts = self.batch.hypotheses, self.batch.verdicts
@@ -79,10 +133,12 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         self.actions = self.batch.actions
         self.single_action_space = self.actions.space
         self.single_observation_space = self.batch.space
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._seeds: list[int | None] = [None] * num_envs
-        self._numbers = [-1] * num_envs
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._picture: Any = None
+        self._seeds: list[int | None] = [None] * self.num_envs
+        self._numbers = [-1] * self.num_envs
+        self._ended = np.zeros(self.num_envs, dtype=bool)
 
     @property
     def divergences(self) -> dict[str, int]:
@@ -95,28 +151,35 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode in every environment, or in those of `options["reset_mask"]`."""
+        """Begin an episode in every environment, or in those of `options["reset_mask"]`.
+
+        The other options are those of the single environment, for all alike;
+        ``options["env_options"]`` is a sequence of further ones, a mapping or None for each
+        environment, which go before them.
+        """
         if options is not None and not isinstance(options, Mapping):
             raise InvalidSetting(
                 f"options of reset() are a mapping such as {{'fault': 'healthy'}}, got "
                 f"{options!r:.60}"
             )
         given = dict(options or {})
-        chosen = self._reset_mask(given.pop("reset_mask", None))
+        chosen = checked_mask(given.pop("reset_mask", None), self.num_envs)
+        own = own_options(given.pop("env_options", None), self.num_envs)
         if not all(self.batch.has_episode(int(i)) for i in np.flatnonzero(~chosen)):
             raise ResetNeeded("the first reset() begins all episodes: give it no reset_mask")
-        seeds = self._checked_seeds(seed)
+        seeds = checked_seeds(seed, self.num_envs)
         infos: dict[str, Any] = {}
         for i in np.flatnonzero(chosen):
             if seeds[i] is not None:
                 self._seeds[i], self._numbers[i] = seeds[i], -1
-            infos = self._add_info(infos, self._begin(int(i), given), int(i))
+            infos = self._add_info(infos, self._begin(int(i), {**given, **own[i]}), int(i))
+            self._ended[i] = False
         return self._observe(), infos
 
     def step(
         self, actions: Any
     ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Step every environment; those that end begin anew."""
+        """Step every environment; `autoreset_mode` says when those that end begin anew."""
         try:
             rows = np.asarray(actions)
         except ValueError:  # rows of different length
@@ -128,23 +191,146 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
             )
         if not all(self.batch.has_episode(i) for i in range(self.num_envs)):
             raise ResetNeeded("no episodes are running: call reset() before step()")
-        outcomes = self.batch.step(range(self.num_envs), list(rows))
-        rewards = np.array([o.reward for o in outcomes])
-        terminated = np.array([o.terminated for o in outcomes])
-        truncated = np.array([o.truncated for o in outcomes])
+        over = self._ended.copy()
+        if self.autoreset_mode is AutoresetMode.DISABLED and over.any():
+            raise ResetNeeded(
+                f"the episodes of environments {np.flatnonzero(over).tolist()} have ended and "
+                "autoreset is disabled: call reset(options={'reset_mask': ended}) before step()"
+            )
+        going = [int(i) for i in np.flatnonzero(~over)]
+        rewards = np.zeros(self.num_envs)
+        terminated, truncated = np.zeros((2, self.num_envs), dtype=bool)
         infos: dict[str, Any] = {}
-        for i, outcome in enumerate(outcomes):
+        for i, outcome in zip(going, self.batch.step(going, list(rows[going])), strict=True):
             info = outcome.info
+            rewards[i] = outcome.reward
+            terminated[i], truncated[i] = outcome.terminated, outcome.truncated
             if outcome.terminated or outcome.truncated:
-                final = {"final_obs": self.batch.shown(i), "final_info": info}
-                infos = self._add_info(infos, final, i)
-                info = self._begin(i, {})
+                if self.autoreset_mode is AutoresetMode.SAME_STEP:
+                    final = {"final_obs": self.batch.shown(i), "final_info": info}
+                    infos = self._add_info(infos, final, i)
+                    info = self._begin(i, {})
+                else:
+                    self._ended[i] = True
             infos = self._add_info(infos, info, i)
+        for fresh in np.flatnonzero(over):
+            infos = self._add_info(infos, self._begin(int(fresh), {}), int(fresh))
+            self._ended[fresh] = False
         return self._observe(), rewards, terminated, truncated, infos
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Allowed choices of the next actions (num_envs, sum of choices)."""
         return np.array([self.batch.mask(i) for i in range(self.num_envs)])
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method of every environment, or get an attribute, as a tuple of results.
+
+        Methods are ``action_masks`` and ``render``; attributes those of `get_attr`.
+
+        Raises
+        ------
+        UnknownName
+            If a batch has no such thing.
+        """
+        if name == "action_masks":
+            return tuple(self.action_masks())
+        if name == "render":
+            return self.render()
+        return self.get_attr(name)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Attribute of every environment: spaces, settings, names, layouts.
+
+        Raises
+        ------
+        UnknownName
+            If a batch has no such thing.
+        """
+        if name in ("action_space", "observation_space"):
+            return (getattr(self, f"single_{name}"),) * self.num_envs
+        if name not in _SHARED:
+            known = sorted({*_SHARED, "action_space", "observation_space"})
+            raise UnknownName(
+                f"environments of a batch have no {name!r}; they have the attributes {known} and "
+                "the methods 'action_masks' and 'render'"
+            )
+        return (getattr(self, name),) * self.num_envs
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Refuse: environments of a batch share their attributes, which stay as they were made."""
+        raise InvalidSetting(
+            f"{name!r} of the environments of a batch cannot be set: they share their arm and "
+            "settings; give these when the batch is made, and what changes from episode to "
+            "episode as options of reset()"
+        )
+
+    def render(self) -> tuple[Any, ...]:
+        """Picture of every environment, each (height, width, 3) of uint8."""
+        if self.render_mode is None:
+            raise UnknownName("no render_mode was given; make the batch with 'rgb_array'")
+        episodes = [self.batch.episode(i) for i in range(self.num_envs)]
+        if self._picture is None:
+            from loose_env.envs.rendering.picture import Picture
+
+            self._picture = Picture(self.batch.nominal, show=False, sensors=self.settings.sensors)
+        return tuple(self._picture.draw(each, verdict=each.verdict) for each in episodes)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Let go of the picture."""
+        self._picture = None
+
+    def get_state(self) -> VectorState:
+        """Copy of the state: `set_state` goes on from it, in this batch or another like it."""
+        return VectorState(
+            seeds=tuple(self._seeds),
+            numbers=tuple(self._numbers),
+            episodes=tuple(self.batch.episode_copy(i) for i in range(self.num_envs)),
+            ended=tuple(bool(over) for over in self._ended),
+        )
+
+    def set_state(self, state: VectorState) -> None:
+        """Go on from a state that `get_state` gave.
+
+        Raises
+        ------
+        InvalidSetting
+            If it is of another number of environments, or does not fit the arm and the settings.
+        """
+        if not isinstance(state, VectorState) or len(state.episodes) != self.num_envs:
+            raise InvalidSetting(
+                f"a state of {self.num_envs} environments is what get_state() of such a batch "
+                f"gives; got {state!r:.60}"
+            )
+        for episode in state.episodes:
+            self.batch.check_fits(episode)
+        for i, episode in enumerate(state.episodes):
+            self.batch.restore(i, episode)
+        self._seeds, self._numbers = list(state.seeds), list(state.numbers)
+        self._ended = np.array(state.ended, dtype=bool)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Arguments and state: a copy is built anew, so that no engine is copied."""
+        return {
+            "arguments": {
+                "arm": self.arm,
+                "settings": self.settings,
+                "num_envs": self.num_envs,
+                "threads": self.batch.threads,
+                "true_arm": None if self.batch.true_arm is self.arm else self.batch.true_arm,
+                "autoreset_mode": self.autoreset_mode,
+                "render_mode": self.render_mode,
+            },
+            "state": self.get_state(),
+            "attributes": {
+                name: getattr(self, name) for name in ("spec", "action_space", "closed")
+            },
+        }
+
+    def __setstate__(self, stored: dict[str, Any]) -> None:
+        """Build the batch from its arguments and take up the state."""
+        self.__init__(**stored["arguments"])  # type: ignore[misc]
+        self.set_state(stored["state"])
+        self.__dict__.update(stored["attributes"])
 
     def _begin(self, i: int, options: dict[str, Any]) -> dict[str, Any]:
         seed = self._seeds[i]
@@ -153,31 +339,6 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         info = self.batch.start(i, seed=seed, number=self._numbers[i] + 1, options=options)
         self._numbers[i] += 1  # only now: a refused reset leaves the sequence as it was
         return info
-
-    def _checked_seeds(self, given: Any) -> list[int | None]:
-        """One seed for each environment; a single one counts up."""
-        several = isinstance(given, (Sequence, np.ndarray)) and not isinstance(given, str)
-        seeds = list(given) if several else [given]
-        for seed in seeds:
-            if seed is not None and (not is_whole(seed) or seed < 0):
-                raise InvalidSetting(f"a seed is a whole number, zero or more; got {seed!r}")
-        if not several:
-            first = seeds[0]
-            return [None if first is None else int(first) + i for i in range(self.num_envs)]
-        if len(seeds) != self.num_envs:
-            raise InvalidSetting(f"{self.num_envs} seeds are needed, got {len(seeds)}")
-        return [None if seed is None else int(seed) for seed in seeds]
-
-    def _reset_mask(self, given: Any) -> NDArray[np.bool_]:
-        if given is None:
-            return np.ones(self.num_envs, dtype=bool)
-        mask = np.asarray(given)
-        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
-            raise InvalidSetting(
-                f"reset_mask must be {self.num_envs} booleans, at least one of them true; "
-                f"got {given!r}"
-            )
-        return mask
 
     def _observe(self) -> Any:
         singles = [self.batch.shown(i) for i in range(self.num_envs)]

@@ -24,6 +24,7 @@ from loose_env.faults.kinds import (
     checked_kinds,
     hypotheses,
     place_of,
+    places_of_kind,
 )
 from loose_env.faults.preload import preloaded, seat_weight
 from loose_env.faults.seat import (
@@ -65,6 +66,7 @@ __all__ = [
     "part_seats",
     "parts_of",
     "place_of",
+    "places_of_kind",
     "preloaded",
     "seat_names",
     "seat_of",

@@ -17,6 +17,7 @@ __all__ = [
     "checked_kinds",
     "hypotheses",
     "place_of",
+    "places_of_kind",
 ]
 
 FaultKind = Literal[
@@ -65,8 +66,13 @@ def checked_kinds(kinds: Sequence[str]) -> tuple[FaultKind, ...]:
     return tuple(kind for kind in KINDS if kind in kinds)
 
 
-def hypotheses(arm: Arm, kinds: Sequence[str] = DEFAULT_KINDS) -> tuple[str, ...]:
+def hypotheses(
+    arm: Arm, kinds: Sequence[str] = DEFAULT_KINDS, *, everywhere: bool = False
+) -> tuple[str, ...]:
     """All hypotheses of an arm: healthy, then every kind at every location, base first.
+
+    Play in a joint on whose axis the tool lies is none: nothing that the tool feels tells it from
+    a healthy arm (`Arm.unfelt_joints`).
 
     Parameters
     ----------
@@ -74,6 +80,8 @@ def hypotheses(arm: Arm, kinds: Sequence[str] = DEFAULT_KINDS) -> tuple[str, ...
         The arm.
     kinds : sequence of str
         Which kinds are hypotheses; their order does not matter.
+    everywhere : bool
+        True to name every location, whether the tool feels it or not.
 
     Raises
     ------
@@ -94,8 +102,22 @@ def hypotheses(arm: Arm, kinds: Sequence[str] = DEFAULT_KINDS) -> tuple[str, ...
             names.append("healthy")
             continue
         part = "joint" if kind == "backlash" else "link"
-        names += [f"{kind}@{part}{i}" for i in range(1, arm.n + 1)]
+        places = places_of_kind(arm, kind) if not everywhere else tuple(range(1, arm.n + 1))
+        names += [f"{kind}@{part}{i}" for i in places]
     return tuple(names)
+
+
+def places_of_kind(arm: Arm, kind: str) -> tuple[int, ...]:
+    """Numbers of the links or joints where a kind of fault can be found out.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> places_of_kind(planar(3), "backlash")
+    (1, 2, 3)
+    """
+    numbers = range(1, arm.n + 1)
+    return tuple(i for i in numbers if kind != "backlash" or i not in arm.unfelt_joints)
 
 
 def place_of(hypothesis: str) -> int | None:

@@ -28,7 +28,7 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 import numpy as np
 from loose_agents.benchmark.sharded import EvaluationTask, play_task, problem_of
 from loose_agents.core.base import Problem
-from loose_agents.core.estimators import ESTIMATORS, WEIGHTS, setting_name
+from loose_agents.core.estimators import ESTIMATORS, OWN_WEIGHTS, setting_name, weights_path
 from loose_agents.core.seeds import EVALUATION_SEED
 from loose_agents.evaluation.env_arguments import arguments_of
 from loose_agents.evaluation.record_bounds import bound_line
@@ -36,9 +36,10 @@ from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.command import command, option
 from loose_agents.execution.configuration_hash import canonical
 from loose_agents.policies.policies import POLICIES
-from loose_agents.registry import AGENTS, make_agent
+from loose_agents.registry import AGENTS, describe, is_outside, make_agent
 
 import loose_env
+from loose_env.arms import unfelt_words
 from loose_env.evaluation import (
     SEPARATOR,
     Row,
@@ -61,7 +62,10 @@ predicted directions, and the blind rows."""
 NO_AGENTS = {"oracle": "knows the hidden direction and friction, which no agent is told"}
 """Rows that are no agents, and why; their names get a star."""
 
-LINES: list[Callable[[Problem, Sequence[Row]], str]] = [bound_line]
+LINES: list[Callable[[Problem, Sequence[Row]], str]] = [
+    bound_line,
+    lambda problem, rows: unfelt_words(problem.arm),
+]
 """Lines below the table, such as a bound on records."""
 
 BOOTSTRAP_SEED = 0
@@ -78,7 +82,14 @@ class Options(BackendSettings):
 
     env: str = option("loose_env/Vera-v0", "environment id")
     arguments: str = option("{}", "its arguments, as JSON")
-    agents: tuple[str, ...] = option((), f"estimator/policy, or any of: {KNOWN}")
+    agents: tuple[str, ...] = option(
+        (),
+        "estimator/policy, module:Class, path/model.zip, the folder of an exported policy, or any "
+        f"of: {KNOWN}",
+    )
+    weights: str | None = option(
+        None, "folder of weights of your own, which go before the shipped ones"
+    )
     estimators: tuple[str, ...] = option((), f"of {list(ESTIMATORS)}, to cross")
     policies: tuple[str, ...] = option((), f"of {list(POLICIES)}, to cross")
     reference: str | None = option(
@@ -110,7 +121,7 @@ def names_of(options: Options, problem: Problem) -> list[str]:
     crossed = [f"{e}/{p}" for p in options.policies for e in options.estimators]
     named = list(options.agents)
     if not (named or crossed):
-        trained = (WEIGHTS / f"posterior-{setting_name(problem)}").is_dir()
+        trained = weights_path(f"posterior-{setting_name(problem)}").is_dir()
         usual = ["greedy", "constant"] if trained else ["posterior/greedy"]
         named = [*usual, "random", *CLASSICAL]
     return list(dict.fromkeys([*named, *crossed]))
@@ -176,6 +187,8 @@ def words_of(name: str) -> str:
         return f"{starred(name)}: no agent; it {NO_AGENTS[plain]}."
     if plain in AGENTS:
         return f"{name}: {AGENTS[plain][1]}."
+    if is_outside(name):
+        return f"{name}: {describe(name)}."
     estimator, _, policy = plain.partition("/")
     if estimator in ESTIMATORS and policy in POLICIES:
         return f"{name}: estimator, {ESTIMATORS[estimator][1]}; poses, {POLICIES[policy][1]}."
@@ -231,7 +244,7 @@ def write_page(
         forced=forced,
         reference=reference,
         rng=np.random.default_rng(BOOTSTRAP_SEED),
-        said=[line(problem, rows) for line in LINES],
+        said=[said for line in LINES if (said := line(problem, rows))],
         timeline=timeline,
         timeline_agent=best,
         notes=made_by,
@@ -255,6 +268,10 @@ def engine_words(problem: Problem) -> str:
 def compare(options: Options) -> None:
     """Play, print the tables, write rows and page."""
     begin = time.perf_counter()
+    if options.weights is not None:
+        if not Path(options.weights).is_dir():
+            raise ValueError(f"--weights {options.weights} is no folder")
+        os.environ[OWN_WEIGHTS] = str(Path(options.weights).resolve())  # for the workers too
     form = need_format(options.rows)  # whatever is wrong shows now, not after an hour of play
     levels = levels_of(options)
     problems = [problem_of(options.env, arguments) for arguments in levels]
@@ -300,7 +317,7 @@ def compare(options: Options) -> None:
         forced,
         reference=reference,
         rng=np.random.default_rng(BOOTSTRAP_SEED),
-        said=[*stars, *(line(problem, rows) for line in LINES)],
+        said=[*stars, *filter(None, (line(problem, rows) for line in LINES))],
     )
     print(f"\n{title}\n\n{told}\n")
     print(f"Rows: {write_rows(out, 'rows', played, configuration, form=form)}")

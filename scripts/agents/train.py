@@ -171,7 +171,7 @@ def train(options: argparse.Namespace) -> Path:
     else:
         write_json(folder.configuration, configuration)
         first = training_seed(options.seed, model.num_timesteps)
-        vec.seed(check_training_seed(first, count=num_envs))
+        vec.seed(check_training_seed(first))
         model.run_state.restore_generators()
         show, close = progress(options, steps, model.num_timesteps)
         callback = RunCallback(

@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 from loose_agents.core.base import Problem
-from loose_agents.core.estimators import WEIGHTS, Posterior, analytic_posterior, setting_name
+from loose_agents.core.estimators import WEIGHTS, setting_name
 from loose_agents.core.seeds import CHECK_SEED, check_training_seed
 from loose_agents.execution.command import option
 from loose_agents.execution.study import Row, Study, StudyRun
@@ -49,6 +49,7 @@ from loose_agents.research.particle_check import (
 from loose_env.diagnosis import AmortisedPosterior, ParticleSettings, RecordStatistics
 from loose_env.envs import DiagnosisSettings, EpisodeBatch, difficulty_named
 from loose_env.io import Count, NonNegativeCount
+from loose_env.wrappers import Posterior, analytic_posterior
 from scripts.study_parts.arms import arm_named
 
 ARMS = ("vera", "planar2", "planar3", "six_axis")
@@ -190,7 +191,9 @@ def print_calibration(found: CalibrationCases, record: RecordStatistics) -> None
 
 def posteriors_of(problem: Problem, given: Path | None) -> dict[str, Posterior]:
     """The analytic posterior, and the learned one where it has been trained."""
-    posteriors: dict[str, Posterior] = {"analytic": analytic_posterior(problem)}
+    posteriors: dict[str, Posterior] = {
+        "analytic": analytic_posterior(problem.linear, problem.settings)
+    }
     folder = given or WEIGHTS / f"posterior-{setting_name(problem)}"
     if given is not None or folder.is_dir():
         posteriors["learned"] = learned_posterior(problem, folder)

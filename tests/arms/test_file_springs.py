@@ -198,6 +198,7 @@ CORRECTIONS = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:.*lies on the axis")
 @pytest.mark.parametrize("kind", CORRECTIONS)
 def test_every_correction_that_adds_a_joint_is_read(write: Write, kind: str) -> None:
     where, values = CORRECTIONS[kind]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 import threading
@@ -58,7 +59,13 @@ class EvaluationTask:
         named = asdict(self)
         for name in ("width", "threads"):
             del named[name]
-        return {**named, "version": loose_env.__version__}
+        found = {**named, "version": loose_env.__version__}
+        place = Path(self.agent)
+        if place.exists():  # a model file or a folder: what is in it counts, not its name alone
+            files = sorted(place.rglob("*")) if place.is_dir() else [place]
+            content = b"".join(each.read_bytes() for each in files if each.is_file())
+            found["content"] = hashlib.sha256(content).hexdigest()
+        return found
 
 
 def problem_of(env_id: str, arguments: Mapping[str, Any]) -> Problem:

@@ -163,7 +163,9 @@ class BeliefAgent(EpisodeAgent):
             or self.stopping.stop(situation)
             or surprise_of(situation.memory) < DECISIVE * self.surprising
         ):
-            return problem.verdict(verdict_of(problem, situation, self.surprising))
+            named = verdict_of(problem, situation, self.surprising)
+            if named is not None:
+                return problem.verdict(named)
         return self.policy.choose(situation)
 
 
@@ -182,8 +184,12 @@ def surprise_of(memory: Any) -> float:
     return float(getattr(getattr(memory, "belief", None), "surprise", 1.0))
 
 
-def verdict_of(problem: Problem, situation: Situation, surprising: float = SURPRISING) -> str:
+def verdict_of(
+    problem: Problem, situation: Situation, surprising: float = SURPRISING
+) -> str | None:
     """Verdict of highest expected reward; "unsure" for out-of-distribution episodes.
+
+    None where it would be "unsure" and may not be yet: then more is to be measured.
 
     Parameters
     ----------
@@ -194,15 +200,22 @@ def verdict_of(problem: Problem, situation: Situation, surprising: float = SURPR
     surprising : float
         p-value below which nothing is named, see `surprise_of`.
     """
+    taken = problem.layout.slots_of(situation.observation)[:, 0]
+    unsure = problem.actions.allows_unsure(situation.records, int(np.count_nonzero(taken)))
     if surprise_of(situation.memory) < surprising:
-        return UNSURE
-    return best_verdict(problem, situation.probabilities)
+        if unsure:
+            return UNSURE
+        if situation.records < problem.settings.max_records:
+            return None
+    return best_verdict(problem, situation.probabilities, unsure=unsure)
 
 
-def best_verdict(problem: Problem, probabilities: NDArray[np.float64]) -> str:
+def best_verdict(
+    problem: Problem, probabilities: NDArray[np.float64], *, unsure: bool = True
+) -> str:
     """Verdict of the highest expected reward under the environment's rewards.
 
-    "unsure" only where it is worth more than every name.
+    "unsure" only where it may be said and is worth more than every name.
     """
     prices = problem.settings.prices
     worth = [
@@ -210,6 +223,6 @@ def best_verdict(problem: Problem, probabilities: NDArray[np.float64]) -> str:
             p * prices.verdict(named, truth)
             for p, truth in zip(probabilities, problem.hypotheses, strict=True)
         )
-        for named in problem.verdicts
+        for named in (problem.verdicts if unsure else problem.hypotheses)
     ]
     return problem.verdicts[int(np.argmax(worth))]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,28 +15,42 @@ from scipy.special import logsumexp
 
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Estimator, Situation, Sure, records_taken
-from loose_env.diagnosis import Belief, FaultPosterior, PosteriorSettings, RecordStatistics
-from loose_env.envs import ObservationLayout, difficulty_named
+from loose_env.diagnosis import Belief
+from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.wrappers import Posterior, analytic_posterior, record_from
 
 __all__ = [
     "ESTIMATORS",
     "WEIGHTS",
-    "Posterior",
     "Tracker",
-    "analytic_posterior",
     "belief_of",
     "feature_size",
     "further_features",
     "make_estimator",
-    "record_from",
     "setting_name",
     "tuned",
+    "weights_path",
 ]
 
 
 WEIGHTS = Path(__file__).parents[1] / "weights"
 """Folder of tuned settings and trained weights."""
+
+
+OWN_WEIGHTS = "LOOSE_ENV_WEIGHTS"
+"""Environment variable: folder of weights of one's own, which go before the shipped ones."""
+
+
+def weights_path(name: str) -> Path:
+    """Path of weights or tuned settings by name, such as "ppo-vera-default".
+
+    Those in the folder that the environment variable ``LOOSE_ENV_WEIGHTS`` names come first.
+    """
+    own = os.environ.get(OWN_WEIGHTS)
+    if own and (Path(own) / name).exists():
+        return Path(own) / name
+    return WEIGHTS / name
 
 
 def tuned(problem: Problem) -> dict[str, Any]:
@@ -45,7 +60,7 @@ def tuned(problem: Problem) -> dict[str, Any]:
     levels of one joint, ``information`` the factors on expected information. Written by
     scripts/agents/tune_agents.py and scripts/agents/fit_information.py.
     """
-    path = WEIGHTS / f"{setting_name(problem)}.json"
+    path = weights_path(f"{setting_name(problem)}.json")
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
 
@@ -61,64 +76,12 @@ def setting_name(problem: Problem) -> str:
     return f"{problem.arm.name}-{name}"
 
 
-def record_from(
-    layout: ObservationLayout, observation: NDArray[np.float32], slot: int
-) -> RecordStatistics | None:
-    """Decode one record's statistics from an observation; None for an empty slot."""
-    row = layout.slots_of(observation)[slot]
-    if row[0] < 0.5:
-        return None
-    at = layout.groups_of(row)
-    arm = layout.arm
-    n, d = arm.n, len(arm.axes)
-    rms = at["tool_rms"]
-    covariance = np.diag(rms**2)
-    upper = np.triu_indices(d, 1)
-    covariance[upper] = at["tool_correlation"] * rms[upper[0]] * rms[upper[1]]
-    covariance.T[upper] = covariance[upper]
-    products = np.zeros((d, d))
-    products[np.triu_indices(d)] = at["lowest_direction"]
-    products = products + np.triu(products, 1).T
-    return RecordStatistics(
-        pose=at["pose"],
-        torque=at["torque"] * np.array(arm.torque_limits),
-        duration=float(at["duration"][0]),
-        transmission=at["transmission"].reshape(n, d).T,
-        transmission_by_instrument=at["transmission_by_instrument"].reshape(n, d).T,
-        joint_rms=at["joint_rms"],
-        inertia=at["inertia"],
-        tool_covariance=covariance,
-        lowest_direction=np.linalg.eigh(products)[1][:, -1],
-        lowest_coherence=float(at["coherence"][0]),
-        maximum_correlation=float(at["correlation"][0]),
-        skewness=at["skewness"],
-        kurtosis=at["kurtosis"],
-        lowest_skewness=float(at["lowest_skewness"][0]),
-        lowest_kurtosis=float(at["lowest_kurtosis"][0]),
-    )
-
-
 @dataclass
 class _Memory:
     """Belief of one episode and the number of records in it."""
 
     belief: Any
     records: int = 0
-
-
-class Posterior(Protocol):
-    """Protocol of a posterior, analytic or learned, updated record by record."""
-
-    hypotheses: tuple[str, ...]
-    """Hypotheses in the order of its probabilities."""
-
-    def start(self) -> Any:
-        """Return the prior, an object with ``probabilities``."""
-        ...
-
-    def update(self, belief: Any, record: RecordStatistics) -> Any:
-        """Update with one record."""
-        ...
 
 
 class Tracker:
@@ -139,7 +102,9 @@ class Tracker:
 
     def __init__(self, problem: Problem, posterior: Posterior | None = None) -> None:
         self.problem = problem
-        self.posterior = analytic_posterior(problem) if posterior is None else posterior
+        self.posterior = (
+            analytic_posterior(problem.linear, problem.settings) if posterior is None else posterior
+        )
         known = self.posterior.hypotheses
         unknown = [name for name in problem.hypotheses if name not in known]
         if unknown:
@@ -211,26 +176,6 @@ def belief_of(situation: Situation) -> Belief:
     return belief
 
 
-def analytic_posterior(problem: Problem) -> FaultPosterior:
-    """Build the posterior whose likelihood is derived from the nominal arm alone.
-
-    Raises
-    ------
-    InvalidSetting
-        If a kind of fault that may come up has no model in it.
-    """
-    difficulty = difficulty_named(problem.settings.difficulty)
-    return FaultPosterior(
-        problem.linear,
-        problem.settings.sensors,
-        PosteriorSettings(
-            friction=difficulty.friction,
-            mismatch=difficulty.mismatch,
-            kinds=difficulty.probabilities(problem.settings.kinds),
-        ),
-    )
-
-
 def _posterior(problem: Problem) -> Estimator:
     return Tracker(problem)
 
@@ -240,7 +185,7 @@ def _amortised(problem: Problem) -> Estimator:
 
     difficulty = difficulty_named(problem.settings.difficulty)
     posterior = AmortisedPosterior.load(
-        WEIGHTS / f"posterior-{setting_name(problem)}",
+        weights_path(f"posterior-{setting_name(problem)}"),
         problem.linear,
         problem.settings.sensors,
         difficulty.mismatch,

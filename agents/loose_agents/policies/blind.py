@@ -1,4 +1,4 @@
-"""Blind rows: one verdict on every arm, after the cheapest record. What no agent may fall below."""
+"""Blind rows: one verdict on every arm, as soon as it counts. What no agent may fall below."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from loose_agents.core.base import EpisodeAgent, Problem
 from loose_agents.core.belief_agent import records_taken
+from loose_env.faults import UNSURE
 
 __all__ = ["BlindAgent"]
 
@@ -33,9 +34,11 @@ class BlindAgent(EpisodeAgent):
         return ()
 
     def act(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.int64]:
-        """Take the cheapest record, since none is no choice; then give the verdict."""
+        """Take the cheapest records until the verdict counts; then give it."""
         problem = self.problem
-        if records_taken(problem, observation):
+        taken = records_taken(problem, observation)
+        unsure = problem.actions.allows_unsure(taken, taken)
+        if taken and (self.verdict != UNSURE or unsure):
             return problem.verdict(self.verdict)
         levels = np.zeros(problem.arm.n, dtype=np.intp)
         levels[0] = 1

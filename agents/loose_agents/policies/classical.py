@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from loose_agents.core.base import EpisodeAgent, Problem
 from loose_agents.core.belief_agent import records_taken
-from loose_agents.core.estimators import record_from
 from loose_env.diagnosis import (
     Order,
     PlaceDirections,
@@ -28,6 +27,7 @@ from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.io import Checked, Count, Positive
 from loose_env.typing import Array
+from loose_env.wrappers import record_from
 
 __all__ = ["ClassicalAgent", "ClassicalSettings", "Search"]
 

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.core.base import EpisodeAgent, Problem
-from loose_agents.core.estimators import record_from
 from loose_env.diagnosis import (
     ChangeModel,
     ChangeSighting,
@@ -37,6 +36,7 @@ from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
 from loose_env.io import Checked, Count, Positive, Probability
+from loose_env.wrappers import record_from
 
 __all__ = ["Policy", "SpaceLinkFindingAgent", "SpaceLinkFindingSettings"]
 

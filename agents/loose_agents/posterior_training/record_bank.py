@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.core.base import Problem
-from loose_agents.core.estimators import record_from
 from loose_agents.core.seeds import BANK_ACTIONS
 from loose_env.diagnosis import LOCATION_FEATURES, RECORD_FEATURES, RecordStatistics, SeatFeatures
 from loose_env.envs import EpisodeBatch, ObservationLayout
 from loose_env.evaluation import drive_over_friction
 from loose_env.faults import Fault, StructuralLooseness
 from loose_env.typing import Array
+from loose_env.wrappers import record_from
 
 __all__ = ["BankSettings", "RecordBank", "RecordFeatures", "features_of_bank", "play_episodes"]
 

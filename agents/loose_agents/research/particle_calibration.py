@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from loose_agents.core.base import Problem
-from loose_agents.core.estimators import Posterior
 from loose_agents.research.particle_check import Played, probabilities_of
 from loose_agents.research.particle_posterior import ParticlePosterior, SimulatedRecords
 from loose_env.diagnosis import RecordStatistics, Repeated, SyntheticLikelihood, summaries_of
 from loose_env.envs import FaultSampler
 from loose_env.errors import InvalidData
 from loose_env.typing import Array
+from loose_env.wrappers import Posterior
 
 __all__ = ["CalibrationCases", "calibration_cases"]
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Situation
-from loose_agents.core.estimators import Posterior, record_from
 from loose_agents.core.seeds import CHECK_ACTIONS, CHECK_PARTICLES
 from loose_agents.policies.policies import RandomPolicy
 from loose_agents.research.particle_posterior import ParticlePosterior
@@ -27,6 +26,7 @@ from loose_env.envs import EpisodeBatch, FaultSampler
 from loose_env.evaluation import expected_calibration_error
 from loose_env.report import FAINT, INK, MUTED, pyplot, save_figure
 from loose_env.typing import Array
+from loose_env.wrappers import Posterior, record_from
 
 __all__ = [
     "FLOOR",

@@ -16,7 +16,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from loose_agents.core.base import PROBABILITY_FLOOR, EpisodeAgent, Problem
+from loose_agents.core.base import EpisodeAgent, Problem
 from loose_agents.core.belief_agent import (
     Estimator,
     Situation,
@@ -28,6 +28,7 @@ from loose_agents.core.belief_agent import (
 from loose_agents.core.estimators import feature_size, further_features, make_estimator
 from loose_agents.rl.network import FORMAT, PolicyNetwork, load_network
 from loose_env.errors import InvalidData
+from loose_env.wrappers import posterior_bounds, posterior_features
 
 __all__ = ["CONFIGURATION", "LearnedAgent", "PolicyForm"]
 
@@ -41,14 +42,10 @@ FURTHER_BOUND = 5.0
 class PolicyForm:
     """Observation and action encoding of the learned policy.
 
-    It sees, one after the other: the probabilities of the hypotheses; their logarithms (the
-    natural ones, those below 1e-6 cut off, divided by 7); the largest probability; the logarithm of
-    what is left beside it, from 0 to 1 at 0.1 %; the entropy as a share of the largest possible;
-    pose and spending as the environment shows them; what else the estimator has to show.
+    It sees the `loose_env.wrappers.posterior_features`, then what else the estimator has to show.
 
     It chooses a move for every joint, a level for every joint (0 for off), a record length, and
-    whether to stop. If every joint is off, the last one shakes at its top level: a record
-    without excitation shows nothing.
+    whether to stop.
 
     Parameters
     ----------
@@ -76,10 +73,7 @@ class PolicyForm:
         kinds = len(problem.hypotheses)
         start = problem.layout.global_elements
         bounds = [
-            *[(0.0, 1.0)] * kinds,
-            *[(-2.0, 0.0)] * kinds,
-            *[(0.0, 1.0)] * 3,
-            *((e.low, e.high) for e in start),
+            *posterior_bounds(kinds, start),
             *[(-FURTHER_BOUND, FURTHER_BOUND)] * further,
         ]
         low, high = np.array(bounds, dtype=np.float32).T
@@ -93,9 +87,6 @@ class PolicyForm:
         further: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
         """Observation of the policy (features,)."""
-        p = np.asarray(probabilities, dtype=float)
-        logs = np.log(np.maximum(p, PROBABILITY_FLOOR)) / 7.0
-        entropy = -np.sum(p * np.log(np.maximum(p, 1e-12))) / np.log(max(len(p), 2))
         start = observation[: len(self.problem.layout.global_elements)]
         shown = np.zeros(0) if further is None else np.asarray(further, dtype=float)
         if shown.shape != (self.further,):
@@ -103,9 +94,7 @@ class PolicyForm:
                 f"the estimator said that it shows {self.further} numbers, it showed {shown.shape}"
             )
         shown = np.clip(shown, -FURTHER_BOUND, FURTHER_BOUND)
-        doubt = np.log(np.maximum(1 - p.max(), 1e-3)) / np.log(1e-3)
-        summed = [p.max(), doubt, entropy]
-        both = np.concatenate([p, logs, summed, start, shown]).astype(np.float32)
+        both = np.concatenate([posterior_features(probabilities, start), shown]).astype(np.float32)
         space = self.observation_space
         return np.asarray(np.clip(both, space.low, space.high))
 
@@ -134,7 +123,8 @@ class PolicyForm:
     ) -> NDArray[np.int64]:
         """Convert a choice to an action of the environment; arguments as in `stops`."""
         if self.stops(choice, records, least=least):
-            return self.problem.verdict(best_verdict(self.problem, probabilities))
+            unsure = self.problem.actions.allows_unsure(records, records)
+            return self.problem.verdict(best_verdict(self.problem, probabilities, unsure=unsure))
         return self.measuring(choice)
 
     def measuring(self, choice: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -142,11 +132,10 @@ class PolicyForm:
         problem = self.problem
         n = problem.arm.n
         choice = np.asarray(choice)
-        levels = choice[n : 2 * n].astype(np.intp)
-        if not levels.any():
-            levels[-1] = len(problem.arm.levels)
         return problem.actions.encode(
-            moves=choice[:n].astype(np.intp), levels=levels, duration=int(choice[2 * n])
+            moves=choice[:n].astype(np.intp),
+            levels=choice[n : 2 * n].astype(np.intp),
+            duration=int(choice[2 * n]),
         )
 
     def mask(self, pose: NDArray[np.float64], records: int, *, least: int = 1) -> NDArray[np.bool_]:
@@ -274,6 +263,5 @@ class LearnedAgent(EpisodeAgent):
             done = records > 0 and (
                 records >= problem.settings.max_records or self.stopping.stop(situation)
             )
-        if done:
-            return problem.verdict(verdict_of(problem, situation))
-        return form.measuring(choice)
+        named = verdict_of(problem, situation) if done else None
+        return form.measuring(choice) if named is None else problem.verdict(named)

@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import write_bytes
 
-__all__ = ["Cell", "Layer", "PolicyNetwork", "load_network", "network_of", "save_network"]
+__all__ = [
+    "Cell",
+    "Layer",
+    "PolicyNetwork",
+    "load_network",
+    "network_from_tensors",
+    "network_of",
+    "save_network",
+]
 
 WEIGHTS = "policy.safetensors"
 _LARGEST_WEIGHT = 1e6
@@ -155,7 +163,7 @@ def network_of(model: Any) -> PolicyNetwork:
             f"a policy ships with the activations Tanh or ReLU, not {policy.activation_fn.__name__}"
         )
     state = {key: value.cpu().numpy().copy() for key, value in policy.state_dict().items()}
-    return _network(
+    return network_from_tensors(
         state,
         np.array(model.action_space.nvec),
         activation=name,
@@ -163,9 +171,17 @@ def network_of(model: Any) -> PolicyNetwork:
     )
 
 
-def _network(
+def network_from_tensors(
     state: dict[str, Weights], nvec: NDArray[np.int64], *, activation: str, masked: bool
 ) -> PolicyNetwork:
+    """Build the actor from tensors under torch's names; their sizes must fit each other.
+
+    Raises
+    ------
+    KeyError, IndexError, ValueError
+        If they make no such network.
+    """
+
     def layer(weight: str, bias: str) -> Layer:
         return Layer(weight=state[weight], bias=state[bias])
 
@@ -185,9 +201,11 @@ def _network(
     )
     names = [*(f"{_EXTRACTOR}.{k}" for k in hidden), "action_net"]
     layers = tuple(layer(f"{name}.weight", f"{name}.bias") for name in names)
-    return PolicyNetwork(
+    network = PolicyNetwork(
         layers=layers, nvec=nvec, cells=tuple(cells), activation=activation, masked=masked
     )
+    _check_chain(network)
+    return network
 
 
 def _tensors(network: PolicyNetwork) -> dict[str, Weights]:
@@ -278,10 +296,9 @@ def load_network(folder: str | Path, form: _Form) -> PolicyNetwork:
     if masked not in ("true", "false"):
         raise InvalidData(f"{path}: masked is 'true' or 'false', got {masked!r:.60}")
     try:
-        network = _network(
+        network = network_from_tensors(
             tensors, form.nvec, activation=described.get("activation", ""), masked=masked == "true"
         )
-        _check_chain(network)
     except (KeyError, IndexError, ValueError) as error:
         raise InvalidData(
             f"{path} holds no policy of this kind: {type(error).__name__}: {str(error)[:200]}"

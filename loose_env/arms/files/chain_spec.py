@@ -35,7 +35,7 @@ class ChainSpec:
     """Elastic joints."""
 
 
-def chain_spec(file: ModelFile, chain: Chain) -> ChainSpec:
+def chain_spec(file: ModelFile, chain: Chain, tool_offset: Array) -> ChainSpec:
     """Build the chain anew, in radians, with a flange and a link for every joint.
 
     Each link is everything of the file that rides on it, other joints frozen where the file
@@ -48,6 +48,8 @@ def chain_spec(file: ModelFile, chain: Chain) -> ChainSpec:
     An elastic joint on the body of a driven one stays with it on the flange: the drive's spring
     lies before the seat. One on a body of its own bends the link that it is part of, behind the
     seat; the body is kept.
+
+    The tool is moved by ``tool_offset`` (3,) in its own frame [m].
     """
     m = file.model
     data = mujoco.MjData(m)
@@ -97,6 +99,7 @@ def chain_spec(file: ModelFile, chain: Chain) -> ChainSpec:
     else:
         site = chain.tool_site
         place, turn = _relative(data, base, data.site_xpos[site], data.site_xmat[site])
+    place = place + turn @ tool_offset
     parent.add_site(name=TOOL_SITE, pos=list(place), quat=_quat(turn))
     return ChainSpec(spec=spec, joints=tuple(joints), links=tuple(links), springs=tuple(springs))
 

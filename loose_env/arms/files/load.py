@@ -28,6 +28,7 @@ from loose_env.arms.holding.compliance import held
 from loose_env.arms.holding.gears import proposed_gears
 from loose_env.arms.spec_parts import holdings
 from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.typing import Array
 
 __all__ = [
     "DESK_ARM",
@@ -37,6 +38,7 @@ __all__ = [
     "arm_from_file",
     "arm_of_model_file",
     "describe_file",
+    "unfelt_words",
 ]
 
 DESK_ARM = Path(__file__).parents[1] / "models" / "desk_arm.xml"
@@ -69,6 +71,7 @@ def arm_from_file(
     path: str | Path,
     *,
     tool: str | None = None,
+    tool_offset: Sequence[float] = (0.0, 0.0, 0.0),
     joints: Sequence[str] | None = None,
     hold: HoldKind = "brake",
 ) -> Arm:
@@ -94,6 +97,9 @@ def arm_from_file(
     tool : str, optional
         Site or body that carries the tool accelerometer. By default a site called ``tool``;
         else the last site of the last body of the deepest chain, else that body's frame.
+    tool_offset : sequence of 3 floats
+        Moves the accelerometer in the tool's frame [m]: off the last joint's axis, where it does
+        not feel that joint turn.
     joints : sequence of str, optional
         Driven joints. By default all between the base and the tool that are not elastic.
     hold : {"brake", "servo", "compliant"}
@@ -120,7 +126,8 @@ def arm_from_file(
     Warns
     -----
     UserWarning
-        Where torque limits or the range of a slide are proposed.
+        Where torque limits or the range of a slide are proposed, and where the tool lies on a
+        joint's axis, so that play in this joint is no hypothesis.
 
     Examples
     --------
@@ -136,13 +143,37 @@ def arm_from_file(
     >>> arm.joints, arm.torque_limits
     (('turn',), (5.0,))
     """
-    return arm_of_model_file(read_model_file(path), tool=tool, joints=joints, hold=hold)
+    file = read_model_file(path)
+    arm = arm_of_model_file(file, tool=tool, tool_offset=tool_offset, joints=joints, hold=hold)
+    unfelt = unfelt_words(arm)
+    if unfelt:
+        python_warnings.warn(f"{file.path.name}: {unfelt}", UserWarning, stacklevel=2)
+    return arm
+
+
+def unfelt_words(arm: Arm) -> str:
+    """Say which joints the tool does not feel, and what to do; empty where it feels all.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> unfelt_words(planar(2))
+    ''
+    """
+    if not arm.unfelt_joints:
+        return ""
+    names = ", ".join(arm.joints[j - 1] for j in arm.unfelt_joints)
+    return (
+        f"the tool lies on the axis of {names}: it does not feel play there, which is therefore no "
+        "hypothesis; tool_offset=(0.05, 0, 0) moves the accelerometer 50 mm along the tool's x axis"
+    )
 
 
 def arm_of_model_file(
     file: ModelFile,
     *,
     tool: str | None = None,
+    tool_offset: Sequence[float] = (0.0, 0.0, 0.0),
     joints: Sequence[str] | None = None,
     hold: HoldKind = "brake",
 ) -> Arm:
@@ -157,7 +188,7 @@ def arm_of_model_file(
             f"({', '.join(found.springs)}); hold='compliant' would add gears to them. Take "
             "hold='brake' or 'servo': the file's springs are in either"
         )
-    made = chain_spec(file, chain)
+    made = chain_spec(file, chain, _offset(tool_offset))
     spec, names, links = made.spec, list(made.joints), list(made.links)
     ranges = tuple(_range(file.model, j) for j in chain.joints)
     low = np.array([-np.pi if r is None else r[0] for r in ranges])
@@ -219,6 +250,17 @@ def _assumed(
         if not m.jnt_limited[j] and m.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE
     ]
     return assumed
+
+
+def _offset(given: Sequence[float]) -> Array:
+    """Check the offset of the tool."""
+    try:
+        offset = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        offset = np.zeros(0)
+    if offset.shape != (3,) or not np.isfinite(offset).all():
+        raise InvalidSetting(f"tool_offset is three finite lengths in metres, got {given!r}")
+    return offset
 
 
 def _range(m: mujoco.MjModel, j: int) -> tuple[float, float] | None:

@@ -27,7 +27,7 @@ from loose_env.diagnosis.learned.novelty import NOVELTY_STATISTICS, NoveltyRefer
 from loose_env.diagnosis.likelihood.posterior import Belief
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.errors import InvalidData
-from loose_env.faults import DEFAULT_KINDS, hypotheses
+from loose_env.faults import DEFAULT_KINDS, hypotheses, places_of_kind
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
 
@@ -163,7 +163,7 @@ class AmortisedPosterior:
         reference: NoveltyReference | None = None,
     ) -> None:
         self.linear, self.network, self.friction = linear, network, friction
-        self.hypotheses = hypotheses(linear.arm, DEFAULT_KINDS)
+        self.hypotheses = hypotheses(linear.arm, DEFAULT_KINDS, everywhere=True)
         self.features = SeatFeatures(linear, sensors, mismatch, directions=directions)
         self.reference = reference
         wanted = (len(LOCATION_FEATURES), len(RECORD_FEATURES), 2 * linear.arm.n)
@@ -175,13 +175,14 @@ class AmortisedPosterior:
             )
         shares = dict.fromkeys(DEFAULT_KINDS, 1 / 3) if kinds is None else dict(kinds)
         n = linear.arm.n
+        felt = np.isin(np.arange(1, n + 1), places_of_kind(linear.arm, "backlash"))
         with np.errstate(divide="ignore"):
             self._prior = np.log(
                 np.concatenate(
                     [
                         [shares.get("healthy", 0.0)],
                         np.full(n, shares.get("structural_looseness", 0.0) / n),
-                        np.full(n, shares.get("backlash", 0.0) / n),
+                        felt * shares.get("backlash", 0.0) / max(felt.sum(), 1),
                     ]
                 )
             )

@@ -21,7 +21,7 @@ from loose_env.diagnosis.records.prediction import SensorFloor
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import SeatDrive
-from loose_env.faults import DEFAULT_KINDS, hypotheses
+from loose_env.faults import DEFAULT_KINDS, hypotheses, places_of_kind
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
 from loose_env.typing import Array
@@ -163,7 +163,7 @@ class FaultPosterior:
                 f"arm {arm.name!r} reads {axes} axis at its tool; the posterior needs 2, for "
                 "an arm that moves in a plane, or 3"
             )
-        self.linear, self.hypotheses = linear, hypotheses(arm, DEFAULT_KINDS)
+        self.linear, self.hypotheses = linear, hypotheses(arm, DEFAULT_KINDS, everywhere=True)
         self.table = shipped_table() if table is None else table
         self.floor = SensorFloor.of(sensors, arm.band)
         count = self.settings.directions if axes == 2 else self.settings.space_directions
@@ -193,7 +193,9 @@ class FaultPosterior:
 
         loose = np.empty((len(self.variants), slides + n, nodes))
         loose[:, :slides] = log(kinds.get("structural_looseness", 0.0)) - np.log(slides * nodes)
-        loose[:, slides:] = log(kinds.get("backlash", 0.0)) - np.log(n * nodes)
+        felt = np.isin(np.arange(1, n + 1), places_of_kind(self.linear.arm, "backlash"))
+        loose[:, slides:] = log(kinds.get("backlash", 0.0)) - np.log(max(felt.sum(), 1) * nodes)
+        loose[:, slides:][:, ~felt] = -np.inf
         return Belief(
             healthy=log(kinds.get("healthy", 0.0)) + self._weights,
             loose=loose + self._weights[:, None, None],

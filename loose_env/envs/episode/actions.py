@@ -152,6 +152,10 @@ class ActionLayout:
     def decode(self, action: Any) -> Action:
         """Check an action and take it apart.
 
+        A record without excitation shows nothing: where every joint is off, the last one is
+        excited at its top level. A mask could not forbid it, for it has a place for each choice
+        and none for a combination of choices.
+
         Raises
         ------
         InvalidAction
@@ -177,9 +181,12 @@ class ActionLayout:
                 f"got {array.tolist()}"
             )
         n = self.arm.n
+        levels = array[n : 2 * n].astype(np.intp)
+        if not levels.any():
+            levels[-1] = len(self.arm.levels)
         return Action(
             moves=array[:n].astype(np.intp),
-            levels=array[n : 2 * n].astype(np.intp),
+            levels=levels,
             duration=self.settings.durations[int(array[2 * n])],
             verdict=int(array[2 * n + 1]),
         )
@@ -192,7 +199,7 @@ class ActionLayout:
         duration: int | None = None,
         verdict: int = 0,
     ) -> NDArray[np.int64]:
-        """Build an action; by default stay, excite nothing, the longest record, go on."""
+        """Build an action; by default stay, no levels, the longest record, go on."""
         n = self.arm.n
         longest = int(np.argmax(self.settings.durations))
         action = np.zeros(len(self.nvec), dtype=np.int64)
@@ -212,14 +219,29 @@ class ActionLayout:
         allowed[:, self.settings.stay] = True
         return allowed
 
-    def mask(self, pose: NDArray[np.float64], records: int) -> NDArray[np.bool_]:
-        """Allowed choices of all entries, one after the other, as MaskablePPO takes them."""
+    def allows_unsure(self, records: int, measured: int) -> bool:
+        """Return whether "unsure" may be said after so many records, so many of them measured."""
+        settings = self.settings
+        enough = measured >= settings.unsure_after or records >= settings.max_records
+        return measured > 0 and enough
+
+    def mask(self, pose: NDArray[np.float64], records: int, measured: int) -> NDArray[np.bool_]:
+        """Allowed choices of all entries, one after the other, as MaskablePPO takes them.
+
+        Parameters
+        ----------
+        pose : ndarray (n,)
+            Where the arm is [rad, m where a joint slides].
+        records, measured : int
+            Records taken, and those among them that show something.
+        """
         last = records >= self.settings.max_records
         return np.concatenate(
             [
                 self.allowed_moves(pose).ravel(),
                 np.ones(int(self.nvec[self.arm.n : -1].sum()), dtype=bool),
                 [not last],
-                np.full(self.hypotheses + 1, records > 0),  # every hypothesis, and unsure
+                np.full(self.hypotheses, last or measured > 0),
+                [self.allows_unsure(records, measured)],
             ]
         )

@@ -8,6 +8,7 @@ before change nothing.
 
 from __future__ import annotations
 
+import copy
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol
@@ -38,7 +39,7 @@ from loose_env.envs.episode.state import (
 from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.errors import InvalidData
+from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import UNSURE, Fault, Healthy, SeveralFaults, hypotheses, place_of
 from loose_env.rig import Job, Measurement, ReducedRig, SimulatedRig
@@ -156,15 +157,41 @@ class EpisodeBatch:
         )
         episode.fault = given.hidden_fault(self.sampler, episode.stream(_FAULT))
         episode.pose = given.first_pose(episode.stream(_POSE))
-        true = given.true_arm(self.difficulty.mismatch, episode.stream(_MISMATCH))
-        self.rig.mount(slot, episode.fault, true)
+        episode.mismatch = given.true_arm(self.difficulty.mismatch, episode.stream(_MISMATCH))
+        self.rig.mount(slot, episode.fault, episode.mismatch)
         self._episodes[slot] = episode
         return {"action_mask": self.mask(slot)}
+
+    def episode_copy(self, slot: int) -> Episode | None:
+        """Copy of a slot's latest episode, None where none was started."""
+        return copy.deepcopy(self._episodes[slot])
+
+    def check_fits(self, episode: Episode | None) -> None:
+        """Refuse an episode of another arm or other settings.
+
+        Raises
+        ------
+        InvalidSetting
+            If its records have another form.
+        """
+        shape = (self.settings.max_records, len(self.observations.slot_elements))
+        if episode is not None and episode.slots.shape != shape:
+            raise InvalidSetting(
+                f"the state is of records {episode.slots.shape}, here they are {shape}: it was "
+                "taken from an environment of another arm or other settings"
+            )
+
+    def restore(self, slot: int, episode: Episode | None) -> None:
+        """Put a copy of an episode into a slot, and its arm on the rig."""
+        self.check_fits(episode)
+        if episode is not None:
+            self.rig.mount(slot, episode.fault, episode.mismatch)
+        self._episodes[slot] = copy.deepcopy(episode)
 
     def mask(self, slot: int) -> NDArray[np.bool_]:
         """Return the allowed choices of a slot's next action."""
         episode = self.episode(slot)
-        return self.actions.mask(episode.pose, episode.records)
+        return self.actions.mask(episode.pose, episode.records, episode.measured)
 
     def observe(self, slot: int) -> NDArray[np.float32]:
         """Return the flat observation of a slot."""
@@ -189,10 +216,10 @@ class EpisodeBatch:
             episode = self.episode(slot)
             if episode.ended:
                 raise ResetNeeded("the episode has ended: call reset() before step()")
-            if episode.records >= self.settings.max_records and action.verdict == 0:
-                outcomes[slot] = self._end(episode, None, {"out_of_records": True})
-            elif action.verdict > 0 and episode.records > 0:
+            if self._heard(episode, action):
                 outcomes[slot] = self._end(episode, self.verdicts[action.verdict - 1], {})
+            elif episode.records >= self.settings.max_records:
+                outcomes[slot] = self._end(episode, None, {"out_of_records": True})
             else:
                 ignored = action.verdict > 0
                 info: dict[str, Any] = {"verdict_ignored": ignored}
@@ -203,7 +230,7 @@ class EpisodeBatch:
                 )
                 info["level_share"] = share
                 waiting[slot] = (action, share, info)
-                if any(excitation.excited):  # not where gravity leaves a drive no torque
+                if any(excitation.excited):  # not where gravity leaves the drives no torque
                     jobs.append(self._job(slot, episode, excitation))
         for k, measurement in self._measured(jobs):
             slot = jobs[k].slot
@@ -212,6 +239,13 @@ class EpisodeBatch:
         for slot, (action, share, info) in waiting.items():  # nothing was excited
             outcomes[slot] = self._record(slot, action, share, None, info)
         return [outcomes[slot] for slot in slots]
+
+    def _heard(self, episode: Episode, action: Action) -> bool:
+        """Return whether an action's verdict counts: there is something to base it on."""
+        if action.verdict == self.actions.unsure:
+            return self.actions.allows_unsure(episode.records, episode.measured)
+        last = episode.records >= self.settings.max_records
+        return action.verdict > 0 and (last or episode.measured > 0)
 
     def _measured(self, jobs: Sequence[Job]) -> Iterable[tuple[int, Measurement]]:
         """Measure; a simulated rig gives each record out while it works on the next ones."""
@@ -329,7 +363,7 @@ class EpisodeBatch:
             "poses": len(episode.visited),
             "records": episode.records,
             "seconds": episode.seconds,
-            "action_mask": self.actions.mask(episode.pose, episode.records),
+            "action_mask": self.actions.mask(episode.pose, episode.records, episode.measured),
         }
 
 

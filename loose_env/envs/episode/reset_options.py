@@ -167,7 +167,7 @@ def _fault(given: Any, arm: Arm) -> Fault | str | None:
     """Check a fault; it may lie outside the hypotheses of the environment."""
     if given is None or is_fault(given):
         return given  # type: ignore[no-any-return]
-    names = (*hypotheses(arm, KINDS), SEVERAL_FAULTS)
+    names = (*hypotheses(arm, KINDS, everywhere=True), SEVERAL_FAULTS)
     if isinstance(given, str) and given in names:
         return given
     raise UnknownName(

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
+from loose_env.arms import Arm, MismatchDraw
 from loose_env.diagnosis import link_axes
 from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.settings import DiagnosisSettings
@@ -29,6 +29,7 @@ class Episode:
     fault: Fault
     pose: Array
     slots: NDArray[np.float32]
+    mismatch: MismatchDraw | None = None
     records: int = 0
     seconds: float = 0.0
     levels: int = 0
@@ -36,6 +37,11 @@ class Episode:
     last: Measurement | None = None
     ended: bool = False
     verdict: str | None = None
+
+    @property
+    def measured(self) -> int:
+        """Number of records that show something."""
+        return int(np.count_nonzero(self.slots[:, 0]))
 
     def stream(self, kind: int, index: int = 0) -> np.random.Generator:
         """Return the generator of one kind of draw."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,7 @@ from loose_env.faults import (
     SeveralFaults,
     StructuralLooseness,
     place_of,
+    places_of_kind,
 )
 
 __all__ = ["FaultSampler"]
@@ -63,13 +64,22 @@ class FaultSampler:
     ) -> None:
         self.arm: Arm = linear.arm
         self.difficulty = difficulty
-        self.probabilities = difficulty.probabilities(kinds)
+        self.probabilities = self._with_a_place(difficulty.probabilities(kinds))
         self.drive = SeatDrive(linear)
         self.linear = linear
         """The nominal arm."""
         rng = np.random.default_rng(0)
         self._poses = [np.zeros(self.arm.n), *(self.arm.random_pose(rng) for _ in range(64))]
         self._masses = SeatMasses(linear, self._poses)
+
+    def _with_a_place(self, shares: Mapping[str, float]) -> Mapping[str, float]:
+        """Shares of the kinds that can be somewhere, of one together."""
+        arm = self.arm
+        found = {k: p for k, p in shares.items() if k == "healthy" or places_of_kind(arm, k)}
+        if len(found) == len(shares):
+            return shares
+        total = sum(found.values())
+        return {kind: share / total for kind, share in found.items()}
 
     @cached_property
     def further(self) -> FurtherSeats:
@@ -88,7 +98,8 @@ class FaultSampler:
             kinds = [k for k in KINDS if self.probabilities.get(k, 0.0) > 0]
             edges = np.cumsum([self.probabilities[k] for k in kinds])
             kind = kinds[min(int(np.searchsorted(edges, u[0], side="right")), len(kinds) - 1)]
-            place = 1 + min(int(u[1] * self.arm.n), self.arm.n - 1)
+            places = places_of_kind(self.arm, kind)
+            place = places[min(int(u[1] * len(places)), len(places) - 1)]
         else:
             name, _, _ = hypothesis.partition("@")
             kind, place = name, place_of(hypothesis) or 1  # type: ignore[assignment]
@@ -147,7 +158,8 @@ class FaultSampler:
         places = 1 + rng.permutation(self.arm.n)[:count]
         faults = []
         for place in sorted(int(p) for p in places):
-            kind = kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
+            here = weights * [place in places_of_kind(self.arm, k) for k in kinds]
+            kind = kinds[int(rng.choice(len(kinds), p=here / here.sum()))]
             part = "joint" if kind == "backlash" else "link"
             faults.append(self.draw(rng, hypothesis=f"{kind}@{part}{place}"))
         return self.further.softened(SeveralFaults(faults=tuple(faults)))  # type: ignore[arg-type]

@@ -42,7 +42,7 @@ def environments(threads: int = 1) -> dict[str, Any]:
             env_id, num_envs=WIDTH, threads=threads, durations=DURATIONS, **arguments
         )
         rng = np.random.default_rng(SEED)
-        observation, _ = envs.reset(seed=SEED)
+        observation, _ = envs.reset(seed=list(range(SEED, SEED + WIDTH)))
         faults = [envs.batch.episode(k).fault.hypothesis for k in range(WIDTH)]
         seen, rewards = [observation], []
         for step in range(RECORDS + 1):

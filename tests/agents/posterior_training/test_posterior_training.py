@@ -91,7 +91,7 @@ def test_the_pass_in_numpy_is_that_of_torch(problem, bank, features, figures):
         SeatNetwork(made.tensors()),
         directions=DIRECTIONS,
     )
-    from loose_agents.core.estimators import record_from
+    from loose_env.wrappers import record_from
 
     observation = np.zeros(problem.layout.size, dtype=np.float32)
     slots = problem.layout.slots_of(observation)

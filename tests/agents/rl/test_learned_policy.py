@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import BeliefAgent, Sure
-from loose_agents.core.estimators import Tracker, record_from, setting_name
+from loose_agents.core.estimators import Tracker, setting_name
 from loose_agents.evaluation.evaluate import EpisodeRow, evaluate
 from loose_agents.policies.policies import RandomPolicy
 from loose_agents.registry import make_agent
@@ -21,6 +21,7 @@ from loose_env.arms import planar, scara, vera
 from loose_env.diagnosis import statistics_of
 from loose_env.envs import DiagnosisEnv, DiagnosisSettings
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.wrappers import record_from
 
 pytest.importorskip("safetensors")
 
@@ -317,7 +318,7 @@ def test_the_registry_plays_the_weights_of_the_arm(
     problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_policy(problem, tmp_path / f"ppo-{setting_name(problem)}")
-    monkeypatch.setattr("loose_agents.registry.WEIGHTS", tmp_path)
+    monkeypatch.setenv("LOOSE_ENV_WEIGHTS", str(tmp_path))
     assert isinstance(make_agent("ppo", problem), LearnedAgent)
 
 

@@ -205,23 +205,19 @@ def test_with_a_verdict_nothing_is_measured_and_the_rest_is_ignored(
     np.testing.assert_array_equal(after, before)
 
 
-def test_without_excitation_the_arm_moves_and_a_record_is_spent_on_an_empty_slot(
+def test_with_every_joint_off_the_last_one_is_excited(
     make_env: Callable[..., DiagnosisEnv], spy_on: Callable[..., Any]
 ) -> None:
     env = make_env(n_links=2, max_records=4)
     spy = spy_on(env)
-    start = env.reset(seed=0, options={"pose": np.zeros(2)})[0]
-    quiet = env.actions.encode(moves=np.array([4, 3]), duration=2)
-    first, reward, terminated, truncated, _ = env.step(quiet)
-    assert (reward, terminated, truncated) == (-0.05, False, False)
-    assert not spy.jobs
-    np.testing.assert_allclose(pose_of(env, start), 0.0, atol=1e-6)
-    np.testing.assert_allclose(pose_of(env, first), [90.0, 45.0], atol=1e-4)
-    assert not env.layout.slots_of(first).any()
-    np.testing.assert_allclose(env.layout.physical(first, "spent"), [0.25, 0.0, 0.0])
-
-    second = env.step(env.actions.encode(levels=np.array([1, 0]), duration=0))[0]
-    assert valid(env, second) == [False, True, False, False]
+    found = []
+    for levels in ((0, 0), (0, 3)):
+        env.reset(seed=0, options={"pose": np.zeros(2)})
+        action = env.actions.encode(moves=np.array([4, 3]), levels=np.array(levels), duration=0)
+        found.append(env.step(action)[:2])
+    assert [job.excitation.excited for job in spy.jobs] == [(False, True)] * 2
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    assert found[0][1] == found[1][1] == pytest.approx(-(0.05 + 0.2 * 0.02 + 3 * 0.002))
 
 
 # ---- masks
@@ -279,7 +275,7 @@ def test_verdicts_wait_for_the_first_record_and_going_on_ends_with_the_last(
     for _ in range(2):
         info = env.step(env.actions.encode())[-1]
         seen.append(mask_parts(env, info["action_mask"])[-1].tolist())
-    assert seen == [[True] + [False] * 6, [True] * 7, [False] + [True] * 6]
+    assert seen == [[True] + [False] * 6, [True] * 6 + [False], [False] + [True] * 6]
 
 
 def test_levels_and_lengths_are_never_masked(make_env: Callable[..., DiagnosisEnv]) -> None:

@@ -86,7 +86,7 @@ def test_a_false_alarm_and_a_miss_can_have_prices_of_their_own(
 @pytest.mark.parametrize(
     ("levels", "duration", "price"),
     [
-        ((0, 0), 2, 0.05),
+        ((0, 0), 2, 0.05 + 1.2 * 0.02 + 3 * 0.002),
         ((1, 0), 0, 0.05 + 0.2 * 0.02 + 0.002),
         ((3, 2), 1, 0.05 + 0.4 * 0.02 + 5 * 0.002),
         ((0, 3), 2, 0.05 + 1.2 * 0.02 + 3 * 0.002),
@@ -292,16 +292,16 @@ def test_the_end_tells_fault_success_and_what_it_took(
     stay = shake(env, 1, 0)
     away = env.actions.encode(moves=np.array([2, 4]), levels=np.array([0, 2]), duration=1)
     back = env.actions.encode(moves=np.array([2, 0]), levels=np.array([1, 0]), duration=0)
-    quiet = env.actions.encode(moves=np.array([3, 2]))
-    for action in (stay, away, back, quiet, stay):
+    on = env.actions.encode(moves=np.array([3, 2]), levels=np.array([1, 0]), duration=0)
+    for action in (stay, away, back, stay, on):
         env.step(action)
     info = env.step(verdict(env, named))[-1]
     assert info["fault"] == "structural_looseness@link2"
     assert info["fault_figures"] == LOOSE
     assert (info["is_success"], info["link_success"]) == (success, link_success)
-    # Measured in three poses: the first one counts once, a pose without record not at all.
+    # Measured in three poses: the first one counts once.
     assert (info["records"], info["poses"]) == (5, 3)
-    assert info["seconds"] == pytest.approx(0.2 * 3 + 0.4)
+    assert info["seconds"] == pytest.approx(0.2 * 4 + 0.4)
 
 
 @pytest.mark.parametrize("name", ["planar", "vera"])

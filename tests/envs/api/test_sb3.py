@@ -10,7 +10,8 @@ from loose_env.arms import planar
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.envs.vector_env import DiagnosisVectorEnv
-from loose_env.errors import UnknownName
+from loose_env.envs.vector_inputs import batch_seeds
+from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.registration import IDS
 
 pytest.importorskip("stable_baselines3")
@@ -58,6 +59,32 @@ def test_masks_come_through_env_method() -> None:
     assert len(vec.env_method("action_masks", indices=[0, 2])) == 2  # type: ignore[attr-defined]
     with pytest.raises(UnknownName, match="action_masks"):
         vec.env_method("open_the_lid")  # type: ignore[attr-defined]
+
+
+def test_what_it_cannot_adapt_is_refused() -> None:
+    from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+    from loose_env.envs.sb3 import Sb3VecEnv
+
+    with pytest.raises(InvalidSetting, match="SameStep"):
+        Sb3VecEnv(DiagnosisVectorEnv(planar(2), SETTINGS, autoreset_mode="NextStep"))
+    env, vec = make(2)
+    with pytest.raises(InvalidSetting, match="RecordEpisodeStatistics"):
+        Sb3VecEnv(RecordEpisodeStatistics(env))  # type: ignore[arg-type]
+    with pytest.raises(InvalidSetting, match="options of reset"):
+        vec.set_attr("settings", SETTINGS, indices=[0])  # type: ignore[attr-defined]
+    assert vec.has_attr("action_masks") and not vec.has_attr("lid")  # type: ignore[attr-defined]
+
+
+def test_seeds_and_options_reach_each_environment() -> None:
+    env, vec = make(3)
+    assert vec.seed(8) == batch_seeds(8, 3)  # type: ignore[attr-defined]
+    vec.set_options([{"fault": "backlash@joint1"}, {}, {"fault": "healthy"}])  # type: ignore[attr-defined]
+    found = vec.reset()  # type: ignore[attr-defined]
+    hidden = [env.batch.episode(i).fault.hypothesis for i in range(3)]
+    assert (hidden[0], hidden[2]) == ("backlash@joint1", "healthy")
+    again, _ = DiagnosisVectorEnv(planar(2), SETTINGS, num_envs=3).reset(seed=8)
+    np.testing.assert_array_equal(found, again)
 
 
 @pytest.mark.parametrize("env_id", IDS)

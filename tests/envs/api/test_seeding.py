@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.envs.episode.actions import ActionLayout
 from loose_env.envs.vector_env import DiagnosisVectorEnv
+from loose_env.envs.vector_inputs import batch_seeds
 from loose_env.rig import Measurement
 
 MakeEnv = Callable[..., DiagnosisEnv]
@@ -120,8 +121,8 @@ def test_a_batch_too_large_for_one_go_plays_the_same_episodes(
         assert_same(found[i], play_single(make_env(n_links=2), seeds[i], 2))
 
 
-def test_one_seed_for_a_batch_counts_up(make_env: MakeEnv, make_vector: MakeVector) -> None:
-    seeds = [12, 13, 14]
+def test_one_seed_for_a_batch_is_spread(make_env: MakeEnv, make_vector: MakeVector) -> None:
+    seeds = batch_seeds(12, 3)
     found = play_vector(make_vector(n_links=2, num_envs=3), seeds, 2, seed=12)
     for i, seed in enumerate(seeds):
         assert_same(found[i], play_single(make_env(n_links=2), seed, 2))

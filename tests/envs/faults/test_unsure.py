@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm, LinearArm, MismatchDraw, planar, scara, six_axis, vera
 from loose_env.envs.diagnosis_env import DiagnosisEnv
+from loose_env.envs.episode.actions import ActionLayout
 from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.rendering.caption import header_lines
@@ -64,7 +65,7 @@ def test_being_unsure_has_its_price_whatever_the_truth(
     make_env: MakeEnv, fault: Fault | str, price: float
 ) -> None:
     prices = Prices(unsure=price, false_alarm=-3.0, miss=-4.0)
-    env = make_env(n_links=2, prices=prices)
+    env = make_env(n_links=2, prices=prices, unsure_after=1)
     env.reset(seed=0, options={"fault": fault})
     env.step(shake(env))
     _, reward, terminated, truncated, info = env.step(said(env, UNSURE))
@@ -86,6 +87,42 @@ def test_unsure_is_the_last_choice_and_open_from_the_first_record_on(make_env: M
     assert env.step(action)[-1]["verdict"] == UNSURE
 
 
+def test_unsure_waits_for_the_third_measured_record(make_env: MakeEnv) -> None:
+    env = make_env(n_links=2)
+    env.reset(seed=0)
+    open_ = []
+    for _ in range(3):
+        *_, terminated, _, info = env.step(
+            env.actions.encode(levels=np.array([0, 1]), duration=0, verdict=env.actions.unsure)
+        )
+        assert info["verdict_ignored"] and not terminated
+        open_.append((bool(info["action_mask"][-1]), bool(info["action_mask"][-2])))
+    assert open_ == [(False, True), (False, True), (True, True)]
+    assert env.step(said(env, UNSURE))[-1]["verdict"] == UNSURE
+
+
+def test_giving_up_blindly_pays_less_than_the_best_blind_name() -> None:
+    # The cheapest records: 0.2 s, one joint, one level up. "healthy" is right on a third.
+    settings = DiagnosisSettings()
+    prices = settings.prices
+    record = prices.record + min(settings.durations) * prices.second + prices.level
+    blind = prices.correct / 3 + prices.wrong * 2 / 3 - record
+    assert prices.unsure - settings.unsure_after * record < blind
+    assert prices.unsure - record > blind  # without the rule it would be the other way round
+
+
+def test_records_that_show_nothing_open_no_verdict() -> None:
+    layout = ActionLayout(planar(2), DiagnosisSettings(max_records=4), hypotheses=5)
+    at = {
+        (records, measured): layout.mask(np.zeros(2), records, measured)[-7:].tolist()
+        for records, measured in ((2, 0), (2, 1), (4, 1), (4, 0))
+    }
+    assert at[2, 0] == [True] + [False] * 6
+    assert at[2, 1] == [True] * 6 + [False]
+    assert at[4, 1] == [False] + [True] * 6
+    assert at[4, 0] == [False] + [True] * 5 + [False]
+
+
 def test_every_verdict_survives_being_encoded_and_decoded() -> None:
     problem = Problem.of(planar(3), DiagnosisSettings(kinds=KINDS))
     assert problem.verdicts == (*problem.hypotheses, UNSURE)
@@ -98,7 +135,8 @@ def test_every_verdict_survives_being_encoded_and_decoded() -> None:
 def test_single_and_vector_environments_say_the_same(
     make_env: MakeEnv, make_vector: MakeVector
 ) -> None:
-    single, vector = make_env(n_links=2), make_vector(n_links=2, num_envs=2)
+    single = make_env(n_links=2, unsure_after=1)
+    vector = make_vector(n_links=2, num_envs=2, unsure_after=1)
     assert vector.verdicts == single.verdicts
     vector.reset(seed=0, options={"fault": TWO})
     vector.step(np.stack([shake(single)] * 2))
@@ -275,7 +313,7 @@ def test_drawn_faults_fit_the_step_even_with_three_times_the_mismatch(arm: Arm) 
 def test_a_load_presses_the_drawn_seat_with_its_share_of_the_weight(
     make_env: MakeEnv, name: str, share: float
 ) -> None:
-    env = make_env(n_links=3)
+    env = make_env(n_links=3, unsure_after=1)
     env.reset(seed=2, options={"fault": name})
     free = env.batch.episode(0).fault  # type: ignore[union-attr]
     unloaded = env.step(shake(env))[0]
@@ -307,7 +345,7 @@ def test_a_load_changes_nothing_where_nothing_is_loose(make_env: MakeEnv) -> Non
 
 
 def test_the_words_call_being_unsure_neither_right_nor_wrong(make_env: MakeEnv) -> None:
-    env = make_env(n_links=2)
+    env = make_env(n_links=2, unsure_after=1)
     linear = env.batch.nominal
     for named, mark in (
         (UNSURE, "Verdict: unsure"),
@@ -325,7 +363,7 @@ def test_the_words_call_being_unsure_neither_right_nor_wrong(make_env: MakeEnv) 
 
 @pytest.mark.parametrize("arm", [planar(2), six_axis()], ids=lambda a: a.name)
 def test_a_picture_shows_every_one_of_several_faults(arm: Arm) -> None:
-    env = DiagnosisEnv(arm, DiagnosisSettings(), render_mode="rgb_array", threads=1)
+    env = DiagnosisEnv(arm, DiagnosisSettings(unsure_after=1), render_mode="rgb_array", threads=1)
     both = SeveralFaults(faults=(SLIDE, replace(PLAY, stiffness=(1e2, 1e2))))
     pictures = []
     for fault in (SLIDE, both):

@@ -1,0 +1,135 @@
+"""Agents from model files of stable-baselines3, read without executing code."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_agents.core.base import EpisodeAgent, Problem
+from loose_agents.core.belief_agent import records_taken
+from loose_agents.core.estimators import feature_size, make_estimator
+from loose_agents.rl.checkpoint import StoredModel, network_arguments, read_model
+from loose_agents.rl.learned_policy import CONFIGURATION, LearnedAgent, PolicyForm
+from loose_agents.rl.network import PolicyNetwork, network_from_tensors
+from loose_env.errors import InvalidData
+
+__all__ = ["ModelAgent", "model_agent"]
+
+
+@dataclass
+class _Memory:
+    """State of one episode: that of the network."""
+
+    state: Any
+
+
+class ModelAgent(EpisodeAgent):
+    """Plays a policy trained on the environment's own observation and action.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules; must be those of the training.
+    network : PolicyNetwork
+        The policy.
+    """
+
+    def __init__(self, problem: Problem, network: PolicyNetwork, *, seed: int = 0) -> None:
+        super().__init__(problem, seed=seed)
+        self.network = network
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Start from the network's own beginning."""
+        return _Memory(state=self.network.begin())
+
+    def act(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.int64]:
+        """Evaluate the policy."""
+        problem = self.problem
+        measured = int(np.count_nonzero(problem.layout.slots_of(observation)[:, 0]))
+        mask = problem.actions.mask(
+            problem.layout.pose_of(observation), records_taken(problem, observation), measured
+        )
+        choice, memory.state = self.network.choose(observation, memory.state, mask)
+        return choice
+
+
+def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> EpisodeAgent:
+    """Make an agent of a model file: of the rl-zoo, of one's own training, or of train.py.
+
+    What it was trained on shows in the size of its input: the environment's observation, or that
+    of `PolicyForm` on a posterior. Which posterior says ``configuration.json`` beside the file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A ``.zip`` of PPO, RecurrentPPO or MaskablePPO.
+    problem : Problem
+        The nominal arm and the rules; must be those of the training.
+
+    Raises
+    ------
+    InvalidData
+        If it is no such model, or was trained on something else.
+    """
+    stored = read_model(path)
+    state = {name: value.numpy() for name, value in stored.parameters["policy"].items()}
+    seen = _input(stored, state)
+    # The layers of a policy without memory see the observation itself.
+    layout, actions = problem.layout, problem.actions
+    if seen == layout.size:
+        return ModelAgent(problem, _network(stored, state, actions.nvec), seed=seed)
+    estimator = make_estimator(_estimator(Path(path)), problem)
+    form = PolicyForm(problem, feature_size(estimator))
+    sees = form.observation_space.shape[0]
+    if seen != sees:
+        raise InvalidData(
+            f"{path} sees {seen} numbers; the observation of arm {problem.arm.name!r} has "
+            f"{layout.size}, and that on a posterior {sees}: it was trained on another arm, other "
+            "settings or through a wrapper"
+        )
+    return LearnedAgent(problem, _network(stored, state, form.nvec), estimator, seed=seed)
+
+
+def _input(stored: StoredModel, state: dict[str, NDArray[Any]]) -> int:
+    """Number of inputs of a policy."""
+    for name in ("lstm_actor.weight_ih_l0", "mlp_extractor.policy_net.0.weight"):
+        if name in state and state[name].ndim == 2:
+            return int(state[name].shape[1])
+    raise InvalidData(f"{stored.path}: only MlpPolicy and MlpLstmPolicy are read")
+
+
+def _network(
+    stored: StoredModel, state: dict[str, NDArray[Any]], nvec: NDArray[np.int64]
+) -> PolicyNetwork:
+    activation = network_arguments(stored).get("activation_fn")
+    kind = stored.described.get("policy_class")
+    module = kind.get("__module__", "") if isinstance(kind, dict) else ""
+    try:
+        network = network_from_tensors(
+            state,
+            nvec,
+            activation="tanh" if activation is None else activation.__name__.lower(),
+            masked="maskable" in str(module),
+        )
+        options = network.layers[-1].weight.shape[0]
+        if options != nvec.sum():
+            raise ValueError(f"it has {options} options, the problem {nvec.sum()}")
+    except (KeyError, IndexError, ValueError) as error:
+        raise InvalidData(
+            f"{stored.path} holds no policy of this kind: {type(error).__name__}: {error!s:.200}"
+        ) from error
+    return network
+
+
+def _estimator(path: Path) -> str:
+    """Estimator of the run that a model file lies in."""
+    try:
+        found = json.loads((path.parent / CONFIGURATION).read_text(encoding="utf-8"))
+        return str(found.get("estimator", "posterior"))
+    except (OSError, ValueError, AttributeError):
+        return "posterior"

@@ -1,0 +1,145 @@
+"""Agents from outside the package: classes, model files, folders of weights."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from loose_agents.benchmark.sharded import EvaluationTask
+from loose_agents.core.base import EpisodeAgent, Problem
+from loose_agents.core.estimators import OWN_WEIGHTS, WEIGHTS, tuned, weights_path
+from loose_agents.registry import describe, is_outside, make_agent
+
+from loose_env.arms import planar, vera
+from loose_env.envs import DiagnosisEnv, DiagnosisSettings, DiagnosisVectorEnv
+from loose_env.errors import InvalidData, UnknownName
+
+SETTINGS = DiagnosisSettings(durations=(0.1,), max_records=2)
+
+
+class Healthy(EpisodeAgent):
+    """Says healthy, a class as a user would write it."""
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        return None
+
+    def act(self, observation: Any, memory: Any) -> Any:
+        return self.problem.verdict("healthy")
+
+
+class Silent:
+    """Predicts nothing."""
+
+    def __init__(self, problem: Problem, *, seed: int = 0) -> None: ...
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return Problem.of(planar(2), SETTINGS)
+
+
+def trained(path: Path, name: str, policy: str = "MlpPolicy") -> Any:
+    """Save an untrained model of the environment's own observation."""
+    pytest.importorskip("stable_baselines3")
+    from loose_agents.rl.hyperparameters import algorithm_named
+
+    from loose_env.envs.sb3 import Sb3VecEnv
+
+    vec = Sb3VecEnv(DiagnosisVectorEnv(planar(2), SETTINGS, num_envs=2))
+    model = algorithm_named(name)(policy, vec, n_steps=4, batch_size=8, seed=3, device="cpu")
+    model.save(path)
+    return model
+
+
+@pytest.mark.parametrize(
+    ("name", "policy"),
+    [("ppo", "MlpPolicy"), ("maskable_ppo", "MlpPolicy"), ("ppo_lstm", "MlpLstmPolicy")],
+)
+def test_a_model_file_plays_what_the_model_predicts(
+    tmp_path: Path, problem: Problem, name: str, policy: str
+) -> None:
+    path = tmp_path / "model.zip"
+    model = trained(path, name, policy)
+    agent = make_agent(str(path), problem)
+    env = DiagnosisEnv(planar(2), SETTINGS)
+    for seed in range(3):
+        observation, info = env.reset(seed=seed)
+        state, wanted_state, over = None, None, False
+        while not over:
+            action, state = agent.predict(observation, state)
+            given: dict[str, Any] = {"deterministic": True}
+            if name == "maskable_ppo":
+                given["action_masks"] = info["action_mask"]
+            start = np.array([wanted_state is None])
+            wanted, wanted_state = model.predict(
+                observation, state=wanted_state, episode_start=start, **given
+            )
+            np.testing.assert_array_equal(action, wanted)
+            # An untrained policy may measure for ever: the last record ends it.
+            observation, _, over, _, info = env.step(action)
+
+
+def test_a_model_of_another_problem_is_refused(tmp_path: Path, problem: Problem) -> None:
+    path = tmp_path / "model.zip"
+    trained(path, "ppo")
+    with pytest.raises(InvalidData, match="another arm"):
+        make_agent(str(path), Problem.of(planar(3), SETTINGS))
+    for content in (b"", b"no zip"):
+        path.write_bytes(content)
+        with pytest.raises(InvalidData, match="no model"):
+            make_agent(str(path), problem)
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("data", "{}")
+    path.write_bytes(buffer.getvalue())
+    with pytest.raises(InvalidData, match="no policy"):
+        make_agent(str(path), problem)
+
+
+def test_a_class_is_made_by_its_name(problem: Problem) -> None:
+    name = f"{__name__}:Healthy"
+    agent = make_agent(name, problem)
+    action, _ = agent.predict(np.zeros(problem.layout.size, dtype=np.float32))
+    np.testing.assert_array_equal(action, problem.verdict("healthy"))
+    assert is_outside(name) and name in describe(name)
+    for wrong in (f"{__name__}:Nobody", "no_such_module:Agent", f"{__name__}:"):
+        with pytest.raises(UnknownName, match="module:Class"):
+            make_agent(wrong, problem)
+    with pytest.raises(UnknownName, match="predict"):
+        make_agent(f"{__name__}:Silent", problem)
+    with pytest.raises(UnknownName, match=r"Class\(problem, seed=seed\)"):
+        make_agent("pathlib:PurePath", problem)
+
+
+def test_a_folder_of_weights_is_an_agent_and_own_weights_go_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("safetensors")
+    usual = Problem.of(vera(), DiagnosisSettings())
+    shipped = WEIGHTS / "ppo-vera-default"
+    from_folder = make_agent(str(shipped), usual)
+    assert type(from_folder) is type(make_agent("ppo", usual))
+    shutil.copytree(shipped, tmp_path / "ppo-vera-default")
+    (tmp_path / "vera-default.json").write_text('{"stop": {"ppo": 0.6}}', encoding="utf-8")
+    assert weights_path("ppo-vera-default") == shipped
+    monkeypatch.setenv(OWN_WEIGHTS, str(tmp_path))
+    assert weights_path("ppo-vera-default") == tmp_path / "ppo-vera-default"
+    assert weights_path("ppo-planar4-default") == WEIGHTS / "ppo-planar4-default"
+    assert tuned(usual) == {"stop": {"ppo": 0.6}}
+
+
+def test_rows_of_a_file_depend_on_what_is_in_it(tmp_path: Path) -> None:
+    path = tmp_path / "model.zip"
+    found = []
+    for content in (b"one", b"two"):
+        path.write_bytes(content)
+        task = EvaluationTask(agent=str(path), env_id="loose_env/Vera-v0", count=1, seed=0)
+        found.append(task.configuration)
+    assert found[0] != found[1]
+    named = EvaluationTask(agent="random", env_id="loose_env/Vera-v0", count=1, seed=0)
+    assert "content" not in named.configuration
