@@ -8,14 +8,14 @@ answer is periodic too and nothing leaks out of the band.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from hashlib import sha256
 from typing import Annotated
 
 import mujoco
 import numpy as np
-from scipy import fft
+from numpy.typing import NDArray
 
 from loose_env.arms import CREST_FACTOR, LinearArm, LinearPose
 from loose_env.errors import InvalidSetting
@@ -28,6 +28,7 @@ __all__ = [
     "SeatDrive",
     "Shaping",
     "at_levels",
+    "torque_periods",
     "torque_signals",
 ]
 
@@ -69,6 +70,11 @@ class Excitation(Checked):
     def excited(self) -> tuple[bool, ...]:
         """True for each joint that is excited."""
         return tuple(t > 0 for t in self.torque_rms)
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Rms of every signal: torques of the joints, then the shaker's force where it is on."""
+        return (*self.torque_rms, self.shaker_rms) if self.shaker_rms > 0 else self.torque_rms
 
 
 def at_levels(pose: LinearPose, levels: Array, *, duration: float) -> tuple[Excitation, Array]:
@@ -272,34 +278,73 @@ def torque_signals(
     >>> u.shape, bool(abs(u[0].std() - 2.0) < 0.3), float(u[1].std())
     ((2, 1200), True, 0.0)
     """
-    count = round(excitation.duration / timestep)
-    frequency = np.arange(count // 2 + 1) / (count * timestep)
-    low, high = excitation.band
-    inside = np.flatnonzero((frequency >= low - 1e-9) & (frequency <= high + 1e-9))
+    period, _, joints = torque_periods([excitation], timestep=timestep, rngs=[rng])
+    count = period.shape[1]
+    torque = np.zeros((len(excitation.levels), before + count + after))
+    torque[joints] = period[:, np.arange(-before, count + after) % count]
+    return torque
+
+
+def torque_periods(
+    excitations: Sequence[Excitation], *, timestep: float, rngs: Sequence[np.random.Generator]
+) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+    """Draw one period of the torque of every excited joint of several records of one length.
+
+    Parameters
+    ----------
+    excitations : sequence of Excitation
+        Excitations of one duration and band.
+    timestep : float
+        Sampling step [s].
+    rngs : sequence of numpy.random.Generator
+        Source of each record's draw, as for `torque_signals`.
+
+    Returns
+    -------
+    ndarray (R, duration / timestep)
+        Torques [N·m], or the force of the shaker [N].
+    ndarray of int (R,)
+        Record of each row.
+    ndarray of int (R,)
+        Joint of each row; n for the shaker.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> e = Excitation(torque_rms=(0.0, 2.0), duration=1.2, band=(30.0, 150.0))
+    >>> rows, records, joints = torque_periods(
+    ...     [e, e], timestep=1e-3, rngs=[np.random.default_rng(k) for k in range(2)]
+    ... )
+    >>> rows.shape, records.tolist(), joints.tolist()
+    ((2, 1200), [0, 1], [1, 1])
+    """
+    first = excitations[0]
+    low, high = first.band
     if high >= 0.5 / timestep:
         raise InvalidSetting(
-            f"band {excitation.band} Hz reaches half the sampling rate, {0.5 / timestep:g} Hz"
+            f"band {first.band} Hz reaches half the sampling rate, {0.5 / timestep:g} Hz"
         )
-    levels = excitation.torque_rms
-    if excitation.shaker_rms > 0:
-        levels = (*levels, excitation.shaker_rms)
-    n = len(levels)
-    draws = rng.standard_normal((n, len(inside), 2))
-    lines = draws[..., 0] + 1j * draws[..., 1]
-    torque = np.zeros((n, before + count + after))
-    index = np.arange(-before, count + after) % count
-    shaping = (*(excitation.shaping or (None,) * len(excitation.torque_rms)), None)
-    for j, rms in enumerate(levels):
-        if rms == 0:
-            continue
-        shape = shaping[j]
-        weight = np.ones(len(inside)) if shape is None else shape(frequency[inside])
-        weight = weight / np.sqrt(np.mean(weight**2))
-        spectrum = np.zeros(count // 2 + 1, dtype=complex)
-        # E|line|² = 2; the expected rms of the sum of all lines is the one asked for.
-        spectrum[inside] = weight * lines[j] * (rms * count / (2 * np.sqrt(len(inside))))
-        period = fft.irfft(spectrum, n=count)
-        torque[j, before : before + count] = period
-        torque[j, :before] = period[index[:before]]
-        torque[j, before + count :] = period[index[before + count :]]
-    return torque
+    count = round(first.duration / timestep)
+    frequency = np.arange(count // 2 + 1) / (count * timestep)
+    inside = np.flatnonzero((frequency >= low - 1e-9) & (frequency <= high + 1e-9))
+    owners, joints, lines = [], [], []
+    for k, (excitation, rng) in enumerate(zip(excitations, rngs, strict=True)):
+        levels = excitation.levels
+        draws = rng.standard_normal((len(levels), len(inside), 2))
+        for j, rms in enumerate(levels):
+            if rms == 0:
+                continue
+            owners.append(k)
+            joints.append(j)
+            # E|line|² = 2; the expected rms of the sum of all lines is the one asked for.
+            own = (draws[j, :, 0] + 1j * draws[j, :, 1]) * (rms * count / (2 * np.sqrt(len(inside))))
+            shape = None if excitation.shaping is None else (*excitation.shaping, None)[j]
+            if shape is not None:
+                weight = shape(frequency[inside])
+                own *= weight / np.sqrt(np.mean(weight**2))
+            lines.append(own)
+    spectra = np.zeros((len(lines), count // 2 + 1), dtype=complex)
+    spectra[:, inside] = np.reshape(lines, (len(lines), len(inside)))
+    # numpy transforms row by row: no row depends on the others.
+    rows = np.fft.irfft(spectra, n=count)
+    return rows, np.array(owners, dtype=np.intp), np.array(joints, dtype=np.intp)

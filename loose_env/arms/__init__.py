@@ -32,7 +32,7 @@ from loose_env.arms.library.vera import (
     vera_spec,
 )
 from loose_env.arms.response.linear import LinearArm, LinearPose, Response, inertance_rate
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
+from loose_env.arms.response.mismatch import Mismatch, MismatchDraw, MismatchIndices
 from loose_env.arms.response.sensor_sites import LinkSite, Place, link_site
 from loose_env.arms.response.shaken import ShakenArm
 from loose_env.arms.shaker import COIL, Shaker, add_shaker, place_shaker
@@ -69,6 +69,7 @@ __all__ = [
     "LinkSite",
     "Mismatch",
     "MismatchDraw",
+    "MismatchIndices",
     "ModelFile",
     "Place",
     "Response",

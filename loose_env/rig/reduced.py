@@ -16,13 +16,18 @@ import numpy as np
 from loose_env.arms import Arm, LinearArm, MismatchDraw
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault, Healthy
-from loose_env.rig.jobs import Job, Run, check_jobs, whole_factor
+from loose_env.rig.jobs import Job, check_jobs, whole_factor
 from loose_env.rig.measurement import Measurement
-from loose_env.rig.plant import Plant, PlantShop
-from loose_env.rig.simulation.controls import controls
-from loose_env.rig.simulation.reading import read_record
+from loose_env.rig.plant import Plant, PlantIndices, PlantShop
+from loose_env.rig.simulation.controls import Controls, controls
+from loose_env.rig.simulation.reading import AxesRead, Motion, read_records
 from loose_env.rig.simulation.slots import SlotRig
-from loose_env.rig.simulation.small_motion import require_one_part, small_motion
+from loose_env.rig.simulation.small_motion import (
+    MotionLayout,
+    SmallMotion,
+    require_one_part,
+    small_motions,
+)
 from loose_env.sensors import SensorSuite, decimation_filter
 from loose_env.typing import Array
 
@@ -72,6 +77,7 @@ class ReducedRig(SlotRig):
         timestep: float | None = None,
     ) -> None:
         try:
+            from loose_env.rig.simulation.lanes import LANES
             from loose_env.rig.simulation.small_motion_loop import integrate
         except ImportError as error:
             raise InvalidSetting(
@@ -90,11 +96,12 @@ class ReducedRig(SlotRig):
         self.shop = PlantShop(
             arm, timestep=self.timestep, link_accelerometers=self.sensors.link_accelerometers
         )
-        self._integrate = integrate
-        healthy = self.shop.build(Healthy(), MismatchDraw.none(arm))
+        self._integrate, self._lanes = integrate, LANES
+        self._axes = AxesRead(arm, self.sensors)
+        self._layouts: dict[PlantIndices, MotionLayout] = {}
+        self._healthy = healthy = self.shop.build(Healthy(), MismatchDraw.none(arm))
         self.plants: list[Plant] = [healthy] * int(slots)
         self._data = mujoco.MjData(healthy.model)
-        self._rooms: dict[int, Array] = {}
 
     def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
         """Put a new arm into a slot.
@@ -107,73 +114,95 @@ class ReducedRig(SlotRig):
         draw = MismatchDraw.none(self.arm) if mismatch is None else mismatch
         plant = self.shop.build(fault, draw)
         require_one_part(plant)
+        if self.plants[slot] is not self._healthy:
+            self.shop.retire(self.plants[slot])
         self.plants[slot] = plant
 
     def measure_each(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Measurement]]:
-        """Take measurements in sequence; yield each job's index and measurement."""
+        """Take measurements of one length together; yield each job's index and measurement."""
         check_jobs(self.arm, jobs)
+        alike: dict[tuple[object, ...], list[int]] = {}
         for k, job in enumerate(jobs):
-            yield k, self._measure(job)
+            alike.setdefault((job.excitation.duration, job.excitation.band), []).append(k)
+        for members in alike.values():
+            yield from zip(members, self._measured([jobs[k] for k in members]), strict=True)
 
-    def _measure(self, job: Job) -> Measurement:
-        plant, arm = self.plants[job.slot], self.arm
-        rate, factor = self.sensors.rate, self.factor
-        half = len(decimation_filter(factor, self.sensors.accelerometer.bandwidth, rate)) // 2
-        before = round(arm.settling * rate) * factor
-        control = controls(
-            self.nominal,
-            [job],
-            timestep=self.timestep,
-            before=before,
-            after=max(half, factor) + 1,
+    def _measured(self, jobs: Sequence[Job]) -> list[Measurement]:
+        """Measure jobs of one length and band."""
+        plants = [self.plants[job.slot] for job in jobs]
+        mismatches = [plant.mismatch for plant in plants]
+        control = controls(self.nominal, jobs, timestep=self.timestep)
+        places = np.empty(len(jobs))
+        for k, (plant, job) in enumerate(zip(plants, jobs, strict=True)):
+            plant.hold_at(job.pose)
+            places[k] = plant.gaps[0] * (job.rng.random(plant.parts)[0] - 0.5)
+        gain = np.array([draw.drive_gain for draw in mismatches])
+        motions = small_motions(
+            plants,
+            [self._layout(plant) for plant in plants],
+            self._data,
+            excited=np.array([job.excitation.excited for job in jobs]),
+            places=places,
+            torque=control.constant * gain,
+            mixing=self._axes.mixing(mismatches),
+            mixed=self._axes.sensor,
         )
-        plant.hold_at(job.pose)
-        place = float(plant.gaps[0] * (job.rng.random(plant.parts)[0] - 0.5))
-        motion = small_motion(plant, arm, self._data, job.excitation, place)
-        delivered = control[0] * plant.mismatch.drive_gain
-        channels = len(motion.still) + arm.n
-        recorded = self._room(len(delivered) * channels).reshape(len(delivered), channels)
-        self._integrate(
-            motion.mobility,
-            motion.stiffness,
-            motion.damping,
-            motion.force,
-            motion.start,
-            motion.drives,
-            np.flatnonzero(np.abs(delivered).max(axis=0) > 0),
-            motion.readings,
-            motion.tilting,
-            motion.still,
-            motion.encoders,
-            motion.zero,
-            motion.seat,
-            np.zeros(11) if motion.law is None else motion.law.numbers,
-            delivered,
-            self.timestep,
-            recorded,
-        )
-        run = Run(
-            jobs=[job],
-            control=control,
-            delivered=delivered[None],
-            recorded=recorded[None],
-            before=before,
-            count=round(job.excitation.duration * rate),
-        )
-        if not np.isfinite(recorded[-1]).all():
-            run.failures[job.slot] = "the simulation diverged: motion not finite"
-        return read_record(
-            run,
-            0,
-            arm=arm,
+        delivered = control.periods * gain[control.records, control.drives][:, None]
+        count = round(jobs[0].excitation.duration * self.sensors.rate)
+        motion = self._integrated(motions, control, delivered, count)
+        finite = np.isfinite(motion.smooth).all(axis=(1, 2))
+        finite &= np.isfinite(motion.position).all(axis=(1, 2))
+        return read_records(
+            motion,
+            self._axes,
+            jobs,
+            control,
+            arm=self.arm,
             sensors=self.sensors,
-            factor=factor,
-            mismatch=plant.mismatch,
-            gravity=self.nominal.at(job.pose).gravity_torque,
+            factor=self.factor,
+            joint_zero=np.array([draw.joint_zero for draw in mismatches]),
+            failures={
+                jobs[k].slot: "the simulation diverged: motion not finite"
+                for k in np.flatnonzero(~finite)
+            },
         )
 
-    def _room(self, size: int) -> Array:
-        """Allocate or reuse the buffers of the recorded channels."""
-        if size not in self._rooms:
-            self._rooms[size] = np.empty(size)
-        return self._rooms[size]
+    def _integrated(
+        self, motions: SmallMotion, control: Controls, delivered: Array, count: int
+    ) -> Motion:
+        """Integrate the arms, some lanes at a time; the last ones are filled by repetition."""
+        taps = decimation_filter(self.factor, self.sensors.accelerometer.bandwidth, self.sensors.rate)
+        jobs, lanes = len(motions.still), self._lanes
+        smooth = np.empty((jobs, motions.still.shape[1], count))
+        position = np.empty((jobs, self.arm.n, count + 2))
+        for first in range(0, jobs, lanes):
+            chosen = np.minimum(np.arange(first, first + lanes), jobs - 1)
+            mine = slice(first, min(first + lanes, jobs))
+            own = (control.records >= mine.start) & (control.records < mine.stop)
+            driven = np.unique(control.drives[own])
+            torque = np.zeros((len(driven), delivered.shape[1], lanes))
+            for row in np.flatnonzero(own):
+                at = np.searchsorted(driven, control.drives[row])
+                torque[at, :, control.records[row] - first] = delivered[row]
+            seen = np.empty((smooth.shape[1], count, lanes))
+            turned = np.empty((self.arm.n, count + 2, lanes))
+            self._integrate(
+                *(np.ascontiguousarray(np.moveaxis(part[chosen], 0, -1)) for part in motions.parts),
+                torque,
+                driven,
+                self.timestep,
+                round(self.arm.settling * self.sensors.rate) * self.factor,
+                self.factor,
+                taps,
+                seen,
+                turned,
+            )
+            smooth[mine] = seen.transpose(2, 0, 1)[: mine.stop - first]
+            position[mine] = turned.transpose(2, 0, 1)[: mine.stop - first]
+        return Motion(smooth=smooth, position=position)
+
+    def _layout(self, plant: Plant) -> MotionLayout:
+        found = self._layouts.get(plant.indices)
+        if found is None:
+            found = self._layouts[plant.indices] = MotionLayout(plant)
+        return found
