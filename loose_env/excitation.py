@@ -27,6 +27,7 @@ __all__ = [
     "Excitation",
     "SeatDrive",
     "Shaping",
+    "all_at_levels",
     "at_levels",
     "torque_periods",
     "torque_signals",
@@ -115,20 +116,54 @@ def at_levels(pose: LinearPose, levels: Array, *, duration: float) -> tuple[Exci
         raise InvalidSetting(
             f"levels of {arm.name!r} are {arm.n} numbers, zero or more m/s², got {levels!r}"
         )
-    torque, share = np.zeros(arm.n), np.ones(arm.n)
-    on = wanted > 0
-    if on.any():
-        tool = pose.response(on).tool
-        per_torque = np.sqrt(np.mean(np.sum(np.abs(tool) ** 2, axis=1), axis=0))
-        spare = np.array(arm.torque_limits) - np.abs(pose.gravity_torque)
-        allowed = np.maximum(spare[on], 0.0) / CREST_FACTOR
-        needed = wanted[on] / per_torque
-        torque[on] = np.minimum(needed, allowed)
-        share[on] = torque[on] / needed
-    excitation = Excitation(
-        torque_rms=tuple(float(t) for t in torque), duration=duration, band=arm.band
-    )
-    return excitation, share
+    (excitation,), share = all_at_levels([pose], wanted[None], durations=[duration])
+    return excitation, share[0]
+
+
+def all_at_levels(
+    poses: Sequence[LinearPose], levels: Array, *, durations: Sequence[float]
+) -> tuple[list[Excitation], Array]:
+    """Find the torques of several records, each as `at_levels`.
+
+    Parameters
+    ----------
+    poses : sequence of B LinearPose
+        One nominal arm at several poses.
+    levels : ndarray (B, n)
+        Wanted rms accelerations [m/s²].
+    durations : sequence of B float
+        Lengths of the records [s].
+
+    Returns
+    -------
+    list of B Excitation
+    ndarray (B, n)
+        Share of each wanted level that is allowed.
+    """
+    arm = poses[0].linear.arm
+    on = levels > 0
+    torque, share = np.zeros(levels.shape), np.ones(levels.shape)
+    limits = np.array(arm.torque_limits)
+    counts = on.sum(axis=1)
+    for m in np.unique(counts[counts > 0]):
+        members = np.flatnonzero(counts == m)
+        chosen = on[members]
+        found = poses[0].linear.responses([poses[k] for k in members], chosen)
+        tool = np.array([answer.tool for answer in found])
+        per_torque = np.sqrt(np.mean(np.sum(np.abs(tool) ** 2, axis=2), axis=1))
+        gravity = np.array([poses[k].gravity_torque for k in members])
+        spare = limits - np.abs(gravity)
+        allowed = np.maximum(spare[chosen].reshape(-1, m), 0.0) / CREST_FACTOR
+        needed = levels[members][chosen].reshape(-1, m) / per_torque
+        given = np.minimum(needed, allowed)
+        rows, columns = np.nonzero(chosen)
+        torque[members[rows], columns] = given.ravel()
+        share[members[rows], columns] = (given / needed).ravel()
+    excitations = [
+        Excitation(torque_rms=tuple(own), duration=duration, band=arm.band)
+        for own, duration in zip(torque.tolist(), durations, strict=True)
+    ]
+    return excitations, share
 
 
 class SeatDrive:
@@ -337,7 +372,9 @@ def torque_periods(
             owners.append(k)
             joints.append(j)
             # E|line|² = 2; the expected rms of the sum of all lines is the one asked for.
-            own = (draws[j, :, 0] + 1j * draws[j, :, 1]) * (rms * count / (2 * np.sqrt(len(inside))))
+            own = (draws[j, :, 0] + 1j * draws[j, :, 1]) * (
+                rms * count / (2 * np.sqrt(len(inside)))
+            )
             shape = None if excitation.shaping is None else (*excitation.shaping, None)[j]
             if shape is not None:
                 weight = shape(frequency[inside])

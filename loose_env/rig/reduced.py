@@ -171,7 +171,9 @@ class ReducedRig(SlotRig):
         self, motions: SmallMotion, control: Controls, delivered: Array, count: int
     ) -> Motion:
         """Integrate the arms, some lanes at a time; the last ones are filled by repetition."""
-        taps = decimation_filter(self.factor, self.sensors.accelerometer.bandwidth, self.sensors.rate)
+        taps = decimation_filter(
+            self.factor, self.sensors.accelerometer.bandwidth, self.sensors.rate
+        )
         jobs, lanes = len(motions.still), self._lanes
         smooth = np.empty((jobs, motions.still.shape[1], count))
         position = np.empty((jobs, self.arm.n, count + 2))

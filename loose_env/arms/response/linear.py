@@ -37,25 +37,53 @@ def inertance_rate(timestep: float) -> float:
     return 0.5 / timestep
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
     """The healthy arm's answer per unit torque at each excited joint, over the band."""
 
-    frequency: Array
-    """Frequencies [Hz] (K,)."""
-    joint: ComplexArray
-    """Joint acceleration per torque [rad/s² per N·m], (K, n joints, m excited)."""
+    pose: LinearPose
+    """The arm in its pose."""
+    acceleration: ComplexArray
+    """Acceleration of joints, then bending modes, per torque (K, v, m)."""
     tool: ComplexArray
     """Tool acceleration per torque, tool frame [m/s² per N·m], (K, d, m)."""
-    slide: ComplexArray
-    """Force each shut slide transmits per torque [N per N·m], (K, n links, s axes, m)."""
-    hinge: ComplexArray
-    """Torque each joint's link side transmits per torque [1], force where the joint slides
-    [N per N·m], (K, n joints, m)."""
-    twist: ComplexArray | None = None
-    """Load through each shut seat per torque: forces, then moments about the link frame's
-    origin [N or N·m per N·m], (K, n links, t, m); None without rotations. See
-    `LinearArm.twist_dofs`."""
+
+    @property
+    def frequency(self) -> Array:
+        """Frequencies [Hz] (K,)."""
+        return self.pose.linear.frequency
+
+    @property
+    def joint(self) -> ComplexArray:
+        """Joint acceleration per torque [rad/s² per N·m], (K, n joints, m excited)."""
+        return self.acceleration[:, : self.pose.linear.arm.n]
+
+    @property
+    def slide(self) -> ComplexArray:
+        """Force each shut slide transmits per torque [N per N·m], (K, n links, s axes, m)."""
+        n, axes = self.pose.linear.slide_dofs.shape
+        return self._transmitted[:, : n * axes].reshape(-1, n, axes, self.tool.shape[-1])
+
+    @property
+    def hinge(self) -> ComplexArray:
+        """Torque each joint's link side transmits per torque [1], force where the joint slides
+        [N per N·m], (K, n joints, m)."""
+        n, axes = self.pose.linear.slide_dofs.shape
+        return self._transmitted[:, n * axes : n * axes + n]
+
+    @property
+    def twist(self) -> ComplexArray | None:
+        """Load through each shut seat per torque: forces, then moments about the link frame's
+        origin [N or N·m per N·m], (K, n links, t, m); None without rotations. See
+        `LinearArm.twist_dofs`."""
+        pose = self.pose
+        return self._transmitted[:, pose.twists] if pose.linear.rotations else None
+
+    @cached_property
+    def _transmitted(self) -> ComplexArray:
+        pose = self.pose
+        coupling = pose.inertia[np.ix_(pose.linear.moving, pose.seats)]
+        return np.asarray(np.einsum("vs,kvm->ksm", coupling, self.acceleration))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,6 +217,11 @@ class LinearArm:
         return np.concatenate([self.slide_dofs, self.turn_dofs], axis=1)
 
     @property
+    def moving(self) -> NDArray[np.intp]:
+        """Degrees of freedom that answer: joints, then bending modes (v,)."""
+        return np.concatenate([self.joint_dofs, self.flexible_dofs])
+
+    @property
     def springs(self) -> tuple[Array, Array]:
         """Stiffness and damping of the arm itself at every degree of freedom (nv,) each.
 
@@ -234,19 +267,88 @@ class LinearArm:
             found = self._cache[key] = self._linearise(q)
         return found
 
+    def responses(self, poses: Sequence[LinearPose], excited: NDArray[np.bool_]) -> list[Response]:
+        """Frequency responses at several poses at once, each with joints of its own excited.
+
+        Parameters
+        ----------
+        poses : sequence of B LinearPose
+            Poses of this arm. They remember their responses.
+        excited : ndarray of bool (B, n)
+            Joints that are excited; all others are held.
+        """
+        masks = [tuple(row) for row in excited.tolist()]
+        missing: dict[int, dict[tuple[int, tuple[bool, ...]], LinearPose]] = {}
+        for pose, mask in zip(poses, masks, strict=True):
+            if mask not in pose.remembered:
+                missing.setdefault(sum(mask), {})[id(pose), mask] = pose
+        for asked in missing.values():
+            own = [mask for _, mask in asked]
+            answers = self._respond(list(asked.values()), np.array(own))
+            for pose, mask, answer in zip(asked.values(), own, answers, strict=True):
+                pose.remembered[mask] = answer
+        return [pose.remembered[mask] for pose, mask in zip(poses, masks, strict=True)]
+
+    def _respond(self, poses: Sequence[LinearPose], excited: NDArray[np.bool_]) -> list[Response]:
+        """Responses with equally many joints excited in each pose."""
+        move = self.moving
+        mass = np.array([pose.inertia[np.ix_(move, move)] for pose in poses])
+        count, m = excited.shape[0], int(excited[0].sum())
+        torque = np.zeros((len(move), m, count, len(self.frequency)), dtype=complex)
+        owner, driven = np.nonzero(excited)
+        torque[driven, np.tile(np.arange(m), count), owner] = 1.0
+        answer = _solved(self.dynamic_stiffness(mass, excited), torque)
+        answer *= -((2 * np.pi * self.frequency) ** 2)
+        jacobian = np.array([pose.jacobian[:, move] for pose in poses])
+        tool = np.zeros((jacobian.shape[1], *answer.shape[1:]), dtype=complex)
+        for v in range(len(move)):
+            tool += jacobian[:, :, v].T[:, None, :, None] * answer[v]
+        # Contiguous for each pose, so that sums over it do not depend on the others.
+        acceleration = np.ascontiguousarray(answer.transpose(2, 3, 0, 1))
+        tool = np.ascontiguousarray(tool.transpose(2, 3, 0, 1))
+        return [
+            Response(pose=pose, acceleration=own, tool=moved)
+            for pose, own, moved in zip(poses, acceleration, tool, strict=True)
+        ]
+
+    def dynamic_stiffness(self, mass: Array, excited: NDArray[np.bool_]) -> ComplexArray:
+        """Dynamic stiffness of joints and bending modes (v, v, B, K).
+
+        ``mass`` (B, v, v) is their inertia in each of B poses, ``excited`` (B, n).
+        """
+        arm, model, move = self.arm, self.model, self.moving
+        omega = 2 * np.pi * self.frequency
+        s = 1j * omega
+        loose = s * model.dof_damping[move, None] + model.jnt_stiffness[model.dof_jntid[move], None]
+        for j in range(arm.n):
+            loose[j] += arm.centring.stiffness[j] + s * arm.centring.damping[j]
+        held = loose.copy()
+        for j in range(arm.n):
+            k, c = arm.holding.stiffness[j], arm.holding.damping[j]
+            inertance = k / inertance_rate(arm.timestep) ** 2
+            held[j] += k + s * c - omega**2 * inertance
+        stiffness = mass.transpose(1, 2, 0)[..., None] * (-(omega**2) + 0j)
+        for v in range(len(move)):
+            free = excited[:, v, None] if v < arm.n else True  # bending modes are never held
+            stiffness[v, v] += np.where(free, loose[v], held[v])
+        return np.asarray(stiffness)
+
     def _linearise(self, q: Array) -> LinearPose:
         model, data = self.model, self._data
-        mujoco.mj_resetData(model, data)
-        for name, value in zip(self.arm.joints, q, strict=True):
-            data.joint(name).qpos[0] = value
-        mujoco.mj_forward(model, data)
+        position = data.qpos
+        position[:] = model.qpos0
+        position[model.jnt_qposadr[model.dof_jntid[self.joint_dofs]]] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_makeM(model, data)
         inertia = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, inertia)
+        load = np.zeros(model.nv)
+        mujoco.mj_rne(model, data, 0, load)  # at rest: gravity alone
         jacobian = np.zeros((3, model.nv))
         mujoco.mj_jacSite(model, data, jacobian, None, self.tool)
         frame = data.site_xmat[self.tool].reshape(3, 3)
         jacobian = (frame.T @ jacobian)[list(self.arm.axes)]
-        load = data.qfrc_bias.copy()
         if self.play is not None:
             all_of = np.hstack([np.eye(model.nv), self.play])
             inertia, jacobian, load = all_of.T @ inertia @ all_of, jacobian @ all_of, load @ all_of
@@ -283,22 +385,18 @@ class LinearPose:
         return self.load[self.linear.slide_dofs]
 
     @cached_property
-    def _responses(self) -> dict[tuple[bool, ...], Response]:
+    def remembered(self) -> dict[tuple[bool, ...], Response]:
+        """Responses so far, by the joints excited; see `LinearArm.responses`."""
         return {}
 
     @property
-    def _moving(self) -> NDArray[np.intp]:
-        """Degrees of freedom that answer: joints, then bending modes."""
-        return np.concatenate([self.linear.joint_dofs, self.linear.flexible_dofs])
-
-    @property
-    def _seats(self) -> NDArray[np.intp]:
+    def seats(self) -> NDArray[np.intp]:
         """Degrees of freedom of all seats: slides, link sides of joints, then rotations."""
         lin = self.linear
         return np.concatenate([lin.slide_dofs.ravel(), lin.hinge_dofs, lin.turn_dofs.ravel()])
 
     @property
-    def _twists(self) -> NDArray[np.intp]:
+    def twists(self) -> NDArray[np.intp]:
         """Indices of each link's slides and rotations among the seats (n, t)."""
         slides, turns = self.linear.slide_dofs, self.linear.turn_dofs
         first = slides.size + len(self.linear.hinge_dofs)
@@ -312,57 +410,11 @@ class LinearPose:
 
     def response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> Response:
         """Return the frequency response with the given joints excited and all others held."""
-        mask = tuple(bool(e) for e in excited)
-        found = self._responses.get(mask)
-        if found is None:
-            found = self._responses[mask] = self._respond(np.array(mask))
-        return found
-
-    def _stiffness(self, excited: NDArray[np.bool_]) -> ComplexArray:
-        """Dynamic stiffness of joints and bending modes (K, v, v)."""
-        lin = self.linear
-        arm, model, move = lin.arm, lin.model, self._moving
-        omega = 2 * np.pi * lin.frequency
-        s = 1j * omega
-        diagonal = np.zeros((len(omega), len(move)), dtype=complex)
-        diagonal += s[:, None] * model.dof_damping[move]
-        joint_of = model.dof_jntid[move]
-        diagonal += model.jnt_stiffness[joint_of]
-        centring, holding = arm.centring, arm.holding
-        for j in range(arm.n):
-            diagonal[:, j] += centring.stiffness[j] + s * centring.damping[j]
-            if not excited[j]:
-                k, c = holding.stiffness[j], holding.damping[j]
-                inertance = k / inertance_rate(arm.timestep) ** 2
-                diagonal[:, j] += k + s * c - omega**2 * inertance
-        mass = self.inertia[np.ix_(move, move)]
-        stiffness = -(omega**2)[:, None, None] * mass.astype(complex)
-        stiffness[:, np.arange(len(move)), np.arange(len(move))] += diagonal
-        return np.asarray(stiffness)
-
-    def _respond(self, excited: NDArray[np.bool_]) -> Response:
-        lin, move = self.linear, self._moving
-        n, axes = lin.arm.n, lin.slide_dofs.shape[1]
-        driven = np.flatnonzero(excited)
-        count, m = len(lin.frequency), len(driven)
-        torque = np.zeros((count, len(move), m), dtype=complex)
-        torque[:, driven, np.arange(m)] = 1.0
-        acceleration = self._accelerations(excited, torque)
-        coupling = self.inertia[np.ix_(move, self._seats)]
-        transmitted = np.einsum("vs,kvm->ksm", coupling, acceleration)
-        slides = n * axes
-        return Response(
-            frequency=lin.frequency,
-            joint=acceleration[:, :n],
-            tool=np.einsum("dv,kvm->kdm", self.jacobian[:, move], acceleration),
-            slide=transmitted[:, :slides].reshape(count, n, axes, m),
-            hinge=transmitted[:, slides : slides + n],
-            twist=transmitted[:, self._twists] if lin.rotations else None,
-        )
+        return self.linear.responses([self], np.array([excited], dtype=bool))[0]
 
     def open_response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> OpenResponse:
         """Return the answer through every seat, with the given joints excited."""
-        lin, move, seats = self.linear, self._moving, self._seats
+        lin, move, seats = self.linear, self.linear.moving, self.seats
         mask = np.array([bool(e) for e in excited])
         n, axes, d = lin.arm.n, lin.slide_dofs.shape[1], self.jacobian.shape[0]
         driven = np.flatnonzero(mask)
@@ -375,7 +427,7 @@ class LinearPose:
         apparent = np.einsum("vs,kvt->kst", coupling, by_seat) + self.inertia[np.ix_(seats, seats)]
         ns = n * axes
         blocks = apparent[:, :ns, :ns].reshape(count, n, axes, n, axes)
-        hinges, at = slice(ns, ns + n), self._twists
+        hinges, at = slice(ns, ns + n), self.twists
         return OpenResponse(
             tool_open_slide=tool[:, :, :ns].reshape(count, d, n, axes),
             joint_open_slide=by_seat[:, driven, :ns].reshape(count, m, n, axes),
@@ -391,5 +443,29 @@ class LinearPose:
     def _accelerations(self, excited: NDArray[np.bool_], force: ComplexArray) -> ComplexArray:
         """Accelerations of joints and bending modes under generalised forces (K, v, ...)."""
         omega = 2 * np.pi * self.linear.frequency
-        motion = np.linalg.solve(self._stiffness(excited), force)
+        move = self.linear.moving
+        mass = self.inertia[np.ix_(move, move)]
+        stiffness = self.linear.dynamic_stiffness(mass[None], excited[None])[:, :, 0]
+        motion = np.linalg.solve(stiffness.transpose(2, 0, 1), force)
         return np.asarray(-(omega**2)[:, None, None] * motion, dtype=np.complex128)
+
+
+def _solved(stiffness: ComplexArray, force: ComplexArray) -> ComplexArray:
+    """Solve systems of equations that lie along the last axes, (v, v, ...) and (v, m, ...).
+
+    Gauss-Jordan elimination of all of them at once, by operations on single elements: a system's
+    solution does not depend on the others. Dampers keep the pivots of a dynamic stiffness off
+    zero. Both arrays are overwritten.
+    """
+    for p in range(len(stiffness)):
+        scale = 1.0 / stiffness[p, p]
+        ahead = stiffness[p, p + 1 :] * scale
+        known = force[p] * scale
+        for v in range(len(stiffness)):
+            if v != p:
+                factor = stiffness[v, p]
+                stiffness[v, p + 1 :] -= factor * ahead
+                force[v] -= factor * known
+        stiffness[p, p + 1 :] = ahead
+        force[p] = known
+    return force

@@ -73,11 +73,11 @@ class JointPose:
                 yield (f"{part}.{joint}_{of_slide}", unit) if slides else (f"{part}.{joint}", "1")
 
     def numbers(self, pose: Array) -> tuple[Array, Array]:
-        """Turn a pose [rad or m] (n,) into the first and the second numbers (n,), (n,)."""
+        """Turn poses [rad or m] (..., n) into their first and their second numbers (..., n)."""
         first, second, k = np.sin(pose), np.cos(pose), self.slides
         if len(k):
-            first[k] = 2 * (pose[k] - self.middle[k]) / self.width[k]
-            second[k] = 0.0
+            first[..., k] = 2 * (pose[..., k] - self.middle[k]) / self.width[k]
+            second[..., k] = 0.0
         return first, second
 
     def pose(self, first: Array, second: Array) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,13 +18,13 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, LinearArm, MismatchDraw
+from loose_env.arms import Arm, LinearArm, LinearPose, MismatchDraw
 from loose_env.diagnosis import (
     NominalLinks,
     SensorFloor,
-    link_readings_of,
-    predict,
-    statistics_of,
+    link_readings_of_all,
+    predictions,
+    statistics_of_all,
 )
 from loose_env.envs.episode.actions import Action, ActionLayout
 from loose_env.envs.episode.observation import ObservationLayout
@@ -39,7 +40,7 @@ from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData
-from loose_env.excitation import Excitation, at_levels
+from loose_env.excitation import Excitation, all_at_levels
 from loose_env.faults import UNSURE, Fault, Healthy, SeveralFaults, hypotheses, place_of
 from loose_env.rig import Job, Measurement, ReducedRig, SimulatedRig
 from loose_env.typing import Array
@@ -59,6 +60,20 @@ class BatchRig(Protocol):
     def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
         """Take one measurement on each of several slots."""
         ...
+
+
+@dataclass(kw_only=True, eq=False)
+class _Asked:
+    """A record that one arm is asked for in a step, and what becomes of it."""
+
+    slot: int
+    episode: Episode
+    action: Action
+    at: LinearPose
+    info: dict[str, Any]
+    share: Array | None = None
+    measurement: Measurement | None = None
+    failure: str | None = None
 
 
 class EpisodeBatch:
@@ -183,8 +198,7 @@ class EpisodeBatch:
         """Take one step in each of the given slots; arms that measure do so together."""
         decoded = [self.actions.decode(action) for action in actions]
         outcomes: dict[int, Outcome] = {}
-        jobs: list[Job] = []
-        waiting: dict[int, tuple[Action, Array, dict[str, Any]]] = {}
+        asked: list[_Asked] = []
         for slot, action in zip(slots, decoded, strict=True):
             episode = self.episode(slot)
             if episode.ended:
@@ -194,24 +208,66 @@ class EpisodeBatch:
             elif action.verdict > 0 and episode.records > 0:
                 outcomes[slot] = self._end(episode, self.verdicts[action.verdict - 1], {})
             else:
-                ignored = action.verdict > 0
-                info: dict[str, Any] = {"verdict_ignored": ignored}
+                info: dict[str, Any] = {"verdict_ignored": action.verdict > 0}
                 info["move_ignored"] = self._move(episode, action)
-                levels = self._levels[action.levels]
-                excitation, share = at_levels(
-                    self.nominal.at(episode.pose), levels, duration=action.duration
-                )
-                info["level_share"] = share
-                waiting[slot] = (action, share, info)
-                if any(excitation.excited):  # not where gravity leaves a drive no torque
-                    jobs.append(self._job(slot, episode, excitation))
-        for k, measurement in self._measured(jobs):
-            slot = jobs[k].slot
-            action, share, info = waiting.pop(slot)
-            outcomes[slot] = self._record(slot, action, share, measurement, info)
-        for slot, (action, share, info) in waiting.items():  # nothing was excited
-            outcomes[slot] = self._record(slot, action, share, None, info)
+                at = self.nominal.at(episode.pose)
+                asked.append(_Asked(slot=slot, episode=episode, action=action, at=at, info=info))
+        self._take_records(asked)
+        for each in asked:
+            outcomes[each.slot] = self._enter(each)
         return [outcomes[slot] for slot in slots]
+
+    def _take_records(self, asked: Sequence[_Asked]) -> None:
+        """Excite and measure all arms that ask for a record, and work out what they show."""
+        if not asked:
+            return
+        excitations, shares = all_at_levels(
+            [each.at for each in asked],
+            self._levels[np.array([each.action.levels for each in asked])],
+            durations=[each.action.duration for each in asked],
+        )
+        jobs, played = [], []
+        for each, excitation, share in zip(asked, excitations, shares, strict=True):
+            each.share = each.info["level_share"] = share
+            if any(excitation.excited):  # not where gravity leaves a drive no torque
+                jobs.append(self._job(each.slot, each.episode, excitation))
+                played.append(each)
+        alike: dict[tuple[object, ...], list[_Asked]] = {}
+        for k, measurement in self._measured(jobs):
+            each = played[k]
+            each.measurement, each.failure = measurement, measurement.failure
+            if measurement.failure is None:
+                key = (measurement.tool.shape[1], int(measurement.excited.sum()))
+                alike.setdefault(key, []).append(each)
+        for members in alike.values():
+            try:
+                self._fill_slots(members)
+            except InvalidData:  # find the record that makes no statistics
+                for each in members:
+                    try:
+                        self._fill_slots([each])
+                    except InvalidData as error:
+                        each.failure = f"the readings make no statistics: {error}"
+
+    def _fill_slots(self, asked: Sequence[_Asked]) -> None:
+        """Enter records, alike in length and in the number of excited joints, into their slots."""
+        measured = [each.measurement for each in asked if each.measurement is not None]
+        links = expected = None
+        if self._nominal_links is not None:
+            links = link_readings_of_all(measured)
+            expected = np.array(
+                [self._nominal_links.transmission(m.pose, m.excited) for m in measured]
+            )
+        rows = self.observations.slots_for(
+            np.array([each.action.levels for each in asked]),
+            np.array([each.share for each in asked]),
+            statistics_of_all(measured),
+            predictions([each.at for each in asked], [m.excitation for m in measured], self.floor),
+            links=links,
+            nominal_links=expected,
+        )
+        for each, row in zip(asked, rows, strict=True):
+            each.episode.slots[each.episode.records] = row
 
     def _measured(self, jobs: Sequence[Job]) -> Iterable[tuple[int, Measurement]]:
         """Measure; a simulated rig gives each record out while it works on the next ones."""
@@ -256,16 +312,10 @@ class EpisodeBatch:
         episode.pose = np.round(self.arm.wrap(episode.pose + step), 9)
         return ~fits
 
-    def _record(
-        self,
-        slot: int,
-        action: Action,
-        share: Array,
-        measurement: Measurement | None,
-        info: dict[str, Any],
-    ) -> Outcome:
-        """Enter a record into the episode; None is a record without excitation."""
-        episode = self.episode(slot)
+    def _enter(self, asked: _Asked) -> Outcome:
+        """Enter a record into the episode; without excitation there is none."""
+        episode, action, info = asked.episode, asked.action, asked.info
+        measurement, failure = asked.measurement, asked.failure
         prices = self.settings.prices
         price = prices.record
         if measurement is not None:
@@ -275,26 +325,6 @@ class EpisodeBatch:
             episode.levels += levels
             episode.visited.add(episode.pose.tobytes())
         episode.last = measurement
-        failure = measurement.failure if measurement is not None else None
-        if measurement is not None and failure is None:
-            try:
-                statistics = statistics_of(measurement)
-                links = None if self._nominal_links is None else link_readings_of(measurement)
-            except InvalidData as error:
-                failure = f"the readings make no statistics: {error}"
-            else:
-                nominal = predict(self.nominal.at(episode.pose), measurement.excitation, self.floor)
-                expected = None
-                if self._nominal_links is not None:
-                    expected = self._nominal_links.transmission(episode.pose, measurement.excited)
-                episode.slots[episode.records] = self.observations.slot_of(
-                    action.levels,
-                    share,
-                    statistics,
-                    nominal,
-                    links=links,
-                    nominal_links=expected,
-                )
         episode.records += 1
         if failure is not None:
             self.divergences[episode.fault.kind] += 1
@@ -305,7 +335,7 @@ class EpisodeBatch:
             info["measurement"] = (
                 None if measurement is None else RawMeasurement(**vars(measurement))
             )
-        info["action_mask"] = self.mask(slot)
+        info["action_mask"] = self.mask(asked.slot)
         return Outcome(reward=-price, terminated=False, truncated=False, info=info)
 
     def _end(self, episode: Episode, named: str | None, info: dict[str, Any]) -> Outcome:

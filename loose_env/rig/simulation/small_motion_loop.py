@@ -54,7 +54,9 @@ def _seat_force(free: Any, mobility: Any, x: Any, v: Any, law: Any, stiff: Any) 
     a = (free - mobility * (grip * aim)) * load(stiff, 0)
     friction = zero - grip * (a + aim)
     off = pick(most, friction, most, pick(friction, least, least, friction))
-    a = pick(most, friction, free + mobility * most, pick(friction, least, free + mobility * least, a))
+    a = pick(
+        most, friction, free + mobility * most, pick(friction, least, free + mobility * least, a)
+    )
     pressed = (base - slope * a) * side  # what the stop would give at this acceleration
     # At a stop.
     b = (free + mobility * (base - grip * aim)) * stuck
@@ -157,7 +159,12 @@ def integrate(
                 total = total + load(mobility, i * count + j) * load(f, j)
             store(a, i, total)
         push = _seat_force(
-            load(a, seat), load(mobility, seat * count + seat), load(x, seat), load(v, seat), law, stiff
+            load(a, seat),
+            load(mobility, seat * count + seat),
+            load(x, seat),
+            load(v, seat),
+            law,
+            stiff,
         )
         for i in range(count):
             store(a, i, load(a, i) + load(mobility, i * count + seat) * push)
@@ -166,7 +173,9 @@ def integrate(
                 total = load(still, s)
                 for i in range(count):
                     row = s * count + i
-                    total = total + (load(readings, row) * load(a, i) + load(tilting, row) * load(x, i))
+                    total = total + (
+                        load(readings, row) * load(a, i) + load(tilting, row) * load(x, i)
+                    )
                 store(window, newest * sensors + s, total)
             newest += 1
             if newest == length:
