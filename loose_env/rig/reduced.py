@@ -182,15 +182,15 @@ class ReducedRig(SlotRig):
             mine = slice(first, min(first + lanes, jobs))
             own = (control.records >= mine.start) & (control.records < mine.stop)
             driven = np.unique(control.drives[own])
-            torque = np.zeros((len(driven), delivered.shape[1], lanes))
+            torque = np.zeros((len(driven), lanes, delivered.shape[1]))
             for row in np.flatnonzero(own):
                 at = np.searchsorted(driven, control.drives[row])
-                torque[at, :, control.records[row] - first] = delivered[row]
+                torque[at, control.records[row] - first] = delivered[row]
             seen = np.empty((smooth.shape[1], count, lanes))
             turned = np.empty((self.arm.n, count + 2, lanes))
             self._integrate(
                 *(np.ascontiguousarray(np.moveaxis(part[chosen], 0, -1)) for part in motions.parts),
-                torque,
+                np.ascontiguousarray(torque.transpose(0, 2, 1)),
                 driven,
                 self.timestep,
                 round(self.arm.settling * self.sensors.rate) * self.factor,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -64,23 +65,33 @@ class Mismatch(Checked):
         sensor = self._accelerometers(rng, 1)[0]
         # Seeded by the tool's, so that they take nothing from rng and change no later draw.
         own = np.random.default_rng(sensor.ravel().view(np.uint64))
-        sizes = (bodies, bodies, bodies, n, joints, joints, n, n, 2, n, n)
-        drawn = iter(np.split(_normal(rng, sum(sizes)), np.cumsum(sizes)[:-1]))
-        return MismatchDraw(
-            length=1 + self.length * next(drawn),
-            mass=1 + self.mass * next(drawn),
-            inertia=1 + self.inertia * next(drawn),
-            rotor=1 + self.inertia * next(drawn),
-            stiffness=1 + self.stiffness * next(drawn),
-            damping=1 + self.damping * next(drawn),
-            holding_stiffness=1 + self.stiffness * next(drawn),
-            holding_damping=1 + self.damping * next(drawn),
-            tilt=np.radians(self.tilt) * next(drawn),
-            drive_gain=1 + self.gain * next(drawn),
-            sensor=sensor,
-            link_sensors=self._accelerometers(own, n),
-            joint_zero=np.radians(self.joint_zero) * next(drawn),
+        names, ends, centre, deviation = self._layout(bodies, joints, n)
+        drawn = centre + deviation * _normal(rng, len(centre))
+        parts = {name: drawn[a:b] for name, a, b in zip(names, ends[:-1], ends[1:], strict=True)}
+        return MismatchDraw(sensor=sensor, link_sensors=self._accelerometers(own, n), **parts)
+
+    @lru_cache(maxsize=64)  # noqa: B019  (settings are few, small and equal by value)
+    def _layout(
+        self, bodies: int, joints: int, n: int
+    ) -> tuple[tuple[str, ...], tuple[int, ...], Array, Array]:
+        """Parts of a draw in their order, their ends, and the mean and deviation of each number."""
+        stiffness, damping = self.stiffness, self.damping
+        layout = (
+            ("length", bodies, 1.0, self.length),
+            ("mass", bodies, 1.0, self.mass),
+            ("inertia", bodies, 1.0, self.inertia),
+            ("rotor", n, 1.0, self.inertia),
+            ("stiffness", joints, 1.0, stiffness),
+            ("damping", joints, 1.0, damping),
+            ("holding_stiffness", n, 1.0, stiffness),
+            ("holding_damping", n, 1.0, damping),
+            ("tilt", 2, 0.0, np.radians(self.tilt)),
+            ("drive_gain", n, 1.0, self.gain),
+            ("joint_zero", n, 0.0, np.radians(self.joint_zero)),
         )
+        names, sizes, centre, deviation = zip(*layout, strict=True)
+        ends = (0, *np.cumsum(sizes).tolist())
+        return names, ends, np.repeat(centre, sizes), np.repeat(deviation, sizes)
 
     def _accelerometers(self, rng: np.random.Generator, count: int) -> Array:
         """Draw what some accelerometers make of the true acceleration (count, 3, 3)."""

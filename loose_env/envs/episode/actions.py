@@ -133,6 +133,9 @@ class ActionLayout:
         share = np.where(arm.sliding, shown.width / np.pi, 1.0)
         self.steps = share[:, None] * self.moves
         """Change of each joint by each move [rad, m where it slides] (n, moves)."""
+        endless = (-np.inf, np.inf)
+        limits = np.array([endless if r is None else r for r in arm.joint_ranges], dtype=float)
+        self._low, self._high = limits[:, :1] - 1e-9, limits[:, 1:] + 1e-9
         self.nvec = np.array(
             [len(settings.moves)] * n
             + [1 + len(arm.levels)] * n
@@ -204,22 +207,16 @@ class ActionLayout:
 
     def allowed_moves(self, pose: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return the moves that keep each joint within its range (n, moves)."""
-        allowed = np.ones((self.arm.n, len(self.moves)), dtype=bool)
-        for j, limits in enumerate(self.arm.joint_ranges):
-            if limits is not None:
-                target = pose[j] + self.steps[j]
-                allowed[j] = (target >= limits[0] - 1e-9) & (target <= limits[1] + 1e-9)
+        target = pose[:, None] + self.steps
+        allowed = (target >= self._low) & (target <= self._high)
         allowed[:, self.settings.stay] = True
         return allowed
 
     def mask(self, pose: NDArray[np.float64], records: int) -> NDArray[np.bool_]:
         """Allowed choices of all entries, one after the other, as MaskablePPO takes them."""
-        last = records >= self.settings.max_records
-        return np.concatenate(
-            [
-                self.allowed_moves(pose).ravel(),
-                np.ones(int(self.nvec[self.arm.n : -1].sum()), dtype=bool),
-                [not last],
-                np.full(self.hypotheses + 1, records > 0),  # every hypothesis, and unsure
-            ]
-        )
+        moves, verdicts = self.arm.n * len(self.moves), self.hypotheses + 1
+        mask = np.ones(int(self.nvec.sum()), dtype=bool)
+        mask[:moves] = self.allowed_moves(pose).ravel()
+        mask[-verdicts - 1] = records < self.settings.max_records
+        mask[-verdicts:] = records > 0  # every hypothesis, and unsure
+        return mask
