@@ -35,7 +35,7 @@ class Run:
 
     jobs: Sequence[Job]
     delivered: Array
-    """Torques that the drives deliver, gravity included, and the shaker's force (jobs, steps, n)."""
+    """Torques that the drives deliver, and the shaker's force (jobs, steps, drives)."""
     recorded: Array
     """Sensor channels of every step (jobs, steps, channels)."""
     before: int

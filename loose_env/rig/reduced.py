@@ -8,7 +8,10 @@ It needs numba, which ``pip install 'loose-env[fast]'`` brings.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 
 import mujoco
 import numpy as np
@@ -20,8 +23,8 @@ from loose_env.rig.jobs import Job, check_jobs, whole_factor
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant, PlantIndices, PlantShop
 from loose_env.rig.simulation.controls import Controls, controls
-from loose_env.rig.simulation.reading import AxesRead, Motion, read_records
-from loose_env.rig.simulation.slots import SlotRig
+from loose_env.rig.simulation.reading import AxesRead, Motion, Noise, draw_noise, read_records
+from loose_env.rig.simulation.slots import SlotRig, checked_slots, checked_threads
 from loose_env.rig.simulation.small_motion import (
     MotionLayout,
     SmallMotion,
@@ -29,7 +32,7 @@ from loose_env.rig.simulation.small_motion import (
     small_motions,
 )
 from loose_env.sensors import SensorSuite, decimation_filter
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 __all__ = ["ReducedRig"]
 
@@ -51,6 +54,8 @@ class ReducedRig(SlotRig):
         What reads the motion.
     timestep : float, optional
         Simulation step [s]; the arm's own by default.
+    threads : int
+        Simulation threads; 0 takes all processors.
 
     Raises
     ------
@@ -75,6 +80,7 @@ class ReducedRig(SlotRig):
         slots: int = 1,
         sensors: SensorSuite | None = None,
         timestep: float | None = None,
+        threads: int = 0,
     ) -> None:
         try:
             from loose_env.rig.simulation.lanes import LANES
@@ -84,8 +90,7 @@ class ReducedRig(SlotRig):
                 "the reduced engine needs numba: pip install 'loose-env[fast]', or take the "
                 "engine 'mujoco'"
             ) from error
-        if isinstance(slots, bool) or not isinstance(slots, (int, np.integer)) or slots < 1:
-            raise InvalidSetting(f"a rig needs at least one slot, got {slots!r}")
+        slots, threads = checked_slots(slots), checked_threads(threads)
         if arm.shaker is not None:
             raise InvalidSetting("the reduced engine knows no shaker; take the engine 'mujoco'")
         self.arm = arm
@@ -97,10 +102,11 @@ class ReducedRig(SlotRig):
             arm, timestep=self.timestep, link_accelerometers=self.sensors.link_accelerometers
         )
         self._integrate, self._lanes = integrate, LANES
+        self._threads = threads or os.cpu_count() or 1
         self._axes = AxesRead(arm, self.sensors)
         self._layouts: dict[PlantIndices, MotionLayout] = {}
         self._healthy = healthy = self.shop.build(Healthy(), MismatchDraw.none(arm))
-        self.plants: list[Plant] = [healthy] * int(slots)
+        self.plants: list[Plant] = [healthy] * slots
         self._data = mujoco.MjData(healthy.model)
 
     def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
@@ -149,11 +155,12 @@ class ReducedRig(SlotRig):
         )
         delivered = control.periods * gain[control.records, control.drives][:, None]
         count = round(jobs[0].excitation.duration * self.sensors.rate)
-        motion = self._integrated(motions, control, delivered, count)
+        motion, noise = self._integrated(motions, control, delivered, jobs, count)
         finite = np.isfinite(motion.smooth).all(axis=(1, 2))
         finite &= np.isfinite(motion.position).all(axis=(1, 2))
         return read_records(
             motion,
+            noise,
             self._axes,
             jobs,
             control,
@@ -168,40 +175,76 @@ class ReducedRig(SlotRig):
         )
 
     def _integrated(
-        self, motions: SmallMotion, control: Controls, delivered: Array, count: int
-    ) -> Motion:
-        """Integrate the arms, some lanes at a time; the last ones are filled by repetition."""
-        taps = decimation_filter(
-            self.factor, self.sensors.accelerometer.bandwidth, self.sensors.rate
+        self,
+        motions: SmallMotion,
+        control: Controls,
+        delivered: Array,
+        jobs: Sequence[Job],
+        count: int,
+    ) -> tuple[Motion, Noise]:
+        """Integrate the arms, so many at once as there are lanes; draw the noise meanwhile."""
+        motion = Motion(
+            smooth=np.empty((len(jobs), motions.still.shape[1], count)),
+            position=np.empty((len(jobs), self.arm.n, count + 2)),
         )
-        jobs, lanes = len(motions.still), self._lanes
-        smooth = np.empty((jobs, motions.still.shape[1], count))
-        position = np.empty((jobs, self.arm.n, count + 2))
-        for first in range(0, jobs, lanes):
-            chosen = np.minimum(np.arange(first, first + lanes), jobs - 1)
-            mine = slice(first, min(first + lanes, jobs))
-            own = (control.records >= mine.start) & (control.records < mine.stop)
-            driven = np.unique(control.drives[own])
-            torque = np.zeros((len(driven), lanes, delivered.shape[1]))
-            for row in np.flatnonzero(own):
-                at = np.searchsorted(driven, control.drives[row])
-                torque[at, control.records[row] - first] = delivered[row]
-            seen = np.empty((smooth.shape[1], count, lanes))
-            turned = np.empty((self.arm.n, count + 2, lanes))
-            self._integrate(
-                *(np.ascontiguousarray(np.moveaxis(part[chosen], 0, -1)) for part in motions.parts),
-                np.ascontiguousarray(torque.transpose(0, 2, 1)),
-                driven,
-                self.timestep,
-                round(self.arm.settling * self.sensors.rate) * self.factor,
-                self.factor,
-                taps,
-                seen,
-                turned,
+
+        def some(first: int) -> None:
+            last = min(first + self._lanes, len(jobs))
+            own = (control.records >= first) & (control.records < last)
+            self._integrate_some(
+                first,
+                last,
+                motions,
+                motion,
+                delivered[own],
+                control.records[own] - first,
+                control.drives[own],
             )
-            smooth[mine] = seen.transpose(2, 0, 1)[: mine.stop - first]
-            position[mine] = turned.transpose(2, 0, 1)[: mine.stop - first]
-        return Motion(smooth=smooth, position=position)
+
+        starts = range(0, len(jobs), self._lanes)
+        with ExitStack() as stack:
+            waiting = []
+            if self._threads > 1:  # compiled loops and draws run beside each other
+                pool = stack.enter_context(ThreadPoolExecutor(self._threads))
+                waiting = [pool.submit(some, first) for first in starts]
+            noise = draw_noise(jobs, self._axes, joints=self.arm.n, count=count)
+            for done in waiting:
+                done.result()
+        if not waiting:
+            for first in starts:
+                some(first)
+        return motion, noise
+
+    def _integrate_some(
+        self,
+        first: int,
+        last: int,
+        motions: SmallMotion,
+        motion: Motion,
+        delivered: Array,
+        lanes: IndexArray,
+        drives: IndexArray,
+    ) -> None:
+        """Integrate the arms of one run of the loop; unused lanes repeat the last arm."""
+        chosen = np.minimum(np.arange(first, first + self._lanes), last - 1)
+        driven, at = np.unique(drives, return_inverse=True)
+        torque = np.zeros((len(driven), self._lanes, delivered.shape[1]))
+        torque[at, lanes] = delivered
+        seen = np.empty((motion.smooth.shape[1], motion.smooth.shape[2], self._lanes))
+        turned = np.empty((motion.position.shape[1], motion.position.shape[2], self._lanes))
+        self._integrate(
+            *(np.ascontiguousarray(np.moveaxis(part[chosen], 0, -1)) for part in motions.parts),
+            np.ascontiguousarray(torque.transpose(0, 2, 1)),
+            driven,
+            self.timestep,
+            round(self.arm.settling * self.sensors.rate) * self.factor,
+            self.factor,
+            decimation_filter(self.factor, self.sensors.accelerometer.bandwidth, self.sensors.rate),
+            seen,
+            turned,
+        )
+        motion.smooth[first:last] = seen.transpose(2, 0, 1)[: last - first]
+        motion.position[first:last] = turned.transpose(2, 0, 1)[: last - first]
 
     def _layout(self, plant: Plant) -> MotionLayout:
         found = self._layouts.get(plant.indices)

@@ -11,15 +11,14 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from loose_env.arms import Arm, LinearArm, MismatchDraw, quiet
-from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault, Healthy
 from loose_env.rig.jobs import Job, Run, check_jobs, whole_factor
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant, PlantShop
 from loose_env.rig.simulation.controls import Controls, controls
 from loose_env.rig.simulation.engines import Engine, Engines
-from loose_env.rig.simulation.reading import AxesRead, read_records, sampled
-from loose_env.rig.simulation.slots import SlotRig
+from loose_env.rig.simulation.reading import AxesRead, draw_noise, read_records, sampled
+from loose_env.rig.simulation.slots import SlotRig, checked_slots, checked_threads
 from loose_env.sensors import SensorSuite, decimation_filter
 from loose_env.typing import Array
 
@@ -76,10 +75,8 @@ class SimulatedRig(SlotRig):
         timestep: float | None = None,
         threads: int = 0,
     ) -> None:
-        if isinstance(slots, bool) or not isinstance(slots, (int, np.integer)) or slots < 1:
-            raise InvalidSetting(f"a rig needs at least one slot, got {slots!r}")
-        if isinstance(threads, bool) or not isinstance(threads, int) or threads < 0:
-            raise InvalidSetting(f"threads is a whole number, 0 for all, got {threads!r}")
+        slots = checked_slots(slots)
+        threads = checked_threads(threads)
         self.arm = arm
         self.sensors = sensors if sensors is not None else SensorSuite()
         self.timestep = arm.timestep if timestep is None else timestep
@@ -89,7 +86,7 @@ class SimulatedRig(SlotRig):
         self.shop = PlantShop(
             arm, timestep=self.timestep, link_accelerometers=self.sensors.link_accelerometers
         )
-        self._engines = Engines(self.shop, int(slots), threads)
+        self._engines = Engines(self.shop, slots, threads)
         # One each: a plant's model holds the pose at which its brakes and springs rest.
         self.plants: list[Plant] = [
             self.shop.build(Healthy(), MismatchDraw.none(arm)) for _ in range(slots)
@@ -243,6 +240,7 @@ class SimulatedRig(SlotRig):
         )
         return read_records(
             motion,
+            draw_noise(run.jobs, self._axes, joints=self.arm.n, count=run.count),
             self._axes,
             run.jobs,
             run.control,

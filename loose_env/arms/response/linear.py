@@ -66,16 +66,20 @@ class Response:
 
     @property
     def hinge(self) -> ComplexArray:
-        """Torque each joint's link side transmits per torque [1], force where the joint slides
-        [N per N·m], (K, n joints, m)."""
+        """Load each joint's link side transmits per torque (K, n joints, m).
+
+        A torque [1], or a force where the joint slides [N per N·m].
+        """
         n, axes = self.pose.linear.slide_dofs.shape
         return self._transmitted[:, n * axes : n * axes + n]
 
     @property
     def twist(self) -> ComplexArray | None:
-        """Load through each shut seat per torque: forces, then moments about the link frame's
-        origin [N or N·m per N·m], (K, n links, t, m); None without rotations. See
-        `LinearArm.twist_dofs`."""
+        """Load through each shut seat per torque (K, n links, t, m); None without rotations.
+
+        Forces, then moments about the link frame's origin [N or N·m per N·m]; see
+        `LinearArm.twist_dofs`.
+        """
         pose = self.pose
         return self._transmitted[:, pose.twists] if pose.linear.rotations else None
 

@@ -175,7 +175,7 @@ def predictions(
     joint = np.take_along_axis(answers, joints[:, None, :, None], axis=2)
     tool = np.array([answer.tool for answer in responses])
     # Spectra averaged over the band: joint (B, K, m, m), tool (B, K, d, m).
-    count, axes, m = tool.shape[1:]
+    count, axes = tool.shape[1:3]
     x, a = joint * torque[:, None, None], tool * torque[:, None, None]
     return Prediction(
         joint=np.einsum("bkim,bkjm->bij", x, x.conj()).real / count + _diagonal(noise**2),

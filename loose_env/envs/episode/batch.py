@@ -375,7 +375,7 @@ def _simulated_rig(
     """Build the rig of the engine that the settings name."""
     rig: SimulatedRig | ReducedRig
     if settings.engine == "reduced":
-        rig = ReducedRig(arm, slots=num, sensors=settings.sensors)
+        rig = ReducedRig(arm, slots=num, sensors=settings.sensors, threads=threads)
     else:
         rig = SimulatedRig(arm, slots=num, sensors=settings.sensors, threads=threads)
     return rig, rig.nominal

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.arms import Arm, MismatchDraw
 from loose_env.rig.jobs import Job
@@ -15,7 +14,7 @@ from loose_env.rig.simulation.controls import Controls
 from loose_env.sensors import SensorSuite, low_passed, read_accelerometer, read_encoder
 from loose_env.typing import Array
 
-__all__ = ["AxesRead", "Motion", "sampled", "read_records"]
+__all__ = ["AxesRead", "Motion", "Noise", "draw_noise", "read_records", "sampled"]
 
 
 class AxesRead:
@@ -69,6 +68,29 @@ class Motion:
     """Joint positions, one reading more at either end (J, n, N + 2) [rad or m]."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Noise:
+    """Standard normal variates of J records, one for each reading."""
+
+    accelerometers: Array
+    """Of the axes that are read (J, S, N)."""
+    encoders: Array
+    """Of the encoders (J, n, N + 2)."""
+
+
+def draw_noise(jobs: Sequence[Job], axes: AxesRead, *, joints: int, count: int) -> Noise:
+    """Draw the noise of records of ``count`` readings, each from its job's own generator."""
+    read = np.empty((len(jobs), len(axes.sensor), count))
+    turned = np.empty((len(jobs), joints, count + 2))
+    for k, job in enumerate(jobs):
+        # Tool, encoders, then all further accelerometers.
+        job.rng.standard_normal(out=read[k, : axes.tool])
+        job.rng.standard_normal(out=turned[k])
+        if axes.tool < len(axes.sensor):
+            job.rng.standard_normal(out=read[k, axes.tool :])
+    return Noise(accelerometers=read, encoders=turned)
+
+
 def sampled(
     recorded: Array,
     axes: AxesRead,
@@ -114,6 +136,7 @@ def sampled(
 
 def read_records(
     motion: Motion,
+    noise: Noise,
     axes: AxesRead,
     jobs: Sequence[Job],
     control: Controls,
@@ -130,10 +153,12 @@ def read_records(
     ----------
     motion : Motion
         What the sensors see.
+    noise : Noise
+        What they add.
     axes : AxesRead
         Axes that are read.
     jobs : sequence of J Job
-        The jobs; each one's noise is drawn from its own generator.
+        The jobs.
     control : Controls
         Torques that were played.
     arm : Arm
@@ -148,20 +173,13 @@ def read_records(
         Slots whose simulation failed, and why.
     """
     count = motion.smooth.shape[-1]
-    noise, turns = np.empty(motion.smooth.shape), np.empty(motion.position.shape)
-    for k, job in enumerate(jobs):
-        # Tool, encoders, then all further accelerometers.
-        job.rng.standard_normal(out=noise[k, : axes.tool])
-        job.rng.standard_normal(out=turns[k])
-        if axes.tool < len(axes.sensor):
-            job.rng.standard_normal(out=noise[k, axes.tool :])
     smooth = read_accelerometer(
-        motion.smooth, sensor=sensors.accelerometer, rate=sensors.rate, drawn=noise
+        motion.smooth, sensor=sensors.accelerometer, rate=sensors.rate, drawn=noise.accelerometers
     )
     encoder = read_encoder(
         motion.position - joint_zero[..., None],
         sensor=sensors.encoder,
-        drawn=turns,
+        drawn=noise.encoders,
         sliding=arm.sliding,
     )
     command = control.commands(factor, count)

@@ -21,7 +21,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
 from loose_env.errors import InvalidSetting
 from loose_env.rig.plant import Plant
 from loose_env.typing import Array

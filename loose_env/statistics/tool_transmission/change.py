@@ -158,7 +158,10 @@ def apparent_inertia(command: ArrayLike, x: ArrayLike) -> Array:
 
 
 def apparent_inertia_from(command_x: Covariances) -> Array:
-    """`apparent_inertia` on the covariances of the command with x; of several records (..., m, m)."""
+    """`apparent_inertia` on the covariances of the command with x.
+
+    Of several records (..., m, m).
+    """
     _require_related(command_x)
     return np.asarray(np.linalg.solve(command_x.xa, command_x.xx).mT, dtype=np.float64)
 
