@@ -38,7 +38,7 @@ from loose_env.faults.seat import (
     seats_of,
     twist_of,
 )
-from loose_env.faults.seating import seated_spec, set_seat
+from loose_env.faults.seating import SeatIndices, seat_indices, seated_spec, set_seat
 
 __all__ = [
     "DEFAULT_KINDS",
@@ -54,6 +54,7 @@ __all__ = [
     "LooseFault",
     "Preload",
     "RotationalLooseness",
+    "SeatIndices",
     "SeatKind",
     "SeveralFaults",
     "SinglePart",
@@ -66,6 +67,7 @@ __all__ = [
     "parts_of",
     "place_of",
     "preloaded",
+    "seat_indices",
     "seat_names",
     "seat_of",
     "seat_weight",

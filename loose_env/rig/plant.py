@@ -23,10 +23,11 @@ from loose_env.arms import (
 )
 from loose_env.faults import (
     Fault,
+    SeatIndices,
     SeatKind,
     gaps_of,
     part_seats,
-    seat_names,
+    seat_indices,
     seated_spec,
     set_seat,
 )
@@ -38,8 +39,8 @@ _Seats = tuple[tuple[int, ...], tuple[SeatKind, ...]]
 _MOST = 5  # loose degrees of freedom beside a joint, of the six a body can have
 
 
-# What a mismatch, a fault and a pose change in a model; the rest follows by `mj_setConst`.
-_CHANGED = (
+# What factors act on, or only some faults set; all else of a plant is written anew.
+_KEPT = (
     "body_pos",
     "body_mass",
     "body_inertia",
@@ -47,17 +48,8 @@ _CHANGED = (
     "jnt_axis",
     "jnt_pos",
     "jnt_stiffness",
-    "qpos_spring",
     "dof_armature",
     "dof_damping",
-    "dof_frictionloss",
-    "dof_solref",
-    "tendon_range",
-    "tendon_solref_lim",
-    "eq_active0",
-    "eq_data",
-    "eq_solimp",
-    "eq_solref",
 )
 
 
@@ -71,6 +63,8 @@ class PlantIndices:
     """Positions of the driven joints (n,)."""
     dofs: NDArray[np.intp]
     """Degrees of freedom of the driven joints (n,)."""
+    seat: tuple[SeatIndices, ...]
+    """Parts of the seat."""
     seat_positions: NDArray[np.intp]
     """Positions of the parts of the seat."""
     brakes: NDArray[np.intp]
@@ -82,7 +76,7 @@ class PlantIndices:
     def of(cls, model: mujoco.MjModel, arm: Arm) -> PlantIndices:
         """Look the parts up by their names."""
         joints = [model.joint(name) for name in arm.joints]
-        seats = [model.joint(name) for name in seat_names(model)]
+        seat = seat_indices(model)
 
         def indices(found: Iterable[int]) -> NDArray[np.intp]:
             return np.array(list(found), dtype=np.intp)
@@ -91,7 +85,8 @@ class PlantIndices:
             mismatch=MismatchIndices.of(model, arm),
             position=indices(j.qposadr[0] for j in joints),
             dofs=indices(j.dofadr[0] for j in joints),
-            seat_positions=indices(s.qposadr[0] for s in seats),
+            seat=seat,
+            seat_positions=indices(part.position for part in seat),
             brakes=indices(model.equality(f"hold_{name}").id for name in arm.joints),
             gears=indices(model.joint(name).id for name in arm.gear_joints),
         )
@@ -135,14 +130,14 @@ class Plant:
         if model is None:
             model = copy.copy(template)
         else:
-            for name in _CHANGED:
+            for name in _KEPT:
                 getattr(model, name)[:] = getattr(template, name)
             model.opt.gravity[:] = template.opt.gravity
         self.model = model
         self.indices = at = PlantIndices.of(template, arm) if indices is None else indices
         data = mujoco.MjData(model) if scratch is None else scratch
         mismatch.apply(model, arm, data, at.mismatch)
-        set_seat(model, fault, data)
+        set_seat(model, fault, data, at.seat)
         self.position, self.seat_positions = at.position, at.seat_positions
         self.brakes, self.gears = at.brakes, at.gears
         self.parts = len(at.seat_positions)  # degrees of freedom of the seat

@@ -98,10 +98,12 @@ class Mismatch(Checked):
         drawn = _normal(rng, count, 15)
         cross = self.cross_axis * drawn[:, :9].reshape(count, 3, 3)
         cross[:, range(3), range(3)] = self.gain * drawn[:, 9:12]
-        x, y, z = np.radians(self.misalignment) * drawn[:, 12:].T
-        one = np.ones(count)
-        mounting = np.array([[one, z, -y], [-z, one, x], [y, -x, one]])
-        return np.asarray((np.eye(3) + cross) @ mounting.transpose(2, 0, 1))
+        mounting = np.zeros((count, 3, 3))
+        turned = np.radians(self.misalignment) * drawn[:, 12:]
+        mounting[:, range(3), range(3)] = 1.0
+        mounting[:, (1, 2, 0), (2, 0, 1)] = turned
+        mounting[:, (2, 0, 1), (1, 2, 0)] = -turned
+        return np.asarray((np.eye(3) + cross) @ mounting)
 
 
 def _normal(rng: np.random.Generator, *shape: int) -> Array:
