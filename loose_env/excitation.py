@@ -146,7 +146,7 @@ def all_at_levels(
     limits = np.array(arm.torque_limits)
     counts = on.sum(axis=1)
     for m in np.unique(counts[counts > 0]):
-        members = np.flatnonzero(counts == m)
+        members = [int(k) for k in np.flatnonzero(counts == m)]
         chosen = on[members]
         found = poses[0].linear.responses([poses[k] for k in members], chosen)
         tool = np.array([answer.tool for answer in found])
@@ -157,11 +157,12 @@ def all_at_levels(
         needed = levels[members][chosen].reshape(-1, m) / per_torque
         given = np.minimum(needed, allowed)
         rows, columns = np.nonzero(chosen)
-        torque[members[rows], columns] = given.ravel()
-        share[members[rows], columns] = (given / needed).ravel()
+        rows = np.array(members)[rows]
+        torque[rows, columns] = given.ravel()
+        share[rows, columns] = (given / needed).ravel()
     excitations = [
-        Excitation(torque_rms=tuple(own), duration=duration, band=arm.band)
-        for own, duration in zip(torque.tolist(), durations, strict=True)
+        Excitation(torque_rms=tuple(own.tolist()), duration=duration, band=arm.band)
+        for own, duration in zip(torque, durations, strict=True)
     ]
     return excitations, share
 

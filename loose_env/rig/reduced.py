@@ -9,7 +9,7 @@ It needs numba, which ``pip install 'loose-env[fast]'`` brings.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 
@@ -83,8 +83,8 @@ class ReducedRig(SlotRig):
         threads: int = 0,
     ) -> None:
         try:
+            from loose_env.rig.simulation import small_motion_loop
             from loose_env.rig.simulation.lanes import LANES
-            from loose_env.rig.simulation.small_motion_loop import integrate
         except ImportError as error:
             raise InvalidSetting(
                 "the reduced engine needs numba: pip install 'loose-env[fast]', or take the "
@@ -101,7 +101,9 @@ class ReducedRig(SlotRig):
         self.shop = PlantShop(
             arm, timestep=self.timestep, link_accelerometers=self.sensors.link_accelerometers
         )
-        self._integrate, self._lanes = integrate, LANES
+        # numba's stubs know no signature.
+        self._integrate: Callable[..., None] = small_motion_loop.integrate
+        self._lanes = LANES
         self._threads = threads or os.cpu_count() or 1
         self._axes = AxesRead(arm, self.sensors)
         self._layouts: dict[PlantIndices, MotionLayout] = {}
@@ -169,7 +171,7 @@ class ReducedRig(SlotRig):
             factor=self.factor,
             joint_zero=np.array([draw.joint_zero for draw in mismatches]),
             failures={
-                jobs[k].slot: "the simulation diverged: motion not finite"
+                jobs[int(k)].slot: "the simulation diverged: motion not finite"
                 for k in np.flatnonzero(~finite)
             },
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -112,8 +113,8 @@ class Prediction:
     @property
     def maximum_correlation(self) -> float:
         """Highest correlation over directions [1]."""
-        highest: float = np.sqrt(self._lowest.coherences[..., -1])
-        return highest
+        highest: Any = np.sqrt(self._lowest.coherences[..., -1])
+        return highest  # type: ignore[no-any-return]
 
     def __getitem__(self, k: int) -> Prediction:
         """Prediction of one record of several."""

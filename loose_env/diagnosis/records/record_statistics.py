@@ -75,10 +75,11 @@ class RecordStatistics:
 
     def __getitem__(self, k: int) -> RecordStatistics:
         """Statistics of one record of several."""
-        own = {each.name: getattr(self, each.name)[k] for each in fields(self)}
-        return RecordStatistics(
-            **{name: float(value) if np.ndim(value) == 0 else value for name, value in own.items()}
-        )
+        own: dict[str, Any] = {}
+        for each in fields(self):
+            value = getattr(self, each.name)[k]
+            own[each.name] = float(value) if np.ndim(value) == 0 else value
+        return RecordStatistics(**own)
 
 
 def statistics_of(measurement: Measurement) -> RecordStatistics:

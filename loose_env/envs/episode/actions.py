@@ -210,7 +210,7 @@ class ActionLayout:
         target = pose[:, None] + self.steps
         allowed = (target >= self._low) & (target <= self._high)
         allowed[:, self.settings.stay] = True
-        return allowed
+        return np.asarray(allowed)
 
     def mask(self, pose: NDArray[np.float64], records: int) -> NDArray[np.bool_]:
         """Allowed choices of all entries, one after the other, as MaskablePPO takes them."""

@@ -12,9 +12,8 @@ import operator
 from typing import Any
 
 from llvmlite import ir
-from numba import types
+from numba import extending, types
 from numba.core.datamodel import models
-from numba.extending import intrinsic, overload, register_model
 
 __all__ = ["LANES", "load", "pick", "splat", "store"]
 
@@ -34,7 +33,7 @@ class _Lanes(types.Type):  # type: ignore[misc]
 _lanes = _Lanes()
 
 
-@register_model(_Lanes)
+@extending.register_model(_Lanes)
 class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, _VECTOR)
@@ -45,6 +44,10 @@ def _row(context: Any, builder: Any, kind: Any, array: Any, row: Any) -> Any:
     data = context.make_array(kind)(context, builder, array).data
     first = builder.gep(data, [builder.mul(row, ir.Constant(row.type, LANES))])
     return builder.bitcast(first, _VECTOR.as_pointer())
+
+
+# numba passes the typing context, which its stubs ask callers for.
+intrinsic: Any = extending.intrinsic
 
 
 @intrinsic
@@ -104,7 +107,7 @@ def _overload(symbol: Any, instruction: str) -> None:
 
         return _lanes(_lanes, _lanes), code
 
-    @overload(symbol, strict=False)
+    @extending.overload(symbol, strict=False)
     def implementation(a: Any, b: Any) -> Any:
         if isinstance(a, _Lanes) and isinstance(b, _Lanes):
             return lambda a, b: calculated(a, b)

@@ -201,7 +201,7 @@ def small_motions(
     law = found.law
     law[:, :2] -= found.rest[:, -1:]
     return SmallMotion(
-        mobility=mobility,
+        mobility=np.asarray(mobility, dtype=np.float64),
         stiffness=stiffness,
         damping=damping,
         force=force,

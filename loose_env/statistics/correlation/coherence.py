@@ -1,7 +1,7 @@
 """Coherence of the tool's motion with several excited joints at once."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -89,10 +89,10 @@ def lowest_coherence_direction_from(cov: Covariances) -> LowestCoherence:
     vectors, rho, _ = np.linalg.svd(whitened)
     coherences = np.zeros(cov.aa.shape[:-1])
     coherences[..., : rho.shape[-1]] = np.minimum(rho, 1.0) ** 2
-    lowest = coherences[..., -1]
+    lowest: Any = coherences[..., -1]
     return LowestCoherence(
         axial_vector((w @ vectors[..., -1:])[..., 0]),
-        float(lowest) if lowest.ndim == 0 else lowest,
+        float(lowest) if cov.aa.ndim == 2 else lowest,
         coherences[..., ::-1],
     )
 
