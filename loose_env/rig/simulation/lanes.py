@@ -9,6 +9,7 @@ an arm's numbers do not depend on its lane or on its neighbours.
 from __future__ import annotations
 
 import operator
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -23,7 +24,7 @@ LANES = 8
 _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 
 
-class _Lanes(types.Type):  # type: ignore[misc]
+class _Lanes(types.Type):
     """Type of eight doubles."""
 
     def __init__(self) -> None:
@@ -34,9 +35,9 @@ _lanes = _Lanes()
 
 
 @extending.register_model(_Lanes)
-class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _VECTOR)
+        super().__init__(manager, kind, _VECTOR)  # type: ignore[no-untyped-call]
 
 
 def _row(context: Any, builder: Any, kind: Any, array: Any, row: Any) -> Any:
@@ -46,11 +47,12 @@ def _row(context: Any, builder: Any, kind: Any, array: Any, row: Any) -> Any:
     return builder.bitcast(first, _VECTOR.as_pointer())
 
 
-# numba passes the typing context, which its stubs ask callers for.
-intrinsic: Any = extending.intrinsic
+def _instruction(code: Callable[..., Any]) -> Any:
+    """Make a compiled function; numba itself passes the typing context, its first argument."""
+    return extending.intrinsic(code)
 
 
-@intrinsic
+@_instruction
 def load(typing: Any, array: Any, row: Any) -> Any:
     """Load a row of a contiguous array (..., 8), rows counted through."""
 
@@ -62,7 +64,7 @@ def load(typing: Any, array: Any, row: Any) -> Any:
     return _lanes(array, types.intp), code
 
 
-@intrinsic
+@_instruction
 def store(typing: Any, array: Any, row: Any, value: Any) -> Any:
     """Store into a row of a contiguous array (..., 8), rows counted through."""
 
@@ -74,7 +76,7 @@ def store(typing: Any, array: Any, row: Any, value: Any) -> Any:
     return types.none(array, types.intp, value), code
 
 
-@intrinsic
+@_instruction
 def splat(typing: Any, number: Any) -> Any:
     """Eight times one number."""
 
@@ -87,7 +89,7 @@ def splat(typing: Any, number: Any) -> Any:
     return _lanes(types.float64), code
 
 
-@intrinsic
+@_instruction
 def pick(typing: Any, a: Any, b: Any, below: Any, other: Any) -> Any:
     """Take ``below`` in the lanes where ``a < b``, else ``other``."""
 
@@ -100,7 +102,7 @@ def pick(typing: Any, a: Any, b: Any, below: Any, other: Any) -> Any:
 def _overload(symbol: Any, instruction: str) -> None:
     """Let an operator of two values be one instruction."""
 
-    @intrinsic
+    @_instruction
     def calculated(typing: Any, a: Any, b: Any) -> Any:
         def code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
             return getattr(builder, instruction)(*given)
@@ -114,10 +116,10 @@ def _overload(symbol: Any, instruction: str) -> None:
         return None
 
 
-for _symbol, _instruction in (
+for _symbol, _operation in (
     (operator.add, "fadd"),
     (operator.sub, "fsub"),
     (operator.mul, "fmul"),
     (operator.truediv, "fdiv"),
 ):
-    _overload(_symbol, _instruction)
+    _overload(_symbol, _operation)

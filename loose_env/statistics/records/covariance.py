@@ -161,13 +161,13 @@ def excitation_factor(xx: Array) -> Array:
     """Return the lower Cholesky factor of cov(x, x), shape (..., m, m)."""
     dependent = "the rows of x depend on each other; each joint needs an excitation of its own"
     try:
-        factor = np.linalg.cholesky(xx)
+        factor = np.asarray(np.linalg.cholesky(xx), dtype=np.float64)
     except np.linalg.LinAlgError as error:
         raise InvalidData(dependent) from error
     # The square of a pivot is what of a row's variance the rows above leave unexplained.
     if (_diagonals(factor) ** 2 < STILL * _diagonals(xx)).any():
         raise InvalidData(dependent)
-    return np.asarray(factor, dtype=np.float64)
+    return factor
 
 
 def _diagonals(matrices: Array) -> Array:
