@@ -37,6 +37,9 @@ from loose_env.typing import Array, IndexArray
 __all__ = ["ReducedRig"]
 
 
+_TOGETHER = 64  # arms whose signals are worked on at once: more than fit the cache are slower
+
+
 class ReducedRig(SlotRig):
     """Measures simulated arms by their equations of small motion.
 
@@ -133,7 +136,9 @@ class ReducedRig(SlotRig):
         for k, job in enumerate(jobs):
             alike.setdefault((job.excitation.duration, job.excitation.band), []).append(k)
         for members in alike.values():
-            yield from zip(members, self._measured([jobs[k] for k in members]), strict=True)
+            for first in range(0, len(members), _TOGETHER):
+                some = members[first : first + _TOGETHER]
+                yield from zip(some, self._measured([jobs[k] for k in some]), strict=True)
 
     def _measured(self, jobs: Sequence[Job]) -> list[Measurement]:
         """Measure jobs of one length and band."""

@@ -211,7 +211,7 @@ def earlier_code(commit: str) -> Iterator[Path | None]:
 def engine_times(
     env_id: str, arms: Sequence[int], rounds: int, duration: int | None, earlier: Path | None
 ) -> list[tuple[int, float, float, float, float]]:
-    """Time the reduced engine and its rivals, in turn and twice each.
+    """Time the reduced engine and its rivals, in turn: old and new code three times, the others twice.
 
     Returns
     -------
@@ -224,9 +224,10 @@ def engine_times(
     mujoco, loop = [], []
     ours: dict[int, list[float]] = {count: [] for count in arms}
     before: dict[int, list[float]] = {count: [] for count in arms}
-    for _ in range(2):
-        mujoco.append(seconds_per_record(new_batch(env_id, least), 1, duration))
-        loop.append(subprocess_seconds_per_record(env_id, max(least, 16), duration))
+    for turn in range(3):
+        if turn < 2:  # these take longest
+            mujoco.append(seconds_per_record(new_batch(env_id, least), 1, duration))
+            loop.append(subprocess_seconds_per_record(env_id, max(least, 16), duration))
         for count in arms:
             batch = new_batch(env_id, count, engine="reduced")
             ours[count].append(seconds_per_record(batch, rounds, duration))

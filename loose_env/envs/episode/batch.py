@@ -48,6 +48,7 @@ from loose_env.typing import Array
 __all__ = ["BatchRig", "EpisodeBatch"]
 
 _FAULT, _MISMATCH, _POSE, _RECORD = range(4)
+_TOGETHER = 64  # records shown at once: their signals fit the processor's cache
 
 
 class BatchRig(Protocol):
@@ -239,15 +240,21 @@ class EpisodeBatch:
             if measurement.failure is None:
                 key = (measurement.tool.shape[1], int(measurement.excited.sum()))
                 alike.setdefault(key, []).append(each)
+                if len(alike[key]) == _TOGETHER:
+                    self._show(alike.pop(key))
         for members in alike.values():
-            try:
-                self._fill_slots(members)
-            except InvalidData:  # find the record that makes no statistics
-                for each in members:
-                    try:
-                        self._fill_slots([each])
-                    except InvalidData as error:
-                        each.failure = f"the readings make no statistics: {error}"
+            self._show(members)
+
+    def _show(self, asked: Sequence[_Asked]) -> None:
+        """Fill the slots of records; one that makes no statistics is marked as failed."""
+        try:
+            self._fill_slots(asked)
+        except InvalidData as error:
+            if len(asked) == 1:
+                asked[0].failure = f"the readings make no statistics: {error}"
+                return
+            for each in asked:
+                self._show([each])
 
     def _fill_slots(self, asked: Sequence[_Asked]) -> None:
         """Enter records, alike in length and in the number of excited joints, into their slots."""
