@@ -2,8 +2,10 @@
 
 It answers the same calls as `SimulatedRig`, draws the same torques, noise and starting
 places from the same generators, and reads its records with the same sensors. Only the engine
-differs: no collision, no solver, one compiled loop (see `loose_env.rig.simulation.small_motion`).
-It needs numba, which ``pip install 'loose-env[fast]'`` brings.
+differs: no collision, no solver, one compiled loop that takes eight arms at once from torque to
+low-passed readings (see `loose_env.rig.simulation.small_motion`). Linearisation and sensors work on
+whole batches; every sum is taken in an order that the batch does not change. It needs numba, which
+``pip install 'loose-env[fast]'`` brings.
 """
 
 from __future__ import annotations

@@ -211,7 +211,7 @@ def earlier_code(commit: str) -> Iterator[Path | None]:
 def engine_times(
     env_id: str, arms: Sequence[int], rounds: int, duration: int | None, earlier: Path | None
 ) -> list[tuple[int, float, float, float, float]]:
-    """Time the reduced engine and its rivals, in turn: old and new code three times, the others twice.
+    """Time the reduced engine and its rivals in turn; new and old code once more than the others.
 
     Returns
     -------

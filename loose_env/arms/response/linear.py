@@ -19,22 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
+from loose_env.arms.response.open_seats import OpenResponse
+from loose_env.arms.response.stiffness import dynamic_stiffness, solved
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["LinearArm", "LinearPose", "OpenResponse", "Response", "inertance_rate"]
+__all__ = ["LinearArm", "LinearPose", "Response"]
 
 _TURNS = {2: (5,), 3: (3, 4, 5)}  # rotations among the six motions of a link: in plane, in space
-
-
-def inertance_rate(timestep: float) -> float:
-    """Corner [rad/s] of the holding constraint: its inertance is stiffness / corner².
-
-    A brake is a constraint of MuJoCo's solver. The solver adds an inertance to the spring
-    and the damper, which keeps a stiff brake stable; half a radian per step is well inside
-    the stable range of the integrator.
-    """
-    return 0.5 / timestep
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,30 +80,6 @@ class Response:
         pose = self.pose
         coupling = pose.inertia[np.ix_(pose.linear.moving, pose.seats)]
         return np.asarray(np.einsum("vs,kvm->ksm", coupling, self.acceleration))
-
-
-@dataclass(frozen=True, kw_only=True)
-class OpenResponse:
-    """Response of the arm through each of its seats, were it open, over the band."""
-
-    tool_open_slide: ComplexArray
-    """Change of tool acceleration per unit seat acceleration, (K, d, n links, s axes)."""
-    joint_open_slide: ComplexArray
-    """Change of excited joint acceleration per unit seat acceleration, (K, m, n, s)."""
-    mass_slide: ComplexArray
-    """Apparent mass seen by the seats' slides [kg], (K, n, s, s)."""
-    tool_open_hinge: ComplexArray
-    """As `tool_open_slide`, for play in a joint, (K, d, n)."""
-    joint_open_hinge: ComplexArray
-    """As `joint_open_slide`, for play in a joint, (K, m, n)."""
-    inertia_hinge: ComplexArray
-    """Apparent inertia seen by the joints' link sides [kg·m², kg where it slides], (K, n)."""
-    tool_open_twist: ComplexArray | None = None
-    """As `tool_open_slide`, for slides and rotations of links, (K, d, n, t); None without."""
-    joint_open_twist: ComplexArray | None = None
-    """As `joint_open_slide`, for slides and rotations of links, (K, m, n, t); None without."""
-    mass_twist: ComplexArray | None = None
-    """Apparent mass of slides and rotations of links [kg, kg·m, kg·m²], (K, n, t, t)."""
 
 
 class LinearArm:
@@ -272,14 +240,9 @@ class LinearArm:
         return found
 
     def responses(self, poses: Sequence[LinearPose], excited: NDArray[np.bool_]) -> list[Response]:
-        """Frequency responses at several poses at once, each with joints of its own excited.
+        """Frequency responses at several poses of this arm at once; they remember them.
 
-        Parameters
-        ----------
-        poses : sequence of B LinearPose
-            Poses of this arm. They remember their responses.
-        excited : ndarray of bool (B, n)
-            Joints that are excited; all others are held.
+        ``excited`` (B, n) says which joints are excited in each pose; all others are held.
         """
         masks = [tuple(row) for row in excited.tolist()]
         missing: dict[int, dict[tuple[int, tuple[bool, ...]], LinearPose]] = {}
@@ -301,7 +264,7 @@ class LinearArm:
         torque = np.zeros((len(move), m, count, len(self.frequency)), dtype=complex)
         owner, driven = np.nonzero(excited)
         torque[driven, np.tile(np.arange(m), count), owner] = 1.0
-        answer = _solved(self.dynamic_stiffness(mass, excited), torque)
+        answer = solved(self.dynamic_stiffness(mass, excited), torque)
         answer *= -((2 * np.pi * self.frequency) ** 2)
         jacobian = np.array([pose.jacobian[:, move] for pose in poses])
         tool = np.zeros((jacobian.shape[1], *answer.shape[1:]), dtype=complex)
@@ -316,26 +279,9 @@ class LinearArm:
         ]
 
     def dynamic_stiffness(self, mass: Array, excited: NDArray[np.bool_]) -> ComplexArray:
-        """Dynamic stiffness of joints and bending modes (v, v, B, K).
-
-        ``mass`` (B, v, v) is their inertia in each of B poses, ``excited`` (B, n).
-        """
-        arm, model, move = self.arm, self.model, self.moving
-        omega = 2 * np.pi * self.frequency
-        s = 1j * omega
-        loose = s * model.dof_damping[move, None] + model.jnt_stiffness[model.dof_jntid[move], None]
-        for j in range(arm.n):
-            loose[j] += arm.centring.stiffness[j] + s * arm.centring.damping[j]
-        held = loose.copy()
-        for j in range(arm.n):
-            k, c = arm.holding.stiffness[j], arm.holding.damping[j]
-            inertance = k / inertance_rate(arm.timestep) ** 2
-            held[j] += k + s * c - omega**2 * inertance
-        stiffness = mass.transpose(1, 2, 0)[..., None] * (-(omega**2) + 0j)
-        for v in range(len(move)):
-            free = excited[:, v, None] if v < arm.n else True  # bending modes are never held
-            stiffness[v, v] += np.where(free, loose[v], held[v])
-        return np.asarray(stiffness)
+        """Dynamic stiffness of joints and bending modes (v, v, B, K)."""
+        springs, dampers = (own[self.moving] for own in self.springs)
+        return dynamic_stiffness(self.arm, mass, excited, self.frequency, springs, dampers)
 
     def _linearise(self, q: Array) -> LinearPose:
         model, data = self.model, self._data
@@ -452,24 +398,3 @@ class LinearPose:
         stiffness = self.linear.dynamic_stiffness(mass[None], excited[None])[:, :, 0]
         motion = np.linalg.solve(stiffness.transpose(2, 0, 1), force)
         return np.asarray(-(omega**2)[:, None, None] * motion, dtype=np.complex128)
-
-
-def _solved(stiffness: ComplexArray, force: ComplexArray) -> ComplexArray:
-    """Solve systems of equations that lie along the last axes, (v, v, ...) and (v, m, ...).
-
-    Gauss-Jordan elimination of all of them at once, by operations on single elements: a system's
-    solution does not depend on the others. Dampers keep the pivots of a dynamic stiffness off
-    zero. Both arrays are overwritten.
-    """
-    for p in range(len(stiffness)):
-        scale = 1.0 / stiffness[p, p]
-        ahead = stiffness[p, p + 1 :] * scale
-        known = force[p] * scale
-        for v in range(len(stiffness)):
-            if v != p:
-                factor = stiffness[v, p]
-                stiffness[v, p + 1 :] -= factor * ahead
-                force[v] -= factor * known
-        stiffness[p, p + 1 :] = ahead
-        force[p] = known
-    return force
