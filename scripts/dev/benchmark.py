@@ -122,17 +122,23 @@ def new_batch(
 
 
 @quiet()  # the same for every rival: no timers in the engine
-def seconds_per_record(batch: EpisodeBatch, rounds: int, duration: int | None) -> float:
-    """Time the steps of a batch; every third round starts new episodes, as agents do."""
+def seconds_per_record(
+    batch: EpisodeBatch, rounds: int, duration: int | None, *, of_processor: bool = False
+) -> float:
+    """Time the steps of a batch; every third round starts new episodes, as agents do.
+
+    Seconds of processor time, of all threads together, do not depend on what else runs.
+    """
+    clock = time.process_time if of_processor else time.perf_counter
     rng = np.random.default_rng(0)
     batch.step(range(batch.num), actions_of(batch, rng, duration))  # warm up
-    begin = time.perf_counter()
+    begin = clock()
     for k in range(rounds):
         if k % 3 == 0:
             for slot in range(batch.num):
                 batch.start(slot, seed=slot, number=1 + k)
         batch.step(range(batch.num), actions_of(batch, rng, duration))
-    return (time.perf_counter() - begin) / (rounds * batch.num)
+    return (clock() - begin) / (rounds * batch.num)
 
 
 @quiet()
@@ -210,38 +216,39 @@ def earlier_code(commit: str) -> Iterator[Path | None]:
 
 def engine_times(
     env_id: str, arms: Sequence[int], rounds: int, duration: int | None, earlier: Path | None
-) -> list[tuple[int, float, float, float, float]]:
-    """Time the reduced engine and its rivals in turn; new and old code once more than the others.
+) -> list[tuple[int, float, float, float, float, float]]:
+    """Time the reduced engine and its rivals in turn; all but the reduced ones once.
 
     Returns
     -------
-    list of (int, float, float, float, float)
-        For each number of arms: itself, then seconds a record of the reduced engine, of the
-        reduced engine in the earlier code (NaN without it), of MuJoCo on all threads and of two
-        processes. The last two are taken at the smallest number: more arms change little.
+    list of (int, float, float, float, float, float)
+        For each number of arms: itself, then seconds a record of the reduced engine; seconds of
+        processor time of it, of its earlier code (NaN without it) and of MuJoCo; seconds of two
+        processes. MuJoCo and these are timed at the smallest number: more arms change little.
     """
     least = min(arms)
-    mujoco, loop = [], []
+    wall: dict[int, list[float]] = {count: [] for count in arms}
     ours: dict[int, list[float]] = {count: [] for count in arms}
     before: dict[int, list[float]] = {count: [] for count in arms}
-    for turn in range(3):
-        if turn < 2:  # these take longest
-            mujoco.append(seconds_per_record(new_batch(env_id, least), 1, duration))
-            loop.append(subprocess_seconds_per_record(env_id, max(least, 16), duration))
+    for _ in range(2):
         for count in arms:
             batch = new_batch(env_id, count, engine="reduced")
-            ours[count].append(seconds_per_record(batch, rounds, duration))
+            wall[count].append(seconds_per_record(batch, rounds, duration))
+            batch = new_batch(env_id, count, engine="reduced", threads=1)
+            ours[count].append(seconds_per_record(batch, rounds, duration, of_processor=True))
             if earlier is not None:
                 code = (
                     "import sys\n"
                     f"sys.path[:0] = [{str(earlier)!r}, {str(Path(__file__).parent)!r}]\n"
                     "import benchmark as b\n"
                     f"made = b.new_batch({env_id!r}, {count}, engine='reduced')\n"
-                    f"print(b.seconds_per_record(made, {rounds}, {duration}))"
+                    f"print(b.seconds_per_record(made, {rounds}, {duration}, of_processor=True))"
                 )
                 before[count].append(float(child(code)))
+    mujoco = seconds_per_record(new_batch(env_id, least, threads=1), 1, duration, of_processor=True)
+    loop = subprocess_seconds_per_record(env_id, max(least, 16), duration)
     return [
-        (n, min(ours[n]), min(before[n], default=float("nan")), min(mujoco), min(loop))
+        (n, min(wall[n]), min(ours[n]), min(before[n], default=float("nan")), mujoco, loop)
         for n in arms
     ]
 
@@ -250,7 +257,8 @@ def print_engines(
     ids: Sequence[str], arms: Sequence[int], rounds: int, *, commit: str = EARLIER
 ) -> None:
     """Print the reduced engine beside its own earlier code and the other ways to simulate."""
-    head = f"\n{'environment':22}{'record':>8}{'arms':>6}{'reduced':>11}{'records/s':>11}"
+    print("\nratios to the earlier code and to MuJoCo are of processor time on one thread")
+    head = f"{'environment':22}{'record':>8}{'arms':>6}{'records/s':>11}{'per CPU s':>11}"
     print(head + f"{'vs ' + commit[:7]:>12}{'vs mujoco':>11}{'vs 2 processes':>16}")
     with earlier_code(commit) as earlier:
         for env_id in ids:
@@ -262,10 +270,10 @@ def print_engines(
                 except InvalidSetting as error:  # numba is missing, or the arm stands at a shaker
                     print(f"{env_id:22}{error}")
                     break
-                for count, ours, before, mujoco, loop in found:
+                for count, wall, ours, before, mujoco, loop in found:
                     print(
-                        f"{env_id:22}{name:>8}{count:>6}{1e3 * ours:>8.2f} ms{1 / ours:>11.1f}"
-                        f"{before / ours:>12.2f}{mujoco / ours:>11.2f}{loop / ours:>16.2f}",
+                        f"{env_id:22}{name:>8}{count:>6}{1 / wall:>11.1f}{1 / ours:>11.1f}"
+                        f"{before / ours:>12.2f}{mujoco / ours:>11.2f}{loop / wall:>16.2f}",
                         flush=True,
                     )
 
