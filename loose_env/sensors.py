@@ -22,6 +22,7 @@ __all__ = [
     "SensorSuite",
     "decimation_filter",
     "link_choice",
+    "low_passed",
     "read_accelerometer",
     "read_encoder",
 ]
@@ -180,69 +181,72 @@ def decimation_filter(factor: int, cutoff: float, rate: float) -> Array:
     return np.asarray(taps)
 
 
-def read_accelerometer(
-    true: Array,
-    *,
-    sensor: Accelerometer,
-    matrix: Array,
-    factor: int,
-    first: int,
-    count: int,
-    rate: float,
-    rng: np.random.Generator,
+def low_passed(
+    true: Array, *, sensor: Accelerometer, factor: int, first: int, count: int, rate: float
 ) -> Array:
-    """Turn true proper acceleration into readings.
+    """Low-pass true accelerations and take one sample for each reading.
 
     Parameters
     ----------
-    true : ndarray (steps, 3)
-        Proper acceleration in the sensor frame at every simulation step [m/s²].
+    true : ndarray (..., steps)
+        Acceleration along the measured axes at every simulation step [m/s²].
     sensor : Accelerometer
         Parameters of the sensor.
-    matrix : ndarray (d, 3)
-        Output per true acceleration: the measured axes' gains, cross-axis and mounting.
     factor : int
         Simulation steps per reading.
     first, count : int
         Step of the first reading, and number of readings.
     rate : float
         Sampling rate [Hz].
-    rng : numpy.random.Generator
-        Source of the noise.
 
     Returns
     -------
-    ndarray (d, count)
-        Readings [m/s²].
+    ndarray (..., count)
     """
     taps = decimation_filter(factor, sensor.bandwidth, rate)
     half = len(taps) // 2
     # Steps from half a filter before the first reading to half a filter after the last.
-    used = true[first - half : first + factor * (count - 1) + half + 1]
-    mixed = np.einsum("dc,tc->dt", matrix, used)
+    used = true[..., first - half : first + factor * (count - 1) + half + 1]
     lead = 2 * half // factor  # outputs before the first whole window
-    readings: Array = upfirdn(taps, mixed, down=factor)[:, lead : lead + count]
+    return np.asarray(upfirdn(taps, used, down=factor)[..., lead : lead + count])
+
+
+def read_accelerometer(smooth: Array, *, sensor: Accelerometer, rate: float, drawn: Array) -> Array:
+    """Turn low-passed accelerations into readings.
+
+    Parameters
+    ----------
+    smooth : ndarray (..., count)
+        Acceleration as `low_passed` gives it [m/s²].
+    sensor : Accelerometer
+        Parameters of the sensor.
+    rate : float
+        Sampling rate [Hz].
+    drawn : ndarray (..., count)
+        Standard normal variates, one for each reading.
+
+    Returns
+    -------
+    ndarray (..., count)
+        Readings [m/s²].
+    """
     # White noise of the given density up to half the sampling rate.
-    readings += sensor.noise_density * np.sqrt(rate / 2) * rng.standard_normal(readings.shape)
-    return _rounded(readings, sensor.resolution)
+    noise = sensor.noise_density * np.sqrt(rate / 2)
+    return _rounded(smooth + noise * drawn, sensor.resolution)
 
 
 def read_encoder(
-    true: Array,
-    *,
-    sensor: Encoder,
-    rng: np.random.Generator,
-    sliding: NDArray[np.bool_] | None = None,
+    true: Array, *, sensor: Encoder, drawn: Array, sliding: NDArray[np.bool_] | None = None
 ) -> Array:
-    """Turn joint positions (n, count) [rad or m] into encoder readings of the same shape.
+    """Turn joint positions (..., n, count) [rad or m] into encoder readings of the same shape.
 
-    Rows where ``sliding`` (n,) is true are read by a linear scale.
+    ``drawn``, of that shape too, are standard normal variates. Rows where ``sliding`` (n,) is true
+    are read by a linear scale.
     """
-    drawn = rng.standard_normal(true.shape)
     readings = _rounded(true + sensor.noise * drawn, sensor.resolution)
     if sliding is not None and sliding.any():
-        linear = true[sliding] + sensor.linear_noise * drawn[sliding]
-        readings[sliding] = _rounded(linear, sensor.linear_resolution)
+        linear = true[..., sliding, :] + sensor.linear_noise * drawn[..., sliding, :]
+        readings[..., sliding, :] = _rounded(linear, sensor.linear_resolution)
     return readings
 
 

@@ -13,6 +13,7 @@ from loose_env.sensors import (
     Encoder,
     SensorSuite,
     decimation_filter,
+    low_passed,
     read_accelerometer,
     read_encoder,
 )
@@ -25,17 +26,11 @@ EXACT = Accelerometer(noise_density=0.0, resolution=0.0)
 def read(
     true: Array, sensor: Accelerometer = EXACT, *, matrix: Array | None = None, seed: int = 0
 ) -> Array:
-    """Readings of a true acceleration (3, steps)."""
-    return read_accelerometer(
-        np.ascontiguousarray(true.T),
-        sensor=sensor,
-        matrix=np.eye(3) if matrix is None else matrix,
-        factor=FACTOR,
-        first=FIRST,
-        count=COUNT,
-        rate=RATE,
-        rng=np.random.default_rng(seed),
-    )
+    """Readings of a true acceleration (3, steps), mixed by a matrix before it is filtered."""
+    mixed = true if matrix is None else matrix @ true
+    smooth = low_passed(mixed, sensor=sensor, factor=FACTOR, first=FIRST, count=COUNT, rate=RATE)
+    drawn = np.random.default_rng(seed).standard_normal(smooth.shape)
+    return read_accelerometer(smooth, sensor=sensor, rate=RATE, drawn=drawn)
 
 
 def steps() -> Array:
@@ -108,8 +103,8 @@ def test_readings_are_whole_steps_of_the_digitiser() -> None:
 
 def test_an_encoder_adds_its_noise_and_its_step() -> None:
     angle = np.linspace(-3, 3, 40_000).reshape(2, -1)
-    rng = np.random.default_rng(0)
-    read_angle = read_encoder(angle, sensor=Encoder(resolution=1e-4, noise=3e-4), rng=rng)
+    drawn = np.random.default_rng(0).standard_normal(angle.shape)
+    read_angle = read_encoder(angle, sensor=Encoder(resolution=1e-4, noise=3e-4), drawn=drawn)
     np.testing.assert_allclose(read_angle / 1e-4, np.round(read_angle / 1e-4), atol=1e-6)
     error = read_angle - angle
     assert error.std() == pytest.approx(np.hypot(3e-4, 1e-4 / np.sqrt(12)), rel=0.02)
@@ -120,8 +115,8 @@ def test_ideal_sensors_add_nothing() -> None:
     suite = SensorSuite.ideal(rate=500.0 * 2)
     assert suite.rate == 1000.0
     angle = np.random.default_rng(0).normal(size=(2, 50))
-    rng = np.random.default_rng(1)
-    np.testing.assert_array_equal(read_encoder(angle, sensor=suite.encoder, rng=rng), angle)
+    drawn = np.random.default_rng(1).standard_normal(angle.shape)
+    np.testing.assert_array_equal(read_encoder(angle, sensor=suite.encoder, drawn=drawn), angle)
     still = np.zeros((3, len(steps())))
     assert not read(still, suite.accelerometer).any()
 

@@ -37,10 +37,11 @@ from loose_env.arms.library.vera import (
     vera,
     vera_spec,
 )
-from loose_env.arms.response.linear import LinearArm, LinearPose, Response, inertance_rate
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw
+from loose_env.arms.response.linear import LinearArm, LinearPose, Response
+from loose_env.arms.response.mismatch import Mismatch, MismatchDraw, MismatchIndices
 from loose_env.arms.response.sensor_sites import LinkSite, Place, link_site
 from loose_env.arms.response.shaken import ShakenArm
+from loose_env.arms.response.stiffness import inertance_rate
 from loose_env.arms.shaker import COIL, Shaker, add_shaker, place_shaker
 from loose_env.arms.spec_parts import (
     CREST_FACTOR,
@@ -75,6 +76,7 @@ __all__ = [
     "LinkSite",
     "Mismatch",
     "MismatchDraw",
+    "MismatchIndices",
     "ModelFile",
     "Place",
     "Response",

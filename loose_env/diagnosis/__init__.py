@@ -120,6 +120,7 @@ from loose_env.diagnosis.records.link_readings import (
     NominalLinks,
     link_axes,
     link_readings_of,
+    link_readings_of_all,
 )
 from loose_env.diagnosis.records.model_uncertainty import (
     stiffness_errors,
@@ -128,10 +129,12 @@ from loose_env.diagnosis.records.prediction import (
     Prediction,
     SensorFloor,
     predict,
+    predictions,
 )
 from loose_env.diagnosis.records.record_statistics import (
     RecordStatistics,
     statistics_of,
+    statistics_of_all,
 )
 from loose_env.diagnosis.research.line_spectrum.direction import (
     DynamicDirection,
@@ -238,6 +241,7 @@ __all__ = [
     "link_axes",
     "link_posterior",
     "link_readings_of",
+    "link_readings_of_all",
     "log_mean_bingham",
     "looks_healthy",
     "measure_direction",
@@ -246,6 +250,7 @@ __all__ = [
     "precision_of",
     "predict",
     "predict_seats",
+    "predictions",
     "probabilities_from",
     "propose_excitation",
     "read_network",
@@ -256,6 +261,7 @@ __all__ = [
     "splitting_order",
     "stack",
     "statistics_of",
+    "statistics_of_all",
     "stiffness_errors",
     "summaries_of",
     "used_columns",

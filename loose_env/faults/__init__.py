@@ -39,7 +39,7 @@ from loose_env.faults.seat import (
     seats_of,
     twist_of,
 )
-from loose_env.faults.seating import seated_spec, set_seat
+from loose_env.faults.seating import SeatIndices, seat_indices, seated_spec, set_seat
 
 __all__ = [
     "DEFAULT_KINDS",
@@ -55,6 +55,7 @@ __all__ = [
     "LooseFault",
     "Preload",
     "RotationalLooseness",
+    "SeatIndices",
     "SeatKind",
     "SeveralFaults",
     "SinglePart",
@@ -68,6 +69,7 @@ __all__ = [
     "place_of",
     "places_of_kind",
     "preloaded",
+    "seat_indices",
     "seat_names",
     "seat_of",
     "seat_weight",

@@ -19,6 +19,7 @@ which rests 1e4 m or rad away, so that it changes by a 1e-7th where the seat mov
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -37,7 +38,7 @@ from loose_env.faults.faults import (
 from loose_env.faults.seat import SeatKind, SinglePart, parts_of, seat_name, seat_names
 from loose_env.typing import Array
 
-__all__ = ["seated_spec", "set_seat"]
+__all__ = ["SeatIndices", "seat_indices", "seated_spec", "set_seat"]
 
 _SOFT, _STIFF = 1e-4, 0.9999  # MuJoCo's smallest and largest constraint impedance
 _FAR = 1.0  # a stop that is never reached [m or rad]
@@ -159,12 +160,53 @@ def _add_seat(
     )
 
 
-def set_seat(model: mujoco.MjModel, fault: Fault, data: mujoco.MjData | None = None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class SeatIndices:
+    """Indices of one part of a seat in a compiled model."""
+
+    name: str
+    joint: int
+    dof: int
+    position: int
+    lock: int
+    """Equality constraint that shuts it."""
+    low: int
+    """Tendon of its lower stop."""
+    high: int
+    """Tendon of its upper stop."""
+
+
+def seat_indices(model: mujoco.MjModel) -> tuple[SeatIndices, ...]:
+    """Look up the parts of a model's seat, from the flange outward."""
+    found = []
+    for name in seat_names(model):
+        joint = model.joint(name)
+        found.append(
+            SeatIndices(
+                name=name,
+                joint=int(joint.id),
+                dof=int(joint.dofadr[0]),
+                position=int(joint.qposadr[0]),
+                lock=int(model.equality(f"{name}_lock").id),
+                low=int(model.tendon(f"{name}_low").id),
+                high=int(model.tendon(f"{name}_high").id),
+            )
+        )
+    return tuple(found)
+
+
+def set_seat(
+    model: mujoco.MjModel,
+    fault: Fault,
+    data: mujoco.MjData | None = None,
+    seat: tuple[SeatIndices, ...] | None = None,
+) -> None:
     """Write a fault's parameters into a compiled model that has its seat.
 
     Call it after every change of masses, once ``mj_setConst`` has run: the stops are scaled
     with the seat's inverse weight, that along the fault's direction. ``data`` is scratch space of
-    the model's layout, made anew if it is not given.
+    the model's layout, made anew if it is not given; ``seat`` are the model's `seat_indices`,
+    looked up if they are not given.
 
     Raises
     ------
@@ -173,34 +215,35 @@ def set_seat(model: mujoco.MjModel, fault: Fault, data: mujoco.MjData | None = N
         seat is too stiff for the simulation step; several stops that are touched at once make a
         stiffer one.
     """
-    names = seat_names(model)
-    parts = (fault,) * len(names) if isinstance(fault, Healthy) else parts_of(fault)
-    if len(parts) != len(names):
+    if seat is None:
+        seat = seat_indices(model)
+    parts = (fault,) * len(seat) if isinstance(fault, Healthy) else parts_of(fault)
+    if len(parts) != len(seat):
         raise InvalidSetting(
             f"{fault.hypothesis} has {len(parts)} loose degrees of freedom, the model's seat has "
-            f"{len(names)}; take the seats that part_seats names"
+            f"{len(seat)}; take the seats that part_seats names"
         )
     placed = False
-    for name, part in zip(names, parts, strict=True):
-        placed |= _place(model, name, part)
+    for at, part in zip(seat, parts, strict=True):
+        placed |= _place(model, at, part)
     if placed:
         # The inverse weight follows the axis.
         mujoco.mj_setConst(model, mujoco.MjData(model) if data is None else data)
-    for name, part in zip(names, parts, strict=True):
-        _set_part(model, name, part)
+    for at, part in zip(seat, parts, strict=True):
+        _set_part(model, at, part)
     if len(parts) > 1 and not isinstance(fault, Healthy):
-        _require_slow_together(model, names, fault, data)
+        _require_slow_together(model, seat, fault, data)
 
 
-def _place(model: mujoco.MjModel, name: str, part: SinglePart) -> bool:
+def _place(model: mujoco.MjModel, at: SeatIndices, part: SinglePart) -> bool:
     """Orient a seat along the fault's direction; return whether anything changed."""
     if isinstance(part, (Healthy, Backlash)):
         return False
-    seat = model.joint(name).id
+    seat = at.joint
     hinge = isinstance(part, RotationalLooseness)
     if model.jnt_type[seat] != (_HINGE if hinge else _SLIDE):
         raise InvalidSetting(
-            f"{part.hypothesis} needs a {'hinge' if hinge else 'slide'}, which {name!r} of the "
+            f"{part.hypothesis} needs a {'hinge' if hinge else 'slide'}, which {at.name!r} of the "
             "model is not; take the seat that seats_of names"
         )
     if isinstance(part, RotationalLooseness):
@@ -211,11 +254,9 @@ def _place(model: mujoco.MjModel, name: str, part: SinglePart) -> bool:
     return True
 
 
-def _set_part(model: mujoco.MjModel, name: str, part: SinglePart) -> None:
+def _set_part(model: mujoco.MjModel, at: SeatIndices, part: SinglePart) -> None:
     step = model.opt.timestep
-    seat = model.joint(name)
-    dof, lock = seat.dofadr[0], model.equality(f"{name}_lock").id
-    low, high = model.tendon(f"{name}_low").id, model.tendon(f"{name}_high").id
+    dof, lock, low, high = at.dof, at.lock, at.low, at.high
     model.eq_active0[lock] = isinstance(part, Healthy)
     model.eq_solref[lock] = (2 * step, 1.0)
     model.dof_solref[dof] = (2 * step, 1.0)
@@ -248,8 +289,8 @@ def _set_part(model: mujoco.MjModel, name: str, part: SinglePart) -> None:
     if isinstance(part, Preload):
         closed = (part.stiffness, part.damping)
         _require_slow("a preloaded seat", *closed, model.dof_invweight0[dof], step)
-    model.jnt_stiffness[seat.id], model.dof_damping[dof] = closed
-    model.qpos_spring[seat.qposadr[0]] = rest
+    model.jnt_stiffness[at.joint], model.dof_damping[dof] = closed
+    model.qpos_spring[at.position] = rest
 
 
 def _require_slow(what: str, stiffness: float, damping: float, weight: float, step: float) -> None:
@@ -271,14 +312,17 @@ def _require_slow(what: str, stiffness: float, damping: float, weight: float, st
 
 
 def _require_slow_together(
-    model: mujoco.MjModel, names: Sequence[str], fault: Fault, data: mujoco.MjData | None
+    model: mujoco.MjModel,
+    seat: Sequence[SeatIndices],
+    fault: Fault,
+    data: mujoco.MjData | None,
 ) -> None:
     """Reject stops that are too stiff for the time step when all parts are in contact."""
     scratch = mujoco.MjData(model) if data is None else data
-    dofs = np.array([model.joint(name).dofadr[0] for name in names])
+    dofs = np.array([at.dof for at in seat])
     mujoco.mj_resetData(model, scratch)
     mujoco.mj_fwdPosition(model, scratch)
-    inverse = np.zeros((len(names), model.nv))
+    inverse = np.zeros((len(seat), model.nv))
     mujoco.mj_solveM(model, scratch, inverse, np.eye(model.nv)[dofs])
     mobility = inverse[:, dofs]
     step = model.opt.timestep

@@ -125,58 +125,83 @@ def check_fields(settings: Any) -> None:
     loose_env.errors.InvalidSetting: Own.most must be a whole number; got 2.5
     """
     kind: Any = type(settings)
-    for name, hint in _hints(kind):
+    for name, check in _checks(kind):
         value = getattr(settings, name)
-        words = unmet(hint, value)
+        words = check(value)
         if words:
             raise InvalidSetting(f"{kind.__name__}.{name} must be {words}; got {value!r:.200}")
 
 
+_Check = Callable[[Any], str]
+"""Function of a value: allowed values where it is none of them; "" where it is one."""
+
+
 @cache
-def _hints(kind: Any) -> tuple[tuple[str, Any], ...]:
+def _checks(kind: Any) -> tuple[tuple[str, _Check], ...]:
     hints = get_type_hints(kind, include_extras=True)
-    return tuple((each.name, hints[each.name]) for each in fields(kind))
+    return tuple((each.name, _check(hints[each.name])) for each in fields(kind))
 
 
 def unmet(hint: Any, value: Any) -> str:
     """Allowed values where a value is none of them; "" where it is one."""
+    return _check(hint)(value)
+
+
+def _check(hint: Any) -> _Check:
+    """Turn a type hint into its check, so that it is taken apart once."""
     origin, inside = get_origin(hint), get_args(hint)
     if origin is Annotated:
         rules = [rule for rule in inside[1:] if isinstance(rule, Rule)]
-        return next((rule.words for rule in rules if not rule.allows(value)), "")
+        return lambda value: next((rule.words for rule in rules if not rule.allows(value)), "")
     if origin in (Union, UnionType):
-        if value is None and NoneType in inside:
-            return ""
-        found = [unmet(one, value) for one in inside if one is not NoneType]
-        return "" if "" in found else " or ".join(found)
+        return _check_union(inside)
     if origin is Literal:
-        return "" if value in inside else f"one of {', '.join(map(repr, inside))}"
+        words = f"one of {', '.join(map(repr, inside))}"
+        return lambda value: "" if value in inside else words
     if origin is tuple:
-        return _unmet_entries(inside, value)
+        return _check_entries(inside)
     if hint in _PLAIN:
-        words, fits = _PLAIN[hint]
-        return "" if fits(value) else words
+        plain, fits = _PLAIN[hint]
+        return lambda value: "" if fits(value) else plain
     if isinstance(hint, type) and hasattr(hint, "__dataclass_fields__"):
-        return "" if isinstance(value, hint) else f"a {hint.__name__}"
-    return ""
+        name = f"a {hint.__name__}"
+        return lambda value: "" if isinstance(value, hint) else name
+    return lambda value: ""
 
 
-def _unmet_entries(inside: Sequence[Any], value: Any) -> str:
-    """As `unmet`, for a tuple, list or array."""
+def _check_union(inside: Sequence[Any]) -> _Check:
+    optional = NoneType in inside
+    checks = [_check(one) for one in inside if one is not NoneType]
+
+    def check(value: Any) -> str:
+        if value is None and optional:
+            return ""
+        found = [one(value) for one in checks]
+        return "" if "" in found else " or ".join(found)
+
+    return check
+
+
+def _check_entries(inside: Sequence[Any]) -> _Check:
+    """Check of a tuple, list or array."""
     if len(inside) == 2 and inside[1] is Ellipsis:
-        count, each = None, inside[0]
+        count, each = None, _check(inside[0])
     else:
-        count, each = len(inside), inside[0]
-    try:
-        entries = None if isinstance(value, str | Mapping) else tuple(value)
-    except TypeError:
-        entries = None
-    found = None
-    if entries is not None and count in (None, len(entries)):
-        found = next(filter(None, (unmet(each, entry) for entry in entries)), "")
-    if found is None:
-        found = unmet(each, object()) or "of the right type"
-    return found and f"{'several' if count is None else count} values, each {found}"
+        count, each = len(inside), _check(inside[0])
+
+    def check(value: Any) -> str:
+        try:
+            entries = None if isinstance(value, str | Mapping) else tuple(value)
+        except TypeError:
+            entries = None
+        found = None
+        if entries is not None and count in (None, len(entries)):
+            found = next(filter(None, map(each, entries)), "")
+        if found is None:
+            found = each(object()) or "of the right type"
+        return found and f"{'several' if count is None else count} values, each {found}"
+
+    return check
 
 
 _PLAIN: dict[Any, tuple[str, Callable[[Any], bool]]] = {

@@ -34,10 +34,8 @@ class Run:
     """Batch of jobs with one duration and one model layout."""
 
     jobs: Sequence[Job]
-    control: Array
-    """Commanded torques, gravity included (jobs, steps, n)."""
     delivered: Array
-    """What the drives make of them (jobs, steps, n)."""
+    """Torques that the drives deliver, and the shaker's force (jobs, steps, drives)."""
     recorded: Array
     """Sensor channels of every step (jobs, steps, channels)."""
     before: int

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.arms import (
     Arm,
     LinkSite,
     MismatchDraw,
+    MismatchIndices,
     add_shaker,
     inertance_rate,
     link_site,
@@ -20,22 +23,96 @@ from loose_env.arms import (
 )
 from loose_env.faults import (
     Fault,
+    SeatIndices,
     SeatKind,
     gaps_of,
     part_seats,
-    seat_names,
+    seat_indices,
     seated_spec,
     set_seat,
 )
 from loose_env.sensors import LinkAccelerometers, link_choice
 
-__all__ = ["Plant", "PlantShop"]
+__all__ = ["Plant", "PlantIndices", "PlantShop"]
 
+_Seats = tuple[tuple[int, ...], tuple[SeatKind, ...]]
 _MOST = 5  # loose degrees of freedom beside a joint, of the six a body can have
 
 
+# What factors act on, or only some faults set; all else of a plant is written anew.
+_KEPT = (
+    "body_pos",
+    "body_mass",
+    "body_inertia",
+    "site_pos",
+    "jnt_axis",
+    "jnt_pos",
+    "jnt_stiffness",
+    "dof_armature",
+    "dof_damping",
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlantIndices:
+    """Indices of the parts of an arm under test: the same for all plants of one template."""
+
+    mismatch: MismatchIndices
+    """What a mismatch changes."""
+    position: NDArray[np.intp]
+    """Positions of the driven joints (n,)."""
+    dofs: NDArray[np.intp]
+    """Degrees of freedom of the driven joints (n,)."""
+    seat: tuple[SeatIndices, ...]
+    """Parts of the seat."""
+    seat_positions: NDArray[np.intp]
+    """Positions of the parts of the seat."""
+    brakes: NDArray[np.intp]
+    """Equality constraints that hold the joints (n,)."""
+    gears: NDArray[np.intp]
+    """Joints of elastic gears."""
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, arm: Arm) -> PlantIndices:
+        """Look the parts up by their names."""
+        joints = [model.joint(name) for name in arm.joints]
+        seat = seat_indices(model)
+
+        def indices(found: Iterable[int]) -> NDArray[np.intp]:
+            return np.array(list(found), dtype=np.intp)
+
+        return cls(
+            mismatch=MismatchIndices.of(model, arm),
+            position=indices(j.qposadr[0] for j in joints),
+            dofs=indices(j.dofadr[0] for j in joints),
+            seat=seat,
+            seat_positions=indices(part.position for part in seat),
+            brakes=indices(model.equality(f"hold_{name}").id for name in arm.joints),
+            gears=indices(model.joint(name).id for name in arm.gear_joints),
+        )
+
+
 class Plant:
-    """One true arm: its compiled model and the indices of its parts."""
+    """One true arm: its compiled model and the indices of its parts.
+
+    Parameters
+    ----------
+    template : mujoco.MjModel
+        Compiled model with the fault's seat, left as it is.
+    arm : Arm
+        The nominal arm.
+    fault : Fault
+        The fault.
+    mismatch : MismatchDraw
+        How the true arm differs.
+    scratch : mujoco.MjData, optional
+        Scratch space of the template's layout.
+    indices : PlantIndices, optional
+        Those of the template.
+    model : mujoco.MjModel, optional
+        The model of a plant of the same template that is no longer needed: it becomes this one's.
+        A new one takes longer to make than all else.
+    """
 
     def __init__(
         self,
@@ -44,42 +121,46 @@ class Plant:
         fault: Fault,
         mismatch: MismatchDraw,
         scratch: mujoco.MjData | None = None,
+        indices: PlantIndices | None = None,
+        model: mujoco.MjModel | None = None,
     ) -> None:
         self.fault = fault
         self.mismatch = mismatch
         self.shaker = arm.shaker
-        self.model = model = copy.copy(template)
+        if model is None:
+            model = copy.copy(template)
+        else:
+            for name in _KEPT:
+                getattr(model, name)[:] = getattr(template, name)
+            model.opt.gravity[:] = template.opt.gravity
+        self.model = model
+        self.indices = at = PlantIndices.of(template, arm) if indices is None else indices
         data = mujoco.MjData(model) if scratch is None else scratch
-        mismatch.apply(model, arm, data)
-        set_seat(model, fault, data)
-        joints = [model.joint(name) for name in arm.joints]
-        self.position = np.array([j.qposadr[0] for j in joints], dtype=np.intp)
-        seats = seat_names(model)
-        self.parts = len(seats)  # degrees of freedom of the seat
-        self.seat_positions = np.array([model.joint(s).qposadr[0] for s in seats], dtype=np.intp)
+        mismatch.apply(model, arm, data, at.mismatch)
+        set_seat(model, fault, data, at.seat)
+        self.position, self.seat_positions = at.position, at.seat_positions
+        self.brakes, self.gears = at.brakes, at.gears
+        self.parts = len(at.seat_positions)  # degrees of freedom of the seat
         # A healthy arm has one in whatever seat it stands.
         self.gaps = np.resize(gaps_of(fault), self.parts)
-        self.brakes = np.array(
-            [model.equality(f"hold_{name}").id for name in arm.joints], dtype=np.intp
-        )
-        self.gears = np.array([model.joint(name).id for name in arm.gear_joints], dtype=np.intp)
-        self._set_brakes(arm, [j.dofadr[0] for j in joints])
+        self._set_brakes(arm)
 
-    def _set_brakes(self, arm: Arm, dofs: list[int]) -> None:
-        model = self.model
-        corner = inertance_rate(model.opt.timestep)
-        for j, (equality, dof) in enumerate(zip(self.brakes, dofs, strict=True)):
-            stiffness = arm.holding.stiffness[j] * self.mismatch.holding_stiffness[j]
-            damping = arm.holding.damping[j] * self.mismatch.holding_damping[j]
-            weight = model.dof_invweight0[dof]
-            # The damper acts on the velocity half a step ago, which takes damping * step / 2
-            # off the inertia; the inertance gives it back.
-            inertance = stiffness / corner**2 + damping * model.opt.timestep / 2
-            ratio = weight * inertance
-            impedance = float(np.clip(ratio / (1 + ratio), 1e-4, 0.9999))
-            scale = (1 - impedance) * weight
-            model.eq_solimp[equality] = (impedance, impedance, 0.001, 0.5, 2)
-            model.eq_solref[equality] = (-stiffness * scale, -max(damping * scale, 1e-12))
+    def _set_brakes(self, arm: Arm) -> None:
+        model, held = self.model, self.brakes
+        step = model.opt.timestep
+        stiffness = np.array(arm.holding.stiffness) * self.mismatch.holding_stiffness
+        damping = np.array(arm.holding.damping) * self.mismatch.holding_damping
+        weight = model.dof_invweight0[self.indices.dofs]
+        # The damper acts on the velocity half a step ago, which takes damping * step / 2
+        # off the inertia; the inertance gives it back.
+        ratio = weight * (stiffness / inertance_rate(step) ** 2 + damping * step / 2)
+        impedance = np.clip(ratio / (1 + ratio), 1e-4, 0.9999)
+        scale = (1 - impedance) * weight
+        limits = np.broadcast_to((0.001, 0.5, 2.0), (len(held), 3))
+        model.eq_solimp[held] = np.column_stack([impedance, impedance, limits])
+        model.eq_solref[held] = -np.column_stack(
+            [stiffness * scale, np.maximum(damping * scale, 1e-12)]
+        )
 
     def hold_at(self, pose: np.ndarray) -> np.ndarray:
         """Set brakes, springs and shaker to a commanded pose; return the actual one."""
@@ -117,7 +198,9 @@ class PlantShop:
         self.link_sites: tuple[LinkSite, ...] = (
             () if choice is None else tuple(link_site(arm, i, choice.place) for i in choice.on(arm))
         )
-        self._templates: dict[tuple[tuple[int, ...], tuple[SeatKind, ...]], mujoco.MjModel] = {}
+        self._templates: dict[_Seats, mujoco.MjModel] = {}
+        self._indices: dict[_Seats, PlantIndices] = {}
+        self._retired: dict[PlantIndices, list[mujoco.MjModel]] = {}
         self._scratch: dict[int, mujoco.MjData] = {}  # by the number of parts of the seat
 
     def template(
@@ -156,12 +239,25 @@ class PlantShop:
         scratch = self._scratch.get(len(kinds))
         if scratch is None:  # all templates with as many parts share one layout
             scratch = self._scratch[len(kinds)] = mujoco.MjData(template)
-        plant = Plant(template, self.arm, fault, mismatch, scratch)
+        indices = self._indices.get((links, kinds))
+        if indices is None:
+            indices = self._indices[links, kinds] = PlantIndices.of(template, self.arm)
+        retired = self._retired.get(indices)
+        model = retired.pop() if retired else None
+        plant = Plant(template, self.arm, fault, mismatch, scratch, indices, model)
         for at in self.link_sites:  # the end of a longer link lies farther out
             if at.scaled_by >= 0:
                 site = plant.model.site(f"accelerometer{at.link}").id
                 plant.model.site_pos[site] *= mismatch.length[at.scaled_by]
         return plant
+
+    def retire(self, plant: Plant) -> None:
+        """Take back the model of a plant of this shop, for one of the plants to come.
+
+        The plant must not be used again; it has no model any more.
+        """
+        self._retired.setdefault(plant.indices, []).append(plant.model)
+        del plant.model
 
     def _compile(self, links: tuple[int, ...], kinds: tuple[SeatKind, ...]) -> mujoco.MjModel:
         arm = self.arm

@@ -2,13 +2,18 @@
 
 It answers the same calls as `SimulatedRig`, draws the same torques, noise and starting
 places from the same generators, and reads its records with the same sensors. Only the engine
-differs: no collision, no solver, one compiled loop (see `loose_env.rig.simulation.small_motion`).
-It needs numba, which ``pip install 'loose-env[fast]'`` brings.
+differs: no collision, no solver, one compiled loop that takes eight arms at once from torque to
+low-passed readings (see `loose_env.rig.simulation.small_motion`). Linearisation and sensors work on
+whole batches; every sum is taken in an order that the batch does not change. It needs numba, which
+``pip install 'loose-env[fast]'`` brings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 
 import mujoco
 import numpy as np
@@ -16,17 +21,25 @@ import numpy as np
 from loose_env.arms import Arm, LinearArm, MismatchDraw
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault, Healthy
-from loose_env.rig.jobs import Job, Run, check_jobs, whole_factor
+from loose_env.rig.jobs import Job, check_jobs, whole_factor
 from loose_env.rig.measurement import Measurement
-from loose_env.rig.plant import Plant, PlantShop
-from loose_env.rig.simulation.controls import controls
-from loose_env.rig.simulation.reading import read_record
-from loose_env.rig.simulation.slots import SlotRig
-from loose_env.rig.simulation.small_motion import require_one_part, small_motion
+from loose_env.rig.plant import Plant, PlantIndices, PlantShop
+from loose_env.rig.simulation.controls import Controls, controls
+from loose_env.rig.simulation.reading import AxesRead, Motion, Noise, draw_noise, read_records
+from loose_env.rig.simulation.slots import SlotRig, checked_slots, checked_threads
+from loose_env.rig.simulation.small_motion import (
+    MotionLayout,
+    SmallMotion,
+    require_one_part,
+    small_motions,
+)
 from loose_env.sensors import SensorSuite, decimation_filter
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 __all__ = ["ReducedRig"]
+
+
+_TOGETHER = 64  # arms whose signals are worked on at once: more than fit the cache are slower
 
 
 class ReducedRig(SlotRig):
@@ -46,6 +59,8 @@ class ReducedRig(SlotRig):
         What reads the motion.
     timestep : float, optional
         Simulation step [s]; the arm's own by default.
+    threads : int
+        Simulation threads; 0 takes all processors.
 
     Raises
     ------
@@ -70,16 +85,17 @@ class ReducedRig(SlotRig):
         slots: int = 1,
         sensors: SensorSuite | None = None,
         timestep: float | None = None,
+        threads: int = 0,
     ) -> None:
         try:
-            from loose_env.rig.simulation.small_motion_loop import integrate
+            from loose_env.rig.simulation import small_motion_loop
+            from loose_env.rig.simulation.lanes import LANES
         except ImportError as error:
             raise InvalidSetting(
                 "the reduced engine needs numba: pip install 'loose-env[fast]', or take the "
                 "engine 'mujoco'"
             ) from error
-        if isinstance(slots, bool) or not isinstance(slots, (int, np.integer)) or slots < 1:
-            raise InvalidSetting(f"a rig needs at least one slot, got {slots!r}")
+        slots, threads = checked_slots(slots), checked_threads(threads)
         if arm.shaker is not None:
             raise InvalidSetting("the reduced engine knows no shaker; take the engine 'mujoco'")
         self.arm = arm
@@ -90,11 +106,15 @@ class ReducedRig(SlotRig):
         self.shop = PlantShop(
             arm, timestep=self.timestep, link_accelerometers=self.sensors.link_accelerometers
         )
-        self._integrate = integrate
-        healthy = self.shop.build(Healthy(), MismatchDraw.none(arm))
-        self.plants: list[Plant] = [healthy] * int(slots)
+        # numba's stubs know no signature.
+        self._integrate: Callable[..., None] = small_motion_loop.integrate
+        self._lanes = LANES
+        self._threads = threads or os.cpu_count() or 1
+        self._axes = AxesRead(arm, self.sensors)
+        self._layouts: dict[PlantIndices, MotionLayout] = {}
+        self._healthy = healthy = self.shop.build(Healthy(), MismatchDraw.none(arm))
+        self.plants: list[Plant] = [healthy] * slots
         self._data = mujoco.MjData(healthy.model)
-        self._rooms: dict[int, Array] = {}
 
     def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
         """Put a new arm into a slot.
@@ -107,73 +127,136 @@ class ReducedRig(SlotRig):
         draw = MismatchDraw.none(self.arm) if mismatch is None else mismatch
         plant = self.shop.build(fault, draw)
         require_one_part(plant)
+        if self.plants[slot] is not self._healthy:
+            self.shop.retire(self.plants[slot])
         self.plants[slot] = plant
 
     def measure_each(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Measurement]]:
-        """Take measurements in sequence; yield each job's index and measurement."""
+        """Take measurements of one length together; yield each job's index and measurement."""
         check_jobs(self.arm, jobs)
+        alike: dict[tuple[object, ...], list[int]] = {}
         for k, job in enumerate(jobs):
-            yield k, self._measure(job)
+            alike.setdefault((job.excitation.duration, job.excitation.band), []).append(k)
+        for members in alike.values():
+            for first in range(0, len(members), _TOGETHER):
+                some = members[first : first + _TOGETHER]
+                yield from zip(some, self._measured([jobs[k] for k in some]), strict=True)
 
-    def _measure(self, job: Job) -> Measurement:
-        plant, arm = self.plants[job.slot], self.arm
-        rate, factor = self.sensors.rate, self.factor
-        half = len(decimation_filter(factor, self.sensors.accelerometer.bandwidth, rate)) // 2
-        before = round(arm.settling * rate) * factor
-        control = controls(
-            self.nominal,
-            [job],
-            timestep=self.timestep,
-            before=before,
-            after=max(half, factor) + 1,
+    def _measured(self, jobs: Sequence[Job]) -> list[Measurement]:
+        """Measure jobs of one length and band."""
+        plants = [self.plants[job.slot] for job in jobs]
+        mismatches = [plant.mismatch for plant in plants]
+        control = controls(self.nominal, jobs, timestep=self.timestep)
+        places = np.empty(len(jobs))
+        for k, (plant, job) in enumerate(zip(plants, jobs, strict=True)):
+            plant.hold_at(job.pose)
+            places[k] = plant.gaps[0] * (job.rng.random(plant.parts)[0] - 0.5)
+        gain = np.array([draw.drive_gain for draw in mismatches])
+        motions = small_motions(
+            plants,
+            [self._layout(plant) for plant in plants],
+            self._data,
+            excited=np.array([job.excitation.excited for job in jobs]),
+            places=places,
+            torque=control.constant * gain,
+            mixing=self._axes.mixing(mismatches),
+            mixed=self._axes.sensor,
         )
-        plant.hold_at(job.pose)
-        place = float(plant.gaps[0] * (job.rng.random(plant.parts)[0] - 0.5))
-        motion = small_motion(plant, arm, self._data, job.excitation, place)
-        delivered = control[0] * plant.mismatch.drive_gain
-        channels = len(motion.still) + arm.n
-        recorded = self._room(len(delivered) * channels).reshape(len(delivered), channels)
-        self._integrate(
-            motion.mobility,
-            motion.stiffness,
-            motion.damping,
-            motion.force,
-            motion.start,
-            motion.drives,
-            np.flatnonzero(np.abs(delivered).max(axis=0) > 0),
-            motion.readings,
-            motion.tilting,
-            motion.still,
-            motion.encoders,
-            motion.zero,
-            motion.seat,
-            np.zeros(11) if motion.law is None else motion.law.numbers,
-            delivered,
-            self.timestep,
-            recorded,
-        )
-        run = Run(
-            jobs=[job],
-            control=control,
-            delivered=delivered[None],
-            recorded=recorded[None],
-            before=before,
-            count=round(job.excitation.duration * rate),
-        )
-        if not np.isfinite(recorded[-1]).all():
-            run.failures[job.slot] = "the simulation diverged: motion not finite"
-        return read_record(
-            run,
-            0,
-            arm=arm,
+        delivered = control.periods * gain[control.records, control.drives][:, None]
+        count = round(jobs[0].excitation.duration * self.sensors.rate)
+        motion, noise = self._integrated(motions, control, delivered, jobs, count)
+        finite = np.isfinite(motion.smooth).all(axis=(1, 2))
+        finite &= np.isfinite(motion.position).all(axis=(1, 2))
+        return read_records(
+            motion,
+            noise,
+            self._axes,
+            jobs,
+            control,
+            arm=self.arm,
             sensors=self.sensors,
-            factor=factor,
-            mismatch=plant.mismatch,
-            gravity=self.nominal.at(job.pose).gravity_torque,
+            factor=self.factor,
+            joint_zero=np.array([draw.joint_zero for draw in mismatches]),
+            failures={
+                jobs[int(k)].slot: "the simulation diverged: motion not finite"
+                for k in np.flatnonzero(~finite)
+            },
         )
 
-    def _room(self, size: int) -> Array:
-        """Allocate or reuse the buffers of the recorded channels."""
-        if size not in self._rooms:
-            self._rooms[size] = np.empty(size)
-        return self._rooms[size]
+    def _integrated(
+        self,
+        motions: SmallMotion,
+        control: Controls,
+        delivered: Array,
+        jobs: Sequence[Job],
+        count: int,
+    ) -> tuple[Motion, Noise]:
+        """Integrate the arms, so many at once as there are lanes; draw the noise meanwhile."""
+        motion = Motion(
+            smooth=np.empty((len(jobs), motions.still.shape[1], count)),
+            position=np.empty((len(jobs), self.arm.n, count + 2)),
+        )
+
+        def some(first: int) -> None:
+            last = min(first + self._lanes, len(jobs))
+            own = (control.records >= first) & (control.records < last)
+            self._integrate_some(
+                first,
+                last,
+                motions,
+                motion,
+                delivered[own],
+                control.records[own] - first,
+                control.drives[own],
+            )
+
+        starts = range(0, len(jobs), self._lanes)
+        with ExitStack() as stack:
+            waiting = []
+            if self._threads > 1:  # compiled loops and draws run beside each other
+                pool = stack.enter_context(ThreadPoolExecutor(self._threads))
+                waiting = [pool.submit(some, first) for first in starts]
+            noise = draw_noise(jobs, self._axes, joints=self.arm.n, count=count)
+            for done in waiting:
+                done.result()
+        if not waiting:
+            for first in starts:
+                some(first)
+        return motion, noise
+
+    def _integrate_some(
+        self,
+        first: int,
+        last: int,
+        motions: SmallMotion,
+        motion: Motion,
+        delivered: Array,
+        lanes: IndexArray,
+        drives: IndexArray,
+    ) -> None:
+        """Integrate the arms of one run of the loop; unused lanes repeat the last arm."""
+        chosen = np.minimum(np.arange(first, first + self._lanes), last - 1)
+        driven, at = np.unique(drives, return_inverse=True)
+        torque = np.zeros((len(driven), self._lanes, delivered.shape[1]))
+        torque[at, lanes] = delivered
+        seen = np.empty((motion.smooth.shape[1], motion.smooth.shape[2], self._lanes))
+        turned = np.empty((motion.position.shape[1], motion.position.shape[2], self._lanes))
+        self._integrate(
+            *(np.ascontiguousarray(np.moveaxis(part[chosen], 0, -1)) for part in motions.parts),
+            np.ascontiguousarray(torque.transpose(0, 2, 1)),
+            driven,
+            self.timestep,
+            round(self.arm.settling * self.sensors.rate) * self.factor,
+            self.factor,
+            decimation_filter(self.factor, self.sensors.accelerometer.bandwidth, self.sensors.rate),
+            seen,
+            turned,
+        )
+        motion.smooth[first:last] = seen.transpose(2, 0, 1)[: last - first]
+        motion.position[first:last] = turned.transpose(2, 0, 1)[: last - first]
+
+    def _layout(self, plant: Plant) -> MotionLayout:
+        found = self._layouts.get(plant.indices)
+        if found is None:
+            found = self._layouts[plant.indices] = MotionLayout(plant)
+        return found

@@ -11,15 +11,14 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from loose_env.arms import Arm, LinearArm, MismatchDraw, quiet
-from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault, Healthy
 from loose_env.rig.jobs import Job, Run, check_jobs, whole_factor
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant, PlantShop
-from loose_env.rig.simulation.controls import controls
+from loose_env.rig.simulation.controls import Controls, controls
 from loose_env.rig.simulation.engines import Engine, Engines
-from loose_env.rig.simulation.reading import read_record
-from loose_env.rig.simulation.slots import SlotRig
+from loose_env.rig.simulation.reading import AxesRead, draw_noise, read_records, sampled
+from loose_env.rig.simulation.slots import SlotRig, checked_slots, checked_threads
 from loose_env.sensors import SensorSuite, decimation_filter
 from loose_env.typing import Array
 
@@ -30,9 +29,10 @@ _CHUNK = 16  # arms simulated in one call; reading one chunk overlaps with the n
 
 @dataclass(kw_only=True, eq=False)
 class _EngineRun(Run):
-    """Batch of jobs and the engine that simulates it."""
+    """Batch of jobs, what is played to it, and the engine that simulates it."""
 
     engine: Engine
+    control: Controls
 
 
 class SimulatedRig(SlotRig):
@@ -75,19 +75,18 @@ class SimulatedRig(SlotRig):
         timestep: float | None = None,
         threads: int = 0,
     ) -> None:
-        if isinstance(slots, bool) or not isinstance(slots, (int, np.integer)) or slots < 1:
-            raise InvalidSetting(f"a rig needs at least one slot, got {slots!r}")
-        if isinstance(threads, bool) or not isinstance(threads, int) or threads < 0:
-            raise InvalidSetting(f"threads is a whole number, 0 for all, got {threads!r}")
+        slots = checked_slots(slots)
+        threads = checked_threads(threads)
         self.arm = arm
         self.sensors = sensors if sensors is not None else SensorSuite()
         self.timestep = arm.timestep if timestep is None else timestep
         self.factor = whole_factor(self.sensors.rate, self.timestep)
         self.nominal = LinearArm(arm)
+        self._axes = AxesRead(arm, self.sensors)
         self.shop = PlantShop(
             arm, timestep=self.timestep, link_accelerometers=self.sensors.link_accelerometers
         )
-        self._engines = Engines(self.shop, int(slots), threads)
+        self._engines = Engines(self.shop, slots, threads)
         # One each: a plant's model holds the pose at which its brakes and springs rest.
         self.plants: list[Plant] = [
             self.shop.build(Healthy(), MismatchDraw.none(arm)) for _ in range(slots)
@@ -123,9 +122,9 @@ class SimulatedRig(SlotRig):
         if self._models_changed:
             self._engines.load(self.plants)
             self._models_changed = False
-        alike: dict[tuple[float, int], list[int]] = {}  # of one length and one model layout
+        alike: dict[tuple[object, ...], list[int]] = {}  # of one length and one model layout
         for k, job in enumerate(jobs):
-            key = (job.excitation.duration, self.plants[job.slot].parts)
+            key = (job.excitation.duration, job.excitation.band, self.plants[job.slot].parts)
             alike.setdefault(key, []).append(k)
         chunks: list[list[int]] = []
         for members in alike.values():
@@ -162,17 +161,15 @@ class SimulatedRig(SlotRig):
         factor, rate = self.factor, self.sensors.rate
         half = len(decimation_filter(factor, self.sensors.accelerometer.bandwidth, rate)) // 2
         before = round(self.arm.settling * rate) * factor
-        control = controls(
-            self.nominal,
-            jobs,
-            timestep=self.timestep,
+        control = controls(self.nominal, jobs, timestep=self.timestep)
+        delivered = control.signals(
+            drives=self.arm.n + (self.arm.shaker is not None),
             before=before,
             after=max(half, factor) + 1,
         )
         engine = self._engines.of(self.plants[jobs[0].slot].parts)
         batch = engine.batch
         position, active = batch.bind("qpos"), batch.bind("eq_active")
-        delivered = np.empty_like(control)
         for k, job in enumerate(jobs):
             plant = self.plants[job.slot]
             batch.state[job.slot] = engine.rest
@@ -184,14 +181,13 @@ class SimulatedRig(SlotRig):
             if self.arm.shaker is not None and job.excitation.shaker_rms > 0:
                 released[self.arm.shaker.joint - 1] = True
             active[job.slot, plant.brakes] = ~released
-            delivered[k, :, : self.arm.n] = control[k, :, : self.arm.n] * plant.mismatch.drive_gain
-            delivered[k, :, self.arm.n :] = control[k, :, self.arm.n :]
+            delivered[k, :, : self.arm.n] *= plant.mismatch.drive_gain
         return _EngineRun(
             jobs=jobs,
             engine=engine,
             control=control,
             delivered=delivered,
-            recorded=self._buffer(room, len(jobs), control.shape[1], batch.model.nsensordata),
+            recorded=self._buffer(room, len(jobs), delivered.shape[1], batch.model.nsensordata),
             before=before,
             count=round(jobs[0].excitation.duration * rate),
         )
@@ -204,7 +200,7 @@ class SimulatedRig(SlotRig):
         try:
             with quiet():
                 batch.rollout(
-                    run.control.shape[1],
+                    run.delivered.shape[1],
                     run.delivered,
                     record=("sensordata",),
                     ids=ids,
@@ -230,16 +226,27 @@ class SimulatedRig(SlotRig):
             self._rooms[room] = np.empty(size)
         return self._rooms[room][:size].reshape(jobs, steps, -1)
 
-    def _read_all(self, run: Run) -> list[Measurement]:
-        return [
-            read_record(
-                run,
-                k,
-                arm=self.arm,
-                sensors=self.sensors,
-                factor=self.factor,
-                mismatch=self.plants[job.slot].mismatch,
-                gravity=self.nominal.at(job.pose).gravity_torque,
-            )
-            for k, job in enumerate(run.jobs)
-        ]
+    def _read_all(self, run: _EngineRun) -> list[Measurement]:
+        mismatches = [self.plants[job.slot].mismatch for job in run.jobs]
+        motion = sampled(
+            run.recorded,
+            self._axes,
+            self._axes.mixing(mismatches),
+            sensors=self.sensors,
+            joints=self.arm.n,
+            factor=self.factor,
+            before=run.before,
+            count=run.count,
+        )
+        return read_records(
+            motion,
+            draw_noise(run.jobs, self._axes, joints=self.arm.n, count=run.count),
+            self._axes,
+            run.jobs,
+            run.control,
+            arm=self.arm,
+            sensors=self.sensors,
+            factor=self.factor,
+            joint_zero=np.array([draw.joint_zero for draw in mismatches]),
+            failures=run.failures,
+        )

@@ -45,15 +45,27 @@ def as_record(values: ArrayLike, name: str) -> Array:
     return samples.reshape(-1, samples.shape[-1])
 
 
+def as_records(values: ArrayLike, name: str) -> Array:
+    """Return `values`, of shape (N,) or (..., k, N), as samples of shape (..., k, N)."""
+    samples = as_samples(values, name)
+    return samples[None] if samples.ndim == 1 else samples
+
+
 def as_direction(direction: ArrayLike, dimension: int, name: str = "direction") -> Array:
     """Return `direction` as a unit vector with `dimension` components."""
     vector = as_floats(direction, name)
     if vector.shape != (dimension,):
         raise InvalidData(f"{name} has shape {vector.shape}; it must be ({dimension},)")
-    length = float(np.sqrt(np.sum(vector * vector)))
-    if not (math.isfinite(length) and length > 0.0):
-        raise InvalidData(f"{name} is {vector}; it needs a length above zero")
-    return vector / length
+    return as_directions(vector, name)
+
+
+def as_directions(directions: ArrayLike, name: str = "direction") -> Array:
+    """Return `directions`, of shape (..., d), as unit vectors."""
+    vectors = np.atleast_1d(as_floats(directions, name))
+    length = np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True))
+    if not (np.isfinite(length) & (length > 0.0)).all():
+        raise InvalidData(f"{name} is {vectors}; it needs a length above zero")
+    return np.asarray(vectors / length)
 
 
 def as_angles(angles: ArrayLike) -> Array:

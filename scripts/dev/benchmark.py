@@ -1,17 +1,21 @@
 """Speed and size of the vector environment, each as a ratio within one run.
 
 Usage: python scripts/dev/benchmark.py [--arms 64] [--rounds 4] [--ids ...] [--model arm.xml]
-[--quick]
+[--engines] [--quick]
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import subprocess
 import sys
+import tarfile
+import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,6 +32,8 @@ from loose_env.envs import DiagnosisEnv, EpisodeBatch
 from loose_env.errors import InvalidSetting
 from loose_env.rig import Run, SimulatedRig
 
+EARLIER = "e3f7207"
+"""Last commit whose reduced engine worked out one record after the other."""
 IDS = ("loose_env/Vera-v0", "loose_env/Planar-v0", "loose_env/SixAxis-v0")
 
 
@@ -116,17 +122,23 @@ def new_batch(
 
 
 @quiet()  # the same for every rival: no timers in the engine
-def seconds_per_record(batch: EpisodeBatch, rounds: int, duration: int | None) -> float:
-    """Time the steps of a batch; every third round starts new episodes, as agents do."""
+def seconds_per_record(
+    batch: EpisodeBatch, rounds: int, duration: int | None, *, of_processor: bool = False
+) -> float:
+    """Time the steps of a batch; every third round starts new episodes, as agents do.
+
+    Seconds of processor time, of all threads together, do not depend on what else runs.
+    """
+    clock = time.process_time if of_processor else time.perf_counter
     rng = np.random.default_rng(0)
     batch.step(range(batch.num), actions_of(batch, rng, duration))  # warm up
-    begin = time.perf_counter()
+    begin = clock()
     for k in range(rounds):
         if k % 3 == 0:
             for slot in range(batch.num):
                 batch.start(slot, seed=slot, number=1 + k)
         batch.step(range(batch.num), actions_of(batch, rng, duration))
-    return (time.perf_counter() - begin) / (rounds * batch.num)
+    return (clock() - begin) / (rounds * batch.num)
 
 
 @quiet()
@@ -165,45 +177,6 @@ def bare_seconds_per_record(env_id: str, arms: int, rounds: int, duration: int |
     return spent / (rounds * arms)
 
 
-def engine_times(env_id: str, arms: int, rounds: int) -> tuple[float, float, float]:
-    """Time the longest records on both engines, in turn, twice each [s a record].
-
-    Returns
-    -------
-    tuple of 3 floats
-        MuJoCo on all threads; on one; the reduced engine, which has one.
-    """
-    found = []
-    for _ in range(2):
-        batches = (
-            new_batch(env_id, arms),
-            new_batch(env_id, arms, threads=1),
-            new_batch(env_id, arms, engine="reduced"),
-        )
-        last = len(batches[0].settings.durations) - 1
-        found.append([seconds_per_record(batch, rounds, last) for batch in batches])
-    every, one, reduced = np.min(found, axis=0)
-    return float(every), float(one), float(reduced)
-
-
-def print_engines(ids: Sequence[str], arms: int, rounds: int) -> None:
-    """Print the reduced engine beside MuJoCo's."""
-    head = f"\n{'environment':22}{'record':>8}{'reduced':>10}{'records/s':>11}"
-    print(head + f"{'vs mujoco':>15}{'vs mujoco on one thread':>28}")
-    for env_id in ids:
-        duration = new_batch(env_id, 1).settings.durations[-1]
-        try:
-            every, one, reduced = engine_times(env_id, arms, rounds)
-        except InvalidSetting as error:  # numba is missing, or the arm stands at a shaker
-            print(f"{env_id:22}{error}")
-            continue
-        print(
-            f"{env_id:22}{f'{duration} s':>8}{1e3 * reduced:>7.1f} ms{1 / reduced:>11.1f}"
-            f"{every / reduced:>15.2f}{one / reduced:>28.2f}",
-            flush=True,
-        )
-
-
 def make_rival(env_id: str) -> gymnasium.Env[Any, Any]:
     """Make the single environment on the Python loop."""
     env = gymnasium.make(env_id).unwrapped
@@ -224,6 +197,85 @@ def subprocess_seconds_per_record(env_id: str, records: int, duration: int | Non
     spent = time.perf_counter() - begin
     rivals.close()
     return spent / (2 * (records // 2))
+
+
+@contextmanager
+def earlier_code(commit: str) -> Iterator[Path | None]:
+    """Folder with this repository's package as of a commit; None where git does not have it."""
+    with tempfile.TemporaryDirectory() as folder:
+        top = Path(__file__).parents[2]
+        command = ["git", "-C", str(top), "archive", commit, "loose_env"]
+        packed = subprocess.run(command, capture_output=True, check=False)
+        if packed.returncode:
+            yield None
+            return
+        with tarfile.open(fileobj=io.BytesIO(packed.stdout)) as archive:
+            archive.extractall(folder, filter="data")
+        yield Path(folder)
+
+
+def engine_times(
+    env_id: str, arms: Sequence[int], rounds: int, duration: int | None, earlier: Path | None
+) -> list[tuple[int, float, float, float, float, float]]:
+    """Time the reduced engine and its rivals in turn; all but the reduced ones once.
+
+    Returns
+    -------
+    list of (int, float, float, float, float, float)
+        For each number of arms: itself, then seconds a record of the reduced engine; seconds of
+        processor time of it, of its earlier code (NaN without it) and of MuJoCo; seconds of two
+        processes. MuJoCo and these are timed at the smallest number: more arms change little.
+    """
+    least = min(arms)
+    wall: dict[int, list[float]] = {count: [] for count in arms}
+    ours: dict[int, list[float]] = {count: [] for count in arms}
+    before: dict[int, list[float]] = {count: [] for count in arms}
+    for _ in range(2):
+        for count in arms:
+            batch = new_batch(env_id, count, engine="reduced")
+            wall[count].append(seconds_per_record(batch, rounds, duration))
+            batch = new_batch(env_id, count, engine="reduced", threads=1)
+            ours[count].append(seconds_per_record(batch, rounds, duration, of_processor=True))
+            if earlier is not None:
+                code = (
+                    "import sys\n"
+                    f"sys.path[:0] = [{str(earlier)!r}, {str(Path(__file__).parent)!r}]\n"
+                    "import benchmark as b\n"
+                    f"made = b.new_batch({env_id!r}, {count}, engine='reduced')\n"
+                    f"print(b.seconds_per_record(made, {rounds}, {duration}, of_processor=True))"
+                )
+                before[count].append(float(child(code)))
+    mujoco = seconds_per_record(new_batch(env_id, least, threads=1), 1, duration, of_processor=True)
+    loop = subprocess_seconds_per_record(env_id, max(least, 16), duration)
+    return [
+        (n, min(wall[n]), min(ours[n]), min(before[n], default=float("nan")), mujoco, loop)
+        for n in arms
+    ]
+
+
+def print_engines(
+    ids: Sequence[str], arms: Sequence[int], rounds: int, *, commit: str = EARLIER
+) -> None:
+    """Print the reduced engine beside its own earlier code and the other ways to simulate."""
+    print("\nratios to the earlier code and to MuJoCo are of processor time on one thread")
+    head = f"{'environment':22}{'record':>8}{'arms':>6}{'records/s':>11}{'per CPU s':>11}"
+    print(head + f"{'vs ' + commit[:7]:>12}{'vs mujoco':>11}{'vs 2 processes':>16}")
+    with earlier_code(commit) as earlier:
+        for env_id in ids:
+            durations = new_batch(env_id, 1).settings.durations
+            for duration in (len(durations) - 1, None):
+                name = "mixed" if duration is None else f"{durations[duration]} s"
+                try:
+                    found = engine_times(env_id, arms, rounds, duration, earlier)
+                except InvalidSetting as error:  # numba is missing, or the arm stands at a shaker
+                    print(f"{env_id:22}{error}")
+                    break
+                for count, wall, ours, before, mujoco, loop in found:
+                    print(
+                        f"{env_id:22}{name:>8}{count:>6}{1 / wall:>11.1f}{1 / ours:>11.1f}"
+                        f"{before / ours:>12.2f}{mujoco / ours:>11.2f}{loop / wall:>16.2f}",
+                        flush=True,
+                    )
 
 
 def child(code: str) -> str:
@@ -266,7 +318,8 @@ def file_times(model: Path, arms: int) -> tuple[float, float, float]:
     """
     code = (
         "import time, warnings; warnings.simplefilter('ignore'); begin = time.perf_counter()\n"
-        "import numpy as np, loose_env, loose_env.envs.vector_env; from loose_env.arms import Arm\n"
+        "import numpy as np, loose_env, loose_env.envs.vector_env\n"
+        "from loose_env.arms import arm_from_file\n"
         "imported = time.perf_counter()\n"
         f"arm = arm_from_file({str(model)!r})\n"
         f"env = loose_env.envs.vector_env.DiagnosisVectorEnv(arm, num_envs={arms})\n"
@@ -285,6 +338,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table of ratios."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--arms", type=int, default=64, help="arms side by side")
+    parser.add_argument("--many", type=int, default=256, help="arms in the engines' further rows")
+    parser.add_argument("--engines", action="store_true", help="only the table of engines")
+    parser.add_argument("--earlier", default=EARLIER, help="commit of the earlier reduced engine")
     parser.add_argument("--rounds", type=int, default=4, help="timed steps of the whole batch")
     parser.add_argument("--ids", nargs="*", default=list(IDS), help="environments to time")
     parser.add_argument("--model", type=Path, default=DESK_ARM, help="file of an arm to start from")
@@ -292,6 +348,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     arms, rounds = (16, 1) if options.quick else (options.arms, options.rounds)
     print(f"{os.cpu_count()} processors, {arms} arms, times per record\n")
+    counts = sorted({arms, arms if options.quick else options.many})
+    if options.engines:
+        print_engines(options.ids, counts, rounds, commit=options.earlier)
+        return
     head = f"{'environment':22}{'record':>8}{'ours':>10}{'records/s':>11}"
     print(head + f"{'of bare batch':>15}{'vs 2 processes':>16}{'vs rollout':>12}")
     for env_id in options.ids:
@@ -313,7 +373,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 f"{min(bare) / mine:>15.2f}{loop / mine:>16.2f}{min(rollout) / mine:>12.2f}",
                 flush=True,
             )
-    print_engines(options.ids, arms, rounds)
+    print_engines(options.ids, counts, rounds, commit=options.earlier)
     many = 4 * arms
     for env_id in options.ids:
         print(

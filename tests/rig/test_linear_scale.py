@@ -18,12 +18,13 @@ def test_each_row_has_the_noise_and_the_step_of_its_own_scale() -> None:
     sensor = Encoder(resolution=1e-5, noise=3e-5, linear_resolution=1e-6, linear_noise=5e-6)
     true = np.zeros((3, 20_000))
     sliding = np.array([False, True, False])
-    read = read_encoder(true, sensor=sensor, rng=np.random.default_rng(0), sliding=sliding)
+    drawn = np.random.default_rng(0).standard_normal(true.shape)
+    read = read_encoder(true, sensor=sensor, drawn=drawn, sliding=sliding)
     assert read.std(axis=1) == pytest.approx([3e-5, 5e-6, 3e-5], rel=0.05)
     for row, step in zip(read, (1e-5, 1e-6, 1e-5), strict=True):
         np.testing.assert_allclose(row / step, np.round(row / step), atol=1e-6)
     # The hinges' readings are those of an arm without a slide.
-    plain = read_encoder(true, sensor=sensor, rng=np.random.default_rng(0))
+    plain = read_encoder(true, sensor=sensor, drawn=drawn)
     np.testing.assert_array_equal(read[[0, 2]], plain[[0, 2]])
 
 

@@ -138,6 +138,73 @@ def test_episodes_hide_the_same_faults_on_either_engine():
     assert np.abs(found[0][2] - found[1][2]).max() < 0.2
 
 
+def played(arm, num, threads, episodes):
+    """Observations of two steps of some episodes, by the number of each."""
+    batch = EpisodeBatch(arm, DiagnosisSettings(engine="reduced"), num=num, threads=threads)
+    found = {}
+    for first in range(0, len(episodes), num):
+        mine = episodes[first : first + num]
+        for slot, number in enumerate(mine):
+            batch.start(slot, seed=9, number=number)
+        for step in range(2):
+            actions = []
+            for number in mine:  # every length, every number of joints
+                rng = np.random.default_rng([number, step])
+                levels = rng.integers(0, 4, arm.n) * (rng.random(arm.n) < 0.6)
+                moves = rng.integers(0, len(batch.settings.moves), arm.n)
+                duration = int(rng.integers(len(batch.settings.durations)))
+                actions.append(batch.actions.encode(moves=moves, levels=levels, duration=duration))
+            batch.step(range(len(mine)), actions)
+        found |= {number: batch.observe(slot) for slot, number in enumerate(mine)}
+    return found
+
+
+@pytest.mark.parametrize("name", ["planar4", "vera", "six_axis"])
+def test_episodes_are_the_same_bit_for_bit_at_any_batch_size_and_thread_count(name):
+    arm = ARMS[name]()
+    episodes = list(range(37))
+    alone = played(arm, 1, 1, episodes[::4])
+    assert all(observation.any() for observation in alone.values())
+    for num, threads in ((37, 1), (37, 2), (11, 3)):
+        found = played(arm, num, threads, episodes)
+        for number, observation in alone.items():
+            assert np.array_equal(found[number], observation), (num, threads, number)
+
+
+def energy_p_value(one, other, rounds=400):
+    """Permutation p-value of the energy distance between two samples (rows, features)."""
+    both = np.concatenate([one, other])
+    both = (both - both.mean(0)) / np.maximum(both.std(0), 1e-9)
+    apart = np.sqrt(((both[:, None] - both) ** 2).sum(-1))
+    sign = np.repeat([1.0 / len(one), -1.0 / len(other)], [len(one), len(other)])
+    rng = np.random.default_rng(0)
+    drawn = np.array([rng.permutation(sign) for _ in range(rounds)])
+    # -w' D w with w = 1/n in one sample and -1/m in the other is the energy distance.
+    by_chance = -np.einsum("ri,ij,rj->r", drawn, apart, drawn)
+    return (1 + np.sum(by_chance >= -sign @ apart @ sign)) / (1 + rounds)
+
+
+def records_of(arm, engine, seeds, **options):
+    """First record of one arm for each seed, all joints shaken (seeds, features)."""
+    batch = EpisodeBatch(arm, DiagnosisSettings(engine=engine), num=len(seeds))
+    shaking = batch.actions.encode(levels=np.full(arm.n, 3), duration=0)
+    for slot, seed in enumerate(seeds):
+        batch.start(slot, seed=seed, number=0, options={"pose": np.full(arm.n, 0.4)} | options)
+    batch.step(range(batch.num), [shaking] * batch.num)
+    return np.array([batch.episode(slot).slots[0] for slot in range(batch.num)])
+
+
+@pytest.mark.parametrize("name", ["planar4", "vera", "six_axis"])
+def test_no_two_sample_test_tells_the_engines_apart(name):
+    arm = ARMS[name]()
+    reduced = records_of(arm, "reduced", range(90))
+    mujoco = records_of(arm, "mujoco", range(1000, 1060))
+    assert energy_p_value(reduced, mujoco) > 0.01
+    # It would see seats that never open.
+    shut = records_of(arm, "reduced", range(1000, 1090), fault="healthy")
+    assert energy_p_value(reduced, shut) < 0.01
+
+
 def test_slots_do_not_depend_on_each_other():
     arm = planar(2)
     batch = EpisodeBatch(arm, DiagnosisSettings(engine="reduced"), num=3)

@@ -1,4 +1,4 @@
 """Linear response of an arm to joint torques, and its nominal-model mismatch.
 
-Data flow: linear -> mismatch -> sensor_sites -> shaken.
+Data flow: open_seats -> stiffness -> linear -> mismatch -> sensor_sites -> shaken.
 """

@@ -19,67 +19,67 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
+from loose_env.arms.response.open_seats import OpenResponse
+from loose_env.arms.response.stiffness import dynamic_stiffness, solved
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["LinearArm", "LinearPose", "OpenResponse", "Response", "inertance_rate"]
+__all__ = ["LinearArm", "LinearPose", "Response"]
 
 _TURNS = {2: (5,), 3: (3, 4, 5)}  # rotations among the six motions of a link: in plane, in space
 
 
-def inertance_rate(timestep: float) -> float:
-    """Corner [rad/s] of the holding constraint: its inertance is stiffness / corner².
-
-    A brake is a constraint of MuJoCo's solver. The solver adds an inertance to the spring
-    and the damper, which keeps a stiff brake stable; half a radian per step is well inside
-    the stable range of the integrator.
-    """
-    return 0.5 / timestep
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
     """The healthy arm's answer per unit torque at each excited joint, over the band."""
 
-    frequency: Array
-    """Frequencies [Hz] (K,)."""
-    joint: ComplexArray
-    """Joint acceleration per torque [rad/s² per N·m], (K, n joints, m excited)."""
+    pose: LinearPose
+    """The arm in its pose."""
+    acceleration: ComplexArray
+    """Acceleration of joints, then bending modes, per torque (K, v, m)."""
     tool: ComplexArray
     """Tool acceleration per torque, tool frame [m/s² per N·m], (K, d, m)."""
-    slide: ComplexArray
-    """Force each shut slide transmits per torque [N per N·m], (K, n links, s axes, m)."""
-    hinge: ComplexArray
-    """Torque each joint's link side transmits per torque [1], force where the joint slides
-    [N per N·m], (K, n joints, m)."""
-    twist: ComplexArray | None = None
-    """Load through each shut seat per torque: forces, then moments about the link frame's
-    origin [N or N·m per N·m], (K, n links, t, m); None without rotations. See
-    `LinearArm.twist_dofs`."""
 
+    @property
+    def frequency(self) -> Array:
+        """Frequencies [Hz] (K,)."""
+        return self.pose.linear.frequency
 
-@dataclass(frozen=True, kw_only=True)
-class OpenResponse:
-    """Response of the arm through each of its seats, were it open, over the band."""
+    @property
+    def joint(self) -> ComplexArray:
+        """Joint acceleration per torque [rad/s² per N·m], (K, n joints, m excited)."""
+        return self.acceleration[:, : self.pose.linear.arm.n]
 
-    tool_open_slide: ComplexArray
-    """Change of tool acceleration per unit seat acceleration, (K, d, n links, s axes)."""
-    joint_open_slide: ComplexArray
-    """Change of excited joint acceleration per unit seat acceleration, (K, m, n, s)."""
-    mass_slide: ComplexArray
-    """Apparent mass seen by the seats' slides [kg], (K, n, s, s)."""
-    tool_open_hinge: ComplexArray
-    """As `tool_open_slide`, for play in a joint, (K, d, n)."""
-    joint_open_hinge: ComplexArray
-    """As `joint_open_slide`, for play in a joint, (K, m, n)."""
-    inertia_hinge: ComplexArray
-    """Apparent inertia seen by the joints' link sides [kg·m², kg where it slides], (K, n)."""
-    tool_open_twist: ComplexArray | None = None
-    """As `tool_open_slide`, for slides and rotations of links, (K, d, n, t); None without."""
-    joint_open_twist: ComplexArray | None = None
-    """As `joint_open_slide`, for slides and rotations of links, (K, m, n, t); None without."""
-    mass_twist: ComplexArray | None = None
-    """Apparent mass of slides and rotations of links [kg, kg·m, kg·m²], (K, n, t, t)."""
+    @property
+    def slide(self) -> ComplexArray:
+        """Force each shut slide transmits per torque [N per N·m], (K, n links, s axes, m)."""
+        n, axes = self.pose.linear.slide_dofs.shape
+        return self._transmitted[:, : n * axes].reshape(-1, n, axes, self.tool.shape[-1])
+
+    @property
+    def hinge(self) -> ComplexArray:
+        """Load each joint's link side transmits per torque (K, n joints, m).
+
+        A torque [1], or a force where the joint slides [N per N·m].
+        """
+        n, axes = self.pose.linear.slide_dofs.shape
+        return self._transmitted[:, n * axes : n * axes + n]
+
+    @property
+    def twist(self) -> ComplexArray | None:
+        """Load through each shut seat per torque (K, n links, t, m); None without rotations.
+
+        Forces, then moments about the link frame's origin [N or N·m per N·m]; see
+        `LinearArm.twist_dofs`.
+        """
+        pose = self.pose
+        return self._transmitted[:, pose.twists] if pose.linear.rotations else None
+
+    @cached_property
+    def _transmitted(self) -> ComplexArray:
+        pose = self.pose
+        coupling = pose.inertia[np.ix_(pose.linear.moving, pose.seats)]
+        return np.asarray(np.einsum("vs,kvm->ksm", coupling, self.acceleration))
 
 
 class LinearArm:
@@ -189,6 +189,11 @@ class LinearArm:
         return np.concatenate([self.slide_dofs, self.turn_dofs], axis=1)
 
     @property
+    def moving(self) -> NDArray[np.intp]:
+        """Degrees of freedom that answer: joints, then bending modes (v,)."""
+        return np.concatenate([self.joint_dofs, self.flexible_dofs])
+
+    @property
     def springs(self) -> tuple[Array, Array]:
         """Stiffness and damping of the arm itself at every degree of freedom (nv,) each.
 
@@ -234,19 +239,66 @@ class LinearArm:
             found = self._cache[key] = self._linearise(q)
         return found
 
+    def responses(self, poses: Sequence[LinearPose], excited: NDArray[np.bool_]) -> list[Response]:
+        """Frequency responses at several poses of this arm at once; they remember them.
+
+        ``excited`` (B, n) says which joints are excited in each pose; all others are held.
+        """
+        masks = [tuple(row) for row in excited.tolist()]
+        missing: dict[int, dict[tuple[int, tuple[bool, ...]], LinearPose]] = {}
+        for pose, mask in zip(poses, masks, strict=True):
+            if mask not in pose.remembered:
+                missing.setdefault(sum(mask), {})[id(pose), mask] = pose
+        for asked in missing.values():
+            own = [mask for _, mask in asked]
+            answers = self._respond(list(asked.values()), np.array(own))
+            for pose, mask, answer in zip(asked.values(), own, answers, strict=True):
+                pose.remembered[mask] = answer
+        return [pose.remembered[mask] for pose, mask in zip(poses, masks, strict=True)]
+
+    def _respond(self, poses: Sequence[LinearPose], excited: NDArray[np.bool_]) -> list[Response]:
+        """Responses with equally many joints excited in each pose."""
+        move = self.moving
+        mass = np.array([pose.inertia[np.ix_(move, move)] for pose in poses])
+        count, m = excited.shape[0], int(excited[0].sum())
+        torque = np.zeros((len(move), m, count, len(self.frequency)), dtype=complex)
+        owner, driven = np.nonzero(excited)
+        torque[driven, np.tile(np.arange(m), count), owner] = 1.0
+        answer = solved(self.dynamic_stiffness(mass, excited), torque)
+        answer *= -((2 * np.pi * self.frequency) ** 2)
+        jacobian = np.array([pose.jacobian[:, move] for pose in poses])
+        tool = np.zeros((jacobian.shape[1], *answer.shape[1:]), dtype=complex)
+        for v in range(len(move)):
+            tool += jacobian[:, :, v].T[:, None, :, None] * answer[v]
+        # Contiguous for each pose, so that sums over it do not depend on the others.
+        acceleration = np.ascontiguousarray(answer.transpose(2, 3, 0, 1))
+        tool = np.ascontiguousarray(tool.transpose(2, 3, 0, 1))
+        return [
+            Response(pose=pose, acceleration=own, tool=moved)
+            for pose, own, moved in zip(poses, acceleration, tool, strict=True)
+        ]
+
+    def dynamic_stiffness(self, mass: Array, excited: NDArray[np.bool_]) -> ComplexArray:
+        """Dynamic stiffness of joints and bending modes (v, v, B, K)."""
+        springs, dampers = (own[self.moving] for own in self.springs)
+        return dynamic_stiffness(self.arm, mass, excited, self.frequency, springs, dampers)
+
     def _linearise(self, q: Array) -> LinearPose:
         model, data = self.model, self._data
-        mujoco.mj_resetData(model, data)
-        for name, value in zip(self.arm.joints, q, strict=True):
-            data.joint(name).qpos[0] = value
-        mujoco.mj_forward(model, data)
+        position = data.qpos
+        position[:] = model.qpos0
+        position[model.jnt_qposadr[model.dof_jntid[self.joint_dofs]]] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_makeM(model, data)
         inertia = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, inertia)
+        load = np.zeros(model.nv)
+        mujoco.mj_rne(model, data, 0, load)  # at rest: gravity alone
         jacobian = np.zeros((3, model.nv))
         mujoco.mj_jacSite(model, data, jacobian, None, self.tool)
         frame = data.site_xmat[self.tool].reshape(3, 3)
         jacobian = (frame.T @ jacobian)[list(self.arm.axes)]
-        load = data.qfrc_bias.copy()
         if self.play is not None:
             all_of = np.hstack([np.eye(model.nv), self.play])
             inertia, jacobian, load = all_of.T @ inertia @ all_of, jacobian @ all_of, load @ all_of
@@ -283,22 +335,18 @@ class LinearPose:
         return self.load[self.linear.slide_dofs]
 
     @cached_property
-    def _responses(self) -> dict[tuple[bool, ...], Response]:
+    def remembered(self) -> dict[tuple[bool, ...], Response]:
+        """Responses so far, by the joints excited; see `LinearArm.responses`."""
         return {}
 
     @property
-    def _moving(self) -> NDArray[np.intp]:
-        """Degrees of freedom that answer: joints, then bending modes."""
-        return np.concatenate([self.linear.joint_dofs, self.linear.flexible_dofs])
-
-    @property
-    def _seats(self) -> NDArray[np.intp]:
+    def seats(self) -> NDArray[np.intp]:
         """Degrees of freedom of all seats: slides, link sides of joints, then rotations."""
         lin = self.linear
         return np.concatenate([lin.slide_dofs.ravel(), lin.hinge_dofs, lin.turn_dofs.ravel()])
 
     @property
-    def _twists(self) -> NDArray[np.intp]:
+    def twists(self) -> NDArray[np.intp]:
         """Indices of each link's slides and rotations among the seats (n, t)."""
         slides, turns = self.linear.slide_dofs, self.linear.turn_dofs
         first = slides.size + len(self.linear.hinge_dofs)
@@ -312,57 +360,11 @@ class LinearPose:
 
     def response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> Response:
         """Return the frequency response with the given joints excited and all others held."""
-        mask = tuple(bool(e) for e in excited)
-        found = self._responses.get(mask)
-        if found is None:
-            found = self._responses[mask] = self._respond(np.array(mask))
-        return found
-
-    def _stiffness(self, excited: NDArray[np.bool_]) -> ComplexArray:
-        """Dynamic stiffness of joints and bending modes (K, v, v)."""
-        lin = self.linear
-        arm, model, move = lin.arm, lin.model, self._moving
-        omega = 2 * np.pi * lin.frequency
-        s = 1j * omega
-        diagonal = np.zeros((len(omega), len(move)), dtype=complex)
-        diagonal += s[:, None] * model.dof_damping[move]
-        joint_of = model.dof_jntid[move]
-        diagonal += model.jnt_stiffness[joint_of]
-        centring, holding = arm.centring, arm.holding
-        for j in range(arm.n):
-            diagonal[:, j] += centring.stiffness[j] + s * centring.damping[j]
-            if not excited[j]:
-                k, c = holding.stiffness[j], holding.damping[j]
-                inertance = k / inertance_rate(arm.timestep) ** 2
-                diagonal[:, j] += k + s * c - omega**2 * inertance
-        mass = self.inertia[np.ix_(move, move)]
-        stiffness = -(omega**2)[:, None, None] * mass.astype(complex)
-        stiffness[:, np.arange(len(move)), np.arange(len(move))] += diagonal
-        return np.asarray(stiffness)
-
-    def _respond(self, excited: NDArray[np.bool_]) -> Response:
-        lin, move = self.linear, self._moving
-        n, axes = lin.arm.n, lin.slide_dofs.shape[1]
-        driven = np.flatnonzero(excited)
-        count, m = len(lin.frequency), len(driven)
-        torque = np.zeros((count, len(move), m), dtype=complex)
-        torque[:, driven, np.arange(m)] = 1.0
-        acceleration = self._accelerations(excited, torque)
-        coupling = self.inertia[np.ix_(move, self._seats)]
-        transmitted = np.einsum("vs,kvm->ksm", coupling, acceleration)
-        slides = n * axes
-        return Response(
-            frequency=lin.frequency,
-            joint=acceleration[:, :n],
-            tool=np.einsum("dv,kvm->kdm", self.jacobian[:, move], acceleration),
-            slide=transmitted[:, :slides].reshape(count, n, axes, m),
-            hinge=transmitted[:, slides : slides + n],
-            twist=transmitted[:, self._twists] if lin.rotations else None,
-        )
+        return self.linear.responses([self], np.array([excited], dtype=bool))[0]
 
     def open_response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> OpenResponse:
         """Return the answer through every seat, with the given joints excited."""
-        lin, move, seats = self.linear, self._moving, self._seats
+        lin, move, seats = self.linear, self.linear.moving, self.seats
         mask = np.array([bool(e) for e in excited])
         n, axes, d = lin.arm.n, lin.slide_dofs.shape[1], self.jacobian.shape[0]
         driven = np.flatnonzero(mask)
@@ -375,7 +377,7 @@ class LinearPose:
         apparent = np.einsum("vs,kvt->kst", coupling, by_seat) + self.inertia[np.ix_(seats, seats)]
         ns = n * axes
         blocks = apparent[:, :ns, :ns].reshape(count, n, axes, n, axes)
-        hinges, at = slice(ns, ns + n), self._twists
+        hinges, at = slice(ns, ns + n), self.twists
         return OpenResponse(
             tool_open_slide=tool[:, :, :ns].reshape(count, d, n, axes),
             joint_open_slide=by_seat[:, driven, :ns].reshape(count, m, n, axes),
@@ -391,5 +393,8 @@ class LinearPose:
     def _accelerations(self, excited: NDArray[np.bool_], force: ComplexArray) -> ComplexArray:
         """Accelerations of joints and bending modes under generalised forces (K, v, ...)."""
         omega = 2 * np.pi * self.linear.frequency
-        motion = np.linalg.solve(self._stiffness(excited), force)
+        move = self.linear.moving
+        mass = self.inertia[np.ix_(move, move)]
+        stiffness = self.linear.dynamic_stiffness(mass[None], excited[None])[:, :, 0]
+        motion = np.linalg.solve(stiffness.transpose(2, 0, 1), force)
         return np.asarray(-(omega**2)[:, None, None] * motion, dtype=np.complex128)

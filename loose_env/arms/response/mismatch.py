@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting
 from loose_env.io import Checked, NonNegative
 from loose_env.typing import Array
 
-__all__ = ["Mismatch", "MismatchDraw"]
+__all__ = ["Mismatch", "MismatchDraw", "MismatchIndices"]
 
 _CUT = 3.0  # draws beyond three standard deviations are cut off
 _RELATIVE = ("length", "mass", "inertia", "stiffness", "damping", "gain", "cross_axis")
@@ -59,42 +61,54 @@ class Mismatch(Checked):
 
     def draw(self, arm: Arm, rng: np.random.Generator) -> MismatchDraw:
         """Draw one true arm."""
-        bodies, n = arm.model.nbody, arm.n
-
-        def normal(*shape: int) -> Array:
-            return np.clip(rng.standard_normal(shape), -_CUT, _CUT)
-
-        sensor = self._accelerometer(rng)
+        bodies, joints, n = arm.model.nbody, arm.model.njnt, arm.n
+        sensor = self._accelerometers(rng, 1)[0]
         # Seeded by the tool's, so that they take nothing from rng and change no later draw.
         own = np.random.default_rng(sensor.ravel().view(np.uint64))
-        link_sensors = np.array([self._accelerometer(own) for _ in range(n)])
-        return MismatchDraw(
-            length=1 + self.length * normal(bodies),
-            mass=1 + self.mass * normal(bodies),
-            inertia=1 + self.inertia * normal(bodies),
-            rotor=1 + self.inertia * normal(n),
-            stiffness=1 + self.stiffness * normal(arm.model.njnt),
-            damping=1 + self.damping * normal(arm.model.njnt),
-            holding_stiffness=1 + self.stiffness * normal(n),
-            holding_damping=1 + self.damping * normal(n),
-            tilt=np.radians(self.tilt) * normal(2),
-            drive_gain=1 + self.gain * normal(n),
-            sensor=sensor,
-            link_sensors=link_sensors,
-            joint_zero=np.radians(self.joint_zero) * normal(n),
+        names, ends, centre, deviation = self._layout(bodies, joints, n)
+        drawn = centre + deviation * _normal(rng, len(centre))
+        parts = {name: drawn[a:b] for name, a, b in zip(names, ends[:-1], ends[1:], strict=True)}
+        return MismatchDraw(sensor=sensor, link_sensors=self._accelerometers(own, n), **parts)
+
+    @lru_cache(maxsize=64)  # noqa: B019  (settings are few, small and equal by value)
+    def _layout(
+        self, bodies: int, joints: int, n: int
+    ) -> tuple[tuple[str, ...], tuple[int, ...], Array, Array]:
+        """Parts of a draw in their order, their ends, and the mean and deviation of each number."""
+        stiffness, damping = self.stiffness, self.damping
+        layout = (
+            ("length", bodies, 1.0, self.length),
+            ("mass", bodies, 1.0, self.mass),
+            ("inertia", bodies, 1.0, self.inertia),
+            ("rotor", n, 1.0, self.inertia),
+            ("stiffness", joints, 1.0, stiffness),
+            ("damping", joints, 1.0, damping),
+            ("holding_stiffness", n, 1.0, stiffness),
+            ("holding_damping", n, 1.0, damping),
+            ("tilt", 2, 0.0, np.radians(self.tilt)),
+            ("drive_gain", n, 1.0, self.gain),
+            ("joint_zero", n, 0.0, np.radians(self.joint_zero)),
         )
+        names, sizes, centre, deviation = zip(*layout, strict=True)
+        ends = (0, *np.cumsum(sizes).tolist())
+        return names, ends, np.repeat(centre, sizes), np.repeat(deviation, sizes)
 
-    def _accelerometer(self, rng: np.random.Generator) -> Array:
-        """Draw what one accelerometer makes of the true acceleration (3, 3)."""
-
-        def normal(*shape: int) -> Array:
-            return np.clip(rng.standard_normal(shape), -_CUT, _CUT)
-
-        cross = self.cross_axis * normal(3, 3)
-        np.fill_diagonal(cross, self.gain * normal(3))
-        x, y, z = np.radians(self.misalignment) * normal(3)
-        mounting = np.array([[1.0, z, -y], [-z, 1.0, x], [y, -x, 1.0]])
+    def _accelerometers(self, rng: np.random.Generator, count: int) -> Array:
+        """Draw what some accelerometers make of the true acceleration (count, 3, 3)."""
+        drawn = _normal(rng, count, 15)
+        cross = self.cross_axis * drawn[:, :9].reshape(count, 3, 3)
+        cross[:, range(3), range(3)] = self.gain * drawn[:, 9:12]
+        mounting = np.zeros((count, 3, 3))
+        turned = np.radians(self.misalignment) * drawn[:, 12:]
+        mounting[:, range(3), range(3)] = 1.0
+        mounting[:, (1, 2, 0), (2, 0, 1)] = turned
+        mounting[:, (2, 0, 1), (1, 2, 0)] = -turned
         return np.asarray((np.eye(3) + cross) @ mounting)
+
+
+def _normal(rng: np.random.Generator, *shape: int) -> Array:
+    """Draw standard normal variates, those beyond the cut set to it."""
+    return np.clip(rng.standard_normal(shape), -_CUT, _CUT)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,30 +148,66 @@ class MismatchDraw:
         zero = Mismatch().scaled(0.0)
         return zero.draw(arm, np.random.default_rng(0))
 
-    def apply(self, model: mujoco.MjModel, arm: Arm, data: mujoco.MjData) -> None:
+    def apply(
+        self,
+        model: mujoco.MjModel,
+        arm: Arm,
+        data: mujoco.MjData,
+        at: MismatchIndices | None = None,
+    ) -> None:
         """Write the draw into a compiled model of the arm, seat and instruments included.
 
         The model must be a fresh copy of its template: factors act on what they find.
-        ``data`` is scratch space of the same layout.
+        ``data`` is scratch space of the same layout; ``at`` the template's `MismatchIndices`,
+        looked up where they are not given.
         """
-        bare = arm.model
-        for b in range(1, bare.nbody):
-            i = model.body(bare.body(b).name).id
-            model.body_pos[i] *= self.length[b]
-            model.body_mass[i] *= self.mass[b]
-            model.body_inertia[i] *= self.mass[b] * self.inertia[b]
-        tool = model.site(arm.tool)
-        model.site_pos[tool.id] *= self.length[int(bare.site(arm.tool).bodyid[0])]
-        for j in range(bare.njnt):
-            joint = model.joint(bare.joint(j).name)
-            model.jnt_stiffness[joint.id] *= self.stiffness[j]
-            model.dof_damping[joint.dofadr[0]] *= self.damping[j]
-        for j, name in enumerate(arm.joints):
-            model.dof_armature[model.joint(name).dofadr[0]] *= self.rotor[j]
+        if at is None:
+            at = MismatchIndices.of(model, arm)
+        model.body_pos[at.bodies] *= self.length[1:, None]
+        model.body_mass[at.bodies] *= self.mass[1:]
+        model.body_inertia[at.bodies] *= (self.mass[1:] * self.inertia[1:])[:, None]
+        model.site_pos[at.tool] *= self.length[at.tool_body]
+        model.jnt_stiffness[at.joints] *= self.stiffness
+        model.dof_damping[at.dofs] *= self.damping
+        model.dof_armature[at.drives] *= self.rotor
         rotation = np.zeros(9)
         quaternion = np.zeros(4)
         mujoco.mju_euler2Quat(quaternion, np.array([*self.tilt, 0.0]), "xyz")
         mujoco.mju_quat2Mat(rotation, quaternion)
         # Tilting the base turns gravity the other way in the base's own frame.
-        model.opt.gravity[:] = rotation.reshape(3, 3).T @ model.opt.gravity
+        gravity = model.opt.gravity
+        gravity[:] = rotation.reshape(3, 3).T @ gravity
         mujoco.mj_setConst(model, data)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MismatchIndices:
+    """Indices in a compiled model of what a mismatch changes: the same for all of a template."""
+
+    bodies: NDArray[np.intp]
+    """Bodies of the bare arm, the world left out (bodies - 1,)."""
+    joints: NDArray[np.intp]
+    """Joints of the bare arm."""
+    dofs: NDArray[np.intp]
+    """First degree of freedom of each of these."""
+    drives: NDArray[np.intp]
+    """Degree of freedom of each driven joint (n,)."""
+    tool: int
+    """Site of the tool."""
+    tool_body: int
+    """Body of the bare arm that carries the tool."""
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, arm: Arm) -> MismatchIndices:
+        """Look the parts of an arm up by their names."""
+        bare = arm.model
+        joints = [model.joint(bare.joint(j).name) for j in range(bare.njnt)]
+        bodies = [model.body(bare.body(b).name).id for b in range(1, bare.nbody)]
+        return cls(
+            bodies=np.array(bodies, dtype=np.intp),
+            joints=np.array([joint.id for joint in joints], dtype=np.intp),
+            dofs=np.array([joint.dofadr[0] for joint in joints], dtype=np.intp),
+            drives=np.array([model.joint(j).dofadr[0] for j in arm.joints], dtype=np.intp),
+            tool=model.site(arm.tool).id,
+            tool_body=int(bare.site(arm.tool).bodyid[0]),
+        )

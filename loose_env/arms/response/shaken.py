@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.response.linear import inertance_rate
+from loose_env.arms.response.stiffness import inertance_rate
 from loose_env.arms.shaker import COIL, add_shaker, place_shaker
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array, ComplexArray

@@ -16,17 +16,20 @@ from loose_env.sensors import LinkAccelerometers
 from loose_env.statistics import (
     acceleration_from_angle,
     bandpass,
-    covariances,
+    record_covariances,
     transmission_by_instrument_from,
 )
 from loose_env.typing import Array
 
-__all__ = ["LinkReadings", "NominalLinks", "link_axes", "link_readings_of"]
+__all__ = ["LinkReadings", "NominalLinks", "link_axes", "link_readings_of", "link_readings_of_all"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkReadings:
-    """Statistics of the accelerometers on L links with a axes each, base first."""
+    """Statistics of the accelerometers on L links with a axes each, base first.
+
+    Of several records, arrays have an axis more in front.
+    """
 
     transmission_by_instrument: Array
     """Acceleration per joint acceleration, the command as instrument, frame of the link
@@ -55,26 +58,45 @@ def link_readings_of(measurement: Measurement) -> LinkReadings:
     InvalidData
         If the measurement has none, failed, or nothing moves.
     """
-    if measurement.links is None:
-        raise InvalidData(
-            "the record has no accelerometers on links; set link_accelerometers to False, or take "
-            "a rig that carries them"
-        )
-    count, axes, _ = measurement.links.shape
-    on = np.flatnonzero(measurement.excited)
-    rate, band = measurement.rate, measurement.excitation.band
-    signals = measurement.links.reshape(count * axes, -1)
-    motion = bandpass(signals, rate, band)
-    joint = acceleration_from_angle(measurement.encoder[on], rate, band)
-    command = bandpass(measurement.command[on], rate, band)
-    found = transmission_by_instrument_from(
-        covariances(command, joint), covariances(command, motion)
-    )
-    wide = np.zeros((count * axes, len(measurement.pose)))
-    wide[:, on] = found
+    several = link_readings_of_all([measurement])
     return LinkReadings(
-        transmission_by_instrument=wide.reshape(count, axes, -1),
-        rms=motion.std(axis=1).reshape(count, axes),
+        transmission_by_instrument=several.transmission_by_instrument[0], rms=several.rms[0]
+    )
+
+
+def link_readings_of_all(measurements: Sequence[Measurement]) -> LinkReadings:
+    """Work out the same of B measurements, alike as for `statistics_of_all`.
+
+    Raises
+    ------
+    InvalidData
+        As `link_readings_of`, for one of them.
+    """
+    count, n = len(measurements), len(measurements[0].pose)
+    signals = []
+    for measurement in measurements:
+        if measurement.links is None:
+            raise InvalidData(
+                "the record has no accelerometers on links; set link_accelerometers to False, or "
+                "take a rig that carries them"
+            )
+        signals.append(measurement.links)
+    links, axes = signals[0].shape[:2]
+    joints = [np.flatnonzero(measurement.excited) for measurement in measurements]
+    rate, band = measurements[0].rate, measurements[0].excitation.band
+    motion = bandpass(np.reshape(signals, (count, links * axes, -1)), rate, band)
+    turned = np.array([m.encoder[own] for m, own in zip(measurements, joints, strict=True)])
+    played = np.array([m.command[own] for m, own in zip(measurements, joints, strict=True)])
+    cov = record_covariances(
+        bandpass(played, rate, band), acceleration_from_angle(turned, rate, band), motion
+    )
+    found = transmission_by_instrument_from(cov.command_x, cov.command_a)
+    wide = np.zeros((count, links * axes, n))
+    for own, row, on in zip(wide, found, joints, strict=True):
+        own[:, on] = row
+    return LinkReadings(
+        transmission_by_instrument=wide.reshape(count, links, axes, n),
+        rms=motion.std(axis=-1).reshape(count, links, axes),
     )
 
 

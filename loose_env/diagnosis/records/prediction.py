@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from loose_env.arms import Arm, LinearPose, Response
+from loose_env.arms import Arm, LinearPose
 from loose_env.excitation import Excitation
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import Covariances, LowestCoherence, lowest_coherence_direction_from
-from loose_env.typing import Array, ComplexArray
+from loose_env.typing import Array
 
-__all__ = ["Prediction", "SensorFloor", "predict"]
+__all__ = ["Prediction", "SensorFloor", "predict", "predictions"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +59,9 @@ class SensorFloor:
 class Prediction:
     """Second-order statistics of one record; m joints are excited.
 
-    The command is scaled to its rms; all covariances are in-band.
+    The command is scaled to its rms; all covariances are in-band. Of B records together, as
+    `predictions` gives them, every number is an array (B,) and every array has an axis more in
+    front.
     """
 
     joint: Array
@@ -77,17 +81,18 @@ class Prediction:
     @property
     def transmission(self) -> Array:
         """Regression of the tool on the measured joint accelerations (d, m) [m]."""
-        return np.asarray(np.linalg.solve(self.joint, self.joint_tool).T)
+        return np.asarray(np.linalg.solve(self.joint, self.joint_tool).mT)
 
     @property
     def transmission_by_instrument(self) -> Array:
         """The same with the command as instrument: free of encoder noise (d, m) [m]."""
-        return np.asarray(np.linalg.solve(self.command_joint, self.command_tool).T)
+        return np.asarray(np.linalg.solve(self.command_joint, self.command_tool).mT)
 
     @property
     def inertia(self) -> Array:
         """Apparent inertia of each excited joint (m,) [kg·m²]."""
-        return np.asarray(np.diag(np.linalg.solve(self.command_joint, self.command).T))
+        found = np.linalg.solve(self.command_joint, self.command)
+        return np.asarray(np.diagonal(found, axis1=-2, axis2=-1))
 
     @cached_property
     def _lowest(self) -> LowestCoherence:
@@ -103,12 +108,17 @@ class Prediction:
     @property
     def lowest_coherence(self) -> float:
         """Squared correlation along that direction [1]."""
-        return float(self._lowest.coherence)
+        return self._lowest.coherence
 
     @property
     def maximum_correlation(self) -> float:
         """Highest correlation over directions [1]."""
-        return float(np.sqrt(self._lowest.coherences.max()))
+        highest: Any = np.sqrt(self._lowest.coherences[..., -1])
+        return highest  # type: ignore[no-any-return]
+
+    def __getitem__(self, k: int) -> Prediction:
+        """Prediction of one record of several."""
+        return Prediction(**{each.name: getattr(self, each.name)[k] for each in fields(self)})
 
 
 def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Prediction:
@@ -133,33 +143,52 @@ def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Pre
     >>> predict(at, shake, quiet).transmission.round(2).ravel().tolist()
     [0.0, 0.3]
     """
-    response = pose.response(excitation.excited)
-    joints = np.flatnonzero(excitation.excited)
-    torque = np.array(excitation.torque_rms)[joints]
-    noise = floor.joints(pose.linear.arm)[joints]
-    return _statistics(
-        response, response.joint[:, joints], response.tool, torque, noise, floor.tool
-    )
+    return predictions([pose], [excitation], floor)[0]
 
 
-def _statistics(
-    response: Response,
-    joint: ComplexArray,
-    tool: ComplexArray,
-    torque: Array,
-    joint_noise: Array,
-    tool_noise: float,
+def predictions(
+    poses: Sequence[LinearPose], excitations: Sequence[Excitation], floor: SensorFloor
 ) -> Prediction:
-    """Average spectra over the band; joint (K, m, m), tool (K, d, m), joint noise (m,)."""
-    x, a = joint * torque, tool * torque
-    count = len(response.frequency)
-    d = a.shape[1]
+    """Predict several records of the nominal, healthy arm, in which equally many joints are on.
+
+    Parameters
+    ----------
+    poses : sequence of B LinearPose
+        One nominal arm at several poses.
+    excitations : sequence of B Excitation
+        Excitations.
+    floor : SensorFloor
+        Noise of the sensors.
+
+    Returns
+    -------
+    Prediction
+        Of all records; arrays have a first axis of length B.
+    """
+    arm = poses[0].linear.arm
+    levels = np.array([excitation.torque_rms for excitation in excitations])
+    on = levels > 0
+    responses = poses[0].linear.responses(poses, on)
+    joints = np.nonzero(on)[1].reshape(len(poses), -1)
+    torque = np.take_along_axis(levels, joints, axis=1)
+    noise = floor.joints(arm)[joints]
+    answers = np.array([answer.acceleration for answer in responses])
+    joint = np.take_along_axis(answers, joints[:, None, :, None], axis=2)
+    tool = np.array([answer.tool for answer in responses])
+    # Spectra averaged over the band: joint (B, K, m, m), tool (B, K, d, m).
+    count, axes = tool.shape[1:3]
+    x, a = joint * torque[:, None, None], tool * torque[:, None, None]
     return Prediction(
-        joint=np.einsum("kim,kjm->ij", x, x.conj()).real / count + np.diag(joint_noise**2),
-        joint_tool=np.einsum("kim,kdm->id", x, a.conj()).real / count,
-        tool=np.einsum("kim,kjm->ij", a, a.conj()).real / count + tool_noise**2 * np.eye(d),
+        joint=np.einsum("bkim,bkjm->bij", x, x.conj()).real / count + _diagonal(noise**2),
+        joint_tool=np.einsum("bkim,bkdm->bid", x, a.conj()).real / count,
+        tool=np.einsum("bkim,bkjm->bij", a, a.conj()).real / count + floor.tool**2 * np.eye(axes),
         # The command of joint j drives column j alone.
-        command_joint=np.einsum("kim,m->mi", x, torque).real / count,
-        command=np.diag(torque**2),
-        command_tool=np.einsum("kdm,m->md", a, torque).real / count,
+        command_joint=np.einsum("bkim,bm->bmi", x, torque).real / count,
+        command=_diagonal(torque**2),
+        command_tool=np.einsum("bkdm,bm->bmd", a, torque).real / count,
     )
+
+
+def _diagonal(values: Array) -> Array:
+    """Diagonal matrices of rows (B, m, m)."""
+    return np.asarray(values[..., None] * np.eye(values.shape[-1]))

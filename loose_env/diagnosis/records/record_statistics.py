@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,7 @@ from loose_env.statistics import (
 )
 from loose_env.typing import Array
 
-__all__ = ["RecordStatistics", "statistics_of"]
+__all__ = ["RecordStatistics", "statistics_of", "statistics_of_all"]
 
 _STILL = 1e-12
 """Share of the largest variance, and of a row's mean, taken as rounding."""
@@ -30,7 +32,9 @@ _STILL = 1e-12
 class RecordStatistics:
     """Second- and higher-order statistics of one record.
 
-    Arrays over joints have n entries; those of joints that were not excited are zero.
+    Arrays over joints have n entries; those of joints that were not excited are zero. Of B
+    records together, as `statistics_of_all` gives them, every number is an array (B,) and every
+    array has an axis more in front.
     """
 
     pose: Array
@@ -69,6 +73,14 @@ class RecordStatistics:
         """True for each excited joint (n,)."""
         return np.asarray(self.torque > 0)
 
+    def __getitem__(self, k: int) -> RecordStatistics:
+        """Statistics of one record of several."""
+        own: dict[str, Any] = {}
+        for each in fields(self):
+            value = getattr(self, each.name)[k]
+            own[each.name] = float(value) if np.ndim(value) == 0 else value
+        return RecordStatistics(**own)
+
 
 def statistics_of(measurement: Measurement) -> RecordStatistics:
     """Work out the statistics of a measurement in which at least one joint was excited.
@@ -93,53 +105,81 @@ def statistics_of(measurement: Measurement) -> RecordStatistics:
     >>> statistics_of(measured).transmission.shape
     (2, 2)
     """
-    n = len(measurement.pose)
-    on = np.flatnonzero(measurement.excited)
-    rate, band = measurement.rate, measurement.excitation.band
-    tool = bandpass(measurement.tool, rate, band)
-    joint = acceleration_from_angle(measurement.encoder[on], rate, band)
-    command = bandpass(measurement.command[on], rate, band)
-    cov = record_covariances(command, joint, tool)
+    return statistics_of_all([measurement])[0]
+
+
+def statistics_of_all(measurements: Sequence[Measurement]) -> RecordStatistics:
+    """Work out the statistics of B measurements of one arm, alike in length and band.
+
+    Equally many joints, one at least, were excited in each; not necessarily the same ones. The
+    statistics of a record do not depend on those beside it.
+
+    Raises
+    ------
+    InvalidData
+        If one of the measurements failed, or nothing moves in it.
+    """
+    first = measurements[0]
+    n, count = len(first.pose), len(measurements)
+    torque = np.array([m.excitation.torque_rms for m in measurements])
+    on = torque > 0
+    joints = np.nonzero(on)[1].reshape(count, -1)
+    rate, band = first.rate, first.excitation.band
+    raw = np.array([m.tool for m in measurements])
+    tool = bandpass(raw, rate, band)
+    turned = np.array([m.encoder[own] for m, own in zip(measurements, joints, strict=True)])
+    played = np.array([m.command[own] for m, own in zip(measurements, joints, strict=True)])
+    cov = record_covariances(
+        bandpass(played, rate, band), acceleration_from_angle(turned, rate, band), tool
+    )
     lowest = lowest_coherence_direction_from(cov.x_a)
-    torque = np.array(measurement.excitation.torque_rms)
 
     def spread(values: Array) -> Array:
+        """Values of the excited joints among those of all (B, ..., n)."""
         wide = np.zeros((*values.shape[:-1], n))
-        wide[..., on] = values
+        at = joints.reshape(count, *[1] * (values.ndim - 2), -1)
+        np.put_along_axis(wide, np.broadcast_to(at, values.shape), values, axis=-1)
         return wide
 
     instrument = transmission_by_instrument_from(cov.command_x, cov.command_a)
-    axes = len(measurement.tool)
-    third, fourth = _shape(measurement.tool, lowest.direction)
-    return RecordStatistics(
-        pose=measurement.pose,
-        torque=torque,
-        duration=measurement.excitation.duration,
-        transmission=spread(transmission_from(cov.x_a)),
-        transmission_by_instrument=spread(instrument),
-        joint_rms=spread(np.sqrt(np.diag(cov.x_a.xx))),
-        inertia=spread(np.diag(apparent_inertia_from(cov.command_x))),
-        tool_covariance=cov.x_a.aa,
-        lowest_direction=lowest.direction,
-        lowest_coherence=float(lowest.coherence),
-        maximum_correlation=float(np.sqrt(lowest.coherences.max())),
-        skewness=third[:axes],
-        kurtosis=fourth[:axes],
-        lowest_skewness=float(third[axes]),
-        lowest_kurtosis=float(fourth[axes]),
-    )
+    third, fourth = _shape(raw, lowest.direction)
+    several: dict[str, Any] = {
+        "pose": np.array([m.pose for m in measurements]),
+        "torque": torque,
+        "duration": np.array([m.excitation.duration for m in measurements]),
+        "transmission": spread(transmission_from(cov.x_a)),
+        "transmission_by_instrument": spread(instrument),
+        "joint_rms": spread(np.sqrt(_diagonals(cov.x_a.xx))),
+        "inertia": spread(_diagonals(apparent_inertia_from(cov.command_x))),
+        "tool_covariance": cov.x_a.aa,
+        "lowest_direction": lowest.direction,
+        "lowest_coherence": lowest.coherence,
+        "maximum_correlation": np.sqrt(lowest.coherences[:, -1]),
+        "skewness": third[:, :-1],
+        "kurtosis": fourth[:, :-1],
+        "lowest_skewness": third[:, -1],
+        "lowest_kurtosis": fourth[:, -1],
+    }
+    return RecordStatistics(**several)
+
+
+def _diagonals(matrices: Array) -> Array:
+    """Diagonals (B, k) of matrices (B, k, k)."""
+    return np.asarray(np.diagonal(matrices, axis1=-2, axis2=-1))
 
 
 def _shape(tool: Array, direction: Array) -> tuple[Array, Array]:
-    """Skewness and excess kurtosis along the tool axes, then along a direction (d + 1,).
+    """Skewness and excess kurtosis along the tool axes, then along a direction (B, d + 1).
 
     Where excitation and arm leave an axis still, as the plane of a SCARA whose quill is shaken,
     ideal sensors show rounding only. It has no shape; zero means no impacts there.
     """
-    rows = np.array([*tool, direction @ tool])
-    power = rows.var(axis=1)
-    moving = (power > _STILL * power.max()) & (np.sqrt(power) > _STILL * np.abs(rows.mean(axis=1)))
-    third, fourth = np.zeros(len(rows)), np.zeros(len(rows))
+    along = np.einsum("bd,bdn->bn", direction, tool)
+    rows = np.concatenate([tool, along[:, None]], axis=1)
+    power = rows.var(axis=-1)
+    most = power.max(axis=-1, keepdims=True)
+    moving = (power > _STILL * most) & (np.sqrt(power) > _STILL * np.abs(rows.mean(axis=-1)))
+    third, fourth = np.zeros(power.shape), np.zeros(power.shape)
     if moving.any():
         third[moving], fourth[moving] = shape_of(rows[moving])
     return third, fourth

@@ -73,11 +73,11 @@ class JointPose:
                 yield (f"{part}.{joint}_{of_slide}", unit) if slides else (f"{part}.{joint}", "1")
 
     def numbers(self, pose: Array) -> tuple[Array, Array]:
-        """Turn a pose [rad or m] (n,) into the first and the second numbers (n,), (n,)."""
+        """Turn poses [rad or m] (..., n) into their first and their second numbers (..., n)."""
         first, second, k = np.sin(pose), np.cos(pose), self.slides
         if len(k):
-            first[k] = 2 * (pose[k] - self.middle[k]) / self.width[k]
-            second[k] = 0.0
+            first[..., k] = 2 * (pose[..., k] - self.middle[k]) / self.width[k]
+            second[..., k] = 0.0
         return first, second
 
     def pose(self, first: Array, second: Array) -> Array:
@@ -133,6 +133,9 @@ class ActionLayout:
         share = np.where(arm.sliding, shown.width / np.pi, 1.0)
         self.steps = share[:, None] * self.moves
         """Change of each joint by each move [rad, m where it slides] (n, moves)."""
+        endless = (-np.inf, np.inf)
+        limits = np.array([endless if r is None else r for r in arm.joint_ranges], dtype=float)
+        self._low, self._high = limits[:, :1] - 1e-9, limits[:, 1:] + 1e-9
         self.nvec = np.array(
             [len(settings.moves)] * n
             + [1 + len(arm.levels)] * n
@@ -211,13 +214,10 @@ class ActionLayout:
 
     def allowed_moves(self, pose: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return the moves that keep each joint within its range (n, moves)."""
-        allowed = np.ones((self.arm.n, len(self.moves)), dtype=bool)
-        for j, limits in enumerate(self.arm.joint_ranges):
-            if limits is not None:
-                target = pose[j] + self.steps[j]
-                allowed[j] = (target >= limits[0] - 1e-9) & (target <= limits[1] + 1e-9)
+        target = pose[:, None] + self.steps
+        allowed = (target >= self._low) & (target <= self._high)
         allowed[:, self.settings.stay] = True
-        return allowed
+        return np.asarray(allowed)
 
     def allows_unsure(self, records: int, measured: int) -> bool:
         """Return whether "unsure" may be said after so many records, so many of them measured."""
@@ -235,13 +235,11 @@ class ActionLayout:
         records, measured : int
             Records taken, and those among them that show something.
         """
+        moves, verdicts = self.arm.n * len(self.moves), self.hypotheses + 1
         last = records >= self.settings.max_records
-        return np.concatenate(
-            [
-                self.allowed_moves(pose).ravel(),
-                np.ones(int(self.nvec[self.arm.n : -1].sum()), dtype=bool),
-                [not last],
-                np.full(self.hypotheses, last or measured > 0),
-                [self.allows_unsure(records, measured)],
-            ]
-        )
+        mask = np.ones(int(self.nvec.sum()), dtype=bool)
+        mask[:moves] = self.allowed_moves(pose).ravel()
+        mask[-verdicts - 1] = not last
+        mask[-verdicts:-1] = last or measured > 0
+        mask[-1] = self.allows_unsure(records, measured)
+        return mask

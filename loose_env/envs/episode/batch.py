@@ -20,14 +20,11 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm, LinearArm, MismatchDraw
 from loose_env.diagnosis import (
-    NominalLinks,
     SensorFloor,
-    link_readings_of,
-    predict,
-    statistics_of,
 )
 from loose_env.envs.episode.actions import Action, ActionLayout
 from loose_env.envs.episode.observation import ObservationLayout
+from loose_env.envs.episode.record_writer import AskedRecord, RecordWriter
 from loose_env.envs.episode.reset_options import ResetOptions, checked_true_arm
 from loose_env.envs.episode.state import (
     Episode,
@@ -39,8 +36,8 @@ from loose_env.envs.episode.state import (
 from loose_env.envs.faults.difficulty import difficulty_named
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.excitation import Excitation, at_levels
+from loose_env.errors import InvalidSetting
+from loose_env.excitation import Excitation, all_at_levels
 from loose_env.faults import UNSURE, Fault, Healthy, SeveralFaults, hypotheses, place_of
 from loose_env.rig import Job, Measurement, ReducedRig, SimulatedRig
 from loose_env.typing import Array
@@ -115,8 +112,7 @@ class EpisodeBatch:
             Excitation(torque_rms=(0.0,) * arm.n, duration=seconds, band=arm.band)
         self.observations = ObservationLayout(arm, settings)
         self.floor = SensorFloor.of(settings.sensors, arm.band)
-        choice = settings.sensors.on_links
-        self._nominal_links = None if choice is None else NominalLinks(arm, choice)
+        self._writer = RecordWriter(arm, settings, self.observations, self.floor)
         self.divergences: Counter[str] = Counter()
         self._episodes: list[Episode | None] = [None] * num
         self._levels = np.array([0.0, *arm.levels])
@@ -210,8 +206,7 @@ class EpisodeBatch:
         """Take one step in each of the given slots; arms that measure do so together."""
         decoded = [self.actions.decode(action) for action in actions]
         outcomes: dict[int, Outcome] = {}
-        jobs: list[Job] = []
-        waiting: dict[int, tuple[Action, Array, dict[str, Any]]] = {}
+        asked: list[AskedRecord] = []
         for slot, action in zip(slots, decoded, strict=True):
             episode = self.episode(slot)
             if episode.ended:
@@ -221,23 +216,15 @@ class EpisodeBatch:
             elif episode.records >= self.settings.max_records:
                 outcomes[slot] = self._end(episode, None, {"out_of_records": True})
             else:
-                ignored = action.verdict > 0
-                info: dict[str, Any] = {"verdict_ignored": ignored}
+                info: dict[str, Any] = {"verdict_ignored": action.verdict > 0}
                 info["move_ignored"] = self._move(episode, action)
-                levels = self._levels[action.levels]
-                excitation, share = at_levels(
-                    self.nominal.at(episode.pose), levels, duration=action.duration
+                at = self.nominal.at(episode.pose)
+                asked.append(
+                    AskedRecord(slot=slot, episode=episode, action=action, at=at, info=info)
                 )
-                info["level_share"] = share
-                waiting[slot] = (action, share, info)
-                if any(excitation.excited):  # not where gravity leaves the drives no torque
-                    jobs.append(self._job(slot, episode, excitation))
-        for k, measurement in self._measured(jobs):
-            slot = jobs[k].slot
-            action, share, info = waiting.pop(slot)
-            outcomes[slot] = self._record(slot, action, share, measurement, info)
-        for slot, (action, share, info) in waiting.items():  # nothing was excited
-            outcomes[slot] = self._record(slot, action, share, None, info)
+        self._take_records(asked)
+        for each in asked:
+            outcomes[each.slot] = self._enter(each)
         return [outcomes[slot] for slot in slots]
 
     def _heard(self, episode: Episode, action: Action) -> bool:
@@ -246,6 +233,24 @@ class EpisodeBatch:
             return self.actions.allows_unsure(episode.records, episode.measured)
         last = episode.records >= self.settings.max_records
         return action.verdict > 0 and (last or episode.measured > 0)
+
+    def _take_records(self, asked: Sequence[AskedRecord]) -> None:
+        """Excite and measure all arms that ask for a record, and work out what they show."""
+        if not asked:
+            return
+        excitations, shares = all_at_levels(
+            [each.at for each in asked],
+            self._levels[np.array([each.action.levels for each in asked])],
+            durations=[each.action.duration for each in asked],
+        )
+        jobs, played = [], []
+        for each, excitation, share in zip(asked, excitations, shares, strict=True):
+            each.share = each.info["level_share"] = share
+            if any(excitation.excited):  # not where gravity leaves a drive no torque
+                jobs.append(self._job(each.slot, each.episode, excitation))
+                played.append(each)
+        measured = self._measured(jobs)
+        self._writer.write((played[k], measurement) for k, measurement in measured)
 
     def _measured(self, jobs: Sequence[Job]) -> Iterable[tuple[int, Measurement]]:
         """Measure; a simulated rig gives each record out while it works on the next ones."""
@@ -290,16 +295,10 @@ class EpisodeBatch:
         episode.pose = np.round(self.arm.wrap(episode.pose + step), 9)
         return ~fits
 
-    def _record(
-        self,
-        slot: int,
-        action: Action,
-        share: Array,
-        measurement: Measurement | None,
-        info: dict[str, Any],
-    ) -> Outcome:
-        """Enter a record into the episode; None is a record without excitation."""
-        episode = self.episode(slot)
+    def _enter(self, asked: AskedRecord) -> Outcome:
+        """Enter a record into the episode; without excitation there is none."""
+        episode, action, info = asked.episode, asked.action, asked.info
+        measurement, failure = asked.measurement, asked.failure
         prices = self.settings.prices
         price = prices.record
         if measurement is not None:
@@ -309,26 +308,6 @@ class EpisodeBatch:
             episode.levels += levels
             episode.visited.add(episode.pose.tobytes())
         episode.last = measurement
-        failure = measurement.failure if measurement is not None else None
-        if measurement is not None and failure is None:
-            try:
-                statistics = statistics_of(measurement)
-                links = None if self._nominal_links is None else link_readings_of(measurement)
-            except InvalidData as error:
-                failure = f"the readings make no statistics: {error}"
-            else:
-                nominal = predict(self.nominal.at(episode.pose), measurement.excitation, self.floor)
-                expected = None
-                if self._nominal_links is not None:
-                    expected = self._nominal_links.transmission(episode.pose, measurement.excited)
-                episode.slots[episode.records] = self.observations.slot_of(
-                    action.levels,
-                    share,
-                    statistics,
-                    nominal,
-                    links=links,
-                    nominal_links=expected,
-                )
         episode.records += 1
         if failure is not None:
             self.divergences[episode.fault.kind] += 1
@@ -339,7 +318,7 @@ class EpisodeBatch:
             info["measurement"] = (
                 None if measurement is None else RawMeasurement(**vars(measurement))
             )
-        info["action_mask"] = self.mask(slot)
+        info["action_mask"] = self.mask(asked.slot)
         return Outcome(reward=-price, terminated=False, truncated=False, info=info)
 
     def _end(self, episode: Episode, named: str | None, info: dict[str, Any]) -> Outcome:
@@ -379,7 +358,7 @@ def _simulated_rig(
     """Build the rig of the engine that the settings name."""
     rig: SimulatedRig | ReducedRig
     if settings.engine == "reduced":
-        rig = ReducedRig(arm, slots=num, sensors=settings.sensors)
+        rig = ReducedRig(arm, slots=num, sensors=settings.sensors, threads=threads)
     else:
         rig = SimulatedRig(arm, slots=num, sensors=settings.sensors, threads=threads)
     return rig, rig.nominal

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms import Arm
 from loose_env.diagnosis import LinkReadings, Prediction, RecordStatistics
@@ -93,7 +93,7 @@ class ObservationLayout:
         values = np.concatenate([*self._joint_pose.numbers(pose), spent])
         return self._global_scaling.forward(values)
 
-    def slot_of(
+    def slots_for(
         self,
         levels: NDArray[np.intp],
         share: Array,
@@ -103,57 +103,72 @@ class ObservationLayout:
         links: LinkReadings | None = None,
         nominal_links: Array | None = None,
     ) -> NDArray[np.float32]:
-        """Scale the elements of one record.
+        """Scale the elements of B records (B, slot size).
 
-        ``links``, ``nominal_links`` (L, a, n): what accelerometers on links measured and would
-        show on the nominal arm; needed where the settings have such sensors.
+        Parameters
+        ----------
+        levels : ndarray of int (B, n)
+            Excitation levels.
+        share : ndarray (B, n)
+            Shares of these that the joints' torque limits allow.
+        record : RecordStatistics
+            Statistics of the records, as `loose_env.diagnosis.statistics_of_all` gives them.
+        nominal : Prediction
+            The same of the nominal arm, as `loose_env.diagnosis.predictions` gives them.
+        links, nominal_links : LinkReadings, ndarray (B, L, a, n)
+            What accelerometers on links measured and would show on the nominal arm; needed
+            where the settings have such sensors.
 
         Raises
         ------
         InvalidData
             If the settings have accelerometers on links and no readings of them are given.
         """
-        on = np.flatnonzero(record.excited)
+        count, n = levels.shape
+        joints = np.nonzero(record.torque > 0)[1].reshape(count, -1)
 
         def spread(values: Array) -> Array:
-            wide = np.zeros((*values.shape[:-1], self.arm.n))
-            wide[..., on] = values
+            """Values of the excited joints among those of all (B, ..., n)."""
+            wide = np.zeros((*values.shape[:-1], n))
+            at = joints.reshape(count, *[1] * (values.ndim - 2), -1)
+            np.put_along_axis(wide, np.broadcast_to(at, values.shape), values, axis=-1)
             return wide
 
+        def numbers(*values: ArrayLike) -> Array:
+            return np.column_stack(values)
+
+        nominal_rms = np.sqrt(np.diagonal(nominal.joint, axis1=-2, axis2=-1))
         values = [
-            np.ones(1),
+            np.ones((count, 1)),
             *self._joint_pose.numbers(record.pose),
-            levels.astype(float),
+            levels,
             record.torque / np.array(self.arm.torque_limits),
             share,
-            [record.duration],
-            record.transmission.T.ravel(),
-            record.transmission_by_instrument.T.ravel(),
+            numbers(record.duration),
+            record.transmission.mT,
+            record.transmission_by_instrument.mT,
             record.joint_rms,
             record.inertia,
-            _covariance_numbers(record.tool_covariance),
+            *_covariance_numbers(record.tool_covariance),
             _axial_numbers(record.lowest_direction),
-            [record.lowest_coherence, record.maximum_correlation],
+            numbers(record.lowest_coherence, record.maximum_correlation),
             record.skewness,
             record.kurtosis,
-            [record.lowest_skewness, record.lowest_kurtosis],
-            spread(nominal.transmission).T.ravel(),
-            spread(nominal.transmission_by_instrument).T.ravel(),
-            spread(np.sqrt(np.diag(nominal.joint))),
+            numbers(record.lowest_skewness, record.lowest_kurtosis),
+            spread(nominal.transmission).mT,
+            spread(nominal.transmission_by_instrument).mT,
+            spread(nominal_rms),
             spread(nominal.inertia),
-            _covariance_numbers(nominal.tool),
+            *_covariance_numbers(nominal.tool),
             _axial_numbers(nominal.lowest_direction),
-            [nominal.lowest_coherence, nominal.maximum_correlation],
+            numbers(nominal.lowest_coherence, nominal.maximum_correlation),
         ]
         if self.settings.sensors.on_links is not None:
             if links is None or nominal_links is None:
                 raise InvalidData("the observation holds accelerometers on links; give readings")
-            values += [
-                links.transmission_by_instrument.ravel(),
-                nominal_links.ravel(),
-                links.rms.ravel(),
-            ]
-        return self._slot_scaling.forward(np.concatenate(values))
+            values += [links.transmission_by_instrument, nominal_links, links.rms]
+        rows = [np.reshape(each, (count, -1)) for each in values]
+        return self._slot_scaling.forward(np.concatenate(rows, axis=1))
 
     def __iter__(self) -> Iterator[Element]:
         return iter(self.elements)
@@ -258,11 +273,12 @@ class _Scaling:
         self.high = np.array([e.high for e in elements])
 
     def forward(self, values: Array) -> NDArray[np.float32]:
+        """Scale values (..., elements)."""
         y = values / self.scale
-        y[self.asinh] = np.arcsinh(y[self.asinh])
+        y[..., self.asinh] = np.arcsinh(y[..., self.asinh])
         # Zero stands for "not excited" and goes to the lower bound.
         with np.errstate(divide="ignore"):
-            y[self.log] = np.log10(np.maximum(y[self.log], 0.0))
+            y[..., self.log] = np.log10(np.maximum(y[..., self.log], 0.0))
         return np.asarray(np.clip(y, self.low, self.high), dtype=np.float32)
 
     def backward(self, scaled: NDArray[np.float32], span: slice) -> Array:
@@ -274,17 +290,17 @@ class _Scaling:
         return np.asarray(y * self.scale[span])
 
 
-def _covariance_numbers(covariance: Array) -> Array:
-    """Rms along the axes, then the correlations of the pairs of axes."""
-    rms = np.sqrt(np.diag(covariance))
-    upper = _pairs(len(rms), 1)
-    outer = np.maximum(np.outer(rms, rms), 1e-30)
-    return np.concatenate([rms, (covariance / outer)[upper]])
+def _covariance_numbers(covariance: Array) -> tuple[Array, Array]:
+    """Rms along the axes (B, d), and the correlations of the pairs of axes."""
+    rms = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    outer = np.maximum(rms[..., :, None] * rms[..., None, :], 1e-30)
+    return rms, (covariance / outer)[..., *_pairs(rms.shape[-1], 1)]
 
 
 def _axial_numbers(direction: Array) -> Array:
-    """A direction without sign as numbers without a jump: the products of its components."""
-    return np.asarray(np.outer(direction, direction)[_pairs(len(direction), 0)])
+    """Directions (B, d) without sign as numbers without a jump: products of their components."""
+    products = direction[..., :, None] * direction[..., None, :]
+    return np.asarray(products[..., *_pairs(direction.shape[-1], 0)])
 
 
 @lru_cache

@@ -23,7 +23,7 @@ from loose_env.faults import (
     parts_of,
     twist_of,
 )
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 __all__ = [
     "PIVOT",
@@ -61,6 +61,7 @@ class SeatMasses:
         self._inertias = np.array([linear.at(pose).inertia for pose in poses])
         self._free = np.concatenate([linear.joint_dofs, linear.flexible_dofs])
         self._among = self._inertias[:, self._free[:, None], self._free]
+        self._remembered: dict[bytes, Array] = {}
 
     @property
     def size(self) -> int:
@@ -79,16 +80,26 @@ class SeatMasses:
         ratios : ndarray (2,)
             Damping ratio against the seat's effective mass [1].
         """
-        held = float(seat @ self._inertias[0] @ seat)
+        own = np.flatnonzero(seat)
+        along = seat[own]
+        held = float(along @ self._inertias[0][np.ix_(own, own)] @ along)
         # The lightest the seat gets over many poses, with every joint free.
-        across = self._inertias[:, self._free] @ seat
-        solved = np.linalg.solve(self._among, across[..., None])[..., 0]
-        masses = np.einsum("i,pij,j->p", seat, self._inertias, seat)
-        reduced = float(np.min(masses - np.einsum("pi,pi->p", across, solved)))
+        reduced = float(np.min(np.einsum("i,pij,j->p", along, self._reduced(own), along)))
         stiffness = held * (2 * np.pi * modes) ** 2
         softest = reduced * (_FASTEST / self._step) ** 2
         stiffness = np.minimum(stiffness, softest)
         return _pair(stiffness), _pair(2 * ratios * np.sqrt(stiffness * reduced))
+
+    def _reduced(self, seats: IndexArray) -> Array:
+        """Inertia of some degrees of freedom with every joint free, in every pose (p, s, s)."""
+        key = seats.tobytes()
+        found = self._remembered.get(key)
+        if found is None:
+            across = self._inertias[:, self._free[:, None], seats]
+            pull = across.transpose(0, 2, 1) @ np.linalg.solve(self._among, across)
+            found = self._inertias[:, seats[:, None], seats] - pull
+            self._remembered[key] = found
+        return found
 
     def stops_together(self, seats: Array, modes: Array, ratios: Array) -> tuple[Stops, ...]:
         """Stops of a seat that is loose in several ways at once.

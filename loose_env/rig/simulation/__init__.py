@@ -1,4 +1,5 @@
 """Parts of simulated rigs: controls, engines, sensor readings, small-motion equations.
 
-Data flow: controls -> engines -> reading -> slots -> small_motion -> small_motion_loop.
+Data flow: controls -> engines -> reading -> slots -> small_motion -> lanes ->
+small_motion_loop.
 """

@@ -7,13 +7,28 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
 from loose_env.rig.jobs import Job
 from loose_env.rig.measurement import Measurement
 from loose_env.rig.plant import Plant
 from loose_env.typing import Array
 
-__all__ = ["SlotRig"]
+__all__ = ["SlotRig", "checked_slots", "checked_threads"]
+
+
+def checked_slots(slots: int) -> int:
+    """Return a number of arms, or raise `InvalidSetting`."""
+    if isinstance(slots, bool) or not isinstance(slots, (int, np.integer)) or slots < 1:
+        raise InvalidSetting(f"a rig needs at least one slot, got {slots!r}")
+    return int(slots)
+
+
+def checked_threads(threads: int) -> int:
+    """Return a number of threads, 0 for all, or raise `InvalidSetting`."""
+    if isinstance(threads, bool) or not isinstance(threads, int) or threads < 0:
+        raise InvalidSetting(f"threads is a whole number, 0 for all, got {threads!r}")
+    return threads
 
 
 class SlotRig(ABC):

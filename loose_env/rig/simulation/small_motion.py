@@ -1,4 +1,4 @@
-"""Linearised equations of motion of one arm in one pose, from its MuJoCo model.
+"""Linearised equations of motion of arms, each in one pose, from their MuJoCo models.
 
 Within a record the joints move by fractions of a milliradian and the seat by fractions of a
 millimetre, so the inertia matrix, the tool's Jacobian and gravity's linear part may be taken as
@@ -14,110 +14,65 @@ Centripetal terms are left out: they are of second order in the motion.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
 from loose_env.errors import InvalidSetting
-from loose_env.excitation import Excitation
 from loose_env.rig.plant import Plant
 from loose_env.typing import Array
 
-__all__ = ["SeatLaw", "SmallMotion", "require_one_part", "small_motion"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class SeatLaw:
-    """Forces of a seat with one degree of freedom [N and m, N·m and rad for a hinge]."""
-
-    low: float
-    """Position of the lower stop."""
-    high: float
-    """Position of the upper stop."""
-    stiffness: tuple[float, float]
-    """Of the lower and the upper stop."""
-    damping: tuple[float, float]
-    """Of the lower and the upper stop."""
-    inertance: tuple[float, float]
-    """Force per acceleration that a touched stop adds."""
-    friction: float
-    """Largest friction force."""
-    grip: float
-    """Friction force per acceleration while the seat sticks."""
-    rate: float
-    """Deceleration per velocity that sticking friction aims at [1/s]."""
-
-    @property
-    def numbers(self) -> Array:
-        """All parameters as one array, the input of the compiled loop (11,)."""
-        return np.array(
-            [
-                self.low,
-                self.high,
-                *self.stiffness,
-                *self.damping,
-                *self.inertance,
-                self.friction,
-                self.grip,
-                self.rate,
-            ]
-        )
+__all__ = ["MotionLayout", "SmallMotion", "require_one_part", "small_motions"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SmallMotion:
-    """Linearised motion of one true arm about one pose, with D degrees of freedom."""
+    """Linearised motion of J true arms of D degrees of freedom and S accelerometer axes.
 
-    dofs: NDArray[np.intp]
-    """Which degrees of freedom of the model they are (D,)."""
+    The driven joints come first, then bending modes, then the seat. Where the seat is shut, its
+    mobility is zero.
+    """
+
     mobility: Array
-    """Inverse of the inertia matrix with the holdings' inertances (D, D)."""
+    """Inverse of the inertia matrix with the holdings' inertances (J, D, D)."""
     stiffness: Array
-    """Springs, holdings and gravity's linear part (D, D)."""
+    """Springs, holdings and gravity's linear part (J, D, D)."""
     damping: Array
-    """Dampers and holdings (D,)."""
+    """Dampers and holdings (J, D)."""
     force: Array
-    """Constant force, gravity above all (D,)."""
+    """Constant force, gravity above all (J, D)."""
     start: Array
-    """Position at the start less that at which springs rest (D,)."""
-    drives: Array
-    """Force per drive torque (D, n)."""
+    """Position at the start less that at which springs rest (J, D)."""
     readings: Array
-    """Sensor acceleration per acceleration of each degree of freedom (S, D)."""
+    """Sensor acceleration per acceleration of each degree of freedom (J, S, D)."""
     tilting: Array
-    """Sensor reading per displacement: gravity seen from a turned sensor (S, D)."""
+    """Sensor reading per displacement: gravity seen from a turned sensor (J, S, D)."""
     still: Array
-    """Sensor readings at rest (S,)."""
-    encoders: Array
-    """Joint position per displacement of each degree of freedom (n, D)."""
+    """Sensor readings at rest (J, S)."""
     zero: Array
-    """Joint positions where springs rest (n,)."""
-    seat: int
-    """Index of the loose seat among the degrees of freedom; -1 where there is none."""
-    law: SeatLaw | None
-    """Forces of that seat."""
+    """Joint positions where springs rest (J, n)."""
+    law: Array
+    """Forces of the seat (J, 11): positions of the lower and the upper stop; stiffness of each,
+    damping of each, and force per acceleration that each adds when touched; largest friction
+    force; friction force per acceleration while the seat sticks; deceleration per velocity that
+    sticking friction aims at [N and m, N·m and rad for a hinge]."""
+
+    @property
+    def parts(self) -> tuple[Array, ...]:
+        """All arrays, in the order in which the compiled loop takes them."""
+        return tuple(getattr(self, each.name) for each in fields(self))
 
 
-def small_motion(
-    plant: Plant, arm: Arm, data: mujoco.MjData, excitation: Excitation, place: float
-) -> SmallMotion:
-    """Linearise a true arm about its initial pose.
+class MotionLayout:
+    """Order and ancestry of a model's degrees of freedom: the same for all of one template.
 
     Parameters
     ----------
     plant : Plant
-        The true arm; `Plant.hold_at` has been called.
-    arm : Arm
-        The nominal arm.
-    data : mujoco.MjData
-        Scratch space of the plant's layout.
-    excitation : Excitation
-        Says which joints are excited and not held.
-    place : float
-        Start of the seat, from the middle between its stops [m or rad].
+        Any plant of the template.
 
     Raises
     ------
@@ -125,59 +80,246 @@ def small_motion(
         If the seat has several degrees of freedom, there is a shaker, or a joint has a spring,
         a damper or a friction that is not linear.
     """
-    model = plant.model
-    _require_linear(model, plant)
-    seat_dof = int(model.joint("seat").dofadr[0])
-    lock = bool(model.eq_active0[model.equality("seat_lock").id])
-    _place(model, data, plant, place)
-    mujoco.mj_forward(model, data)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
-    bias = data.qfrc_bias.copy()
-    readings, tilting, still = _sensors(model, data)
-    stiffness = _gravity_stiffness(model, data, bias)
 
-    springs = model.jnt_stiffness[model.dof_jntid]
-    rest = model.qpos_spring[model.jnt_qposadr[model.dof_jntid]]
-    damping = model.dof_damping.copy()
-    released = np.array(excitation.excited)
-    joints = [int(model.joint(name).dofadr[0]) for name in arm.joints]
-    for j, (dof, equality) in enumerate(zip(joints, plant.brakes, strict=True)):
-        if released[j]:
-            continue
-        held, stiff, damper = _holding(model, int(equality), dof)
-        inertia[dof, dof] += held
-        springs = springs + stiff * (np.arange(model.nv) == dof)
-        damping[dof] += damper
-        rest = np.where(np.arange(model.nv) == dof, model.eq_data[equality, 0], rest)
-    stiffness[np.arange(model.nv), np.arange(model.nv)] += springs
+    def __init__(self, plant: Plant) -> None:
+        model = plant.model
+        _require_linear(model, plant)
+        seat = model.joint("seat")
+        self.seat, self.lock = int(seat.dofadr[0]), int(model.equality("seat_lock").id)
+        driven = plant.indices.dofs
+        others = [d for d in range(model.nv) if d != self.seat and d not in driven]
+        self.order = np.array([*driven, *others, self.seat], dtype=np.intp)
+        """Degrees of freedom in the order of `SmallMotion` (D,)."""
+        self.joints = model.dof_jntid[self.order]
+        self.positions = model.jnt_qposadr[self.joints]
+        self.bodies = model.dof_bodyid[self.order]
+        self.hinges = model.jnt_type[self.joints] == mujoco.mjtJoint.mjJNT_HINGE
+        carriers = [_carriers(model, int(dof)) for dof in range(model.nv)]
+        carried = np.array([[j in above for j in range(model.nv)] for above in carriers])
+        self.carried = carried[np.ix_(self.order, self.order)]
+        """Whether each degree of freedom is moved by each other one, or is it (D, D)."""
+        accelerometer = mujoco.mjtSensor.mjSENS_ACCELEROMETER
+        self.sites = model.sensor_objid[model.sensor_type == accelerometer]
+        """Sites of the accelerometers, in the order of the channels (A,)."""
+        ends = [_last_dof(model, int(model.site_bodyid[site])) for site in self.sites]
+        reached = np.array([carried[end] if end >= 0 else np.zeros(model.nv) for end in ends])
+        self.reached = reached.astype(bool)[:, self.order]
+        """Whether each accelerometer is moved by each degree of freedom (A, D)."""
+        self.entries = self.order[:, None] * model.nv + self.order
+        self.stops = [int(model.tendon(f"seat_{side}").id) for side in ("low", "high")]
 
-    free = np.array([d for d in range(model.nv) if not (lock and d == seat_dof)], dtype=np.intp)
-    position = data.qpos[model.jnt_qposadr[model.dof_jntid]]
-    drives = np.zeros((model.nv, arm.n))
-    drives[joints, np.arange(arm.n)] = 1.0
-    encoders = np.zeros((arm.n, model.nv))
-    encoders[np.arange(arm.n), joints] = 1.0
+
+def _carriers(model: mujoco.MjModel, dof: int) -> set[int]:
+    """Degrees of freedom from one to the base, itself included."""
+    found = set()
+    while dof >= 0:
+        found.add(dof)
+        dof = int(model.dof_parentid[dof])
+    return found
+
+
+def _last_dof(model: mujoco.MjModel, body: int) -> int:
+    """Last degree of freedom that moves a body; -1 where it stands still."""
+    while body > 0 and model.body_dofnum[body] == 0:
+        body = int(model.body_parentid[body])
+    return int(model.body_dofadr[body] + model.body_dofnum[body] - 1) if body > 0 else -1
+
+
+def small_motions(
+    plants: Sequence[Plant],
+    layouts: Sequence[MotionLayout],
+    data: mujoco.MjData,
+    *,
+    excited: NDArray[np.bool_],
+    places: Array,
+    torque: Array,
+    mixing: Array,
+    mixed: NDArray[np.intp],
+) -> SmallMotion:
+    """Linearise true arms about their initial poses.
+
+    Parameters
+    ----------
+    plants : sequence of J Plant
+        The true arms; `Plant.hold_at` has been called.
+    layouts : sequence of J MotionLayout
+        Layouts of their templates.
+    data : mujoco.MjData
+        Scratch space of the plants' layout.
+    excited : ndarray of bool (J, n)
+        Joints that are excited and not held.
+    places : ndarray (J,)
+        Start of each seat, from the middle between its stops [m or rad].
+    torque : ndarray (J, n)
+        Constant torque of the drives [N·m].
+    mixing : ndarray (J, S, 3)
+        What each axis that is read makes of the true acceleration in its sensor's frame.
+    mixed : ndarray of int (S,)
+        Accelerometer of each of these axes, in the order of the layout's sites.
+    """
+    found = _gathered(plants, layouts, data, places)
+    jobs, n = excited.shape
+    diagonal = np.arange(found.inertia.shape[1])
+    # Gravity, from the arms' geometry; angular velocity and motion of centres of mass.
+    turning = np.where(found.hinges[..., None], found.axis, 0.0)
+    centres = _motion(found, found.centres) * found.mass[..., None]
+    gravity = found.gravity[:, None]
+    stiffness = -_dot(_cross(turning[:, None], centres[:, :, None]), gravity[:, None])
+    stiffness = np.where(found.carried, stiffness, 0.0)
+    one_way = found.carried & ~found.carried.transpose(0, 2, 1)
+    stiffness = stiffness + np.where(one_way, stiffness, 0.0).transpose(0, 2, 1)
+    linear = stiffness.copy()
+    # What holds the joints.
+    held = np.where(excited, 0.0, found.held)
+    inertia = found.inertia
+    inertia[:, diagonal[:n], diagonal[:n]] += held
+    springs, damping = found.springs, found.damping
+    springs[:, :n] += np.where(excited, 0.0, found.holding[0])
+    damping[:, :n] += np.where(excited, 0.0, found.holding[1])
+    stiffness[:, diagonal, diagonal] += springs
+    # A seat that is shut does not move.
+    inertia[found.shut, -1, :] = inertia[found.shut, :, -1] = 0.0
+    inertia[found.shut, -1, -1] = 1.0
+    mobility = np.linalg.inv(inertia)
+    mobility[found.shut, -1, -1] = 0.0
+    start = found.position - found.rest
+    start[found.shut, -1] = 0.0
     # Gravity's linear part is taken about the start, springs about where they rest.
-    start = (position - rest)[free]
-    gravity = stiffness[np.ix_(free, free)].copy()
-    gravity[np.arange(len(free)), np.arange(len(free))] -= springs[free]
+    force = _dot(centres, gravity) + _row_sums(linear * start[:, None])
+    force[:, :n] += torque
+    # Accelerometers: direction of each axis read, in the world.
+    frames = found.frames[:, mixed]
+    along = np.stack([_dot(mixing, frames[:, :, k]) for k in range(3)], axis=-1)
+    readings = np.empty((jobs, len(mixed), len(diagonal)))
+    tilting = np.empty_like(readings)
+    falling = _cross(turning, gravity)
+    for s, sensor in enumerate(mixed):
+        reached = found.reached[:, sensor]
+        moved = _motion(found, found.sites[:, sensor][:, None])
+        readings[:, s] = np.where(reached, _dot(along[:, s][:, None], moved), 0.0)
+        tilting[:, s] = np.where(reached, _dot(along[:, s][:, None], falling), 0.0)
+    law = found.law
+    law[:, :2] -= found.rest[:, -1:]
     return SmallMotion(
-        dofs=free,
-        mobility=np.linalg.inv(inertia[np.ix_(free, free)]),
-        stiffness=stiffness[np.ix_(free, free)],
-        damping=damping[free],
-        force=-bias[free] + gravity @ start,
+        mobility=np.asarray(mobility, dtype=np.float64),
+        stiffness=stiffness,
+        damping=damping,
+        force=force,
         start=start,
-        drives=drives[free],
-        readings=readings[:, free],
-        tilting=tilting[:, free],
-        still=still - tilting[:, free] @ start,
-        encoders=encoders[:, free],
-        zero=rest[joints],
-        seat=-1 if lock else int(np.searchsorted(free, seat_dof)),
-        law=None if lock else _law(model, seat_dof, rest=float(rest[seat_dof])),
+        readings=readings,
+        tilting=tilting,
+        still=-_dot(along, gravity) - _row_sums(tilting * start[:, None]),
+        zero=found.rest[:, :n],
+        law=law,
     )
+
+
+class _Gathered:
+    """What MuJoCo's models say about J arms, degrees of freedom in the layouts' order."""
+
+    def __init__(self, jobs: int, count: int, joints: int, sensors: int) -> None:
+        self.inertia = np.empty((jobs, count, count))
+        self.axis, self.anchor = np.empty((jobs, count, 3)), np.empty((jobs, count, 3))
+        self.centres, self.mass = np.empty((jobs, count, 3)), np.empty((jobs, count))
+        self.sites, self.frames = np.empty((jobs, sensors, 3)), np.empty((jobs, sensors, 3, 3))
+        self.gravity = np.empty((jobs, 3))
+        self.springs, self.damping = np.empty((jobs, count)), np.empty((jobs, count))
+        self.position, self.rest = np.empty((jobs, count)), np.empty((jobs, count))
+        self.held, self.holding = np.empty((jobs, joints)), np.empty((2, jobs, joints))
+        self.law = np.empty((jobs, 11))
+        self.shut = np.empty(jobs, dtype=bool)
+        self.hinges = np.empty((jobs, count), dtype=bool)
+        self.carried = np.empty((jobs, count, count), dtype=bool)
+        self.reached = np.empty((jobs, sensors, count), dtype=bool)
+
+
+def _gathered(
+    plants: Sequence[Plant], layouts: Sequence[MotionLayout], data: mujoco.MjData, places: Array
+) -> _Gathered:
+    """Place every arm at rest in its pose and take down what its model says."""
+    first = layouts[0]
+    n, count, sensors = len(plants[0].brakes), len(first.order), len(first.sites)
+    found = _Gathered(len(plants), count, n, sensors)
+    full = np.zeros((count, count))
+    qpos = data.qpos
+    for k, (plant, at) in enumerate(zip(plants, layouts, strict=True)):
+        model = plant.model
+        brakes = plant.brakes
+        qpos[:] = 0.0
+        qpos[plant.position] = model.eq_data[brakes, 0]
+        qpos[plant.seat_positions] = places[k]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_makeM(model, data)
+        mujoco.mj_fullM(model, data, full)
+        found.inertia[k] = full.ravel()[at.entries]
+        found.axis[k], found.anchor[k] = data.xaxis[at.joints], data.xanchor[at.joints]
+        found.centres[k] = data.subtree_com[at.bodies]
+        found.mass[k] = model.body_subtreemass[at.bodies]
+        found.sites[k] = data.site_xpos[at.sites]
+        found.frames[k] = data.site_xmat[at.sites].reshape(-1, 3, 3)
+        found.gravity[k] = model.opt.gravity
+        found.springs[k] = model.jnt_stiffness[at.joints]
+        found.damping[k] = model.dof_damping[at.order]
+        found.position[k] = qpos[at.positions]
+        found.rest[k] = model.qpos_spring[at.positions]
+        weight = model.dof_invweight0
+        impedance = model.eq_solimp[brakes, 0]
+        inertance = impedance / ((1 - impedance) * weight[at.order[:n]])
+        found.held[k] = inertance
+        found.holding[:, k] = (-inertance / impedance) * model.eq_solref[brakes].T
+        found.shut[k] = model.eq_active0[at.lock]
+        found.hinges[k], found.carried[k], found.reached[k] = at.hinges, at.carried, at.reached
+        found.law[k] = _law(model, at, float(weight[at.seat]))
+    return found
+
+
+def _law(model: mujoco.MjModel, at: MotionLayout, weight: float) -> tuple[float, ...]:
+    """Extract the constraint law of the seat from the model, as `SmallMotion.law`."""
+    low, high = at.stops
+    soft, inverse = model.tendon_solimp_lim, model.tendon_invweight0
+    reference, limits = model.tendon_solref_lim, model.tendon_range
+    scale = [1 / ((1 - soft[stop, 0]) * inverse[stop]) for stop in at.stops]
+    stiff = float(model.dof_solimp[at.seat, 0])
+    return (
+        limits[low, 0],
+        limits[high, 1],
+        -reference[low, 0] * scale[0],
+        -reference[high, 0] * scale[1],
+        -reference[low, 1] * scale[0],
+        -reference[high, 1] * scale[1],
+        scale[0] * soft[low, 0],
+        scale[1] * soft[high, 0],
+        model.dof_frictionloss[at.seat],
+        stiff / ((1 - stiff) * weight),
+        # Critically damped with MuJoCo's shortest time constant.
+        2 / (stiff * model.dof_solref[at.seat, 0]),
+    )
+
+
+def _motion(found: _Gathered, points: Array) -> Array:
+    """Velocity of points (J, D or 1, 3) per velocity of each degree of freedom (J, D, 3)."""
+    turned = _cross(found.axis, points - found.anchor)
+    return np.where(found.hinges[..., None], turned, found.axis)
+
+
+# Written out, so that the order of a sum never depends on the number of arms.
+def _dot(a: Array, b: Array) -> Array:
+    product = a * b
+    return np.asarray(product[..., 0] + product[..., 1] + product[..., 2])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+def _row_sums(a: Array) -> Array:
+    total = a[..., 0].copy()
+    for k in range(1, a.shape[-1]):
+        total += a[..., k]
+    return total
 
 
 def require_one_part(plant: Plant) -> None:
@@ -206,79 +348,3 @@ def _require_linear(model: mujoco.MjModel, plant: Plant) -> None:
             "the reduced engine takes springs and dampers of joints as linear and knows no "
             "friction in them; this arm has others: take the engine 'mujoco'"
         )
-
-
-def _place(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, place: float) -> None:
-    """Set the arm to its pose at rest, all other coordinates zero."""
-    data.qpos[:] = 0.0
-    data.qvel[:] = 0.0
-    data.qacc_warmstart[:] = 0.0
-    data.ctrl[:] = 0.0
-    data.qpos[plant.position] = model.eq_data[plant.brakes, 0]
-    data.qpos[plant.seat_positions] = place
-    data.eq_active[:] = 0  # readings and forces of the constraints are worked out here
-
-
-def _sensors(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array, Array]:
-    """Linear part and rest reading of every accelerometer, in the order of the channels."""
-    jacobian, turning = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-    gravity = model.opt.gravity
-    readings, tilting, still = [], [], []
-    for k in range(model.nsensor):
-        if model.sensor_type[k] != mujoco.mjtSensor.mjSENS_ACCELEROMETER:
-            continue
-        site = int(model.sensor_objid[k])
-        mujoco.mj_jacSite(model, data, jacobian, turning, site)
-        frame = data.site_xmat[site].reshape(3, 3).T
-        readings.append(frame @ jacobian)
-        tilting.append(frame @ np.cross(turning, gravity, axisa=0).T)
-        still.append(-frame @ gravity)
-    return np.concatenate(readings), np.concatenate(tilting), np.concatenate(still)
-
-
-def _gravity_stiffness(model: mujoco.MjModel, data: mujoco.MjData, bias: Array) -> Array:
-    """Gravity stiffness matrix of the degrees of freedom (nv, nv)."""
-    change = np.zeros((model.nv, model.nv))
-    if not np.abs(bias).max() > 0:
-        return change
-    step = 1e-6
-    before = data.qpos.copy()
-    for dof in range(model.nv):
-        data.qpos[model.jnt_qposadr[model.dof_jntid[dof]]] += step
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        moved = np.zeros(model.nv)
-        mujoco.mj_rne(model, data, 0, moved)
-        change[:, dof] = (moved - bias) / step
-        data.qpos[:] = before
-    return change
-
-
-def _holding(model: mujoco.MjModel, equality: int, dof: int) -> tuple[float, float, float]:
-    """Inertance, stiffness and damping of a braked or servoed joint."""
-    impedance = float(model.eq_solimp[equality, 0])
-    inertance = impedance / ((1 - impedance) * model.dof_invweight0[dof])
-    stiff, damper = -model.eq_solref[equality]
-    return inertance, inertance * stiff / impedance, inertance * damper / impedance
-
-
-def _law(model: mujoco.MjModel, dof: int, *, rest: float) -> SeatLaw:
-    """Extract the constraint law of the seat from the model."""
-    stops = [model.tendon(f"seat_{side}").id for side in ("low", "high")]
-    soft = model.tendon_solimp_lim[stops, 0]
-    inertance = soft / ((1 - soft) * model.tendon_invweight0[stops])
-    scale = inertance / soft
-    stiffness = -model.tendon_solref_lim[stops, 0] * scale
-    damping = -model.tendon_solref_lim[stops, 1] * scale
-    stiff = float(model.dof_solimp[dof, 0])
-    return SeatLaw(
-        low=float(model.tendon_range[stops[0], 0]) - rest,
-        high=float(model.tendon_range[stops[1], 1]) - rest,
-        stiffness=(float(stiffness[0]), float(stiffness[1])),
-        damping=(float(damping[0]), float(damping[1])),
-        inertance=(float(inertance[0]), float(inertance[1])),
-        friction=float(model.dof_frictionloss[dof]),
-        grip=stiff / ((1 - stiff) * float(model.dof_invweight0[dof])),
-        # Critically damped with MuJoCo's shortest time constant.
-        rate=2 / (stiff * float(model.dof_solref[dof, 0])),
-    )

@@ -1,7 +1,7 @@
 """Coherence of the tool's motion with several excited joints at once."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -78,16 +78,22 @@ def lowest_coherence_direction(x: ArrayLike, a: ArrayLike) -> LowestCoherence:
 
 
 def lowest_coherence_direction_from(cov: Covariances) -> LowestCoherence:
-    """`lowest_coherence_direction` on covariances."""
+    """`lowest_coherence_direction` on covariances.
+
+    Of several records, each of the three results has their axes in front.
+    """
     w = whitener(cov.aa)
-    whitened = np.linalg.solve(excitation_factor(cov.xx), cov.xa @ w).T
+    whitened = np.linalg.solve(excitation_factor(cov.xx), cov.xa @ w).mT
     # Singular values of the whitened covariance are the canonical correlations rho. They come
     # falling, and the left vectors beyond them (m < d) follow no joint.
     vectors, rho, _ = np.linalg.svd(whitened)
-    coherences = np.zeros(len(cov.aa))
-    coherences[: len(rho)] = np.minimum(rho, 1.0) ** 2
+    coherences = np.zeros(cov.aa.shape[:-1])
+    coherences[..., : rho.shape[-1]] = np.minimum(rho, 1.0) ** 2
+    lowest: Any = coherences[..., -1]
     return LowestCoherence(
-        axial_vector(w @ vectors[:, -1]), float(coherences[-1]), coherences[::-1]
+        axial_vector((w @ vectors[..., -1:])[..., 0]),
+        float(lowest) if cov.aa.ndim == 2 else lowest,
+        coherences[..., ::-1],
     )
 
 

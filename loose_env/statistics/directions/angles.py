@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import as_direction, as_floats, require_finite
+from loose_env.statistics._checks import as_direction, as_directions, as_floats, require_finite
 from loose_env.typing import Array
 
 Angles = NDArray[np.floating[Any]]
@@ -127,12 +127,12 @@ def axial_vector(direction: ArrayLike) -> Array:
 
     Parameters
     ----------
-    direction : array, shape (d,)
+    direction : array, shape (..., d)
         Any vector along the axis.
 
     Returns
     -------
-    array, shape (d,)
+    array, shape (..., d)
         Unit vector.
 
     Raises
@@ -145,9 +145,11 @@ def axial_vector(direction: ArrayLike) -> Array:
     >>> axial_vector([3.0, -4.0]).tolist()
     [-0.6, 0.8]
     """
-    vector = np.atleast_1d(as_floats(direction, "direction"))
-    unit = as_direction(vector, vector.shape[-1])
-    return unit if unit[np.flatnonzero(unit)[-1]] > 0.0 else -unit
+    unit = as_directions(direction)
+    last = np.zeros(unit.shape[:-1])  # component that is not zero
+    for component in np.moveaxis(unit, -1, 0):
+        last = np.where(component != 0.0, component, last)
+    return np.where(last[..., None] > 0.0, unit, -unit)
 
 
 def axial_angle(direction: ArrayLike) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import as_record
+from loose_env.statistics._checks import as_record, as_records
 from loose_env.typing import Array
 
 # Below this share of the largest variance a direction counts as not moving: rounding of the
@@ -19,7 +19,8 @@ STILL = 1e-12
 class Covariances:
     """Covariances of m excitation signals x and d response signals a, means removed.
 
-    Sums are divided by the number of samples.
+    Sums are divided by the number of samples. Of several records, each array has further axes in
+    front.
     """
 
     xx: Array
@@ -70,7 +71,7 @@ def covariances(x: ArrayLike, a: ArrayLike) -> Covariances:
     >>> cov.xa.tolist()
     [[2.0, 1.5]]
     """
-    joint = _Joint(x=x, a=a)
+    joint = _Joint(x=as_record(x, "x"), a=as_record(a, "a"))
     joint.require_every_row("x")
     joint.require_one_row("a")
     return joint.between("x", "a")
@@ -81,17 +82,17 @@ def record_covariances(command: ArrayLike, x: ArrayLike, a: ArrayLike) -> Record
 
     Parameters
     ----------
-    command : array, shape (N,) or (m, N)
-        Commanded torques of the excited joints, N m.
-    x : array, shape (N,) or (m, N)
+    command : array, shape (N,) or (..., m, N)
+        Commanded torques of the excited joints, N m. Axes in front are those of several records.
+    x : array, shape (N,) or (..., m, N)
         Accelerations of the excited joints, rad/s^2.
-    a : array, shape (d, N)
+    a : array, shape (N,) or (..., d, N)
         Tool acceleration in the tool frame, m/s^2.
 
     Returns
     -------
     RecordCovariances
-        The same as `covariances` of each pair.
+        The same as `covariances` of each pair, of every record.
 
     Raises
     ------
@@ -146,63 +147,69 @@ def planar_excitation(cov: Covariances) -> Array:
 
 
 def whitener(aa: Array) -> Array:
-    """Return W, shape (d, d), with W.T S W = 1 for the covariance S of the tool acceleration.
+    """Return W, shape (..., d, d), with W.T S W = 1 for the tool acceleration's covariance S.
 
     A direction in which the tool does not move gets a small variance in place of none. That is
     the limit with sensor noise: its correlation with anything is zero.
     """
     values, vectors = np.linalg.eigh(aa)
-    scale = np.sqrt(np.maximum(values, STILL * values[-1]))
-    return np.asarray(vectors / scale, dtype=np.float64)
+    scale = np.sqrt(np.maximum(values, STILL * values[..., -1:]))
+    return np.asarray(vectors / scale[..., None, :], dtype=np.float64)
 
 
 def excitation_factor(xx: Array) -> Array:
-    """Return the lower Cholesky factor of cov(x, x), shape (m, m)."""
+    """Return the lower Cholesky factor of cov(x, x), shape (..., m, m)."""
     dependent = "the rows of x depend on each other; each joint needs an excitation of its own"
     try:
-        factor = np.linalg.cholesky(xx)
+        factor = np.asarray(np.linalg.cholesky(xx), dtype=np.float64)
     except np.linalg.LinAlgError as error:
         raise InvalidData(dependent) from error
     # The square of a pivot is what of a row's variance the rows above leave unexplained.
-    if (factor.diagonal() ** 2 < STILL * xx.diagonal()).any():
+    if (_diagonals(factor) ** 2 < STILL * _diagonals(xx)).any():
         raise InvalidData(dependent)
-    return np.asarray(factor, dtype=np.float64)
+    return factor
+
+
+def _diagonals(matrices: Array) -> Array:
+    """Diagonals (..., k) of matrices (..., k, k)."""
+    return np.asarray(np.diagonal(matrices, axis1=-2, axis2=-1))
 
 
 class _Joint:
-    """Covariance of all signals of a record with each other."""
+    """Covariance of all signals of a record with each other, or of each of several records."""
 
     def __init__(self, **signals: ArrayLike) -> None:
-        records = {name: as_record(signal, name) for name, signal in signals.items()}
-        lengths = {name: record.shape[1] for name, record in records.items()}
+        records = {name: as_records(signal, name) for name, signal in signals.items()}
+        lengths = {name: record.shape[-1] for name, record in records.items()}
         if len(set(lengths.values())) > 1:
             raise InvalidData(f"the numbers of samples are {lengths}; they must be equal")
-        joined = np.concatenate(list(records.values()))
-        self.count = joined.shape[1]
+        joined = np.concatenate(list(records.values()), axis=-2)
+        self.count = joined.shape[-1]
         with np.errstate(invalid="ignore", over="ignore"):
-            means = joined.mean(axis=1, keepdims=True)
+            means = joined.mean(axis=-1, keepdims=True)
             joined -= means
-            # einsum sums in one fixed order, whatever the number of threads.
-            self.full = np.einsum("in,jn->ij", joined, joined) / self.count
+            # einsum sums in one fixed order, whatever the number of threads or records.
+            self.full = np.einsum("...in,...jn->...ij", joined, joined) / self.count
         if not np.isfinite(self.full).all():
             raise InvalidData(f"{' or '.join(records)} holds NaN, infinite or too large values")
         # What is left of a constant after its mean is removed is rounding.
-        self.moving = self.full.diagonal() > (1e-15 * means[:, 0]) ** 2
+        self.moving = _diagonals(self.full) > (1e-15 * means[..., 0]) ** 2
         self.rows: dict[str, slice] = {}
         start = 0
         for name, record in records.items():
-            self.rows[name] = slice(start, start + len(record))
-            start += len(record)
+            self.rows[name] = slice(start, start + record.shape[-2])
+            start += record.shape[-2]
 
     def require_every_row(self, name: str) -> None:
-        moving = self.moving[self.rows[name]]
+        moving = self.moving[..., self.rows[name]]
         if not moving.all():
-            raise InvalidData(f"{name} is constant in row {int(moving.argmin())}; it must vary")
+            row = int(np.argwhere(~moving)[0, -1])
+            raise InvalidData(f"{name} is constant in row {row}; it must vary")
 
     def require_one_row(self, name: str) -> None:
-        if not self.moving[self.rows[name]].any():
+        if not self.moving[..., self.rows[name]].any(axis=-1).all():
             raise InvalidData(f"{name} is constant; it must vary in one row at least")
 
     def between(self, x: str, a: str) -> Covariances:
-        p, q = self.rows[x], self.rows[a]
-        return Covariances(self.full[p, p], self.full[p, q], self.full[q, q], self.count)
+        p, q, full = self.rows[x], self.rows[a], self.full
+        return Covariances(full[..., p, p], full[..., p, q], full[..., q, q], self.count)

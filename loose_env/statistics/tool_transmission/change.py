@@ -72,11 +72,11 @@ def transmission(x: ArrayLike, a: ArrayLike) -> Array:
 
 
 def transmission_from(cov: Covariances) -> Array:
-    """`transmission` on covariances."""
-    if len(cov.xx) == 1:
-        return (cov.xa / cov.xx).T
+    """`transmission` on covariances; of several records (..., d, m)."""
+    if cov.xx.shape[-1] == 1:
+        return (cov.xa / cov.xx).mT
     factor = excitation_factor(cov.xx)
-    b = np.linalg.solve(factor.T, np.linalg.solve(factor, cov.xa)).T
+    b = np.linalg.solve(factor.mT, np.linalg.solve(factor, cov.xa)).mT
     return np.asarray(b, dtype=np.float64)
 
 
@@ -116,9 +116,12 @@ def transmission_by_instrument(command: ArrayLike, x: ArrayLike, a: ArrayLike) -
 
 
 def transmission_by_instrument_from(command_x: Covariances, command_a: Covariances) -> Array:
-    """`transmission_by_instrument` on the covariances of the command with x and with a."""
+    """`transmission_by_instrument` on the covariances of the command with x and with a.
+
+    Of several records (..., d, m).
+    """
     _require_related(command_x)
-    return np.asarray(np.linalg.solve(command_x.xa, command_a.xa).T, dtype=np.float64)
+    return np.asarray(np.linalg.solve(command_x.xa, command_a.xa).mT, dtype=np.float64)
 
 
 def apparent_inertia(command: ArrayLike, x: ArrayLike) -> Array:
@@ -155,9 +158,12 @@ def apparent_inertia(command: ArrayLike, x: ArrayLike) -> Array:
 
 
 def apparent_inertia_from(command_x: Covariances) -> Array:
-    """`apparent_inertia` on the covariances of the command with x."""
+    """`apparent_inertia` on the covariances of the command with x.
+
+    Of several records (..., m, m).
+    """
     _require_related(command_x)
-    return np.asarray(np.linalg.solve(command_x.xa, command_x.xx).T, dtype=np.float64)
+    return np.asarray(np.linalg.solve(command_x.xa, command_x.xx).mT, dtype=np.float64)
 
 
 def transmission_change(b: ArrayLike, b_reference: ArrayLike) -> TransmissionChange:
@@ -209,10 +215,14 @@ def transmission_change(b: ArrayLike, b_reference: ArrayLike) -> TransmissionCha
 
 def _require_related(command_x: Covariances) -> None:
     uu, ux, xx = command_x.xx, command_x.xa, command_x.aa
-    if ux.shape[0] != ux.shape[1]:
+    if ux.shape[-2] != ux.shape[-1]:
         raise InvalidData(
-            f"command has {ux.shape[0]} rows and x has {ux.shape[1]}; each excited joint needs one"
+            f"command has {ux.shape[-2]} rows and x has {ux.shape[-1]}; each excited joint needs "
+            "one"
         )
-    scale = np.sqrt(np.outer(uu.diagonal(), xx.diagonal()))
-    if (scale == 0.0).any() or np.linalg.svd(ux / scale, compute_uv=False)[-1] < UNRELATED:
+    commanded, moved = (np.diagonal(own, axis1=-2, axis2=-1) for own in (uu, xx))
+    scale = np.sqrt(commanded[..., :, None] * moved[..., None, :])
+    if (scale == 0.0).any() or (
+        np.linalg.svd(ux / scale, compute_uv=False)[..., -1] < UNRELATED
+    ).any():
         raise InvalidData("x does not follow the command; the command cannot serve as instrument")

@@ -51,7 +51,8 @@ def _wiggle(arm: Arm, pose: Array, fault: Fault, jig: Jig, rng: np.random.Genera
     )
     torque = torque_signals(shake, timestep=arm.timestep, before=0, after=0, rng=rng)
     record = simulate_docked(arm, pose, fault, torque, jig=jig, every=10)
-    return read_encoder(record.angles, sensor=Encoder(), rng=rng)
+    drawn = rng.standard_normal(record.angles.shape)
+    return read_encoder(record.angles, sensor=Encoder(), drawn=drawn)
 
 
 def _slide(link: int) -> StructuralLooseness:
