@@ -70,7 +70,13 @@ class SwapStep:
         self.comparison, self.short, self.scorer = comparison, short, scorer
         self.candidates, self.base, self.settings = candidates, base, settings
 
-    def improved(self, best: ScoredFit, say: Callable[[str], None] = lambda _: None) -> ScoredFit:
+    def improved(
+        self,
+        best: ScoredFit,
+        say: Callable[[str], None] = lambda _: None,
+        *,
+        white: bool = False,
+    ) -> ScoredFit:
         """Return the best hypothesis after swaps; ``best`` itself if none is better.
 
         A hypothesis replaces another if it would have been ranked above it: its residual is
@@ -83,17 +89,19 @@ class SwapStep:
             The hypothesis to improve.
         say : callable
             Receives progress messages, line by line.
+        white : bool
+            Whether nothing is left to explain: then only one effect for two is tried.
         """
         for _ in range(_ROUNDS):
-            found = self._round(best, say)
+            found = self._round(best, say, white=white)
             if found is best:
                 break
             best = found
         return best
 
-    def _round(self, best: ScoredFit, say: Callable[[str], None]) -> ScoredFit:
+    def _round(self, best: ScoredFit, say: Callable[[str], None], *, white: bool) -> ScoredFit:
         """Try every effect of a hypothesis once, then every two at one joint."""
-        for effect in best.fitted.effects:
+        for effect in () if white else best.fitted.effects:
             if not _among((effect,), best.fitted.effects):
                 continue  # an effect that a swap made insignificant
             if effect.has_stops and not self.settings.swap_stops:
