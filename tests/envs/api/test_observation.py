@@ -344,11 +344,11 @@ def test_what_has_been_spent_adds_up(make_env: Callable[..., DiagnosisEnv]) -> N
     env = make_env(n_links=2, max_records=4)
     env.reset(seed=0)
     spent = np.zeros(3)
-    for levels, duration in (([3, 0], 0), ([0, 0], 2), ([2, 1], 1)):
+    # all joints off is the last joint at its top level: every record is excited
+    for levels, duration, excited in (([3, 0], 0, 3), ([0, 0], 2, 3), ([2, 1], 1, 3)):
         action = env.actions.encode(levels=np.array(levels), duration=duration)
         observation = env.step(action)[0]
-        seconds = (0.2, 0.4, 1.2)[duration] if any(levels) else 0.0
-        spent += [0.25, seconds, sum(levels)]
+        spent += [0.25, (0.2, 0.4, 1.2)[duration], excited]
         np.testing.assert_allclose(env.layout.physical(observation, "spent"), spent, rtol=1e-6)
         left = env.layout.physical(observation, "left")[0]
         assert left == pytest.approx(1 - spent[0])

@@ -102,9 +102,12 @@ def test_masks_are_those_of_the_episodes_that_run_now(make_vector: MakeVector) -
         assert infos["_action_mask"].all()
         infos = env.step(actions)[-1]
     assert env.action_masks().shape == (3, env.single_action_space.nvec.sum())
-    verdicts = slice(-2 * 3 - 1, None)
+    unsure, named = slice(-1, None), slice(-2 * 3 - 1, -1)
     infos = env.step(deciding(env, [1]))[-1]
-    assert infos["action_mask"][:, verdicts].all(axis=1).tolist() == [True, False, True]
+    assert infos["action_mask"][:, named].all(axis=1).tolist() == [True, False, True]
+    # "unsure" waits for the third record, of which the first and third arm have taken two or three
+    records = [episode.records for episode in map(env.batch.episode, range(3))]
+    assert infos["action_mask"][:, unsure].all(axis=1).tolist() == [r >= 3 for r in records]
 
 
 def test_infos_of_a_step_are_those_of_the_single_form(
@@ -130,12 +133,12 @@ def test_records_of_different_length_can_be_taken_together(
     env.reset(seed=0)
     actions = going_on(env)
     actions[:, -2] = [0, 2, 1]
-    actions[2, 2:4] = 0  # and one without excitation
+    actions[2, 2:4] = 0  # which excites the last joint
     observation = env.step(actions)[0]
     assert observation in env.observation_space
     flat = observation["statistics"] if raw else observation
     seen = env.layout.physical(flat, "duration")[:, 0, 0]
-    np.testing.assert_allclose(seen, [0.2, 1.2, 0.0], rtol=1e-6)
+    np.testing.assert_allclose(seen, [0.2, 1.2, 0.4], rtol=1e-6)
 
 
 def test_arms_that_measure_do_so_together(
@@ -146,9 +149,7 @@ def test_arms_that_measure_do_so_together(
     env.reset(seed=0)
     env.step(going_on(env))
     assert (spy.calls, len(spy.jobs)) == (1, 4)
-    actions = deciding(env, [0])
-    actions[1, 2:4] = 0
-    env.step(actions)
+    env.step(deciding(env, [0, 1]))
     assert (spy.calls, [job.slot for job in spy.jobs[4:]]) == (2, [2, 3])
 
 

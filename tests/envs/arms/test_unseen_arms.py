@@ -18,6 +18,9 @@ from loose_env.excitation import at_levels
 from loose_env.faults import KINDS, Backlash
 from loose_env.rig import SimulatedRig
 
+# their tools lie on the axis of the last joint, of which the arms warn
+pytestmark = pytest.mark.filterwarnings("ignore:.*lies on the axis:UserWarning")
+
 
 def rod(length: float, radius: float = 0.03) -> str:
     return f'<geom type="capsule" fromto="0 0 0 {length} 0 0" size="{radius}"/>'
@@ -172,7 +175,8 @@ def test_every_kind_of_fault_is_measured_on_it(file: Path, hold: str) -> None:
     n = env.arm.n
     slides = ["slide" if s else "hinge" for s in env.arm.sliding]
     assert slides == JOINTS.get(file.name, " ".join(slides)).split()
-    assert len(env.hypotheses) == 1 + 4 * n
+    unfelt = len(env.arm.unfelt_joints)  # play there is no hypothesis
+    assert unfelt == 1 and len(env.hypotheses) == 1 + 4 * n - unfelt
     for number, kind in enumerate(KINDS):
         named = [h for h in env.hypotheses if h.startswith(kind)]
         fault = named[number % len(named)]

@@ -104,10 +104,10 @@ def test_a_record_shows(picture: Picture) -> None:
 
 
 def test_a_record_without_excitation_shows_no_loop(picture: Picture) -> None:
-    env = measured()
-    env.step(env.actions.encode())
-    words = texts(picture, episode_of(env))
-    assert words[0] == "Record 2"
+    episode = episode_of(measured())
+    episode.last = None  # as where gravity leaves the drives no torque
+    words = texts(picture, episode)
+    assert words[0] == "Record 1"
     assert "Nothing was shaken" in words[1]
     assert not any("healthy arm" in line for line in words)
 
