@@ -25,6 +25,7 @@ from loose_agents.core.estimators import (
 from loose_agents.policies.blind import BlindAgent
 from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings
 from loose_agents.policies.link_finding import LinkFindingAgent
+from loose_agents.policies.local import LocalAgent
 from loose_agents.policies.oracle import oracle_agent
 from loose_agents.policies.policies import POLICIES, make_policy
 from loose_agents.policies.spatial_link_finding import (
@@ -60,8 +61,10 @@ def _of(estimator: str, policy: str) -> Callable[[Problem, int], Agent]:
     return lambda problem, seed: belief_agent(estimator, policy, problem, seed=seed)
 
 
-def _classical(order: Order | None = None) -> Callable[[Problem, int], Agent]:
-    """The classical method, in the order tuned for the arm or in a given one.
+def _classical(
+    order: Order | None = None, method: type[ClassicalAgent] = ClassicalAgent
+) -> Callable[[Problem, int], Agent]:
+    """The classical method or its local form, in the tuned order or in a given one.
 
     Its thresholds are in units of errors: the defaults do for an arm that was not tuned.
     """
@@ -70,7 +73,7 @@ def _classical(order: Order | None = None) -> Callable[[Problem, int], Agent]:
         settings = ClassicalSettings(**_tuned_search("classical", problem))
         if order is not None:
             settings = replace(settings, order=order)
-        return ClassicalAgent(problem, settings, seed=seed)
+        return method(problem, settings, seed=seed)
 
     return make
 
@@ -128,6 +131,10 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     "outward": (_classical("outward"), "the same, from the base outward"),
     "inward": (_classical("inward"), "the same, from the tool inward"),
     "bisection": (_classical("bisection"), "the same, halving the arm"),
+    "local": (
+        _classical(method=LocalAgent),
+        "the same with accelerometers on the links beside the tool's",
+    ),
     "classical_literal": (
         _classical_literal,
         "the thesis's link finding to the letter: lowest correlation, two poses compared",

@@ -152,6 +152,11 @@ class ReducedRig(SlotRig):
             self.timestep,
             recorded,
         )
+        others = len(motion.still) - 3
+        if others:  # the loop writes encoders last, records have them after the tool
+            recorded = np.concatenate(
+                [recorded[:, :3], recorded[:, 3 + others :], recorded[:, 3 : 3 + others]], axis=1
+            )
         run = Run(
             jobs=[job],
             control=control,

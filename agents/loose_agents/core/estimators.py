@@ -14,7 +14,14 @@ from scipy.special import logsumexp
 
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Estimator, Situation, Sure, records_taken
-from loose_env.diagnosis import Belief, FaultPosterior, PosteriorSettings, RecordStatistics
+from loose_env.diagnosis import (
+    Belief,
+    FaultPosterior,
+    LinkReadings,
+    PosteriorSettings,
+    RecordStatistics,
+    link_axes,
+)
 from loose_env.envs import ObservationLayout, difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 
@@ -26,6 +33,7 @@ __all__ = [
     "analytic_posterior",
     "belief_of",
     "feature_size",
+    "links_from",
     "further_features",
     "make_estimator",
     "record_from",
@@ -95,6 +103,29 @@ def record_from(
         kurtosis=at["kurtosis"],
         lowest_skewness=float(at["lowest_skewness"][0]),
         lowest_kurtosis=float(at["lowest_kurtosis"][0]),
+    )
+
+
+def links_from(
+    layout: ObservationLayout, observation: NDArray[np.float32], slot: int
+) -> LinkReadings:
+    """Decode what the accelerometers on links show in one record of an observation.
+
+    Raises
+    ------
+    InvalidSetting
+        If the settings have no accelerometers on links.
+    """
+    choice = layout.settings.sensors.on_links
+    if choice is None:
+        raise InvalidSetting("the observation holds no accelerometers on links")
+    at = layout.groups_of(layout.slots_of(observation)[slot])
+    count, axes = len(choice.on(layout.arm)), len(link_axes(layout.arm, choice))
+    return LinkReadings(
+        transmission_by_instrument=at["link_transmission_by_instrument"].reshape(
+            count, axes, layout.arm.n
+        ),
+        rms=at["link_rms"].reshape(count, axes),
     )
 
 
