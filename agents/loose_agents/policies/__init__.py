@@ -1,5 +1,4 @@
-"""Policies: random, constant, greedy, look-ahead, oracle, link finding by tool
-or links, blind rows.
+"""Policies: random, constant, greedy, look-ahead, oracle, link finding, blind rows.
 
 Data flow: blind -> classical -> local -> information_policies -> link_finding -> policies ->
 oracle -> spatial_link_finding.

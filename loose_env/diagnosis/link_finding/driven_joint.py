@@ -74,8 +74,8 @@ def shape_of_motion(
     driven = np.flatnonzero(record.excited)
     if len(driven) != 1:
         raise InvalidData(
-            f"the shape of the motion tells play in one driven joint; joints {(driven + 1).tolist()}"
-            " were excited: excite one alone"
+            "the shape of the motion tells play in one driven joint; joints "
+            f"{(driven + 1).tolist()} were excited: excite one alone"
         )
     shake = Excitation(
         torque_rms=tuple(float(t) for t in record.torque),
