@@ -1,7 +1,7 @@
 """The diagnosis environments.
 
-Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> joint_side -> vector_env ->
-sb3.
+Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> joint_side ->
+vector_env -> sb3.
 """
 
 from loose_env.envs.diagnosis_env import DiagnosisEnv

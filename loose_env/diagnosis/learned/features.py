@@ -78,18 +78,9 @@ class TransmissionChange:
     """The motion itself in the nominal arm [m/s²] (d m,)."""
     covariance: Array
     """Covariance by model and sampling errors, to first order [m²/s⁴] (d m, d m)."""
-    springs: Array
+    springs: Array | None = None
     """The part of it that the springs make, one standard deviation each: errors that all sensors
-    of the arm share [m/s²] (K, d m)."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Change:
-    """The same in standard deviations, beside the change itself."""
-
-    measured: Array
-    open: Array
-    change: TransmissionChange
+    of the arm share [m/s²] (K, d m); None where no spring matters."""
 
 
 class SeatFeatures:
@@ -222,10 +213,12 @@ class SeatFeatures:
         residual = record.tool_covariance - b @ mixed - mixed.T @ b.T + b @ joint @ b.T
         size, along = np.linalg.eigh(residual)
         residual = along @ np.diag(np.maximum(size, 1e-3 * self.floor.tool**2)) @ along.T
-        change = self._change(record, b, residual, seats)
-        power = (change.open**2).sum(-1)
-        inner = change.open @ change.measured
-        chi = float(change.measured @ change.measured)
+        change = self._changed(record, b, residual, seats)
+        white = _whitening(change.covariance)
+        seen, opened = white @ change.measured, change.open @ white.T
+        power = (opened**2).sum(-1)
+        inner = opened @ seen
+        chi = float(seen @ seen)
         opening = inner / (power + 1.0)
         gain = inner**2 / (power + 1.0)
         inertia, inertia_open = self._inertias(record, on, seats)
@@ -277,19 +270,7 @@ class SeatFeatures:
                 record.lowest_coherence,
             ]
         )
-        return location, whole, change.change
-
-    def _change(
-        self,
-        record: RecordStatistics,
-        b: Array,
-        residual: Array,
-        seats: SeatPrediction,
-    ) -> _Change:
-        """Change of transmission, in standard deviations."""
-        change = self._changed(record, b, residual, seats)
-        white = _whitening(change.covariance)
-        return _Change(measured=white @ change.measured, open=change.open @ white.T, change=change)
+        return location, whole, change
 
     def _changed(
         self, record: RecordStatistics, b: Array, residual: Array, seats: SeatPrediction
@@ -305,7 +286,7 @@ class SeatFeatures:
             covariance=self.covariance(
                 record.pose, record.excited, b, residual, x, record.duration, springs=springs
             ),
-            springs=(springs @ x).reshape(len(springs), b.size),
+            springs=(springs @ x).reshape(len(springs), b.size) if len(springs) else None,
         )
 
     def open_change(self, seats: SeatPrediction) -> Array:

@@ -100,8 +100,9 @@ def scatter_of(changes: Sequence[TransmissionChange], joints: int) -> RecordScat
     measured = np.concatenate([change.measured for change in changes])
     nominal = np.concatenate([change.nominal for change in changes])
     # Sensors err on their own, springs for all of them at once.
-    springs = np.concatenate([change.springs for change in changes], axis=1)
-    covariance = springs.T @ springs
+    springs = [change.springs for change in changes if change.springs is not None]
+    shared = np.concatenate(springs, axis=1) if springs else np.zeros((1, len(measured)))
+    covariance = shared.T @ shared
     begin = 0
     for change in changes:
         own = slice(begin, begin := begin + len(change.measured))

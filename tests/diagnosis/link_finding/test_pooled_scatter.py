@@ -27,7 +27,6 @@ def change(direction: float, size: float) -> TransmissionChange:
         open=np.einsum("pi,j->pij", lines, share).reshape(6, -1),
         nominal=np.zeros(6),
         covariance=errors,
-        springs=np.zeros((0, 6)),
     )
 
 
@@ -67,6 +66,6 @@ def test_sensors_do_not_outvote_an_error_that_they_share() -> None:
     seen = replace(made, covariance=made.covariance + spring.T @ spring, springs=spring)
     # Known to be shared, it is no surer for being seen twice; taken as two errors it would be.
     shared = scatter_of([seen, seen], 3).gain[0]
-    apart = scatter_of([replace(seen, springs=0 * spring)] * 2, 3).gain[0]
+    apart = scatter_of([replace(seen, springs=None)] * 2, 3).gain[0]
     assert shared < 1.1
     assert apart == pytest.approx(2 * scatter_of([seen], 3).gain[0])
