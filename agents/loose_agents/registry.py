@@ -23,7 +23,7 @@ from loose_agents.core.estimators import (
     tuned_stopping,
 )
 from loose_agents.policies.blind import BlindAgent
-from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings
+from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings, stiffness_class
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.policies.local import LocalAgent
 from loose_agents.policies.oracle import oracle_agent
@@ -36,7 +36,7 @@ from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
 from loose_env.faults import UNSURE
 
-__all__ = ["AGENTS", "WEIGHTS", "belief_agent", "describe", "make_agent"]
+__all__ = ["AGENTS", "WEIGHTS", "belief_agent", "classical_settings", "describe", "make_agent"]
 
 
 def belief_agent(estimator: str, policy: str, problem: Problem, *, seed: int = 0) -> BeliefAgent:
@@ -61,16 +61,18 @@ def _of(estimator: str, policy: str) -> Callable[[Problem, int], Agent]:
     return lambda problem, seed: belief_agent(estimator, policy, problem, seed=seed)
 
 
+def classical_settings(problem: Problem) -> ClassicalSettings:
+    """Settings of the classical method that ship for an arm's class."""
+    return ClassicalSettings(**_tuned_search(f"{stiffness_class(problem)}-classical"))
+
+
 def _classical(
     order: Order | None = None, method: type[ClassicalAgent] = ClassicalAgent
 ) -> Callable[[Problem, int], Agent]:
-    """The classical method or its local form, in the tuned order or in a given one.
-
-    Its thresholds are in units of errors: the defaults do for an arm that was not tuned.
-    """
+    """The classical method or its local form, in the tuned order or in a given one."""
 
     def make(problem: Problem, seed: int) -> Agent:
-        settings = ClassicalSettings(**_tuned_search("classical", problem))
+        settings = classical_settings(problem)
         if order is not None:
             settings = replace(settings, order=order)
         return method(problem, settings, seed=seed)
@@ -82,7 +84,7 @@ def _classical_literal(problem: Problem, seed: int) -> Agent:
     if len(problem.arm.axes) == 3:
         # In space; its thresholds follow from the mismatch and need no tuning.
         return SpaceLinkFindingAgent(problem, SpaceLinkFindingSettings(policy="turns"), seed=seed)
-    settings = _tuned_search("classical_literal", problem)
+    settings = _tuned_search(f"{problem.arm.name}-classical_literal")
     if not settings:
         warnings.warn(
             f"classical_literal is not tuned for arm {problem.arm.name!r}: it plays with untuned "
@@ -92,9 +94,9 @@ def _classical_literal(problem: Problem, seed: int) -> Agent:
     return LinkFindingAgent(problem, LinkFindingSettings(**settings), seed=seed)
 
 
-def _tuned_search(name: str, problem: Problem) -> dict[str, Any]:
-    """Settings of a search tuned for an arm; none where it was not."""
-    path = WEIGHTS / f"{problem.arm.name}-{name}.json"
+def _tuned_search(name: str) -> dict[str, Any]:
+    """Settings of a search tuned for an arm or a class of arms; none where it was not."""
+    path = WEIGHTS / f"{name}.json"
     return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
 
 

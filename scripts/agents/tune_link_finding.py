@@ -6,8 +6,8 @@ played twice over, until a handful is left. With several arms the return is aver
 what is found serves arms that were never tuned: the table shows each arm under the settings chosen
 without it. The seed of the training episodes is never one of the evaluation's.
 
-Usage: python scripts/agents/tune_link_finding.py --env loose_env/Planar-v0 loose_env/Vera-v0
---out agents/loose_agents/weights
+Usage: python scripts/agents/tune_link_finding.py --env loose_env/Planar-v0 loose_env/Scara-v0
+--methods classical --out agents/loose_agents/weights
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -26,8 +26,14 @@ from loose_agents.evaluation.env_arguments import arguments_of
 from loose_agents.evaluation.evaluate import evaluate
 from loose_agents.execution.command import command, option
 from loose_agents.execution.progress import ProgressLine
-from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings, Level
+from loose_agents.policies.classical import (
+    ClassicalAgent,
+    ClassicalSettings,
+    Level,
+    stiffness_class,
+)
 from loose_agents.policies.link_finding import LinkFindingAgent
+from loose_agents.registry import classical_settings
 
 from loose_env.arms import MismatchDraw
 from loose_env.diagnosis import (
@@ -38,6 +44,7 @@ from loose_env.diagnosis import (
     RecordStatistics,
 )
 from loose_env.envs import BatchRig, EpisodeBatch
+from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault
 from loose_env.io import Count, write_text
 from loose_env.rig import Job, Measurement
@@ -49,6 +56,8 @@ KEPT = 3
 """One in so many candidates plays on."""
 FEW = 8
 """Number of candidates that are all played to the end."""
+ANEW = 0.35
+"""Probability that a candidate of the classical method has a field drawn anew."""
 
 
 class RememberingRig:
@@ -119,62 +128,6 @@ class RememberingPlaces(PlaceDirections):
         return self.known[key]
 
 
-Method = Literal["classical", "classical_literal"]
-
-
-def candidate(joints: int, levels: int, rng: np.random.Generator) -> ClassicalSettings:
-    """Draw settings of the classical method, the untuned defaults among the ranges."""
-    orders, known = get_args(Order), get_args(Level)
-    return ClassicalSettings(
-        order=orders[int(rng.integers(len(orders)))],
-        level=known[int(rng.integers(len(known)))],
-        duration=2 if rng.random() < 0.8 else 1,
-        seen=round(float(np.exp(rng.uniform(np.log(0.3), np.log(6.0)))), 2),
-        healthy_poses=int(rng.integers(1, 6)),
-        clear=round(float(rng.uniform(2.5, 8.0)), 1),
-        outlier=round(float(np.exp(rng.uniform(np.log(8.0), np.log(60.0)))), 1),
-        line=round(float(rng.uniform(4.0, 14.0)), 1),
-        driven=0.0 if rng.random() < 0.3 else round(float(rng.uniform(1.0, 12.0)), 1),
-    )
-
-
-def literal_candidate(joints: int, levels: int, rng: np.random.Generator) -> LinkFindingSettings:
-    """Draw settings of the method's letter, the untuned defaults in the middle of the ranges."""
-    return LinkFindingSettings(
-        order="outward",
-        joint=int(rng.integers(1, joints + 1)),
-        level=levels if rng.random() < 0.8 else levels - 1,
-        still=float(rng.uniform(0.05, 0.7)),
-        turned=float(rng.uniform(0.1, 0.7)),
-        retries=int(rng.integers(0, 3)),
-        index="e" if rng.random() < 0.5 else "d",
-        healthy_index=float(np.exp(rng.uniform(np.log(0.002), np.log(0.5)))),
-        healthy_poses=int(rng.integers(1, 4)),
-        backlash_angle=float(rng.uniform(2.0, 45.0)),
-        backlash_kurtosis=float(rng.uniform(-0.2, 2.0)),
-    )
-
-
-Draw = Callable[[int, int, np.random.Generator], Any]
-METHODS: Mapping[Method, tuple[Draw, Callable[[Problem, Any], Agent]]] = {
-    "classical": (candidate, ClassicalAgent),
-    "classical_literal": (literal_candidate, LinkFindingAgent),
-}
-"""How settings of each method are drawn, and the agent that plays them."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """Options of the search."""
-
-    env: tuple[str, ...] = option(("loose_env/Vera-v0",), "environment ids")
-    arguments: str = option("{}", "their arguments, as JSON")
-    methods: tuple[Method, ...] = option(get_args(Method), "methods to tune")
-    candidates: Count = option(72, "settings to try a method")
-    episodes: Count = option(32, "episodes that each plays on every arm; the better ones play on")
-    out: str = option("agents/loose_agents/weights", "folder of the results")
-
-
 class Bench:
     """Training episodes of one arm, on which candidates play."""
 
@@ -217,9 +170,70 @@ class Bench:
         return [(row.reward, row.success) for row in rows]
 
 
+Method = Literal["classical", "classical_literal"]
+
+
+def candidate(bench: Bench, rng: np.random.Generator) -> ClassicalSettings:
+    """Draw settings of the classical method: those that ship, with some fields drawn anew."""
+    orders, known = get_args(Order), get_args(Level)
+    drawn = {
+        "order": orders[int(rng.integers(len(orders)))],
+        "level": known[int(rng.integers(len(known)))],
+        "duration": 2 if rng.random() < 0.8 else 1,
+        "seen": round(float(np.exp(rng.uniform(np.log(0.3), np.log(6.0)))), 2),
+        "healthy_poses": int(rng.integers(1, 6)),
+        "clear": round(float(rng.uniform(2.5, 8.0)), 1),
+        "outlier": round(float(np.exp(rng.uniform(np.log(8.0), np.log(60.0)))), 1),
+        "line": round(float(rng.uniform(4.0, 14.0)), 1),
+        "driven": 0.0 if rng.random() < 0.3 else round(float(rng.uniform(1.0, 12.0)), 1),
+    }
+    shipped = classical_settings(bench.problem)
+    return replace(shipped, **{name: v for name, v in drawn.items() if rng.random() < ANEW})
+
+
+def literal_candidate(bench: Bench, rng: np.random.Generator) -> LinkFindingSettings:
+    """Draw settings of the method's letter, the untuned defaults in the middle of the ranges."""
+    joints, levels = bench.problem.arm.n, len(bench.problem.arm.levels)
+    return LinkFindingSettings(
+        order="outward",
+        joint=int(rng.integers(1, joints + 1)),
+        level=levels if rng.random() < 0.8 else levels - 1,
+        still=float(rng.uniform(0.05, 0.7)),
+        turned=float(rng.uniform(0.1, 0.7)),
+        retries=int(rng.integers(0, 3)),
+        index="e" if rng.random() < 0.5 else "d",
+        healthy_index=float(np.exp(rng.uniform(np.log(0.002), np.log(0.5)))),
+        healthy_poses=int(rng.integers(1, 4)),
+        backlash_angle=float(rng.uniform(2.0, 45.0)),
+        backlash_kurtosis=float(rng.uniform(-0.2, 2.0)),
+    )
+
+
+Draw = Callable[[Bench, np.random.Generator], Any]
+METHODS: Mapping[Method, tuple[Draw, Callable[[Problem, Any], Agent]]] = {
+    "classical": (candidate, ClassicalAgent),
+    "classical_literal": (literal_candidate, LinkFindingAgent),
+}
+"""How settings of each method are drawn, and the agent that plays them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the search."""
+
+    env: tuple[str, ...] = option(("loose_env/Vera-v0",), "environment ids")
+    arguments: str = option("{}", "their arguments, as JSON")
+    methods: tuple[Method, ...] = option(get_args(Method), "methods to tune")
+    candidates: Count = option(72, "settings to try a method")
+    episodes: Count = option(32, "episodes that each plays on every arm; the better ones play on")
+    out: str = option("agents/loose_agents/weights", "folder of the results")
+
+
 def tune(options: Options) -> None:
     """Search, print the best settings of each method and write them."""
     benches = [Bench(env, arguments_of(options.arguments)) for env in options.env]
+    for method in options.methods:
+        shared_by(method, benches)  # what is wrong shows now, not after the search
     for method in options.methods:
         print(method, file=sys.stderr, flush=True)
         found, returns, right = halving(method, benches, options)
@@ -232,9 +246,20 @@ def tune(options: Options) -> None:
                 without = choose(np.delete(returns, k, axis=1), np.delete(right, k, axis=1))
                 line += f"  {returns[without, k].mean():+17.3f}"
             print(f"{bench.problem.arm.name:10s} {line}")
-        name = f"{benches[0].problem.arm.name}-{method}" if len(benches) == 1 else method
-        path = Path(options.out) / f"{name}.json"
+        path = Path(options.out) / f"{shared_by(method, benches)}-{method}.json"
         write_text(path, json.dumps(asdict(found[chosen]), indent=1) + "\n")
+
+
+def shared_by(method: Method, benches: Sequence[Bench]) -> str:
+    """Name of what the settings are for: a class of arms, or one arm."""
+    names = {bench.problem.arm.name for bench in benches}
+    if method == "classical":
+        names = {stiffness_class(bench.problem) for bench in benches}
+    if len(names) > 1:
+        raise InvalidSetting(
+            f"settings of {method} are not shared by {sorted(names)}: tune these one by one"
+        )
+    return names.pop()
 
 
 def halving(
@@ -243,9 +268,9 @@ def halving(
     """Settings that played to the end, their returns and successes (settings, arms, episodes)."""
     draw, make = METHODS[method]
     rng = np.random.default_rng([TRAINING_SEED, len(method)])
-    arms = [bench.problem.arm for bench in benches]
-    joints, levels = min(arm.n for arm in arms), min(len(arm.levels) for arm in arms)
-    left = [draw(joints, levels, rng) for _ in range(options.candidates)]
+    left = [draw(benches[0], rng) for _ in range(options.candidates)]
+    if method == "classical":  # nothing is found that is worse than what ships
+        left[0] = classical_settings(benches[0].problem)
     returns, right = (np.zeros((len(left), len(benches), 0)) for _ in range(2))
     played, further = 0, options.episodes
     while True:

@@ -33,7 +33,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.io import Checked, Count, NonNegative, Positive
 from loose_env.typing import Array
 
-__all__ = ["ClassicalAgent", "ClassicalSettings", "Level", "Search"]
+__all__ = ["ClassicalAgent", "ClassicalSettings", "Level", "Search", "stiffness_class"]
 
 Level = Literal["top", "falling", "proposed"]
 """Choice of the excitation's level."""
@@ -48,7 +48,8 @@ _SAME = np.radians(6.0)
 class ClassicalSettings(Checked):
     """Order of the joints, excitation, and thresholds of the decisions.
 
-    The source prints no figures for its thresholds; these are tuned on training episodes.
+    The source prints no figures for its thresholds. The search on training episodes begins with
+    the defaults; what it finds ships for each class of arms, see `stiffness_class`.
     """
 
     order: Order = "bisection"
@@ -61,17 +62,17 @@ class ClassicalSettings(Checked):
     `loose_env.diagnosis.propose_excitation` proposes for each joint in the pose."""
     duration: int = 2
     """Index of the records' length; the longest by default."""
-    seen: Positive = 0.5
+    seen: Positive = 0.9
     """Change along one place, over what errors make of it, from which something is loose [1]."""
-    healthy_poses: Count = 2
+    healthy_poses: Count = 3
     """Records that show nothing before the verdict healthy."""
     clear: Positive = 5.0
     """Scatter above the best place's from which a place is ruled out, chi-square [1]."""
     outlier: Positive = 20.0
     """Scatter at which a record begins to count as an outlier, chi-square [1]."""
-    line: Positive = 10.0
+    line: Positive = 8.0
     """Rms angle to a joint's line up to which a slide is taken for play in it (3.4) [deg]."""
-    driven: NonNegative = 0.0
+    driven: NonNegative = 3.0
     """Scatter between play in a joint and the best slide up to which a further record, with that
     joint alone driven, tells the two apart by the shape of its motion (3.4); 0 for none [1]."""
 
@@ -81,6 +82,17 @@ class ClassicalSettings(Checked):
             raise InvalidSetting(f"order is one of {list(get_args(Order))}, got {self.order!r}")
         if self.level not in get_args(Level):
             raise InvalidSetting(f"level is one of {list(get_args(Level))}, got {self.level!r}")
+
+
+def stiffness_class(problem: Problem) -> Literal["stiff", "bending"]:
+    """Class of arms that share one set of settings.
+
+    On an arm whose links, gears or holding joints give way, the errors of the nominal model are
+    larger than to first order; its thresholds are others. Otherwise thresholds are in units of
+    errors and one set serves all arms.
+    """
+    bends = len(problem.linear.flexible_dofs) > 0 or problem.arm.hold != "brake"
+    return "bending" if bends else "stiff"
 
 
 @dataclass

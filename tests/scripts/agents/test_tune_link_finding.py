@@ -38,16 +38,16 @@ def test_the_best_settings_are_written(tmp_path: Path, capsys: pytest.CaptureFix
 def test_settings_for_several_arms_are_one_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    two = ["--env", "loose_env/Planar-v0", "loose_env/Vera-v0", "--methods", "classical"]
+    two = ["--env", "loose_env/Planar-v0", "loose_env/Scara-v0", "--methods", "classical"]
     short = ["--arguments", '{"engine": "reduced", "max_records": 2}']
     more = ["--candidates", "9", "--episodes", "2", "--out", str(tmp_path)]
     tune_link_finding.main([*two, *short, *more])
-    assert [path.name for path in tmp_path.iterdir()] == ["classical.json"]
-    ClassicalSettings(**json.loads((tmp_path / "classical.json").read_text()))
+    assert [path.name for path in tmp_path.iterdir()] == ["stiff-classical.json"]
+    ClassicalSettings(**json.loads((tmp_path / "stiff-classical.json").read_text()))
     table = capsys.readouterr().out.splitlines()
     # The better third plays on, on twice as many further episodes.
     assert table[0] == "classical: 6 training episodes an arm"
-    assert [line.split()[0] for line in table[2:]] == ["planar4", "vera"]
+    assert [line.split()[0] for line in table[2:]] == ["planar4", "scara"]
     assert len(table[2].split()) == 4
 
 
@@ -88,6 +88,10 @@ def test_what_is_remembered_is_what_is_played() -> None:
         (["--arguments", '{"colour": 1}'], "unknown arguments"),
         (["--env", "CartPole-v1"], "no diagnosis environment"),
         (["--env", "loose_env/Vero-v0"], "Vero"),
+        (
+            ["--env", "loose_env/Planar-v0", "loose_env/Vera-v0"],
+            "classical_literal are not shared by",
+        ),
         (["--candidates", "0"], "--candidates must be a whole number, 1 or more; got 0"),
         (["--episodes", "-1"], "--episodes must be a whole number, 1 or more; got -1"),
     ],
