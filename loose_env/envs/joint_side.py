@@ -66,7 +66,7 @@ class JointSideObservation(gymnasium.ObservationWrapper[Any, Any, Any]):
 
     def observation(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """Take the elements that are left."""
-        return observation[self._kept]
+        return np.asarray(observation[self._kept])
 
 
 def _of_joints(name: str) -> bool:
