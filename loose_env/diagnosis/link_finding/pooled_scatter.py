@@ -29,7 +29,7 @@ __all__ = ["PlaceDirections", "PooledScatter", "RecordScatter", "scatter_of"]
 
 _AXES = {2: 60, 3: 300}
 """Sliding directions tried for each link by dimension: 3 and 8 degrees apart."""
-_SECOND_ORDER = 0.02
+SECOND_ORDER = 0.02
 """Error of each element over the rms nominal motion [1]: products of two model errors, which the
 covariance to first order lacks. Without it single records of healthy arms stand out 60-fold."""
 
@@ -82,7 +82,9 @@ class PlaceDirections:
         return scatter_of([self.features.with_change(record)[2]], int(record.excited.sum()))
 
 
-def scatter_of(changes: Sequence[TransmissionChange], joints: int) -> RecordScatter:
+def scatter_of(
+    changes: Sequence[TransmissionChange], joints: int, *, second_order: float = SECOND_ORDER
+) -> RecordScatter:
     """Scatter of a change about the direction of every place.
 
     Parameters
@@ -93,6 +95,8 @@ def scatter_of(changes: Sequence[TransmissionChange], joints: int) -> RecordScat
         all of them.
     joints : int
         Joints excited, m.
+    second_order : float
+        Error of each element beyond the first order, over the rms nominal motion [1].
     """
     opened = np.concatenate([c.open.reshape(len(c.open), -1, joints) for c in changes], axis=1)
     d = opened.shape[1]
@@ -107,7 +111,7 @@ def scatter_of(changes: Sequence[TransmissionChange], joints: int) -> RecordScat
     for change in changes:
         own = slice(begin, begin := begin + len(change.measured))
         covariance[own, own] = change.covariance
-    covariance += _SECOND_ORDER**2 * np.mean(nominal**2) * np.eye(len(measured))
+    covariance += second_order**2 * np.mean(nominal**2) * np.eye(len(measured))
     inverse = np.linalg.inv(covariance).reshape(d, joints, d, joints)
     # Least squares over v for each u: the normal equations of c = (u x 1) v.
     weighted = np.einsum("pi,iajb->pajb", line, inverse, optimize=True)
