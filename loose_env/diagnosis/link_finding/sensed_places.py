@@ -25,8 +25,8 @@ __all__ = ["SensedPlaces"]
 
 _BENDING = 0.08
 """Error beyond the first order on an arm that bends in the band, over the rms nominal motion [1]:
-what springs do to its modes shows at every sensor by another amount. With the 2 % of stiff arms 70 %
-of the healthy ones look loose on VERA."""
+what springs do to its modes shows at every sensor by another amount. With the 2 % of stiff arms
+most healthy ones look loose on VERA."""
 
 
 class SensedPlaces(PlaceDirections):
