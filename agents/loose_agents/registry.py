@@ -23,7 +23,7 @@ from loose_agents.core.estimators import (
     tuned_stopping,
 )
 from loose_agents.policies.blind import BlindAgent
-from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings, stiffness_class
+from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings, arm_class
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.policies.local import LocalAgent
 from loose_agents.policies.oracle import oracle_agent
@@ -63,7 +63,7 @@ def _of(estimator: str, policy: str) -> Callable[[Problem, int], Agent]:
 
 def classical_settings(problem: Problem) -> ClassicalSettings:
     """Settings of the classical method that ship for an arm's class."""
-    return ClassicalSettings(**_tuned_search(f"{stiffness_class(problem)}-classical"))
+    return ClassicalSettings(**_tuned_search(f"{arm_class(problem)}-classical"))
 
 
 def _classical(

@@ -30,7 +30,7 @@ from loose_agents.policies.classical import (
     ClassicalAgent,
     ClassicalSettings,
     Level,
-    stiffness_class,
+    arm_class,
 )
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.registry import classical_settings
@@ -251,15 +251,13 @@ def tune(options: Options) -> None:
 
 
 def shared_by(method: Method, benches: Sequence[Bench]) -> str:
-    """Name of what the settings are for: a class of arms, or one arm."""
-    names = {bench.problem.arm.name for bench in benches}
+    """Name of what the settings are for: one arm, or classes of arms."""
     if method == "classical":
-        names = {stiffness_class(bench.problem) for bench in benches}
+        return "-".join(sorted({arm_class(bench.problem) for bench in benches}))
+    names = sorted({bench.problem.arm.name for bench in benches})
     if len(names) > 1:
-        raise InvalidSetting(
-            f"settings of {method} are not shared by {sorted(names)}: tune these one by one"
-        )
-    return names.pop()
+        raise InvalidSetting(f"settings of {method} belong to one arm: tune {names} one by one")
+    return names[0]
 
 
 def halving(

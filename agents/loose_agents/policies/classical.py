@@ -33,7 +33,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.io import Checked, Count, NonNegative, Positive
 from loose_env.typing import Array
 
-__all__ = ["ClassicalAgent", "ClassicalSettings", "Level", "Search", "stiffness_class"]
+__all__ = ["ClassicalAgent", "ClassicalSettings", "Level", "Search", "arm_class"]
 
 Level = Literal["top", "falling", "proposed"]
 """Choice of the excitation's level."""
@@ -49,7 +49,7 @@ class ClassicalSettings(Checked):
     """Order of the joints, excitation, and thresholds of the decisions.
 
     The source prints no figures for its thresholds. The search on training episodes begins with
-    the defaults; what it finds ships for each class of arms, see `stiffness_class`.
+    the defaults; what it finds ships for each class of arms, see `arm_class`.
     """
 
     order: Order = "bisection"
@@ -84,15 +84,16 @@ class ClassicalSettings(Checked):
             raise InvalidSetting(f"level is one of {list(get_args(Level))}, got {self.level!r}")
 
 
-def stiffness_class(problem: Problem) -> Literal["stiff", "bending"]:
+def arm_class(problem: Problem) -> Literal["planar", "spatial", "bending"]:
     """Class of arms that share one set of settings.
 
-    On an arm whose links, gears or holding joints give way, the errors of the nominal model are
-    larger than to first order; its thresholds are others. Otherwise thresholds are in units of
-    errors and one set serves all arms.
+    Thresholds are in units of errors and serve all arms of a class. In space more directions vie for
+    a change than in the plane; on an arm whose links, gears or held joints give way, errors go beyond
+    the first order.
     """
-    bends = len(problem.linear.flexible_dofs) > 0 or problem.arm.hold != "brake"
-    return "bending" if bends else "stiff"
+    if len(problem.linear.flexible_dofs) > 0 or problem.arm.hold != "brake":
+        return "bending"
+    return "planar" if len(problem.arm.axes) == 2 else "spatial"
 
 
 @dataclass

@@ -42,8 +42,8 @@ def test_settings_for_several_arms_are_one_file(
     short = ["--arguments", '{"engine": "reduced", "max_records": 2}']
     more = ["--candidates", "9", "--episodes", "2", "--out", str(tmp_path)]
     tune_link_finding.main([*two, *short, *more])
-    assert [path.name for path in tmp_path.iterdir()] == ["stiff-classical.json"]
-    ClassicalSettings(**json.loads((tmp_path / "stiff-classical.json").read_text()))
+    assert [path.name for path in tmp_path.iterdir()] == ["planar-spatial-classical.json"]
+    ClassicalSettings(**json.loads((tmp_path / "planar-spatial-classical.json").read_text()))
     table = capsys.readouterr().out.splitlines()
     # The better third plays on, on twice as many further episodes.
     assert table[0] == "classical: 6 training episodes an arm"
@@ -90,7 +90,7 @@ def test_what_is_remembered_is_what_is_played() -> None:
         (["--env", "loose_env/Vero-v0"], "Vero"),
         (
             ["--env", "loose_env/Planar-v0", "loose_env/Vera-v0"],
-            "classical_literal are not shared by",
+            "belong to one arm: tune",
         ),
         (["--candidates", "0"], "--candidates must be a whole number, 1 or more; got 0"),
         (["--episodes", "-1"], "--episodes must be a whole number, 1 or more; got -1"),
