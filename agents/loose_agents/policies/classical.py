@@ -87,9 +87,9 @@ class ClassicalSettings(Checked):
 def arm_class(problem: Problem) -> Literal["planar", "spatial", "bending"]:
     """Class of arms that share one set of settings.
 
-    Thresholds are in units of errors and serve all arms of a class. In space more directions vie for
-    a change than in the plane; on an arm whose links, gears or held joints give way, errors go beyond
-    the first order.
+    Thresholds are in units of errors and serve all arms of a class. In space more directions vie
+    for a change than in the plane; on an arm whose links, gears or held joints give way, errors go
+    beyond the first order.
     """
     if len(problem.linear.flexible_dofs) > 0 or problem.arm.hold != "brake":
         return "bending"
