@@ -2,13 +2,14 @@
 
 The simulator is imported when an environment is made: `import loose_env` stays light.
 
-Every id takes ``hold``: "brake", "servo" or "compliant"; see `loose_env.arms.holding.compliance`.
+Every id takes ``hold``: "brake", "servo" or "compliant"; see `loose_env.arms.holding.compliance`;
+and ``link_accelerometers``, short for sensors that have them.
 """
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import gymnasium
@@ -54,6 +55,7 @@ _SCARA = ("hold",)
 _FROM_FILE = ("model", "true_model", "tool", "tool_offset", "joints", "hold")
 _SINGLE = ("render_mode", "rig", "threads", "true_arm")
 _VECTOR = ("render_mode", "threads", "true_arm", "autoreset_mode")
+_ON_LINKS = "link_accelerometers"
 
 
 def register() -> None:
@@ -191,9 +193,14 @@ def _vector(arm: Any, num_envs: int, arguments: dict[str, Any], of_arm: tuple[st
 
 def _settings(arguments: dict[str, Any], others: tuple[str, ...]) -> Any:
     from loose_env.envs import DiagnosisSettings
+    from loose_env.sensors import SensorSuite
 
     known = [f.name for f in fields(DiagnosisSettings)]
-    unknown = sorted(set(arguments) - set(known))
+    unknown = sorted(set(arguments) - {*known, _ON_LINKS})
     if unknown:
-        raise UnknownName(f"unknown arguments {unknown}; known are {[*others, *known]}")
+        raise UnknownName(f"unknown arguments {unknown}; known are {[*others, *known, _ON_LINKS]}")
+    links = arguments.pop(_ON_LINKS, None)
+    if links is not None:  # one of the sensors' settings: given as JSON, these cannot be
+        sensors = arguments.get("sensors", SensorSuite())
+        arguments["sensors"] = replace(sensors, link_accelerometers=links)
     return DiagnosisSettings(**arguments)

@@ -29,8 +29,9 @@ from loose_agents.core.estimators import (
     weights_path,
 )
 from loose_agents.policies.blind import BlindAgent
-from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings
+from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings, arm_class
 from loose_agents.policies.link_finding import LinkFindingAgent
+from loose_agents.policies.local import LocalAgent
 from loose_agents.policies.oracle import oracle_agent
 from loose_agents.policies.policies import POLICIES, make_policy
 from loose_agents.policies.spatial_link_finding import (
@@ -41,7 +42,15 @@ from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
 from loose_env.faults import UNSURE
 
-__all__ = ["AGENTS", "WEIGHTS", "belief_agent", "describe", "is_outside", "make_agent"]
+__all__ = [
+    "AGENTS",
+    "WEIGHTS",
+    "belief_agent",
+    "classical_settings",
+    "describe",
+    "is_outside",
+    "make_agent",
+]
 
 
 def belief_agent(estimator: str, policy: str, problem: Problem, *, seed: int = 0) -> BeliefAgent:
@@ -66,17 +75,21 @@ def _of(estimator: str, policy: str) -> Callable[[Problem, int], Agent]:
     return lambda problem, seed: belief_agent(estimator, policy, problem, seed=seed)
 
 
-def _classical(order: Order | None = None) -> Callable[[Problem, int], Agent]:
-    """The classical method, in the order tuned for the arm or in a given one.
+def classical_settings(problem: Problem) -> ClassicalSettings:
+    """Settings of the classical method that ship for an arm's class."""
+    return ClassicalSettings(**_tuned_search(f"{arm_class(problem)}-classical"))
 
-    Its thresholds are in units of errors: the defaults do for an arm that was not tuned.
-    """
+
+def _classical(
+    order: Order | None = None, method: type[ClassicalAgent] = ClassicalAgent
+) -> Callable[[Problem, int], Agent]:
+    """The classical method or its local form, in the tuned order or in a given one."""
 
     def make(problem: Problem, seed: int) -> Agent:
-        settings = ClassicalSettings(**_tuned_search("classical", problem))
+        settings = classical_settings(problem)
         if order is not None:
             settings = replace(settings, order=order)
-        return ClassicalAgent(problem, settings, seed=seed)
+        return method(problem, settings, seed=seed)
 
     return make
 
@@ -85,7 +98,7 @@ def _classical_literal(problem: Problem, seed: int) -> Agent:
     if len(problem.arm.axes) == 3:
         # In space; its thresholds follow from the mismatch and need no tuning.
         return SpaceLinkFindingAgent(problem, SpaceLinkFindingSettings(policy="turns"), seed=seed)
-    settings = _tuned_search("classical_literal", problem)
+    settings = _tuned_search(f"{problem.arm.name}-classical_literal")
     if not settings:
         warnings.warn(
             f"classical_literal is not tuned for arm {problem.arm.name!r}: it plays with untuned "
@@ -95,9 +108,9 @@ def _classical_literal(problem: Problem, seed: int) -> Agent:
     return LinkFindingAgent(problem, LinkFindingSettings(**settings), seed=seed)
 
 
-def _tuned_search(name: str, problem: Problem) -> dict[str, Any]:
-    """Settings of a search tuned for an arm; none where it was not."""
-    path = weights_path(f"{problem.arm.name}-{name}.json")
+def _tuned_search(name: str) -> dict[str, Any]:
+    """Settings of a search tuned for an arm or a class of arms; none where it was not."""
+    path = weights_path(f"{name}.json")
     return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
 
 
@@ -134,6 +147,10 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     "outward": (_classical("outward"), "the same, from the base outward"),
     "inward": (_classical("inward"), "the same, from the tool inward"),
     "bisection": (_classical("bisection"), "the same, halving the arm"),
+    "local": (
+        _classical(method=LocalAgent),
+        "the same with accelerometers on the links beside the tool's",
+    ),
     "classical_literal": (
         _classical_literal,
         "the thesis's link finding to the letter: lowest correlation, two poses compared",

@@ -61,6 +61,7 @@ from loose_env.diagnosis.link_finding.direction_images import (
     ToolFrames,
     fault_locations,
 )
+from loose_env.diagnosis.link_finding.driven_joint import MotionShape, shape_of_motion
 from loose_env.diagnosis.link_finding.measured_direction import (
     ChangeModel,
     ChangeSighting,
@@ -90,6 +91,7 @@ from loose_env.diagnosis.link_finding.pooled_scatter import (
 from loose_env.diagnosis.link_finding.search import (
     TurnSearch,
 )
+from loose_env.diagnosis.link_finding.sensed_places import SensedPlaces
 from loose_env.diagnosis.link_finding.spatial import (
     DirectionSighting,
     LinkPosterior,
@@ -196,6 +198,7 @@ __all__ = [
     "LinkFindingSettings",
     "LinkPosterior",
     "LinkReadings",
+    "MotionShape",
     "NominalLinks",
     "NoveltyReference",
     "Order",
@@ -214,6 +217,7 @@ __all__ = [
     "SeatNetwork",
     "Seen",
     "SensedArm",
+    "SensedPlaces",
     "SensorFloor",
     "SensorRows",
     "SensorVerdict",
@@ -256,6 +260,7 @@ __all__ = [
     "read_network",
     "rows_of",
     "scattered_axes",
+    "shape_of_motion",
     "shipped_table",
     "sight_change",
     "splitting_order",

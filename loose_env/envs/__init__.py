@@ -1,7 +1,7 @@
 """The diagnosis environments.
 
-Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> vector_inputs ->
-vector_env -> sb3.
+Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> joint_side ->
+vector_inputs -> vector_env -> sb3.
 """
 
 from loose_env.envs.diagnosis_env import DiagnosisEnv, EnvState
@@ -12,6 +12,7 @@ from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.episode.state import Outcome
 from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty, difficulty_named
 from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs.joint_side import JointSideObservation
 from loose_env.envs.rendering import palette
 from loose_env.envs.rendering.correlation import Loop, measured_loop, predicted_loop
 from loose_env.envs.rendering.fault_text import fault_words, hypothesis_words
@@ -48,6 +49,7 @@ __all__ = [
     "EnvState",
     "EpisodeBatch",
     "FaultSampler",
+    "JointSideObservation",
     "Loop",
     "ObservationLayout",
     "Outcome",

@@ -93,7 +93,7 @@ class Options(BackendSettings):
     estimators: tuple[str, ...] = option((), f"of {list(ESTIMATORS)}, to cross")
     policies: tuple[str, ...] = option((), f"of {list(POLICIES)}, to cross")
     reference: str | None = option(
-        None, "agent whose return is subtracted; default: thesis, or the first agent"
+        None, "agent whose return is subtracted; default: classical, or the first agent"
     )
     difficulties: tuple[str, ...] = option((), "play all episodes at each of these")
     curve: Count | None = option(

@@ -1,10 +1,13 @@
-"""Tune the classical method, or its letter, on training episodes.
+"""Tune the classical method, or its letter, on training episodes of one arm or of several.
 
-Random search: every candidate plays the same training episodes; the best tenth play more.
-The seed of the training episodes is never one of the evaluation's.
+Random search by successive halving (Jamieson and Talwalkar 2016): every candidate plays the same
+training episodes, and the better third plays on, on as many further ones as doubles what it has
+played twice over, until a handful is left. With several arms the return is averaged over them, and
+what is found serves arms that were never tuned: the table shows each arm under the settings chosen
+without it. The seed of the training episodes is never one of the evaluation's.
 
-Usage: python scripts/agents/tune_link_finding.py --env loose_env/Vera-v0 --out
-agents/loose_agents/weights
+Usage: python scripts/agents/tune_link_finding.py --env loose_env/Planar-v0 loose_env/Scara-v0
+--methods classical --out agents/loose_agents/weights
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -23,18 +26,38 @@ from loose_agents.evaluation.env_arguments import arguments_of
 from loose_agents.evaluation.evaluate import evaluate
 from loose_agents.execution.command import command, option
 from loose_agents.execution.progress import ProgressLine
-from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings
+from loose_agents.policies.classical import (
+    ClassicalAgent,
+    ClassicalSettings,
+    Level,
+    arm_class,
+)
 from loose_agents.policies.link_finding import LinkFindingAgent
+from loose_agents.registry import classical_settings
 
 from loose_env.arms import MismatchDraw
-from loose_env.diagnosis import LinkFindingSettings, Order
+from loose_env.diagnosis import (
+    LinkFindingSettings,
+    Order,
+    PlaceDirections,
+    RecordScatter,
+    RecordStatistics,
+)
 from loose_env.envs import BatchRig, EpisodeBatch
+from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault
 from loose_env.io import Count, write_text
 from loose_env.rig import Job, Measurement
+from loose_env.typing import Array
 
 TRAINING_SEED = 1
 WIDTH = 64
+KEPT = 3
+"""One in so many candidates plays on."""
+FEW = 8
+"""Number of candidates that are all played to the end."""
+ANEW = 0.35
+"""Probability that a candidate of the classical method has a field drawn anew."""
 
 
 class RememberingRig:
@@ -49,6 +72,10 @@ class RememberingRig:
         self._arms: dict[int, tuple[str, bytes]] = {}
         self._pending: dict[int, tuple[Fault, MismatchDraw | None]] = {}
         self._known: dict[tuple[object, ...], Measurement] = {}
+
+    def forget(self) -> None:
+        """Drop what is remembered: other episodes follow."""
+        self._known.clear()
 
     def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
         """Remember the arm; it is built when something new is asked of it."""
@@ -81,27 +108,92 @@ class RememberingRig:
         )
 
 
+class RememberingPlaces(PlaceDirections):
+    """Places of an arm that do not judge the same record twice."""
+
+    known: dict[bytes, RecordScatter]
+
+    @classmethod
+    def like(cls, places: PlaceDirections) -> RememberingPlaces:
+        """Take over what was computed for an arm."""
+        made = cls.__new__(cls)
+        made.__dict__.update(places.__dict__, known={})
+        return made
+
+    def of(self, record: RecordStatistics) -> RecordScatter:
+        """Look a record up, or judge it."""
+        key = record.pose.tobytes() + record.torque.tobytes() + record.tool_covariance.tobytes()
+        if key not in self.known:
+            self.known[key] = super().of(record)
+        return self.known[key]
+
+
+class Bench:
+    """Training episodes of one arm, on which candidates play."""
+
+    def __init__(self, env: str, arguments: Mapping[str, Any]) -> None:
+        self.problem = problem_of(env, arguments)
+        # The rig of the engine that the arguments name.
+        batch = EpisodeBatch(self.problem.arm, self.problem.settings, num=WIDTH)
+        self.rig = RememberingRig(batch.rig)
+        self.places: RememberingPlaces | None = None
+
+    def play(self, agents: Sequence[Agent], first: int, count: int) -> tuple[Array, Array]:
+        """Returns and successes of episodes ``first`` to ``first + count - 1`` (agents, count)."""
+        parts = []
+        for begin in range(first, first + count, WIDTH):
+            size = min(WIDTH, first + count - begin)
+            parts.append(np.array([self._rows(agent, begin, size) for agent in agents]))
+            self.rig.forget()
+            if self.places is not None:
+                self.places.known.clear()
+        returns, right = np.moveaxis(np.concatenate(parts, axis=1), -1, 0)
+        return returns, right
+
+    def _rows(self, agent: Agent, first: int, count: int) -> list[tuple[float, bool]]:
+        if isinstance(agent, ClassicalAgent):
+            if self.places is None:
+                self.places = RememberingPlaces.like(agent.places)
+            agent.places = self.places
+        arm, settings = self.problem.arm, self.problem.settings
+        rows = evaluate(
+            agent,
+            "",
+            arm,
+            settings,
+            episodes=count,
+            seed=TRAINING_SEED,
+            first=first,
+            width=WIDTH,
+            rig=self.rig,
+        )
+        return [(row.reward, row.success) for row in rows]
+
+
 Method = Literal["classical", "classical_literal"]
 
 
-def candidate(joints: int, levels: int, rng: np.random.Generator) -> ClassicalSettings:
-    """Draw settings of the classical method, the untuned defaults among the ranges."""
-    orders = get_args(Order)
-    return ClassicalSettings(
-        order=orders[int(rng.integers(len(orders)))],
-        in_turn=bool(rng.random() < 0.1),
-        falling_level=bool(rng.random() < 0.4),
-        duration=2 if rng.random() < 0.8 else 1,
-        seen=round(float(np.exp(rng.uniform(np.log(0.3), np.log(6.0)))), 2),
-        healthy_poses=int(rng.integers(1, 6)),
-        clear=round(float(rng.uniform(2.5, 8.0)), 1),
-        outlier=round(float(np.exp(rng.uniform(np.log(8.0), np.log(60.0)))), 1),
-        line=round(float(rng.uniform(4.0, 14.0)), 1),
-    )
+def candidate(bench: Bench, rng: np.random.Generator) -> ClassicalSettings:
+    """Draw settings of the classical method: those that ship, with some fields drawn anew."""
+    orders, known = get_args(Order), get_args(Level)
+    drawn = {
+        "order": orders[int(rng.integers(len(orders)))],
+        "level": known[int(rng.integers(len(known)))],
+        "duration": 2 if rng.random() < 0.8 else 1,
+        "seen": round(float(np.exp(rng.uniform(np.log(0.3), np.log(6.0)))), 2),
+        "healthy_poses": int(rng.integers(1, 6)),
+        "clear": round(float(rng.uniform(2.5, 8.0)), 1),
+        "outlier": round(float(np.exp(rng.uniform(np.log(8.0), np.log(60.0)))), 1),
+        "line": round(float(rng.uniform(4.0, 14.0)), 1),
+        "driven": 0.0 if rng.random() < 0.3 else round(float(rng.uniform(1.0, 12.0)), 1),
+    }
+    shipped = classical_settings(bench.problem)
+    return replace(shipped, **{name: v for name, v in drawn.items() if rng.random() < ANEW})
 
 
-def literal_candidate(joints: int, levels: int, rng: np.random.Generator) -> LinkFindingSettings:
+def literal_candidate(bench: Bench, rng: np.random.Generator) -> LinkFindingSettings:
     """Draw settings of the method's letter, the untuned defaults in the middle of the ranges."""
+    joints, levels = bench.problem.arm.n, len(bench.problem.arm.levels)
     return LinkFindingSettings(
         order="outward",
         joint=int(rng.integers(1, joints + 1)),
@@ -117,7 +209,7 @@ def literal_candidate(joints: int, levels: int, rng: np.random.Generator) -> Lin
     )
 
 
-Draw = Callable[[int, int, np.random.Generator], Any]
+Draw = Callable[[Bench, np.random.Generator], Any]
 METHODS: Mapping[Method, tuple[Draw, Callable[[Problem, Any], Agent]]] = {
     "classical": (candidate, ClassicalAgent),
     "classical_literal": (literal_candidate, LinkFindingAgent),
@@ -129,58 +221,96 @@ METHODS: Mapping[Method, tuple[Draw, Callable[[Problem, Any], Agent]]] = {
 class Options:
     """Options of the search."""
 
-    env: str = option("loose_env/Vera-v0", "environment id")
-    arguments: str = option("{}", "its arguments, as JSON")
+    env: tuple[str, ...] = option(("loose_env/Vera-v0",), "environment ids")
+    arguments: str = option("{}", "their arguments, as JSON")
     methods: tuple[Method, ...] = option(get_args(Method), "methods to tune")
-    candidates: Count = option(300, "settings to try a method")
-    episodes: Count = option(96, "episodes each")
+    candidates: Count = option(72, "settings to try a method")
+    episodes: Count = option(32, "episodes that each plays on every arm; the better ones play on")
     out: str = option("agents/loose_agents/weights", "folder of the results")
 
 
 def tune(options: Options) -> None:
     """Search, print the best settings of each method and write them."""
-    problem = problem_of(options.env, arguments_of(options.arguments))
-    arm = problem.arm
-    # The rig of the engine that the arguments name.
-    rig = RememberingRig(EpisodeBatch(arm, problem.settings, num=WIDTH).rig)
+    benches = [Bench(env, arguments_of(options.arguments)) for env in options.env]
     for method in options.methods:
-        draw, agent = METHODS[method]
-        rng = np.random.default_rng([TRAINING_SEED, len(method)])
-        tried: list[tuple[float, Any]] = []
+        shared_by(method, benches)  # what is wrong shows now, not after the search
+    for method in options.methods:
         print(method, file=sys.stderr, flush=True)
-        with ProgressLine(options.candidates, unit="candidates") as line:
-            for _ in range(options.candidates):
-                found = draw(arm.n, len(arm.levels), rng)
-                score = _score(problem, agent(problem, found), options.episodes, rig)
-                tried.append((score, found))
-                line.advance(1, f"best return {max(t[0] for t in tried):+.3f}")
-        finalists = sorted(tried, key=lambda t: -t[0])[: max(options.candidates // 10, 2)]
-        score, winner = max(
-            (
-                (_score(problem, agent(problem, f), 4 * options.episodes, rig), f)
-                for _, f in finalists
-            ),
-            key=lambda t: t[0],
-        )
-        print(
-            f"{arm.name} {method}: return {score:+.3f} on {4 * options.episodes} training episodes"
-        )
-        path = Path(options.out) / f"{arm.name}-{method}.json"
-        write_text(path, json.dumps(asdict(winner), indent=1) + "\n")
+        found, returns, right = halving(method, benches, options)
+        chosen = choose(returns, right)
+        print(f"{method}: {returns.shape[2]} training episodes an arm")
+        print(f"{'arm':10s} {'right %':>8s} {'return':>7s}  {'chosen without it':>17s}")
+        for k, bench in enumerate(benches):
+            line = f"{100 * right[chosen, k].mean():8.1f} {returns[chosen, k].mean():+7.3f}"
+            if len(benches) > 1:
+                without = choose(np.delete(returns, k, axis=1), np.delete(right, k, axis=1))
+                line += f"  {returns[without, k].mean():+17.3f}"
+            print(f"{bench.problem.arm.name:10s} {line}")
+        path = Path(options.out) / f"{shared_by(method, benches)}-{method}.json"
+        write_text(path, json.dumps(asdict(found[chosen]), indent=1) + "\n")
 
 
-def _score(problem: Problem, agent: Agent, episodes: int, rig: RememberingRig) -> float:
-    rows = evaluate(
-        agent,
-        "",
-        problem.arm,
-        problem.settings,
-        episodes=episodes,
-        seed=TRAINING_SEED,
-        width=WIDTH,
-        rig=rig,
-    )
-    return float(np.mean([row.reward for row in rows]))
+def shared_by(method: Method, benches: Sequence[Bench]) -> str:
+    """Name of what the settings are for: one arm, or classes of arms."""
+    if method == "classical":
+        return "-".join(sorted({arm_class(bench.problem) for bench in benches}))
+    names = sorted({bench.problem.arm.name for bench in benches})
+    if len(names) > 1:
+        raise InvalidSetting(f"settings of {method} belong to one arm: tune {names} one by one")
+    return names[0]
+
+
+def halving(
+    method: Method, benches: Sequence[Bench], options: Options
+) -> tuple[list[Any], Array, Array]:
+    """Settings that played to the end, their returns and successes (settings, arms, episodes)."""
+    draw, make = METHODS[method]
+    rng = np.random.default_rng([TRAINING_SEED, len(method)])
+    left = [draw(benches[0], rng) for _ in range(options.candidates)]
+    if method == "classical":  # nothing is found that is worse than what ships
+        left[0] = classical_settings(benches[0].problem)
+    returns, right = (np.zeros((len(left), len(benches), 0)) for _ in range(2))
+    played, further = 0, options.episodes
+    while True:
+        parts = []
+        with ProgressLine(len(benches), unit="arms") as line:
+            for bench in benches:
+                agents = [make(bench.problem, settings) for settings in left]
+                parts.append(bench.play(agents, played, further))
+                line.advance(1, f"{len(left)} candidates, {played + further} episodes")
+        more, correct = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
+        returns = np.concatenate([returns, more], axis=2)
+        right = np.concatenate([right, correct], axis=2)
+        played += further
+        if len(left) <= FEW:
+            return left, returns, right
+        best = np.argsort(-returns.mean(axis=(1, 2)), kind="stable")
+        best = best[: max(len(left) // KEPT, 2)]
+        left, returns, right = [left[k] for k in best], returns[best], right[best]
+        further = (KEPT - 1) * played
+
+
+def choose(returns: Array, right: Array) -> int:
+    """Settings most often right among those within a standard error of the best return.
+
+    Parameters
+    ----------
+    returns, right : ndarray (settings, arms, episodes)
+        Returns and successes on the same episodes.
+
+    Examples
+    --------
+    >>> returns = np.array([[[0.9, 0.5, 0.7]], [[0.8, 0.6, 0.7]], [[0.1, 0.1, 0.1]]])
+    >>> choose(returns, np.array([[[1, 0, 1]], [[1, 1, 1]], [[1, 1, 1]]]))
+    1
+    """
+    best = int(returns.mean(axis=(1, 2)).argmax())
+    # Paired, the same episodes; the error of the mean over arms of means over episodes.
+    less = returns[best] - returns
+    arms, episodes = less.shape[1:]
+    error = np.sqrt(less.var(axis=2).sum(axis=1) / episodes) / arms
+    near = less.mean(axis=(1, 2)) <= error
+    return int(np.argmax(np.where(near, right.mean(axis=(1, 2)), -1.0)))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -67,16 +67,22 @@ def play(arm: Arm, settings: DiagnosisSettings, fault: str, number: int) -> list
         memory: Search = state[0]
         decoded = batch.actions.decode(action)
         verdict = batch.verdicts[decoded.verdict - 1] if decoded.verdict else None
+        alone = None if memory.driven is None else memory.driven + 1
+        moved = moves_of(before, pose)
+        decision = verdict or next_of(decoded.moves, settings)
+        if alone is not None:  # the record that it asks for, then the one that it judges
+            moved = f"joint {alone} driven alone" if verdict else moved
+            decision = verdict or f"drive {alone} alone"
         if memory.records:
             x, y = memory.records[-1].direction
             steps.append(
                 Step(
                     pose=pose,
                     direction=float(np.degrees(np.arctan2(y, x)) % 180.0),
-                    moved=moves_of(before, pose),
+                    moved=moved,
                     excess=memory.pool.excess,
                     left=memory.left,
-                    decision=verdict or next_of(decoded.moves, settings),
+                    decision=decision,
                 )
             )
             before = pose

@@ -22,6 +22,7 @@ from loose_env.excitation import at_levels
 from loose_env.faults import CompoundLooseness, Healthy, Preload, StructuralLooseness, hypotheses
 from loose_env.rig import SimulatedRig
 from loose_env.rig.reduced import ReducedRig
+from loose_env.sensors import SensorSuite
 
 ARMS = {
     "planar4": lambda: planar(4),
@@ -34,13 +35,26 @@ ARMS = {
 }
 
 
-def pair(arm, fault, mismatch, pose, excitation, seed):
+def pair(arm, fault, mismatch, pose, excitation, seed, sensors=None):
     """The same record from both engines."""
     found = []
-    for rig in (SimulatedRig(arm, threads=1), ReducedRig(arm)):
+    for rig in (SimulatedRig(arm, threads=1, sensors=sensors), ReducedRig(arm, sensors=sensors)):
         rig.mount(0, fault, mismatch)
         found.append(rig.measure(pose, excitation, rng=np.random.default_rng(seed)))
     return found
+
+
+@pytest.mark.parametrize("name", ["planar4", "six_axis"])
+def test_accelerometers_on_links_read_the_same(name):
+    arm = ARMS[name]()
+    rng = np.random.default_rng(1)
+    mismatch, pose = Mismatch().draw(arm, rng), arm.random_pose(rng)
+    sensors = SensorSuite(link_accelerometers=True)
+    excitation = shake(ReducedRig(arm), pose, np.full(arm.n, 3))
+    theirs, ours = pair(arm, Healthy(), mismatch, pose, excitation, 7, sensors)
+    scale = np.std(theirs.tool)
+    assert np.std(ours.links - theirs.links, axis=-1).max() < 0.005 * scale
+    assert np.std(ours.encoder - theirs.encoder) < 0.01 * np.std(theirs.encoder)
 
 
 def shake(rig, pose, levels, duration=0.4):

@@ -15,8 +15,8 @@ from scipy.special import logsumexp
 
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Estimator, Situation, Sure, records_taken
-from loose_env.diagnosis import Belief
-from loose_env.envs import difficulty_named
+from loose_env.diagnosis import Belief, LinkReadings, link_axes
+from loose_env.envs import ObservationLayout, difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.wrappers import Posterior, analytic_posterior, record_from
 
@@ -27,6 +27,7 @@ __all__ = [
     "belief_of",
     "feature_size",
     "further_features",
+    "links_from",
     "make_estimator",
     "setting_name",
     "tuned",
@@ -74,6 +75,29 @@ def setting_name(problem: Problem) -> str:
     difficulty = problem.settings.difficulty
     name = difficulty if isinstance(difficulty, str) else "own"
     return f"{problem.arm.name}-{name}"
+
+
+def links_from(
+    layout: ObservationLayout, observation: NDArray[np.float32], slot: int
+) -> LinkReadings:
+    """Decode what the accelerometers on links show in one record of an observation.
+
+    Raises
+    ------
+    InvalidSetting
+        If the settings have no accelerometers on links.
+    """
+    choice = layout.settings.sensors.on_links
+    if choice is None:
+        raise InvalidSetting("the observation holds no accelerometers on links")
+    at = layout.groups_of(layout.slots_of(observation)[slot])
+    count, axes = len(choice.on(layout.arm)), len(link_axes(layout.arm, choice))
+    return LinkReadings(
+        transmission_by_instrument=at["link_transmission_by_instrument"].reshape(
+            count, axes, layout.arm.n
+        ),
+        rms=at["link_rms"].reshape(count, axes),
+    )
 
 
 @dataclass

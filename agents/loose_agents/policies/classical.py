@@ -8,7 +8,7 @@ motion against the nominal arm (3.34), and every judgement uses all poses so far
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +20,23 @@ from loose_env.diagnosis import (
     PlaceDirections,
     PooledScatter,
     RecordScatter,
+    RecordStatistics,
+    SensorFloor,
     ToolFrames,
     next_joint,
+    propose_excitation,
+    shape_of_motion,
 )
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
-from loose_env.io import Checked, Count, Positive
+from loose_env.io import Checked, Count, NonNegative, Positive
 from loose_env.typing import Array
 from loose_env.wrappers import record_from
 
-__all__ = ["ClassicalAgent", "ClassicalSettings", "Search"]
+__all__ = ["ClassicalAgent", "ClassicalSettings", "Level", "Search", "arm_class"]
+
+Level = Literal["top", "falling", "proposed"]
+"""Choice of the excitation's level."""
 
 _TURN = np.radians(15.0)
 """Turn that the joint of the order must promise; else any joint may move [rad]."""
@@ -41,33 +48,52 @@ _SAME = np.radians(6.0)
 class ClassicalSettings(Checked):
     """Order of the joints, excitation, and thresholds of the decisions.
 
-    The source prints no figures for its thresholds; these are tuned on training episodes.
+    The source prints no figures for its thresholds. The search on training episodes begins with
+    the defaults; what it finds ships for each class of arms, see `arm_class`.
     """
 
     order: Order = "bisection"
     """Order of the joints: from the base out, from the tool in, or halving."""
     in_turn: bool = False
     """True to shake one joint per record, each in its turn; False for all at once."""
-    falling_level: bool = False
-    """True to go to the next lower level while nothing shows, so that seats that only hit their
-    stops are seen; False to stay at the top one, which opens the most seats."""
+    level: Level = "top"
+    """The top level, which opens the most seats; falling to the next lower one while nothing
+    shows, so that seats that only hit their stops are seen; or the one nearest to the level that
+    `loose_env.diagnosis.propose_excitation` proposes for each joint in the pose."""
     duration: int = 2
     """Index of the records' length; the longest by default."""
-    seen: Positive = 0.5
+    seen: Positive = 0.9
     """Change along one place, over what errors make of it, from which something is loose [1]."""
-    healthy_poses: Count = 2
+    healthy_poses: Count = 3
     """Records that show nothing before the verdict healthy."""
     clear: Positive = 5.0
     """Scatter above the best place's from which a place is ruled out, chi-square [1]."""
     outlier: Positive = 20.0
     """Scatter at which a record begins to count as an outlier, chi-square [1]."""
-    line: Positive = 10.0
+    line: Positive = 8.0
     """Rms angle to a joint's line up to which a slide is taken for play in it (3.4) [deg]."""
+    driven: NonNegative = 3.0
+    """Scatter between play in a joint and the best slide up to which a further record, with that
+    joint alone driven, tells the two apart by the shape of its motion (3.4); 0 for none [1]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.order not in get_args(Order):
             raise InvalidSetting(f"order is one of {list(get_args(Order))}, got {self.order!r}")
+        if self.level not in get_args(Level):
+            raise InvalidSetting(f"level is one of {list(get_args(Level))}, got {self.level!r}")
+
+
+def arm_class(problem: Problem) -> Literal["planar", "spatial", "bending"]:
+    """Class of arms that share one set of settings.
+
+    Thresholds are in units of errors and serve all arms of a class. In space more directions vie
+    for a change than in the plane; on an arm whose links, gears or held joints give way, errors go
+    beyond the first order.
+    """
+    if len(problem.linear.flexible_dofs) > 0 or problem.arm.hold != "brake":
+        return "bending"
+    return "planar" if len(problem.arm.axes) == 2 else "spatial"
 
 
 @dataclass
@@ -81,6 +107,8 @@ class Search:
     """Records that hold something, in order."""
     tried: list[tuple[float, int]] = field(default_factory=list)
     """Excess of each of them, and its level."""
+    driven: int | None = None
+    """Joint driven alone in the latest record, to tell its play from a slide, from 0."""
     left: tuple[str, ...] = ()
     """Places that the scatter leaves, best first; empty while nothing is seen."""
     moved: int | None = None
@@ -112,6 +140,7 @@ class ClassicalAgent(EpisodeAgent):
         self.frames = ToolFrames(problem.arm)
         mismatch = difficulty_named(rules.difficulty).mismatch
         self.places = PlaceDirections(problem.linear, rules.sensors, mismatch)
+        self.floor = SensorFloor.of(rules.sensors, problem.arm.band)
         self.among = np.array([name in problem.hypotheses for name in self.places.names])
         if not self.among.any():
             raise InvalidSetting(
@@ -128,38 +157,60 @@ class ClassicalAgent(EpisodeAgent):
         """Process the latest record, then move on or decide."""
         problem, settings = self.problem, self.settings
         taken, most = records_taken(problem, observation), problem.settings.max_records
-        if taken == 0:  # steps 1 and 2
-            return self._measure(memory, taken, self._stay())
-        self._look(observation, taken - 1, memory)
         pose = problem.layout.pose_of(observation)
+        if taken == 0:  # steps 1 and 2
+            return self._measure(memory, taken, pose, self._stay())
+        if memory.driven is not None:
+            return problem.verdict(self._by_shape(observation, taken - 1, memory))
+        self._look(observation, taken - 1, memory)
         if memory.pool.excess < settings.seen:
             memory.left = ()
             if taken >= min(settings.healthy_poses, most):
                 return problem.verdict("healthy")
-            if settings.falling_level:
+            if settings.level == "falling":
                 memory.level = 1 + (memory.level - 2) % len(problem.arm.levels)
             memory.moved = None
-            return self._measure(memory, taken, self._random_move(pose, memory))
+            return self._measure(memory, taken, pose, self._random_move(pose, memory))
         memory.level = max(memory.tried)[1]
         left = self._left(memory.pool)
         memory.left = tuple(memory.pool.names[k] for k in left)
         move = self._next(pose, memory.pool, left) if len(left) > 1 and taken < most else None
         if move is None:
-            return problem.verdict(memory.pool.names[self._as_play(memory, int(left[0]))])
+            named = self._as_play(memory, int(left[0]))
+            memory.driven = self._in_doubt(memory, int(left[0]), named) if taken < most else None
+            if memory.driven is None:
+                return problem.verdict(memory.pool.names[named])
+            memory.moved = None
+            return self._measure(memory, taken, pose, self._stay())
         moves = self._stay()
         moves[move[0]] = move[1]
         memory.moved = move[0] + 1
-        return self._measure(memory, taken, moves)
+        return self._measure(memory, taken, pose, moves)
+
+    def proposed_levels(self, pose: Array) -> NDArray[np.intp]:
+        """Level of every joint, from 1, nearest by ratio to the one proposed for the pose."""
+        arm = self.problem.arm
+        gap = difficulty_named(self.problem.settings.difficulty).gap
+        found = propose_excitation(arm, pose, gap=float(np.sqrt(gap[0] * gap[1])))
+        wanted = np.log(np.maximum(found.levels, 1e-3 * arm.levels[0]))
+        off = np.abs(wanted[:, None] - np.log(arm.levels))
+        return np.asarray(1 + off.argmin(axis=1), dtype=np.intp)
 
     def _look(self, observation: NDArray[np.float32], slot: int, memory: Search) -> None:
         """Add a record to the pool; an empty slot adds nothing."""
         record = record_from(self.problem.layout, observation, slot)
         if record is None:
             return
-        seen = self.places.of(record)
+        seen = self._scatter(observation, slot, record)
         memory.tried.append((seen.excess, memory.level))
         memory.records.append(seen)
         memory.pool = memory.pool.after(seen)
+
+    def _scatter(
+        self, observation: NDArray[np.float32], slot: int, record: RecordStatistics
+    ) -> RecordScatter:
+        """Hold a record, in a slot of the observation, against all places."""
+        return self.places.of(record)
 
     def _left(self, pool: PooledScatter) -> NDArray[np.intp]:
         """Places that the scatter of all poses leaves, best first (steps 6 and 7)."""
@@ -183,6 +234,25 @@ class ClassicalAgent(EpisodeAgent):
         off[~self.among[n:]] = np.inf
         joint = int(np.argmin(off))
         return n + joint if off[joint] <= np.radians(self.settings.line) else best
+
+    def _in_doubt(self, memory: Search, best: int, named: int) -> int | None:
+        """Joint, from 0, whose play a record with it alone driven may tell from a slide."""
+        n = self.problem.arm.n
+        scatter = np.where(self.among, memory.pool.by_hypothesis, np.inf)
+        play = named if named >= n else n + int(scatter[n:].argmin())
+        near = abs(scatter[play] - scatter[:n].min()) < self.settings.driven
+        return play - n if near or (named != best and self.settings.driven > 0) else None
+
+    def _by_shape(self, observation: NDArray[np.float32], slot: int, memory: Search) -> str:
+        """Verdict between play in the driven joint and the best slide."""
+        assert memory.driven is not None
+        n, names = self.problem.arm.n, memory.pool.names
+        slide = int(np.where(self.among[:n], memory.pool.by_hypothesis[:n], np.inf).argmin())
+        record = record_from(self.problem.layout, observation, slot)
+        if record is None or not record.excited.any():
+            return names[slide]
+        shape = shape_of_motion(record, self.problem.linear.at(record.pose), self.floor)
+        return names[n + memory.driven if shape.is_play() else slide]
 
     def _next(
         self, pose: Array, pool: PooledScatter, left: NDArray[np.intp]
@@ -224,11 +294,16 @@ class ClassicalAgent(EpisodeAgent):
         allowed = self.problem.actions.allowed_moves(pose)
         return np.array([memory.rng.choice(np.flatnonzero(row)) for row in allowed])
 
-    def _measure(self, memory: Search, taken: int, moves: NDArray[np.intp]) -> NDArray[np.int64]:
+    def _measure(
+        self, memory: Search, taken: int, pose: Array, moves: NDArray[np.intp]
+    ) -> NDArray[np.int64]:
         n, settings = self.problem.arm.n, self.settings
         levels = np.full(n, memory.level, dtype=np.intp)
-        if settings.in_turn:
-            levels[np.arange(n) != taken % n] = 0
+        if settings.level == "proposed":
+            levels = self.proposed_levels(pose + self.problem.actions.steps[np.arange(n), moves])
+        alone = taken % n if settings.in_turn else memory.driven
+        if alone is not None:
+            levels[np.arange(n) != alone] = 0
         duration = min(settings.duration, len(self.problem.settings.durations) - 1)
         return self.problem.actions.encode(moves=moves, levels=levels, duration=duration)
 

@@ -7,12 +7,13 @@ units of what model and sampling leave open, beside what drives and loads the se
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import LinearArm, Mismatch
+from loose_env.arms import Arm, LinearArm, Mismatch
 from loose_env.diagnosis.likelihood.record_likelihood import joint_covariance, transmission_errors
 from loose_env.diagnosis.likelihood.seat_response import SeatPrediction, predict_seats
 from loose_env.diagnosis.records.model_uncertainty import stiffness_errors
@@ -77,15 +78,9 @@ class TransmissionChange:
     """The motion itself in the nominal arm [m/s²] (d m,)."""
     covariance: Array
     """Covariance by model and sampling errors, to first order [m²/s⁴] (d m, d m)."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Change:
-    """The same in standard deviations, beside the change itself."""
-
-    measured: Array
-    open: Array
-    change: TransmissionChange
+    springs: Array | None = None
+    """The part of it that the springs make, one standard deviation each: errors that all sensors
+    of the arm share [m/s²] (K, d m); None where no spring matters."""
 
 
 class SeatFeatures:
@@ -143,6 +138,38 @@ class SeatFeatures:
         )
         """Hypothesis of each location: slides 0 to n - 1, plays n to 2 n - 1 (P,)."""
 
+    def sensed_at(self, arm: Arm) -> SeatFeatures:
+        """The same features at another sensor: of an arm with that sensor as its tool."""
+        other = copy.copy(self)
+        other.linear = LinearArm(arm, points=len(self.linear.frequency), remember=64)
+        return other
+
+    def change_at(
+        self, record: RecordStatistics, transmission: Array, rms: Array
+    ) -> TransmissionChange:
+        """Change at a sensor of which transmission and rms are known.
+
+        Parameters
+        ----------
+        record : RecordStatistics
+            The record: pose, torque and duration.
+        transmission : ndarray (d, m)
+            Acceleration per joint acceleration, the command as instrument.
+        rms : ndarray (d,)
+            Rms acceleration in the band [m/s²].
+        """
+        on, d = np.flatnonzero(record.excited), len(rms)
+        m = len(on)
+        noise = np.concatenate(
+            [self.floor.joints(self.linear.arm)[on], np.full(d, self.floor.tool)]
+        )
+        pose = self.linear.at(record.pose)
+        seats = predict_seats(pose, record.torque, self.directions, noise**2)
+        x = seats.in_step[:m]
+        rest = rms**2 - np.sum((transmission @ x) ** 2, axis=1)
+        residual = np.diag(np.maximum(rest, self.floor.tool**2))
+        return self._changed(record, transmission, residual, seats)
+
     @property
     def locations(self) -> int:
         """Number of locations."""
@@ -186,10 +213,12 @@ class SeatFeatures:
         residual = record.tool_covariance - b @ mixed - mixed.T @ b.T + b @ joint @ b.T
         size, along = np.linalg.eigh(residual)
         residual = along @ np.diag(np.maximum(size, 1e-3 * self.floor.tool**2)) @ along.T
-        change = self._change(record, on, b, residual, seats)
-        power = (change.open**2).sum(-1)
-        inner = change.open @ change.measured
-        chi = float(change.measured @ change.measured)
+        change = self._changed(record, b, residual, seats)
+        white = _whitening(change.covariance)
+        seen, opened = white @ change.measured, change.open @ white.T
+        power = (opened**2).sum(-1)
+        inner = opened @ seen
+        chi = float(seen @ seen)
         opening = inner / (power + 1.0)
         gain = inner**2 / (power + 1.0)
         inertia, inertia_open = self._inertias(record, on, seats)
@@ -241,30 +270,24 @@ class SeatFeatures:
                 record.lowest_coherence,
             ]
         )
-        return location, whole, change.change
+        return location, whole, change
 
-    def _change(
-        self,
-        record: RecordStatistics,
-        on: NDArray[np.intp],
-        b: Array,
-        residual: Array,
-        seats: SeatPrediction,
-    ) -> _Change:
-        """Change of transmission, in standard deviations."""
-        m = len(on)
-        x = seats.in_step[:m]
-        nominal = seats.in_step[m:] @ np.linalg.inv(x)
-        change = TransmissionChange(
+    def _changed(
+        self, record: RecordStatistics, b: Array, residual: Array, seats: SeatPrediction
+    ) -> TransmissionChange:
+        """Change of transmission b (d, m), with the motion that follows no joint (d, d)."""
+        x = seats.in_step[: b.shape[1]]
+        nominal = seats.in_step[b.shape[1] :] @ np.linalg.inv(x)
+        springs = self._springs(record.pose, record.excited)
+        return TransmissionChange(
             measured=((b - nominal) @ x).ravel(),
             open=self.open_change(seats),
             nominal=(nominal @ x).ravel(),
             covariance=self.covariance(
-                record.pose, record.excited, b, residual, x, record.duration
+                record.pose, record.excited, b, residual, x, record.duration, springs=springs
             ),
+            springs=(springs @ x).reshape(len(springs), b.size) if len(springs) else None,
         )
-        white = _whitening(change.covariance)
-        return _Change(measured=white @ change.measured, open=change.open @ white.T, change=change)
 
     def open_change(self, seats: SeatPrediction) -> Array:
         """Change of the tool's in-step motion if each seat floats, per command (P, d m).
@@ -301,6 +324,8 @@ class SeatFeatures:
         residual: Array,
         x: Array,
         duration: float,
+        *,
+        springs: Array | None = None,
     ) -> Array:
         """Covariance of in-step motion by model and sampling errors [m²/s⁴] (d m, d m).
 
@@ -318,19 +343,26 @@ class SeatFeatures:
             In-step motion of the excited joints per command [rad/s²].
         duration : float
             Length of the record [s].
+        springs : ndarray (K, d, m), optional
+            Changes of the transmission by errors of the springs [m], where they are known.
         """
         d, m = b.shape
         on = np.flatnonzero(excited)
         errors = transmission_errors(self.linear, pose, on, b, self.mismatch)
-        if self.bends:
-            springs = stiffness_errors(self.linear, pose, excited, self.mismatch)
-            errors = np.concatenate([errors, springs])
+        springs = self._springs(pose, excited) if springs is None else springs
+        errors = np.concatenate([errors, springs])
         # In units of the tool's motion per command, in which sampling errors are even.
         uncertain = (errors @ x).reshape(len(errors), d * m)
         samples = 2 * (self.linear.arm.band[1] - self.linear.arm.band[0]) * duration
         covariance = uncertain.T @ uncertain + np.kron(residual, np.eye(m)) / samples
         covariance += 1e-6 * np.trace(covariance) / (d * m) * np.eye(d * m)
         return np.asarray(covariance)
+
+    def _springs(self, pose: Array, excited: NDArray[np.bool_]) -> Array:
+        """Change of the transmission by an error of each spring in the band (K, d, m)."""
+        if self.bends:
+            return stiffness_errors(self.linear, pose, excited, self.mismatch)
+        return np.zeros((0, len(self.linear.arm.axes), int(excited.sum())))
 
     def _inertias(
         self, record: RecordStatistics, on: NDArray[np.intp], seats: SeatPrediction

@@ -13,6 +13,7 @@ is taken from the nominal arm's change with the seat floating; on a stiff arm it
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +29,7 @@ __all__ = ["PlaceDirections", "PooledScatter", "RecordScatter", "scatter_of"]
 
 _AXES = {2: 60, 3: 300}
 """Sliding directions tried for each link by dimension: 3 and 8 degrees apart."""
-_SECOND_ORDER = 0.02
+SECOND_ORDER = 0.02
 """Error of each element over the rms nominal motion [1]: products of two model errors, which the
 covariance to first order lacks. Without it single records of healthy arms stand out 60-fold."""
 
@@ -78,37 +79,63 @@ class PlaceDirections:
 
     def of(self, record: RecordStatistics) -> RecordScatter:
         """Hold one record against all places; at least one joint must be excited."""
-        return scatter_of(self.features.with_change(record)[2], len(record.tool_covariance))
+        return scatter_of([self.features.with_change(record)[2]], int(record.excited.sum()))
 
 
-def scatter_of(change: TransmissionChange, axes: int) -> RecordScatter:
+def scatter_of(
+    changes: Sequence[TransmissionChange], joints: int, *, second_order: float = SECOND_ORDER
+) -> RecordScatter:
     """Scatter of a change about the direction of every place.
 
     Parameters
     ----------
-    change : TransmissionChange
-        Measured change, its errors, and the change by each floating seat.
-    axes : int
-        Tool axes, d.
+    changes : sequence of TransmissionChange
+        Measured change, its errors, and the change by each floating seat, at the tool and then at
+        each further sensor. A place moves all sensors by one vector: its direction has the axes of
+        all of them.
+    joints : int
+        Joints excited, m.
+    second_order : float
+        Error of each element beyond the first order, over the rms nominal motion [1].
     """
-    m = len(change.measured) // axes
-    open_ = change.open.reshape(-1, axes, m)
-    left = np.linalg.eigh(open_ @ np.swapaxes(open_, -1, -2))[1][..., -1]
-    further = _SECOND_ORDER**2 * np.mean(change.nominal**2)
-    covariance = change.covariance + further * np.eye(axes * m)
-    inverse = np.linalg.inv(covariance).reshape(axes, m, axes, m)
-    own = np.einsum("iajb,jb->ia", inverse, change.measured.reshape(axes, m))
+    opened = np.concatenate([c.open.reshape(len(c.open), -1, joints) for c in changes], axis=1)
+    d = opened.shape[1]
+    line = _leading(opened)
+    measured = np.concatenate([change.measured for change in changes])
+    nominal = np.concatenate([change.nominal for change in changes])
+    # Sensors err on their own, springs for all of them at once.
+    springs = [change.springs for change in changes if change.springs is not None]
+    shared = np.concatenate(springs, axis=1) if springs else np.zeros((1, len(measured)))
+    covariance = shared.T @ shared
+    begin = 0
+    for change in changes:
+        own = slice(begin, begin := begin + len(change.measured))
+        covariance[own, own] = change.covariance
+    covariance += second_order**2 * np.mean(nominal**2) * np.eye(len(measured))
+    inverse = np.linalg.inv(covariance).reshape(d, joints, d, joints)
     # Least squares over v for each u: the normal equations of c = (u x 1) v.
-    normal = np.einsum("pi,iajb,pj->pab", left, inverse, left)
-    toward = left @ own
+    weighted = np.einsum("pi,iajb->pajb", line, inverse, optimize=True)
+    normal = np.einsum("pajb,pj->pab", weighted, line, optimize=True)
+    toward = line @ np.einsum("iajb,jb->ia", inverse, measured.reshape(d, joints))
+    # A place that moves no sensor explains nothing.
+    normal = normal + np.where(np.any(line, axis=1), 0.0, 1.0)[:, None, None] * np.eye(joints)
     gain = np.einsum("pa,pa->p", toward, np.linalg.solve(normal, toward[..., None])[..., 0])
-    c = change.measured.reshape(axes, m)
+    axes = len(changes[0].measured) // joints
+    at_tool = measured.reshape(d, joints)[:axes]
     return RecordScatter(
-        directions=left,
-        direction=np.linalg.eigh(c @ c.T)[1][:, -1],
+        directions=_leading(opened[:, :axes]),
+        direction=np.linalg.eigh(at_tool @ at_tool.T)[1][:, -1],
         gain=gain,
-        joints=m,
+        joints=joints,
     )
+
+
+def _leading(matrices: Array) -> Array:
+    """Leading left singular vectors (P, D) of matrices (P, D, m); zero where a matrix is."""
+    right = np.linalg.eigh(np.swapaxes(matrices, -1, -2) @ matrices)[1][..., -1]
+    left = np.einsum("pdm,pm->pd", matrices, right)
+    size = np.linalg.norm(left, axis=1, keepdims=True)
+    return np.asarray(left / np.where(size > 0, size, 1.0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

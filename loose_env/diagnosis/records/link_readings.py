@@ -21,7 +21,14 @@ from loose_env.statistics import (
 )
 from loose_env.typing import Array
 
-__all__ = ["LinkReadings", "NominalLinks", "link_axes", "link_readings_of", "link_readings_of_all"]
+__all__ = [
+    "LinkReadings",
+    "NominalLinks",
+    "link_axes",
+    "link_readings_of",
+    "link_readings_of_all",
+    "sensed_arms",
+]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,6 +107,29 @@ def link_readings_of_all(measurements: Sequence[Measurement]) -> LinkReadings:
     )
 
 
+def sensed_arms(arm: Arm, choice: LinkAccelerometers) -> list[Arm]:
+    """Arms whose tool is the accelerometer on a link, one for each that carries one.
+
+    What the package works out for the tool it works out for the accelerometers by them.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> [one.tool for one in sensed_arms(planar(2), LinkAccelerometers())]
+    ['accelerometer1', 'accelerometer2']
+    """
+    arms = []
+    for link in choice.on(arm):
+        at, spec = link_site(arm, link, choice.place), arm.spec.copy()
+        name = f"accelerometer{link}"
+        site = spec.body(at.body).add_site(name=name, pos=list(at.position))
+        if choice.tangential:
+            site.quat = at.tangential_quat
+        axes = (0,) if choice.tangential else arm.axes
+        arms.append(dataclasses.replace(arm, spec=spec, tool=name, axes=axes))
+    return arms
+
+
 class NominalLinks:
     """Transmission of the nominal, healthy arm to the accelerometers on its links.
 
@@ -121,16 +151,7 @@ class NominalLinks:
     """
 
     def __init__(self, arm: Arm, choice: LinkAccelerometers) -> None:
-        self._linear: list[LinearArm] = []
-        for link in choice.on(arm):
-            at, spec = link_site(arm, link, choice.place), arm.spec.copy()
-            name = f"accelerometer{link}"
-            site = spec.body(at.body).add_site(name=name, pos=list(at.position))
-            if choice.tangential:
-                site.quat = at.tangential_quat
-            axes = (0,) if choice.tangential else arm.axes
-            sensed = dataclasses.replace(arm, spec=spec, tool=name, axes=axes)
-            self._linear.append(LinearArm(sensed, remember=32))
+        self._linear = [LinearArm(one, remember=32) for one in sensed_arms(arm, choice)]
 
     def transmission(
         self, pose: Sequence[float] | Array, excited: Sequence[bool] | NDArray[np.bool_]

@@ -56,6 +56,7 @@ def test_key_values_that_cannot_be_read_are_refused(word: str) -> None:
         ({"durations": 0.2}, r"durations must be positive seconds, one or more; got 0\.2$"),
         ({"id": 1}, "does not take"),
         ({"engine": "fast"}, "engine is one of"),
+        ({"link_accelerometers": "yes"}, "must be true or false"),
     ],
 )
 def test_arguments_that_the_environment_does_not_take_are_refused_in_words(
@@ -64,6 +65,12 @@ def test_arguments_that_the_environment_does_not_take_are_refused_in_words(
     with pytest.raises(LooseEnvError, match=says) as caught:
         diagnosis_env("loose_env/Planar-v0", arguments)
     assert "\n" not in str(caught.value)
+
+
+def test_accelerometers_on_links_can_be_asked_for_in_json() -> None:
+    arguments = arguments_of('{"n_links": 2, "link_accelerometers": true}')
+    assert diagnosis_env("loose_env/Planar-v0", arguments).settings.sensors.on_links is not None
+    assert diagnosis_env("loose_env/Planar-v0", {"n_links": 2}).settings.sensors.on_links is None
 
 
 def test_other_environments_are_refused() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -31,7 +33,7 @@ def change(direction: float, size: float) -> TransmissionChange:
 @pytest.mark.parametrize("k", range(6))
 def test_a_change_along_a_places_line_is_all_gain_there(k: int) -> None:
     made = change(np.radians(30.0 * k), 8.0)
-    found = scatter_of(made, 2)
+    found = scatter_of([made], 3)
     whole = made.measured @ np.linalg.solve(made.covariance, made.measured)
     assert found.gain[k] == pytest.approx(whole)
     assert (np.delete(found.gain, k) < 0.999 * whole).all()
@@ -43,7 +45,7 @@ def test_a_change_along_a_places_line_is_all_gain_there(k: int) -> None:
 def test_an_outlying_record_counts_less_than_its_square() -> None:
     places = PlaceDirections(LinearArm(planar(2)), SensorSuite(), Mismatch())
     count = places.features.locations
-    seen = scatter_of(change(0.0, 8.0), 2)
+    seen = scatter_of([change(0.0, 8.0)], 3)
     gain = np.full(count, 1.0)
     gain[0] = 1001.0
     wide = type(seen)(directions=np.ones((count, 2)), direction=seen.direction, gain=gain, joints=2)
@@ -51,3 +53,19 @@ def test_an_outlying_record_counts_less_than_its_square() -> None:
     assert pool.scatter[0] == 0.0
     assert pool.scatter[1] == pytest.approx(10.0 * np.log(101.0))
     assert pool.directions[0] @ places.axes[0] == pytest.approx(1.0)
+
+
+def test_a_further_sensor_adds_its_gain_along_the_same_place() -> None:
+    seen = change(np.radians(60.0), 8.0)
+    np.testing.assert_allclose(scatter_of([seen] * 3, 3).gain, 3 * scatter_of([seen], 3).gain)
+
+
+def test_sensors_do_not_outvote_an_error_that_they_share() -> None:
+    made = change(0.0, 8.0)
+    spring = made.measured[None]
+    seen = replace(made, covariance=made.covariance + spring.T @ spring, springs=spring)
+    # Known to be shared, it is no surer for being seen twice; taken as two errors it would be.
+    shared = scatter_of([seen, seen], 3).gain[0]
+    apart = scatter_of([replace(seen, springs=None)] * 2, 3).gain[0]
+    assert shared < 1.1
+    assert apart == pytest.approx(2 * scatter_of([seen], 3).gain[0])
