@@ -85,10 +85,10 @@ def _say(words: str) -> None:
 def _work(job: Job) -> str:
     """Run a job in a worker; return the error's line, if there is one."""
     try:
-        with errors_in_one_line("learning_curves"):
+        with errors_in_one_line(f"{job.env} {job.learner} seed {job.seed}"):
             train_end_to_end(job, _say)
     except SystemExit as error:
-        return f"{job.env} {job.learner} seed {job.seed}: {error.code}"
+        return str(error.code)
     return ""
 
 

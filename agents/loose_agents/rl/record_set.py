@@ -19,7 +19,7 @@ __all__ = ["RecordSetExtractor", "record_set_arguments"]
 
 _NOMINAL = "nominal_"
 _CLIP = 5.0
-_SMALLEST_SCALE = 1e-3
+_SMALLEST_SPREAD = 1e-3
 
 
 def record_set_arguments(layout: ObservationLayout) -> dict[str, Any]:
@@ -98,7 +98,7 @@ class RecordSetExtractor(BaseFeaturesExtractor):
         self.register_buffer("own", torch.from_numpy(twins[:, 0].copy()))
         self.register_buffer("nominal", torch.from_numpy(twins[:, 1].copy()))
         self.register_buffer("mean", torch.zeros(seen))
-        self.register_buffer("scale", torch.ones(seen))
+        self.register_buffer("gain", torch.ones(seen))
         self.embedding = nn.Sequential(
             nn.Linear(seen, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
         )
@@ -106,7 +106,7 @@ class RecordSetExtractor(BaseFeaturesExtractor):
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Features (batch, features_dim) of observations (batch, elements)."""
         which, seen = self._records(observations)
-        embedded = self.embedding(((seen - self.mean) / self.scale).clamp(-_CLIP, _CLIP))
+        embedded = self.embedding(((seen - self.mean) * self.gain).clamp(-_CLIP, _CLIP))
         total = embedded.new_zeros(len(observations), embedded.shape[1])
         return torch.cat([observations[:, : self.start], total.index_add(0, which, embedded)], 1)
 
@@ -120,10 +120,9 @@ class RecordSetExtractor(BaseFeaturesExtractor):
             _, seen = self._records(given)
             if len(seen) > 1:
                 self.mean.copy_(seen.mean(0))
-                scale = seen.std(0)
+                spread = seen.std(0)
                 # What never changed is left out rather than blown up.
-                scale[scale < _SMALLEST_SCALE] = torch.inf
-                self.scale.copy_(scale)
+                self.gain.copy_(torch.where(spread > _SMALLEST_SPREAD, 1.0 / spread, 0.0))
 
     def _records(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Row in the batch of each measured record (M,), and what is seen of it (M, seen)."""
