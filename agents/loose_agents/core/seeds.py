@@ -10,6 +10,7 @@ __all__ = [
     "CHECK_ACTIONS",
     "CHECK_PARTICLES",
     "CHECK_SEED",
+    "CURVE_SEED",
     "EVALUATION_SEED",
     "EVALUATION_SEEDS",
     "TUNING_SEED",
@@ -20,6 +21,8 @@ EVALUATION_SEEDS = range(20_260_000, 20_260_100)
 """Seeds of episodes that no training, tuning or record bank may use."""
 EVALUATION_SEED = EVALUATION_SEEDS[0]
 """Seed of the episodes that published comparisons are played on."""
+CURVE_SEED = EVALUATION_SEEDS[50]
+"""Seed of the episodes that learning curves are measured on, apart from the comparisons'."""
 TUNING_SEED = 20_080_000
 """Seed of the episodes on which stopping thresholds are tuned."""
 BANK_SEED = 19_950_000

@@ -30,7 +30,17 @@ from loose_agents.rl.training_env import TrackedVecEnv, forced_records
 from loose_env.errors import InvalidData
 from loose_env.io import write_bytes
 
-__all__ = ["RunCallback", "RunFolder", "RunState", "Schedule", "differences", "git_commit"]
+__all__ = [
+    "GeneratorStates",
+    "RunCallback",
+    "RunFolder",
+    "RunState",
+    "Schedule",
+    "differences",
+    "git_commit",
+    "write_json",
+    "write_model",
+]
 
 NOT_COMPARED = ("n_timesteps", "versions", "git_commit", "command", "trained", "options")
 """Entries that may differ when a run is resumed."""
@@ -92,19 +102,9 @@ class RunFolder:
 
 
 @dataclass
-class RunState:
-    """Run state stored in a checkpoint beside the model."""
+class GeneratorStates:
+    """States of the global random generators, stored in a checkpoint."""
 
-    steps: list[int] = field(default_factory=list)
-    """When the evaluations took place."""
-    returns: list[list[float]] = field(default_factory=list)
-    """Unshaped returns of their episodes."""
-    lengths: list[list[int]] = field(default_factory=list)
-    """Steps of their episodes."""
-    successes: list[list[bool]] = field(default_factory=list)
-    """Correctness of their verdicts."""
-    best: float = -np.inf
-    """The best mean return."""
     generators: dict[str, Any] = field(default_factory=dict)
     """States of the generators of Python, numpy and torch."""
 
@@ -137,6 +137,22 @@ class RunState:
                 raise InvalidData(
                     f"the generators of the run cannot be restored ({error}); --restart begins anew"
                 ) from error
+
+
+@dataclass
+class RunState(GeneratorStates):
+    """Run state stored in a checkpoint beside the model."""
+
+    steps: list[int] = field(default_factory=list)
+    """When the evaluations took place."""
+    returns: list[list[float]] = field(default_factory=list)
+    """Unshaped returns of their episodes."""
+    lengths: list[list[int]] = field(default_factory=list)
+    """Steps of their episodes."""
+    successes: list[list[bool]] = field(default_factory=list)
+    """Correctness of their verdicts."""
+    best: float = -np.inf
+    """The best mean return."""
 
 
 def write_model(path: Path, model: Any) -> None:

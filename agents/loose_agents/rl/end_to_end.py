@@ -1,0 +1,328 @@
+"""Training from scratch on the environment's own observation and action, with a learning curve."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_agents.core.base import Problem
+from loose_agents.core.belief_agent import records_taken
+from loose_agents.core.seeds import CURVE_SEED, check_training_seed
+from loose_agents.evaluation.env_arguments import refused_in_words
+from loose_agents.evaluation.evaluate import EpisodeRow, evaluate
+from loose_agents.rl.hyperparameters import (
+    HYPERPARAMETERS,
+    LinearSchedule,
+    algorithm_named,
+    model_arguments,
+    read_hyperparameters,
+)
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+
+__all__ = ["LEARNERS", "Job", "Learner", "run_folder", "train_end_to_end"]
+
+_STANDARDISING_STEPS = 8
+"""Random actions of each environment on whose records the set network's input is standardised."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learner:
+    """An algorithm with a network and a hyperparameter file."""
+
+    algorithm: str
+    """Name of the rl-zoo."""
+    file: str
+    """Name of the shipped hyperparameter file."""
+    record_set: bool = False
+    """True for the set network, False for layers on the flat observation."""
+
+
+LEARNERS = {
+    "ppo": Learner(algorithm="ppo", file="ppo"),
+    "ppo_lstm": Learner(algorithm="ppo_lstm", file="ppo_lstm"),
+    "maskable_ppo": Learner(algorithm="maskable_ppo", file="maskable_ppo"),
+    "ppo_set": Learner(algorithm="ppo", file="ppo_set", record_set=True),
+    "maskable_ppo_set": Learner(algorithm="maskable_ppo", file="ppo_set", record_set=True),
+}
+"""Learners by name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """Training of one learner with one seed."""
+
+    learner: str
+    """Name in `LEARNERS`."""
+    env: str
+    """Id of the environment."""
+    env_kwargs: dict[str, Any]
+    """Its arguments, which take precedence over the hyperparameter file's."""
+    hyperparams: dict[str, Any]
+    """Hyperparameters that override the file's."""
+    seed: int
+    """Seed of network and episodes."""
+    steps: int
+    """Steps in all; 0 for the file's."""
+    seconds: float | None
+    """Time in all [s]; None without limit."""
+    out: str
+    """Folder of the results."""
+    device: str = "cpu"
+    """Device of torch."""
+    threads: int = 1
+    """Threads of torch and of the simulation."""
+    evaluations: int = 12
+    """Evaluations, the last one at the end."""
+    eval_episodes: int = 200
+    """Episodes of an evaluation."""
+    last_episodes: int = 1000
+    """Episodes of the last evaluation."""
+    restart: bool = False
+    """Forget what the folder holds."""
+    command: str = ""
+    """Command line, for the configuration."""
+
+
+def run_folder(job: Job) -> Path:
+    """Folder of a run: ``OUT/ENV/LEARNER/seed_K``."""
+    return Path(job.out) / job.env.replace("/", "-") / job.learner / f"seed_{job.seed}"
+
+
+def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
+    """Train or resume a run until its budget is spent; return its folder.
+
+    The same job goes on from its last checkpoint. With a limit of steps alone, same seed, same
+    curve; a limit of time depends on the machine.
+
+    Raises
+    ------
+    InvalidSetting
+        If the folder holds a run with another configuration, or the settings are refused.
+    InvalidData
+        If the checkpoint cannot be read.
+    UnknownName
+        If there is no such learner, environment or hyperparameter.
+    """
+    learner = _learner(job.learner)
+    given = read_hyperparameters(HYPERPARAMETERS / f"{learner.file}.yml", job.env)
+    given |= job.hyperparams
+    arguments = given.pop("env_kwargs", {}) | {"threads": job.threads} | job.env_kwargs
+    steps = job.steps or int(float(given.get("n_timesteps", 0)))
+    if steps < 1:
+        raise InvalidSetting(f"{learner.file}.yml has no n_timesteps: give the number of steps")
+    model_kwargs = model_arguments(given, learner.algorithm)
+    model_class = algorithm_named(learner.algorithm)
+
+    import torch
+    from stable_baselines3.common.logger import Logger
+
+    from loose_agents.rl.learning_curve import Budget, BudgetSchedule, CurveCallback, CurveState
+    from loose_agents.rl.training_env import training_seed
+    from loose_agents.rl.training_run import write_json
+    from loose_env.envs.sb3 import Sb3VecEnv
+
+    torch.set_num_threads(job.threads)
+    if job.env not in gymnasium.registry:
+        raise UnknownName(f"unknown environment {job.env!r}")
+    with refused_in_words(job.env, arguments):
+        env: Any = gymnasium.make_vec(job.env, num_envs=int(given.get("n_envs", 1)), **arguments)
+    if env.settings.raw:
+        raise InvalidSetting("the policy learns on the flat observation: leave raw out")
+    problem = Problem.of(env.arm, env.settings)
+    configuration = _configuration(job, learner, given, arguments, problem, steps)
+    folder = run_folder(job)
+    folder.mkdir(parents=True, exist_ok=True)
+    vec = Sb3VecEnv(env)
+    budget = Budget(steps=steps, seconds=job.seconds)
+    for name in ("learning_rate", "clip_range"):
+        if isinstance(model_kwargs.get(name), LinearSchedule):
+            model_kwargs[name] = BudgetSchedule(model_kwargs[name], budget)
+    if learner.record_set:
+        from loose_agents.rl.record_set import RecordSetExtractor, record_set_arguments
+
+        own = dict(model_kwargs.get("policy_kwargs") or {})
+        extractor = own.pop("features_extractor_kwargs", {})
+        model_kwargs["policy_kwargs"] = {
+            **own,
+            "features_extractor_class": RecordSetExtractor,
+            "features_extractor_kwargs": {**record_set_arguments(env.layout), **extractor},
+        }
+    model = model_class(env=vec, seed=job.seed, device=job.device, **model_kwargs)
+    model.set_logger(Logger(None, []))
+    checkpoint = folder / "checkpoint.zip"
+    name = f"{job.env} {job.learner} seed {job.seed}"
+    resumed = checkpoint.is_file() and not job.restart
+    if resumed:
+        model.run_state = _restored(folder, model, configuration, CurveState)
+        say(f"{name}: resumed at {model.num_timesteps} steps")
+    else:
+        model.run_state = CurveState()
+    state = model.run_state
+    over = job.seconds is not None and state.seconds >= job.seconds
+    if not (over or model.num_timesteps >= steps):
+        write_json(folder / "configuration.json", configuration)
+        budget.begin(state.seconds)
+        vec.seed(check_training_seed(training_seed(job.seed, model.num_timesteps)))
+        if learner.record_set and not resumed:
+            state.records += _standardise(model, vec, job.seed)
+        state.restore_generators()
+        callback = CurveCallback(
+            folder,
+            budget,
+            lambda episodes: _evaluate(model, problem, episodes, job.threads),
+            evaluations=job.evaluations,
+            episodes=job.eval_episodes,
+            last_episodes=job.last_episodes,
+            show=lambda point: say(
+                f"{name}: {point.steps} steps, {point.records} records, {point.seconds:.0f} s: "
+                f"return {point.mean_return:+.3f}, right {point.right:.3f}, unsure "
+                f"{point.unsure:.3f}, {point.records_per_episode:.2f} records an episode"
+            ),
+        )
+        model.learn(
+            steps - model.num_timesteps, callback=callback, reset_num_timesteps=not resumed
+        )
+    else:
+        say(f"{name}: trained already, {model.num_timesteps} steps in {state.seconds:.0f} s")
+    vec.close()
+    return folder
+
+
+def _learner(name: str) -> Learner:
+    if name not in LEARNERS:
+        raise UnknownName(f"unknown learner {name!r}; learners are {list(LEARNERS)}")
+    return LEARNERS[name]
+
+
+def _configuration(
+    job: Job,
+    learner: Learner,
+    hyperparameters: dict[str, Any],
+    arguments: dict[str, Any],
+    problem: Problem,
+    steps: int,
+) -> dict[str, Any]:
+    """Everything that the result depends on."""
+    from loose_agents.rl.training_run import git_commit
+
+    modules = ("loose_env", "gymnasium", "mujoco", "numpy", "stable_baselines3", "torch")
+    not_compared = {k: v for k, v in arguments.items() if k != "threads"}
+    found = {
+        "format": "loose-learning-curve/1",
+        "learner": {"name": job.learner, **asdict(learner)},
+        "env": job.env,
+        "env_kwargs": not_compared,
+        "arm": problem.arm.name,
+        "hypotheses": problem.hypotheses,
+        "seed": job.seed,
+        "hyperparameters": {k: v for k, v in hyperparameters.items() if k != "n_timesteps"},
+        "settings": asdict(problem.settings),
+        "evaluation": {"seed": CURVE_SEED, "episodes": job.eval_episodes},
+        "n_timesteps": steps,
+        "options": asdict(job),
+        "command": job.command,
+        "versions": {
+            "python": sys.version.split()[0],
+            **{name: importlib.import_module(name).__version__ for name in modules},
+        },
+        "git_commit": git_commit(Path(__file__).resolve().parents[3]),
+    }
+    plain: dict[str, Any] = json.loads(json.dumps(found, default=str))
+    return plain
+
+
+def _restored(folder: Path, model: Any, configuration: dict[str, Any], kind: type[Any]) -> Any:
+    """Load the state that a run goes on with."""
+    from loose_agents.rl.checkpoint import read_model, restore
+    from loose_agents.rl.training_run import RunFolder, differences
+
+    differ = differences(RunFolder(folder).described(), configuration)
+    if differ:
+        raise InvalidSetting(
+            f"{folder} holds a run with other {', '.join(differ)}; choose another --out, or "
+            "--restart to begin anew"
+        )
+    checkpoint = folder / "checkpoint.zip"
+    try:
+        return restore(read_model(checkpoint, str(model.device)), model, kind)
+    except InvalidData as error:
+        raise InvalidData(
+            f"cannot go on from {checkpoint}; --restart begins anew: {error}"
+        ) from error
+
+
+def _standardise(model: Any, vec: Any, seed: int) -> int:
+    """Standardise the set network's input on the records of random actions; return their number."""
+    rng = np.random.default_rng(seed)
+    choices = vec.action_space.nvec
+    observation = vec.reset()
+    taken = 0
+    for _ in range(min(_STANDARDISING_STEPS, vec.env.settings.max_records)):
+        actions = rng.integers(0, choices, size=(vec.num_envs, len(choices)))
+        actions[:, -1] = 0  # no verdict
+        observation, _, _, _ = vec.step(actions)
+        taken += vec.num_envs
+    model.policy.features_extractor.standardise(observation)
+    return taken
+
+
+def _evaluate(model: Any, problem: Problem, episodes: int, threads: int) -> list[EpisodeRow]:
+    """Play the first held-out episodes with the most probable actions."""
+    agent: Any = _BatchPolicy(model, problem)
+    if hasattr(model.policy, "lstm_actor"):
+        from loose_agents.rl.model_agent import ModelAgent
+        from loose_agents.rl.network import network_of
+
+        agent = ModelAgent(problem, network_of(model))
+    return evaluate(
+        agent,
+        "learner",
+        problem.arm,
+        problem.settings,
+        episodes=episodes,
+        seed=CURVE_SEED,
+        width=min(episodes, 128),
+        threads=threads,
+    )
+
+
+class _BatchPolicy:
+    """A policy without memory as an agent: all observations at once, masks where it has them."""
+
+    def __init__(self, model: Any, problem: Problem) -> None:
+        self.model, self.problem = model, problem
+        self.masked = type(model).__name__ == "MaskablePPO"
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: Sequence[Any] | None = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.int64], None]:
+        """Choose actions (num, choices) for observations (num, size)."""
+        further = {"action_masks": self._masks(observation)} if self.masked else {}
+        actions, _ = self.model.predict(observation, deterministic=deterministic, **further)
+        return actions, None
+
+    def _masks(self, observations: NDArray[np.float32]) -> NDArray[np.bool_]:
+        layout, actions = self.problem.layout, self.problem.actions
+        return np.stack(
+            [
+                actions.mask(
+                    layout.pose_of(row),
+                    records_taken(self.problem, row),
+                    int(np.count_nonzero(layout.slots_of(row)[:, 0])),
+                )
+                for row in observations
+            ]
+        )
