@@ -227,7 +227,9 @@ def _changes(
         own = [k for k, (effect, _) in enumerate(entries) if effect.adds_motion == springs]
         if not own:
             continue
-        compared, alike = short.lightly(base.hypothesis, base.residual, stiff=stiff or springs)
+        compared, alike = short.lightly(
+            base.hypothesis, base.residual, stiff=stiff, springs=springs
+        )
         changes = Signatures().of(compared, base, [entries[k] for k in own], alike)
         for k, (effect, values, change) in zip(own, changes, strict=True):
             found[k] = _Signature(effect, values, unit * change)

@@ -294,12 +294,20 @@ class ResidualModel:
         return self._lighter[joined]
 
     def lightly(
-        self, hypothesis: Hypothesis, residual: Array, *, stiff: bool = False
+        self,
+        hypothesis: Hypothesis,
+        residual: Array,
+        *,
+        stiff: bool = False,
+        springs: bool = False,
     ) -> tuple[ResidualModel, Array]:
         """Cheaper comparison, with the residual of a hypothesis in it (N,).
 
-        Where the cheaper integrator is not stable, that is this comparison with the given residual.
+        Where the cheaper integrator is not stable, or would shift the modes of springs that are
+        added to simulated runs, that is this comparison with the given residual.
         """
+        if springs and not self.rows.inverse.all():
+            return self, residual
         lighter = self.lighter(stiff=stiff)
         if lighter is self:
             return self, residual
@@ -329,7 +337,7 @@ class ResidualModel:
         """
         found: list[list[Array]] = [[np.empty(0)] * len(self.trials) for _ in hypotheses]
         if len(self._ahead):
-            own = [_for_runs(hypothesis, self.runs[self._ahead]) for hypothesis in hypotheses]
+            own = [hypothesis.for_runs(self.runs[self._ahead]) for hypothesis in hypotheses]
             for predictions, runs in zip(found, self.simulator.predict(own), strict=True):
                 for t, values in zip(self._ahead, runs, strict=True):
                     predictions[t] = values
@@ -384,16 +392,3 @@ class ResidualModel:
         flat = values.reshape(-1, values.shape[-1])
         summed = np.array([np.bincount(self.rows.block, v, minlength=count) for v in flat])
         return summed.reshape(*values.shape[:-1], count)
-
-
-def _for_runs(hypothesis: Hypothesis, runs: NDArray[np.intp]) -> Hypothesis:
-    """Restrict the initial states of a hypothesis to some runs."""
-    position, speed = hypothesis.position, hypothesis.speed
-    if position is None and speed is None:
-        return hypothesis
-    known = (runs >= 0)[:, None]
-    return replace(
-        hypothesis,
-        position=None if position is None else np.where(known, position[runs], 0.0),
-        speed=None if speed is None else np.where(known, speed[runs], 0.0),
-    )

@@ -1,9 +1,9 @@
 """Screening: ranks candidates by predicted explained variance; it never decides.
 
-Every candidate is simulated once from each of its starts, on top of the current fit, both with a
-cheaper integrator. The resulting change of the residual is its signature. The
-current parameters are free to absorb part of a signature; the remainder is projected onto the
-residual.
+Every candidate is simulated once from each of its starts, on top of the current fit: with a cheaper
+integrator, but for springs in simulated runs. The resulting change of the residual is its
+signature. The current parameters are free to absorb part of a signature; the remainder is projected
+onto the residual.
 
 Effects that shift signals in time are screened twice. An acceleration of many hertz is linear in a
 shift over a fraction of a millisecond only, so that a slightly wrong start predicts no gain;
@@ -95,7 +95,7 @@ def screen(
     seen: dict[int, list[Screened]] = {}
     for springs in (True, False):
         compared, base = comparison.lightly(
-            fitted.hypothesis, fitted.residual, stiff=stiff or springs
+            fitted.hypothesis, fitted.residual, stiff=stiff, springs=springs
         )
         own = [effect for effect in candidates if effect.adds_motion == springs]
         axes = {
