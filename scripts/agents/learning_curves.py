@@ -19,7 +19,7 @@ from typing import Any
 from loose_agents.execution.command import command, option
 from loose_agents.execution.local_pools import ONE_THREAD, cores
 from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.rl.end_to_end import LEARNERS, Job, train_end_to_end
+from loose_agents.rl.end_to_end.training import LEARNERS, Job, train_end_to_end
 from loose_agents.rl.hyperparameters import key_values
 
 from loose_env.errors import InvalidSetting

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.rl.learning_curve import CurvePoint, read_curve
+from loose_agents.rl.end_to_end.learning_curve import CurvePoint, read_curve
 from scipy.stats import t as student
 
 from loose_env.errors import InvalidData

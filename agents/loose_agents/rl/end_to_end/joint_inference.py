@@ -1,0 +1,170 @@
+"""Inference trained together with the policy that chooses the records it learns from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.callbacks import BaseCallback
+from torch import nn
+
+from loose_agents.rl.end_to_end.record_set import RecordSetExtractor
+
+__all__ = ["EpisodeStore", "InferenceCallback", "PosteriorSetExtractor"]
+
+_LOG_FLOOR = -8.0
+"""Lowest log-probability that the policy sees."""
+_LOG_SCALE = 0.25
+"""Log-probabilities are shown times this, of the order of one."""
+
+
+class PosteriorSetExtractor(RecordSetExtractor):
+    """Set network with a posterior over the hypotheses, which is trained on the truth.
+
+    The policy sees the log-posterior, the sum over the records, and the global elements. Its
+    gradient ends there: embedding and posterior learn by `InferenceCallback` alone, from every
+    record of the training, whatever came of the verdict.
+
+    Parameters
+    ----------
+    observation_space : gymnasium.spaces.Box
+        Flat observation.
+    hypotheses : int
+        Number of hypotheses.
+    **arguments
+        Those of `RecordSetExtractor`.
+    """
+
+    def __init__(
+        self, observation_space: spaces.Box, *, hypotheses: int, **arguments: Any
+    ) -> None:
+        super().__init__(observation_space, **arguments)
+        width = self.embedding[-2].out_features
+        self.posterior = nn.Sequential(
+            nn.Linear(width, width), nn.ReLU(), nn.Linear(width, hypotheses)
+        )
+        self._features_dim += hypotheses
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Features (batch, features_dim) of observations (batch, elements)."""
+        with torch.no_grad():
+            seen = super().forward(observations)
+            logs = torch.log_softmax(self.posterior(seen[:, self.start :]), 1)
+            return torch.cat([seen, logs.clamp(min=_LOG_FLOOR) * _LOG_SCALE], 1)
+
+    def loss(self, observations: torch.Tensor, truths: torch.Tensor) -> torch.Tensor:
+        """Mean negative log-posterior of the truths (batch,) [nat]."""
+        seen = super().forward(observations)[:, self.start :]
+        return nn.functional.cross_entropy(self.posterior(seen), truths)
+
+
+class EpisodeStore:
+    """Last observations and truths of the latest episodes.
+
+    Parameters
+    ----------
+    size : int
+        Episodes that are kept.
+    elements : int
+        Elements of an observation.
+    """
+
+    def __init__(self, size: int, elements: int) -> None:
+        self.observations = np.zeros((size, elements), dtype=np.float32)
+        self.truths = np.zeros(size, dtype=np.int64)
+        self.count = 0
+
+    def add(self, observation: NDArray[np.float32], truth: int) -> None:
+        """Keep an episode, in place of the oldest one if the store is full."""
+        place = self.count % len(self.truths)
+        self.observations[place], self.truths[place] = observation, truth
+        self.count += 1
+
+    def sample(
+        self, size: int, rng: np.random.Generator, *, start: int, slot_size: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        """Episodes cut after a number of records, uniform from 1 to all of theirs.
+
+        Only the first records: which ones the policy took later depends on them.
+        """
+        chosen = rng.integers(min(self.count, len(self.truths)), size=size)
+        observations = self.observations[chosen]
+        slots = observations[:, start:].reshape(size, -1, slot_size)  # a view
+        taken = (slots != 0.0).any(2)
+        last = np.where(taken.any(1), slots.shape[1] - np.argmax(taken[:, ::-1], 1), 0)
+        kept = 1 + np.floor(rng.random(size) * last)
+        slots[np.arange(slots.shape[1]) >= kept[:, None]] = 0.0
+        return observations, self.truths[chosen]
+
+
+class InferenceCallback(BaseCallback):
+    """Trains the posterior of a `PosteriorSetExtractor` between the updates of the policy.
+
+    Parameters
+    ----------
+    hypotheses : sequence of str
+        Names of the hypotheses, in the posterior's order.
+    rate : callable
+        Learning rate, given the share of the budget that is left.
+    left : callable
+        Share of the budget that is left.
+    episodes : int
+        Episodes that are kept to learn from.
+    batches, batch_size : int
+        Gradient steps after each rollout, and episodes of each.
+    """
+
+    model: Any
+
+    def __init__(
+        self,
+        hypotheses: Sequence[str],
+        *,
+        rate: Callable[[float], float],
+        seed: int,
+        episodes: int = 20_000,
+        batches: int = 24,
+        batch_size: int = 256,
+    ) -> None:
+        super().__init__()
+        self.names = {name: k for k, name in enumerate(hypotheses)}
+        self.rate, self.rng = rate, np.random.default_rng(seed)
+        self.episodes, self.batches, self.batch_size = episodes, batches, batch_size
+
+    def _on_training_start(self) -> None:
+        self.network = self.model.policy.features_extractor
+        size = int(np.prod(self.model.observation_space.shape))
+        self.store = EpisodeStore(self.episodes, size)
+        own = [*self.network.embedding.parameters(), *self.network.posterior.parameters()]
+        self.optimiser = torch.optim.Adam(own, lr=1e-3)
+
+    def _on_step(self) -> bool:
+        for done, info in zip(self.locals["dones"], self.locals["infos"], strict=True):
+            # What fits no hypothesis teaches none.
+            if done and info["fault"] in self.names:
+                self.store.add(info["terminal_observation"], self.names[info["fault"]])
+        return True
+
+    def _on_rollout_start(self) -> None:
+        if self.store.count < self.batch_size:
+            return
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.rate(self.model._current_progress_remaining)
+        for _ in range(self.batches):
+            observations, truths = self.store.sample(
+                self.batch_size,
+                self.rng,
+                start=self.network.start,
+                slot_size=self.network.slot_size,
+            )
+            loss = self.network.loss(
+                torch.as_tensor(observations, device=self.model.device),
+                torch.as_tensor(truths, device=self.model.device),
+            )
+            self.optimiser.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            self.optimiser.step()
