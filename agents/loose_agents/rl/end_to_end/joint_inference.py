@@ -39,9 +39,7 @@ class PosteriorSetExtractor(RecordSetExtractor):
         Those of `RecordSetExtractor`.
     """
 
-    def __init__(
-        self, observation_space: spaces.Box, *, hypotheses: int, **arguments: Any
-    ) -> None:
+    def __init__(self, observation_space: spaces.Box, *, hypotheses: int, **arguments: Any) -> None:
         super().__init__(observation_space, **arguments)
         width = self.embedding[-2].out_features
         self.posterior = nn.Sequential(

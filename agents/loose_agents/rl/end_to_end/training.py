@@ -130,7 +130,12 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
     import torch
     from stable_baselines3.common.logger import Logger
 
-    from loose_agents.rl.end_to_end.learning_curve import Budget, BudgetSchedule, CurveCallback, CurveState
+    from loose_agents.rl.end_to_end.learning_curve import (
+        Budget,
+        BudgetSchedule,
+        CurveCallback,
+        CurveState,
+    )
     from loose_agents.rl.training_env import training_seed
     from loose_agents.rl.training_run import write_json
     from loose_env.envs.sb3 import Sb3VecEnv
@@ -177,9 +182,7 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
             from loose_agents.rl.end_to_end.joint_inference import InferenceCallback
 
             rate = BudgetSchedule(LinearSchedule(_INFERENCE_RATE), budget)
-            callbacks.append(
-                InferenceCallback(problem.hypotheses, rate=rate, seed=job.seed)
-            )
+            callbacks.append(InferenceCallback(problem.hypotheses, rate=rate, seed=job.seed))
         curve = CurveCallback(
             folder,
             budget,
@@ -194,7 +197,9 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
             ),
         )
         model.learn(
-            steps - model.num_timesteps, callback=[*callbacks, curve], reset_num_timesteps=not resumed
+            steps - model.num_timesteps,
+            callback=[*callbacks, curve],
+            reset_num_timesteps=not resumed,
         )
     else:
         say(f"{name}: trained already, {model.num_timesteps} steps in {state.seconds:.0f} s")
