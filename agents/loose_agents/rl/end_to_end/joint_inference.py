@@ -10,16 +10,22 @@ import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import nn
 
 from loose_agents.rl.end_to_end.record_set import RecordSetExtractor
 
-__all__ = ["EpisodeStore", "InferenceCallback", "PosteriorSetExtractor"]
+__all__ = ["EpisodeStore", "InferenceCallback", "PosteriorPolicy", "PosteriorSetExtractor"]
 
 _LOG_FLOOR = -8.0
 """Lowest log-probability that the policy sees."""
 _LOG_SCALE = 0.25
 """Log-probabilities are shown times this, of the order of one."""
+_VERDICT_POWER = 2.0
+"""Power of the posterior in the odds of naming a hypothesis, at the start."""
+_UNSURE_BIAS = -2.0
+"""Logit of "unsure" at the start."""
 
 
 class PosteriorSetExtractor(RecordSetExtractor):
@@ -45,6 +51,7 @@ class PosteriorSetExtractor(RecordSetExtractor):
         self.posterior = nn.Sequential(
             nn.Linear(width, width), nn.ReLU(), nn.Linear(width, hypotheses)
         )
+        self.hypotheses = hypotheses
         self._features_dim += hypotheses
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
@@ -58,6 +65,47 @@ class PosteriorSetExtractor(RecordSetExtractor):
         """Mean negative log-posterior of the truths (batch,) [nat]."""
         seen = super().forward(observations)[:, self.start :]
         return nn.functional.cross_entropy(self.posterior(seen), truths)
+
+
+class _WithPosterior(MlpExtractor):
+    """Layers of policy and value; the policy's last layer sees the log-posterior beside them."""
+
+    def __init__(self, hypotheses: int, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.hypotheses = hypotheses
+        self.latent_dim_pi += hypotheses
+
+    def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
+        """Latent of the policy (batch, latent_dim_pi)."""
+        return torch.cat([self.policy_net(features), features[:, -self.hypotheses :]], 1)
+
+
+class PosteriorPolicy(ActorCriticPolicy):
+    """Policy whose verdicts start from the posterior of a `PosteriorSetExtractor`.
+
+    At the start, the odds of naming hypothesis h against going on are p_h squared: the verdict is
+    mostly the most probable one, and the surer the posterior, the sooner it falls. Everything after
+    that is learned.
+    """
+
+    def _build_mlp_extractor(self) -> None:
+        hypotheses = self.features_extractor.hypotheses
+        self.mlp_extractor = _WithPosterior(
+            hypotheses,
+            self.features_dim,
+            net_arch=self.net_arch,
+            activation_fn=self.activation_fn,
+            device=self.device,
+        )
+
+    def _build(self, lr_schedule: Any) -> None:
+        super()._build(lr_schedule)
+        hypotheses = self.features_extractor.hypotheses
+        with torch.no_grad():
+            # The last entry of the action: go on, the hypotheses, unsure.
+            named = self.action_net.weight[-1 - hypotheses : -1, -hypotheses:]
+            named += _VERDICT_POWER / _LOG_SCALE * torch.eye(hypotheses, device=named.device)
+            self.action_net.bias[-1] += _UNSURE_BIAS
 
 
 class EpisodeStore:

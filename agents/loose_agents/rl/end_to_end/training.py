@@ -157,7 +157,7 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
         if isinstance(model_kwargs.get(name), LinearSchedule):
             model_kwargs[name] = BudgetSchedule(model_kwargs[name], budget)
     if learner.network != "flat":
-        model_kwargs["policy_kwargs"] = _set_network(learner, env.layout, problem, model_kwargs)
+        model_kwargs |= _set_network(learner, env.layout, problem, model_kwargs)
     model = model_class(env=vec, seed=job.seed, device=job.device, **model_kwargs)
     model.set_logger(Logger(None, []))
     checkpoint = folder / "checkpoint.zip"
@@ -210,16 +210,23 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
 def _set_network(
     learner: Learner, layout: Any, problem: Problem, model_kwargs: dict[str, Any]
 ) -> dict[str, Any]:
-    """Arguments of the policy with a set network before its layers."""
-    from loose_agents.rl.end_to_end.joint_inference import PosteriorSetExtractor
+    """Arguments of an algorithm whose policy has a set network before its layers."""
+    from loose_agents.rl.end_to_end.joint_inference import PosteriorPolicy, PosteriorSetExtractor
     from loose_agents.rl.end_to_end.record_set import RecordSetExtractor, record_set_arguments
 
     own = dict(model_kwargs.get("policy_kwargs") or {})
     given = {**record_set_arguments(layout), **own.pop("features_extractor_kwargs", {})}
     kind: Any = RecordSetExtractor
+    changed: dict[str, Any] = {}
     if learner.network == "posterior":
         kind, given = PosteriorSetExtractor, {**given, "hypotheses": len(problem.hypotheses)}
-    return {**own, "features_extractor_class": kind, "features_extractor_kwargs": given}
+        changed["policy"] = PosteriorPolicy
+    changed["policy_kwargs"] = {
+        **own,
+        "features_extractor_class": kind,
+        "features_extractor_kwargs": given,
+    }
+    return changed
 
 
 def _learner(name: str) -> Learner:
