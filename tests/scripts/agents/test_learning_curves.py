@@ -5,6 +5,7 @@ import json
 import sys
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 pytest.importorskip("yaml")
 
+from loose_agents.core.base import Problem
 from loose_agents.rl.end_to_end.learning_curve import (
     Budget,
     BudgetSchedule,
@@ -19,25 +21,16 @@ from loose_agents.rl.end_to_end.learning_curve import (
     write_curve,
 )
 from loose_agents.rl.hyperparameters import LinearSchedule
+from loose_agents.rl.model_agent import model_agent
 
+from loose_env.errors import InvalidData
 from scripts.agents.learning_curves import main
 from scripts.dev import draw_curves
 
-SMALL = [
-    "--steps",
-    "128",
-    "--evaluations",
-    "2",
-    "--eval-episodes",
-    "4",
-    "--last-episodes",
-    "6",
-    "--hyperparams",
-    "n_envs:4",
-    "n_steps:8",
-    "batch_size:16",
-    "n_epochs:1",
-]
+SMALL = (
+    *("--steps", "128", "--evaluations", "2", "--eval-episodes", "4", "--last-episodes", "6"),
+    *("--hyperparams", "n_envs:4", "n_steps:8", "batch_size:16", "n_epochs:1"),
+)
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -69,6 +62,31 @@ def test_runs_write_curves_and_configuration_and_resume(
     assert int(rows(runs[0] / "curve.csv")[-1]["steps"]) == 192
     with pytest.raises(SystemExit, match="other env_kwargs, settings"):
         main([*given, "--out", str(tmp_path / "a"), "--env-kwargs", "max_records:6"])
+
+
+def test_the_checkpoints_play_in_numpy_as_in_torch(tmp_path: Path) -> None:
+    from sb3_contrib import MaskablePPO
+    from stable_baselines3 import PPO
+
+    learners = ["--learners", "ppo_joint", "maskable_ppo_set"]
+    main([*learners, *SMALL, "--seeds", "1", "--out", str(tmp_path)])
+    env = gymnasium.make_vec("loose_env/Vera-v0", num_envs=4, engine="reduced")
+    problem = Problem.of(env.arm, env.settings)
+    rng = np.random.default_rng(0)
+    for name, kind in (("ppo_joint", PPO), ("maskable_ppo_set", MaskablePPO)):
+        path = next(tmp_path.glob(f"*/{name}/seed_1/checkpoint.zip"))
+        agent, model = model_agent(path, problem), kind.load(path, device="cpu")
+        observation, infos = env.reset(seed=2)
+        for _ in range(3):
+            masks = {"action_masks": infos["action_mask"]} if kind is MaskablePPO else {}
+            wanted, _ = model.predict(observation, deterministic=True, **masks)
+            np.testing.assert_array_equal(agent.predict(observation)[0], wanted)
+            actions = rng.integers(0, env.single_action_space.nvec, size=(4, 6))
+            actions[:, -1] = 0
+            observation, _, _, _, infos = env.step(actions)
+    six = gymnasium.make_vec("loose_env/Planar-v0", num_envs=1, engine="reduced")
+    with pytest.raises(InvalidData, match="no set network for arm"):
+        model_agent(path, Problem.of(six.arm, six.settings))
 
 
 def test_same_seed_same_curve(tmp_path: Path) -> None:

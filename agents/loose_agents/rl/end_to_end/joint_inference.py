@@ -15,13 +15,10 @@ from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import nn
 
 from loose_agents.rl.end_to_end.record_set import RecordSetExtractor
+from loose_agents.rl.set_network import LOG_FLOOR, LOG_SCALE
 
 __all__ = ["EpisodeStore", "InferenceCallback", "PosteriorPolicy", "PosteriorSetExtractor"]
 
-_LOG_FLOOR = -8.0
-"""Lowest log-probability that the policy sees."""
-_LOG_SCALE = 0.25
-"""Log-probabilities are shown times this, of the order of one."""
 _VERDICT_POWER = 2.0
 """Power of the posterior in the odds of naming a hypothesis, at the start."""
 _UNSURE_BIAS = -2.0
@@ -59,7 +56,7 @@ class PosteriorSetExtractor(RecordSetExtractor):
         with torch.no_grad():
             seen = super().forward(observations)
             logs = torch.log_softmax(self.posterior(seen[:, self.start :]), 1)
-            return torch.cat([seen, logs.clamp(min=_LOG_FLOOR) * _LOG_SCALE], 1)
+            return torch.cat([seen, logs.clamp(min=LOG_FLOOR) * LOG_SCALE], 1)
 
     def loss(self, observations: torch.Tensor, truths: torch.Tensor) -> torch.Tensor:
         """Mean negative log-posterior of the truths (batch,) [nat]."""
@@ -104,7 +101,7 @@ class PosteriorPolicy(ActorCriticPolicy):
         with torch.no_grad():
             # The last entry of the action: go on, the hypotheses, unsure.
             named = self.action_net.weight[-1 - hypotheses : -1, -hypotheses:]
-            named += _VERDICT_POWER / _LOG_SCALE * torch.eye(hypotheses, device=named.device)
+            named += _VERDICT_POWER / LOG_SCALE * torch.eye(hypotheses, device=named.device)
             self.action_net.bias[-1] += _UNSURE_BIAS
 
 
@@ -173,7 +170,7 @@ class InferenceCallback(BaseCallback):
         rate: Callable[[float], float],
         seed: int,
         episodes: int = 20_000,
-        batches: int = 24,
+        batches: int = 48,
         batch_size: int = 256,
     ) -> None:
         super().__init__()

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
+from loose_agents.rl.set_network import SET_CLIP
 from loose_env.envs import ObservationLayout
 from loose_env.errors import InvalidSetting
 
 __all__ = ["RecordSetExtractor", "record_set_arguments"]
 
 _NOMINAL = "nominal_"
-_CLIP = 5.0
 _SMALLEST_SPREAD = 1e-3
 
 
@@ -106,7 +106,7 @@ class RecordSetExtractor(BaseFeaturesExtractor):
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Features (batch, features_dim) of observations (batch, elements)."""
         which, seen = self._records(observations)
-        embedded = self.embedding(((seen - self.mean) * self.gain).clamp(-_CLIP, _CLIP))
+        embedded = self.embedding(((seen - self.mean) * self.gain).clamp(-SET_CLIP, SET_CLIP))
         total = embedded.new_zeros(len(observations), embedded.shape[1])
         return torch.cat([observations[:, : self.start], total.index_add(0, which, embedded)], 1)
 
