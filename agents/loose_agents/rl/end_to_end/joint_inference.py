@@ -44,7 +44,7 @@ class PosteriorSetExtractor(RecordSetExtractor):
 
     def __init__(self, observation_space: spaces.Box, *, hypotheses: int, **arguments: Any) -> None:
         super().__init__(observation_space, **arguments)
-        width = self.embedding[-2].out_features
+        width = self.width
         self.posterior = nn.Sequential(
             nn.Linear(width, width), nn.ReLU(), nn.Linear(width, hypotheses)
         )
@@ -85,6 +85,8 @@ class PosteriorPolicy(ActorCriticPolicy):
     that is learned.
     """
 
+    features_extractor: PosteriorSetExtractor
+
     def _build_mlp_extractor(self) -> None:
         hypotheses = self.features_extractor.hypotheses
         self.mlp_extractor = _WithPosterior(
@@ -98,11 +100,12 @@ class PosteriorPolicy(ActorCriticPolicy):
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
         hypotheses = self.features_extractor.hypotheses
+        head: Any = self.action_net
         with torch.no_grad():
             # The last entry of the action: go on, the hypotheses, unsure.
-            named = self.action_net.weight[-1 - hypotheses : -1, -hypotheses:]
+            named = head.weight[-1 - hypotheses : -1, -hypotheses:]
             named += _VERDICT_POWER / LOG_SCALE * torch.eye(hypotheses, device=named.device)
-            self.action_net.bias[-1] += _UNSURE_BIAS
+            head.bias[-1] += _UNSURE_BIAS
 
 
 class EpisodeStore:
@@ -209,5 +212,5 @@ class InferenceCallback(BaseCallback):
                 torch.as_tensor(truths, device=self.model.device),
             )
             self.optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss.backward()
             self.optimiser.step()

@@ -76,6 +76,11 @@ class RecordSetExtractor(BaseFeaturesExtractor):
     72
     """
 
+    own: torch.Tensor
+    nominal: torch.Tensor
+    mean: torch.Tensor
+    gain: torch.Tensor
+
     def __init__(
         self,
         observation_space: spaces.Box,
@@ -92,7 +97,7 @@ class RecordSetExtractor(BaseFeaturesExtractor):
                 f"{slot_size} elements; give record_set_arguments(env.layout)"
             )
         super().__init__(observation_space, features_dim=start + width)
-        self.slots, self.slot_size, self.start = slots, slot_size, start
+        self.slots, self.slot_size, self.start, self.width = slots, slot_size, start, width
         seen = slot_size + len(pairs)
         twins = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         self.register_buffer("own", torch.from_numpy(twins[:, 0].copy()))
