@@ -56,7 +56,7 @@ LEARNERS = {
     "maskable_ppo": Learner(algorithm="maskable_ppo", file="maskable_ppo"),
     "ppo_set": Learner(algorithm="ppo", file="ppo_set", network="set"),
     "maskable_ppo_set": Learner(algorithm="maskable_ppo", file="ppo_set", network="set"),
-    "ppo_joint": Learner(algorithm="ppo", file="ppo_set", network="posterior"),
+    "ppo_joint": Learner(algorithm="ppo", file="ppo_joint", network="posterior"),
 }
 """Learners by name."""
 
