@@ -31,7 +31,7 @@ def record_set_arguments(layout: ObservationLayout) -> dict[str, Any]:
     >>> env = gymnasium.make("loose_env/Vera-v0").unwrapped
     >>> given = record_set_arguments(env.layout)
     >>> given["slots"], given["slot_size"], len(given["pairs"])
-    (12, 58, 22)
+    (12, 58, 20)
     """
     names = [each.name for each in layout.slot_elements]
     twins = [(k, names.index(_NOMINAL + n)) for k, n in enumerate(names) if _NOMINAL + n in names]
