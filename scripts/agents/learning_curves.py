@@ -19,7 +19,7 @@ from typing import Any
 from loose_agents.execution.command import command, option
 from loose_agents.execution.local_pools import ONE_THREAD, cores
 from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.rl.end_to_end import LEARNERS, Job, train_end_to_end
+from loose_agents.rl.end_to_end.training import LEARNERS, Job, train_end_to_end
 from loose_agents.rl.hyperparameters import key_values
 
 from loose_env.errors import InvalidSetting
@@ -39,7 +39,9 @@ class Options(Checked):
     device: str = option("cpu", "device of torch, such as cuda")
     steps: NonNegativeCount = option(0, "steps of a run; 0: those of its hyperparameter file")
     seconds: float = option(0.0, "time of a run in all [s], last evaluation aside; 0: no limit")
-    hyperparams: tuple[str, ...] = option((), "hyperparameters, key:value", "-params")
+    hyperparams: tuple[str, ...] = option(
+        (), "hyperparameters, key:value", "--hyperparams", "-params"
+    )
     evaluations: Count = option(12, "evaluations of a run")
     eval_episodes: Count = option(200, "episodes of an evaluation, the same in all")
     last_episodes: Count = option(1000, "episodes of the last evaluation")

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.rl.learning_curve import CurvePoint, read_curve
+from loose_agents.rl.end_to_end.learning_curve import CurvePoint, read_curve
 from scipy.stats import t as student
 
 from loose_env.errors import InvalidData
@@ -23,12 +23,12 @@ from loose_env.report import pyplot, save_figure
 from loose_env.typing import Array
 
 SHOWN = {
-    "mean_return": "mean return",
-    "right": "share right",
-    "unsure": "share unsure",
-    "records_per_episode": "records an episode",
+    "mean_return": ("mean return", (-1.0, 1.0)),
+    "right": ("share right", (0.0, 1.0)),
+    "unsure": ("share unsure", (0.0, 1.0)),
+    "records_per_episode": ("records an episode", (0.0, None)),
 }
-"""Columns of the curves and their words."""
+"""Columns of the curves, their words and the ends of their axis: bands of few seeds are wide."""
 COLOURS = ("#0072b2", "#d0451b", "#009e73", "#cc79a7", "#f0a30a")
 """A colour for each learner, told apart by colour-blind readers too."""
 GRID = 60
@@ -50,7 +50,8 @@ def read_curves(folder: Path) -> Curves:
         points = read_curve(path)
         if points:
             env, learner = path.parts[-4:-2]
-            found.setdefault(env, {}).setdefault(learner, []).append(points)
+            # A folder's name cannot hold the id's stroke.
+            found.setdefault(env.replace("-", "/", 1), {}).setdefault(learner, []).append(points)
     if not found:
         raise InvalidData(
             f"{folder} holds no curves ENV/LEARNER/seed_K/curve.csv; "
@@ -113,14 +114,13 @@ def draw(curves: Curves, path: Path) -> None:
         len(curves),
         figsize=(4.2 * len(curves), 2.1 * len(SHOWN)),
         sharex="col",
-        sharey="row",
         squeeze=False,
         layout="constrained",
     )
     learners = sorted({learner for own in curves.values() for learner in own})
     colours = {each: COLOURS[k % len(COLOURS)] for k, each in enumerate(learners)}
     for column, (env, own) in enumerate(curves.items()):
-        for row, (name, words) in enumerate(SHOWN.items()):
+        for row, (name, (words, ends)) in enumerate(SHOWN.items()):
             panel: Any = axes[row][column]
             for learner, seeds in own.items():
                 grid, mean, half = band(seeds, name)
@@ -134,6 +134,8 @@ def draw(curves: Curves, path: Path) -> None:
                         alpha=0.2,
                         lw=0,
                     )
+            highest = max(band(seeds, name)[1].max() for seeds in own.values())
+            panel.set_ylim(ends[0], max(1.1 * highest, 1.0) if ends[1] is None else ends[1])
             if column == 0:
                 panel.set_ylabel(words)
             if row == 0:

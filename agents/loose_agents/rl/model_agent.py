@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from loose_agents.core.estimators import feature_size, make_estimator
 from loose_agents.rl.checkpoint import StoredModel, network_arguments, read_model
 from loose_agents.rl.learned_policy import CONFIGURATION, LearnedAgent, PolicyForm
 from loose_agents.rl.network import PolicyNetwork, network_from_tensors
+from loose_agents.rl.set_network import SetNetwork, is_set_network, set_network
 from loose_env.errors import InvalidData
 
 __all__ = ["ModelAgent", "model_agent"]
@@ -39,7 +40,9 @@ class ModelAgent(EpisodeAgent):
         The policy.
     """
 
-    def __init__(self, problem: Problem, network: PolicyNetwork, *, seed: int = 0) -> None:
+    def __init__(
+        self, problem: Problem, network: PolicyNetwork | SetNetwork, *, seed: int = 0
+    ) -> None:
         super().__init__(problem, seed=seed)
         self.network = network
 
@@ -78,9 +81,11 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
     """
     stored = read_model(path)
     state = {name: value.numpy() for name, value in stored.parameters["policy"].items()}
+    layout, actions = problem.layout, problem.actions
+    if is_set_network(state):
+        return ModelAgent(problem, _set_network(stored, state, problem), seed=seed)
     seen = _input(stored, state)
     # The layers of a policy without memory see the observation itself.
-    layout, actions = problem.layout, problem.actions
     if seen == layout.size:
         return ModelAgent(problem, _network(stored, state, actions.nvec), seed=seed)
     estimator = make_estimator(_estimator(Path(path)), problem)
@@ -103,19 +108,43 @@ def _input(stored: StoredModel, state: dict[str, NDArray[Any]]) -> int:
     raise InvalidData(f"{stored.path}: only MlpPolicy and MlpLstmPolicy are read")
 
 
-def _network(
-    stored: StoredModel, state: dict[str, NDArray[Any]], nvec: NDArray[np.int64]
-) -> PolicyNetwork:
+def _set_network(
+    stored: StoredModel, state: dict[str, NDArray[Any]], problem: Problem
+) -> SetNetwork:
+    given = stored.described.get("policy_kwargs")
+    plain = given if isinstance(given, dict) else {}
+    described = {k: v for k, v in plain.items() if not k.startswith("features_extractor")}
+    rest = replace(stored, described={**stored.described, "policy_kwargs": described})
+    activation, masked = _kind(rest)
+    nvec = problem.actions.nvec
+    try:
+        network = set_network(state, problem.layout, nvec, activation=activation, masked=masked)
+        # What does not fit together fails here, not in an episode.
+        network.choose(np.zeros(problem.layout.size, dtype=np.float32), network.begin())
+        if network.head.layers[-1].weight.shape[0] != nvec.sum():
+            raise ValueError(f"the problem has {nvec.sum()} options")
+    except (KeyError, IndexError, ValueError) as error:
+        raise InvalidData(
+            f"{stored.path} holds no set network for arm {problem.arm.name!r}: "
+            f"{type(error).__name__}: {error!s:.200}"
+        ) from error
+    return network
+
+
+def _kind(stored: StoredModel) -> tuple[str, bool]:
+    """Activation, and whether the policy was trained with masks."""
     activation = network_arguments(stored).get("activation_fn")
     kind = stored.described.get("policy_class")
     module = kind.get("__module__", "") if isinstance(kind, dict) else ""
+    return "tanh" if activation is None else activation.__name__.lower(), "maskable" in str(module)
+
+
+def _network(
+    stored: StoredModel, state: dict[str, NDArray[Any]], nvec: NDArray[np.int64]
+) -> PolicyNetwork:
+    activation, masked = _kind(stored)
     try:
-        network = network_from_tensors(
-            state,
-            nvec,
-            activation="tanh" if activation is None else activation.__name__.lower(),
-            masked="maskable" in str(module),
-        )
+        network = network_from_tensors(state, nvec, activation=activation, masked=masked)
         options = network.layers[-1].weight.shape[0]
         if options != nvec.sum():
             raise ValueError(f"it has {options} options, the problem {nvec.sum()}")

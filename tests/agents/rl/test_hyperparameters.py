@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("sb3_contrib")
 pytest.importorskip("yaml")
 
+from loose_agents.rl.end_to_end.training import LEARNERS
 from loose_agents.rl.hyperparameters import (
     HYPERPARAMETERS,
     LinearSchedule,
@@ -29,6 +30,16 @@ def test_hyperparameters_ship_for_every_environment(algorithm: str, env_id: str)
     assert isinstance(found["learning_rate"], LinearSchedule)
     assert "n_timesteps" not in found
     assert isinstance(found["policy_kwargs"], dict)
+
+
+@pytest.mark.parametrize("name", list(LEARNERS))
+def test_the_files_of_the_learners_fit_their_algorithms(name: str) -> None:
+    learner = LEARNERS[name]
+    given = read_hyperparameters(HYPERPARAMETERS / f"{learner.file}.yml", "loose_env/Planar-v0")
+    found = model_arguments(given, learner.algorithm)
+    assert found["gamma"] == 1.0
+    assert given["n_timesteps"] >= 6e4
+    assert given["n_envs"] * found["n_steps"] % found["batch_size"] == 0
 
 
 def test_hyperparameter_files_are_read_as_the_zoo_writes_them(tmp_path: Path) -> None:

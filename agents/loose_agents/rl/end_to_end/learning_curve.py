@@ -46,9 +46,7 @@ class CurvePoint:
     """Mean number of records of an episode."""
 
 
-def point_of(
-    rows: Sequence[EpisodeRow], *, steps: int, records: int, seconds: float
-) -> CurvePoint:
+def point_of(rows: Sequence[EpisodeRow], *, steps: int, records: int, seconds: float) -> CurvePoint:
     """Summarise the episodes of an evaluation."""
     returns = np.array([row.reward for row in rows])
     return CurvePoint(

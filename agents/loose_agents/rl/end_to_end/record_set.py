@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
+from loose_agents.rl.set_network import SET_CLIP
 from loose_env.envs import ObservationLayout
 from loose_env.errors import InvalidSetting
 
 __all__ = ["RecordSetExtractor", "record_set_arguments"]
 
 _NOMINAL = "nominal_"
-_CLIP = 5.0
 _SMALLEST_SPREAD = 1e-3
 
 
@@ -31,7 +31,7 @@ def record_set_arguments(layout: ObservationLayout) -> dict[str, Any]:
     >>> env = gymnasium.make("loose_env/Vera-v0").unwrapped
     >>> given = record_set_arguments(env.layout)
     >>> given["slots"], given["slot_size"], len(given["pairs"])
-    (12, 58, 22)
+    (12, 58, 20)
     """
     names = [each.name for each in layout.slot_elements]
     twins = [(k, names.index(_NOMINAL + n)) for k, n in enumerate(names) if _NOMINAL + n in names]
@@ -76,6 +76,11 @@ class RecordSetExtractor(BaseFeaturesExtractor):
     72
     """
 
+    own: torch.Tensor
+    nominal: torch.Tensor
+    mean: torch.Tensor
+    gain: torch.Tensor
+
     def __init__(
         self,
         observation_space: spaces.Box,
@@ -92,7 +97,7 @@ class RecordSetExtractor(BaseFeaturesExtractor):
                 f"{slot_size} elements; give record_set_arguments(env.layout)"
             )
         super().__init__(observation_space, features_dim=start + width)
-        self.slots, self.slot_size, self.start = slots, slot_size, start
+        self.slots, self.slot_size, self.start, self.width = slots, slot_size, start, width
         seen = slot_size + len(pairs)
         twins = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         self.register_buffer("own", torch.from_numpy(twins[:, 0].copy()))
@@ -106,7 +111,7 @@ class RecordSetExtractor(BaseFeaturesExtractor):
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Features (batch, features_dim) of observations (batch, elements)."""
         which, seen = self._records(observations)
-        embedded = self.embedding(((seen - self.mean) * self.gain).clamp(-_CLIP, _CLIP))
+        embedded = self.embedding(((seen - self.mean) * self.gain).clamp(-SET_CLIP, SET_CLIP))
         total = embedded.new_zeros(len(observations), embedded.shape[1])
         return torch.cat([observations[:, : self.start], total.index_add(0, which, embedded)], 1)
 

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -34,6 +34,10 @@ _STANDARDISING_STEPS = 8
 """Random actions of each environment on whose records the set network's input is standardised."""
 
 
+_INFERENCE_RATE = 2e-3
+"""Learning rate of the posterior at the start."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Learner:
     """An algorithm with a network and a hyperparameter file."""
@@ -42,16 +46,17 @@ class Learner:
     """Name of the rl-zoo."""
     file: str
     """Name of the shipped hyperparameter file."""
-    record_set: bool = False
-    """True for the set network, False for layers on the flat observation."""
+    network: Literal["flat", "set", "posterior"] = "flat"
+    """Layers on the flat observation, the set network, or that with a posterior of its own."""
 
 
 LEARNERS = {
     "ppo": Learner(algorithm="ppo", file="ppo"),
     "ppo_lstm": Learner(algorithm="ppo_lstm", file="ppo_lstm"),
     "maskable_ppo": Learner(algorithm="maskable_ppo", file="maskable_ppo"),
-    "ppo_set": Learner(algorithm="ppo", file="ppo_set", record_set=True),
-    "maskable_ppo_set": Learner(algorithm="maskable_ppo", file="ppo_set", record_set=True),
+    "ppo_set": Learner(algorithm="ppo", file="ppo_set", network="set"),
+    "maskable_ppo_set": Learner(algorithm="maskable_ppo", file="ppo_set", network="set"),
+    "ppo_joint": Learner(algorithm="ppo", file="ppo_joint", network="posterior"),
 }
 """Learners by name."""
 
@@ -125,7 +130,12 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
     import torch
     from stable_baselines3.common.logger import Logger
 
-    from loose_agents.rl.learning_curve import Budget, BudgetSchedule, CurveCallback, CurveState
+    from loose_agents.rl.end_to_end.learning_curve import (
+        Budget,
+        BudgetSchedule,
+        CurveCallback,
+        CurveState,
+    )
     from loose_agents.rl.training_env import training_seed
     from loose_agents.rl.training_run import write_json
     from loose_env.envs.sb3 import Sb3VecEnv
@@ -146,16 +156,8 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
     for name in ("learning_rate", "clip_range"):
         if isinstance(model_kwargs.get(name), LinearSchedule):
             model_kwargs[name] = BudgetSchedule(model_kwargs[name], budget)
-    if learner.record_set:
-        from loose_agents.rl.record_set import RecordSetExtractor, record_set_arguments
-
-        own = dict(model_kwargs.get("policy_kwargs") or {})
-        extractor = own.pop("features_extractor_kwargs", {})
-        model_kwargs["policy_kwargs"] = {
-            **own,
-            "features_extractor_class": RecordSetExtractor,
-            "features_extractor_kwargs": {**record_set_arguments(env.layout), **extractor},
-        }
+    if learner.network != "flat":
+        model_kwargs |= _set_network(learner, env.layout, problem, model_kwargs)
     model = model_class(env=vec, seed=job.seed, device=job.device, **model_kwargs)
     model.set_logger(Logger(None, []))
     checkpoint = folder / "checkpoint.zip"
@@ -172,10 +174,16 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
         write_json(folder / "configuration.json", configuration)
         budget.begin(state.seconds)
         vec.seed(check_training_seed(training_seed(job.seed, model.num_timesteps)))
-        if learner.record_set and not resumed:
+        if learner.network != "flat" and not resumed:
             state.records += _standardise(model, vec, job.seed)
         state.restore_generators()
-        callback = CurveCallback(
+        callbacks: list[Any] = []
+        if learner.network == "posterior":
+            from loose_agents.rl.end_to_end.joint_inference import InferenceCallback
+
+            rate = BudgetSchedule(LinearSchedule(_INFERENCE_RATE), budget)
+            callbacks.append(InferenceCallback(problem.hypotheses, rate=rate, seed=job.seed))
+        curve = CurveCallback(
             folder,
             budget,
             lambda episodes: _evaluate(model, problem, episodes, job.threads),
@@ -189,12 +197,36 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
             ),
         )
         model.learn(
-            steps - model.num_timesteps, callback=callback, reset_num_timesteps=not resumed
+            steps - model.num_timesteps,
+            callback=[*callbacks, curve],
+            reset_num_timesteps=not resumed,
         )
     else:
         say(f"{name}: trained already, {model.num_timesteps} steps in {state.seconds:.0f} s")
     vec.close()
     return folder
+
+
+def _set_network(
+    learner: Learner, layout: Any, problem: Problem, model_kwargs: dict[str, Any]
+) -> dict[str, Any]:
+    """Arguments of an algorithm whose policy has a set network before its layers."""
+    from loose_agents.rl.end_to_end.joint_inference import PosteriorPolicy, PosteriorSetExtractor
+    from loose_agents.rl.end_to_end.record_set import RecordSetExtractor, record_set_arguments
+
+    own = dict(model_kwargs.get("policy_kwargs") or {})
+    given = {**record_set_arguments(layout), **own.pop("features_extractor_kwargs", {})}
+    kind: Any = RecordSetExtractor
+    changed: dict[str, Any] = {}
+    if learner.network == "posterior":
+        kind, given = PosteriorSetExtractor, {**given, "hypotheses": len(problem.hypotheses)}
+        changed["policy"] = PosteriorPolicy
+    changed["policy_kwargs"] = {
+        **own,
+        "features_extractor_class": kind,
+        "features_extractor_kwargs": given,
+    }
+    return changed
 
 
 def _learner(name: str) -> Learner:
@@ -234,7 +266,7 @@ def _configuration(
             "python": sys.version.split()[0],
             **{name: importlib.import_module(name).__version__ for name in modules},
         },
-        "git_commit": git_commit(Path(__file__).resolve().parents[3]),
+        "git_commit": git_commit(Path(__file__).resolve().parents[4]),
     }
     plain: dict[str, Any] = json.loads(json.dumps(found, default=str))
     return plain
