@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Estimator, Situation, Sure, records_taken
 from loose_env.diagnosis import Belief
-from loose_env.envs import difficulty_named
+from loose_env.envs import DiagnosisSettings, difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.wrappers import Posterior, analytic_posterior, record_from
 
@@ -30,6 +30,8 @@ __all__ = [
     "make_estimator",
     "setting_name",
     "tuned",
+    "tuning_name",
+    "usual_estimator",
     "weights_path",
 ]
 
@@ -60,7 +62,7 @@ def tuned(problem: Problem) -> dict[str, Any]:
     levels of one joint, ``information`` the factors on expected information. Written by
     scripts/agents/tune_agents.py and scripts/agents/fit_information.py.
     """
-    path = weights_path(f"{setting_name(problem)}.json")
+    path = weights_path(f"{tuning_name(problem)}.json")
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
 
@@ -69,11 +71,47 @@ def tuned_stopping(problem: Problem, agent: str) -> Sure:
     return Sure(probability=tuned(problem).get("stop", {}).get(agent, Sure.probability))
 
 
+def usual_estimator(problem: Problem) -> str:
+    """Name of the learned posterior where one is trained for a problem, else the analytic one."""
+    trained = weights_path(f"posterior-{setting_name(problem)}").is_dir()
+    return "amortised" if trained else "posterior"
+
+
 def setting_name(problem: Problem) -> str:
     """Name of the tuned or trained item for an arm at a difficulty."""
     difficulty = problem.settings.difficulty
     name = difficulty if isinstance(difficulty, str) else "own"
     return f"{problem.arm.name}-{name}"
+
+
+def tuning_name(problem: Problem) -> str:
+    """Name of the settings tuned for an arm, a difficulty and rules other than the usual ones.
+
+    What was trained is known by `setting_name`: a posterior holds for any rules of its arm.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.envs import DiagnosisSettings
+    >>> tuning_name(Problem.of(planar(4), DiagnosisSettings(max_excited=1, durations=(0.2,))))
+    'planar4-default-excited1-0.2s'
+    """
+    settings, arm, usual = problem.settings, problem.arm, DiagnosisSettings()
+    parts = [setting_name(problem)]
+    if settings.max_excited is not None:
+        parts.append(f"excited{settings.max_excited}")
+    if settings.max_moved is not None:
+        parts.append(f"moved{settings.max_moved}")
+    if settings.durations != usual.durations:
+        parts += [f"{seconds:g}s" for seconds in settings.durations]
+    if arm.rated_level is not None:
+        parts.append("level" + "_".join(f"{level:g}" for level in arm.levels))
+    gravity = arm.model.opt.gravity
+    if not np.allclose(gravity, (0.0, 0.0, -9.81), atol=0.1):
+        parts.append("gravity" + "_".join(f"{g:g}" for g in gravity))
+    if settings.prices != usual.prices:
+        parts.append("prices" + "_".join(f"{p:g}" for p in vars(settings.prices).values() if p))
+    return "-".join(parts)
 
 
 @dataclass

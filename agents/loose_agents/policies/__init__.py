@@ -1,5 +1,5 @@
 """Policies: random, constant, greedy, look-ahead, oracle, link finding, blind rows.
 
-Data flow: blind -> classical -> information_policies -> link_finding -> policies -> oracle ->
-spatial_link_finding.
+Data flow: blind -> classical -> information_policies -> non_adaptive -> link_finding -> policies ->
+oracle -> spatial_link_finding.
 """

@@ -164,7 +164,12 @@ class RecordInformation:
         )
 
     def of(
-        self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
+        self,
+        faults: ImaginedFaults,
+        pose: Array,
+        torque: Array,
+        duration: float,
+        planned: Array | None = None,
     ) -> Expectation:
         """Expected information gain of a record.
 
@@ -178,21 +183,28 @@ class RecordInformation:
             Rms torque of every joint [N·m]; at least one is on.
         duration : float
             Its length [s].
+        planned : ndarray (M, M), optional
+            Likelihood of records before it whose outcome is not known: the product of those of
+            `likelihood`.
         """
-        near = faults.weight * self.likelihood(faults, pose, torque, duration)
-        labels = np.zeros((len(faults.weight), int(faults.hypothesis.max()) + 1))
-        labels[np.arange(len(labels)), faults.hypothesis] = 1.0
+        before = np.tile(faults.weight, (len(faults.weight), 1))
+        if planned is not None:
+            before = before * planned
+        likely = self.likelihood(faults, pose, torque, duration)
+        score_now, _ = self._expected(faults, before)
+        score, sure = self._expected(faults, before * likely)
+        factor = self.factors.of(torque > 0, duration)
+        return Expectation(information=factor * (score - score_now), sure=sure)
+
+    def _expected(self, faults: ImaginedFaults, near: Array) -> tuple[float, float]:
+        """Log score [nat] and largest probability of weights after each fault's records (M, M)."""
+        own = np.arange(len(faults.weight))
+        labels = np.zeros((len(own), int(faults.hypothesis.max()) + 1))
+        labels[own, faults.hypothesis] = 1.0
         after = near @ labels
         after /= after.sum(1, keepdims=True)
-        before = faults.weight @ labels
-        kept = after[np.arange(len(labels)), faults.hypothesis]
-        score = float(faults.weight @ np.log(np.maximum(kept, 1e-12)))
-        score_now = float(faults.weight @ np.log(before[faults.hypothesis]))
-        factor = self.factors.of(torque > 0, duration)
-        return Expectation(
-            information=factor * (score - score_now),
-            sure=float(faults.weight @ after.max(1)),
-        )
+        kept = np.log(np.maximum(after[own, faults.hypothesis], 1e-12))
+        return float(faults.weight @ kept), float(faults.weight @ after.max(1))
 
     def likelihood(
         self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
