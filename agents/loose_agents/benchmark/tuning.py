@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.core.base import Agent, Problem
-from loose_agents.core.belief_agent import best_verdict
+from loose_agents.core.belief_agent import BeliefAgent, best_verdict
 from loose_agents.evaluation.evaluate import goes_on
 from loose_agents.policies.non_adaptive import Records
 from loose_env.envs import EpisodeBatch
@@ -127,6 +127,8 @@ def play_trails(
             f"got {episodes} of {records}"
         )
     player = goes_on(agent, records)
+    if isinstance(player, BeliefAgent):
+        player.surprising = 0.0  # nor does a surprising episode end before the last record
     batch = EpisodeBatch(problem.arm, problem.settings, num=min(width, episodes), threads=1)
     stop = first + episodes
     parts = [

@@ -56,14 +56,20 @@ def weights_path(name: str) -> Path:
 
 
 def tuned(problem: Problem) -> dict[str, Any]:
-    """Settings tuned on training episodes of an arm and difficulty; may be empty.
+    """Settings tuned on training episodes of an arm, difficulty and rules; may be empty.
 
     ``stop`` maps agents to the probability at which they stop, ``constant`` holds the best
-    levels of one joint, ``information`` the factors on expected information. Written by
-    scripts/agents/tune_agents.py and scripts/agents/fit_information.py.
+    levels of one joint, ``fixed`` the best sequences of records, ``information`` the factors on
+    expected information. What was not tuned under other rules (`tuning_name`) is that of the
+    usual ones. Written by scripts/agents/tune_agents.py and scripts/agents/fit_information.py.
     """
-    path = weights_path(f"{tuning_name(problem)}.json")
-    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    usual, own = (
+        json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        for path in (weights_path(f"{f(problem)}.json") for f in (setting_name, tuning_name))
+    )
+    if setting_name(problem) != tuning_name(problem):
+        usual.pop("fixed", None)  # actions of other rules
+    return {**usual, **own, "stop": {**usual.get("stop", {}), **own.get("stop", {})}}
 
 
 def tuned_stopping(problem: Problem, agent: str) -> Sure:

@@ -128,7 +128,8 @@ def _constant(problem: Problem, estimator: Estimator) -> Policy:
     best = tuned(problem).get("constant")
     levels = [0] * problem.arm.n
     levels[0] = len(problem.arm.levels)  # joint 1 moves everything behind it
-    return ConstantPolicy(problem, tuple(levels if best is None else best))
+    top = len(problem.arm.levels)
+    return ConstantPolicy(problem, tuple(levels if best is None else [min(b, top) for b in best]))
 
 
 def _together(problem: Problem, estimator: Estimator) -> Policy:
