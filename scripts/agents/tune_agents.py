@@ -41,12 +41,19 @@ from loose_agents.benchmark.tuning import (
     write_tuned,
 )
 from loose_agents.benchmark.tuning_sharded import ORACLE, Player, names_of, play_player, trained
-from loose_agents.core.estimators import WEIGHTS, tuning_name
+from loose_agents.core.estimators import WEIGHTS, make_estimator, tuning_name
 from loose_agents.core.seeds import BANK_SEED, TUNING_SEED, check_training_seed
 from loose_agents.evaluation.env_arguments import arguments_of
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.command import command, option
-from loose_agents.policies.non_adaptive import FIXED_RECORDS, Records, drawn_sequences
+from loose_agents.policies.non_adaptive import (
+    FIXED_RECORDS,
+    OpenLoopPolicy,
+    Records,
+    designed_sequences,
+    drawn_sequences,
+)
+from loose_agents.policies.policies import make_policy
 
 from loose_env.errors import InvalidSetting
 from loose_env.evaluation import bootstrap_mean
@@ -68,7 +75,7 @@ class Options(BackendSettings):
     levels: tuple[int, ...] | None = option(
         None, "levels tried for the constant policy; default: all"
     )
-    sequences: Count = option(24, "sequences drawn for the fixed policy to choose from")
+    sequences: Count = option(24, "sequences for the fixed policy to choose from")
     seed: int = option(TUNING_SEED, "seed of the training episodes")
     agent_seed: int = option(0, "seed of what agents draw")
     shard: Count = option(100, "episodes that a worker plays at a time")
@@ -139,6 +146,18 @@ def tune(options: Options) -> None:
         """Trails of a fixed sequence."""
         return play(agent, None, episodes, sequence)
 
+    def sequences(estimator: str) -> list[Records]:
+        """Sequences to choose from: half of them drawn at random, half designed by the model."""
+        made = make_estimator(estimator, problem)
+        policy = make_policy("open_loop", problem, made)
+        assert isinstance(policy, OpenLoopPolicy)
+        half = options.sequences // 2
+        rng = np.random.default_rng(options.agent_seed)
+        return [
+            *drawn_sequences(problem, options.sequences - half, records, rng),
+            *designed_sequences(policy, made, half, records, seed=options.seed),
+        ]
+
     constant: tuple[int, ...] | None = None
     fixed: dict[str, Records] | None = None
     for agent in agents:
@@ -152,9 +171,8 @@ def tune(options: Options) -> None:
             levels = constant
         if policy == "fixed" and estimator != ORACLE:
             if fixed is None:  # the first estimator's best serves the others too
-                rng = np.random.default_rng(options.agent_seed)
                 fixed = best_sequences(
-                    drawn_sequences(problem, options.sequences, records, rng),
+                    sequences(estimator),
                     partial(played, agent),
                     episodes=options.episodes,
                     lengths=min(FIXED_RECORDS, records),

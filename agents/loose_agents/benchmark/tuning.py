@@ -165,7 +165,10 @@ def _group(
             states[slot] = state
             if taken > 0:
                 p = state.probabilities
-                truth, named = batch.episode(slot).fault.hypothesis, best_verdict(problem, p)
+                episode = batch.episode(slot)
+                unsure = problem.actions.allows_unsure(episode.records, episode.measured)
+                named = best_verdict(problem, p, unsure=unsure)
+                truth = episode.fault.hypothesis
                 worth = problem.settings.prices.verdict(named, truth)
                 confidence[slot, taken - 1] = p.max()
                 reward[slot, taken - 1 :] = worth - price[slot]

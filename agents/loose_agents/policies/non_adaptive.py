@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import Estimator, Situation
+from loose_agents.core.belief_agent import BeliefAgent, Estimator, Situation
 from loose_agents.core.estimators import tuned
+from loose_agents.evaluation.evaluate import AfterRecords
 from loose_agents.policies.information_policies import GreedySettings, ranked
 from loose_env.diagnosis import Belief, RecordInformation
+from loose_env.envs import EpisodeBatch
 from loose_env.errors import InvalidSetting
 from loose_env.wrappers import record_from
 
@@ -20,6 +23,7 @@ __all__ = [
     "FixedPolicy",
     "OpenLoopPolicy",
     "Records",
+    "designed_sequences",
     "drawn_sequences",
     "tuned_sequence",
 ]
@@ -169,3 +173,35 @@ class OpenLoopPolicy:
                 )
         found = ranked(self.problem, self.information, self.settings, situation, faults, planned)
         return found[0].action
+
+
+def designed_sequences(
+    policy: OpenLoopPolicy, estimator: Estimator, count: int, length: int, *, seed: int
+) -> list[Records]:
+    """Sequences that the model chooses in open loop, each from another first pose.
+
+    Parameters
+    ----------
+    policy : OpenLoopPolicy
+        What chooses.
+    estimator : Estimator
+        Its own.
+    count, length : int
+        Number of sequences, and of records in each.
+    seed : int
+        Seed of the first poses.
+    """
+    problem, stopping = policy.problem, AfterRecords(records=length + 1)
+    agent = BeliefAgent(problem, estimator, policy, stopping, surprising=0.0)
+    batch = EpisodeBatch(problem.arm, problem.settings, threads=1)
+    found = []
+    for number in range(count):
+        batch.start(0, seed=seed, number=number, options={"fault": "healthy"})
+        state: Any = None
+        sequence: list[tuple[int, ...]] = []
+        for _ in range(length):
+            action, state = agent.predict(batch.observe(0), state)
+            sequence.append(tuple(action.tolist()))
+            batch.step([0], [action])
+        found.append(tuple(sequence))
+    return found
