@@ -251,7 +251,7 @@ def tiers() -> list[str]:
             "every arm, `fixed` the best one with stopping; `open_loop` takes the records that the "
             "model expects to tell most, given the poses but no result. Best without stopping is "
             "the best of `fixed_1` to `fixed_4` on these very arms, which favours it. Reduced "
-            "engine; printed by `python scripts/studies/value_of_choice.py --show`."
+            "engine; printed by `python scripts/agents/value_of_choice.py --show`."
         ),
         "",
         *value_table(rows),

@@ -5,7 +5,7 @@ fixed sequences and all stopping probabilities were tuned on training episodes b
 scripts/agents/tune_agents.py; the arms played here are fresh. Agents of a tier meet the same arms,
 so that differences are paired; errors are 95 % intervals by the bootstrap over arms.
 
-Usage: python scripts/studies/value_of_choice.py --tiers loose_env/WeakDriveTier-v0 --blocks 4
+Usage: python scripts/agents/value_of_choice.py --tiers loose_env/WeakDriveTier-v0 --blocks 4
 
 Blocks of episodes are stored as they come: the same command goes on where it was stopped, and more
 blocks add to those played.
