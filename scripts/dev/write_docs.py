@@ -24,7 +24,7 @@ from loose_env.arms import Arm
 from loose_env.envs import DIFFICULTIES, DiagnosisEnv
 from loose_env.registration import IDS, TIERS
 from loose_env.report import read_study
-from scripts.study_parts.choice_tables import agent_table, value_table
+from scripts.study_parts.choice_tables import agent_table, pooled, value_table
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 COLUMNS = 100
@@ -35,8 +35,8 @@ LEFT_OUT = ("Version History",)
 SCALINGS = {"linear": "value / {}", "log10": "log10(value / {})", "asinh": "asinh(value / {})"}
 """How a scaling is written in the tables."""
 TIER_WORDS = {
-    "loose_env/ControlTier-v0": "nothing: one record of all joints nearly decides",
-    "loose_env/StoppingTier-v0": "when to stop; any records do",
+    "loose_env/ControlTier-v0": "little: one record of all joints nearly decides",
+    "loose_env/StoppingTier-v0": "when to stop, more than which records",
     "loose_env/GravityTier-v0": "joints and poses that open the seat against gravity",
     "loose_env/WeakDriveTier-v0": "the same at half the drive",
 }
@@ -229,6 +229,8 @@ def tiers() -> list[str]:
         tier: ", ".join(f"`{name}={value!r}`" for name, value in how.items()) or "none"
         for tier, (_, how) in TIERS.items()
     }
+    unmeasured = [f"`{tier}`" for tier in TIERS if tier not in pooled(rows)]
+    missing = f"Not measured yet: {', '.join(unmeasured)}." if unmeasured else ""
     return [
         *prose(
             "Tiers are environments of the arms below with arguments of their own, by what a good "
@@ -251,7 +253,7 @@ def tiers() -> list[str]:
             "every arm, `fixed` the best one with stopping; `open_loop` takes the records that the "
             "model expects to tell most, given the poses but no result. Best without stopping is "
             "the best of `fixed_1` to `fixed_4` on these very arms, which favours it. Reduced "
-            "engine; printed by `python scripts/agents/value_of_choice.py --show`."
+            f"engine; printed by `python scripts/agents/value_of_choice.py --show`. {missing}"
         ),
         "",
         *value_table(rows),
