@@ -3,13 +3,16 @@
 The simulator is imported when an environment is made: `import loose_env` stays light.
 
 Every id takes ``hold``: "brake", "servo" or "compliant"; see `loose_env.arms.holding.compliance`;
-and ``link_accelerometers``, short for sensors that have them.
+``levels``, the excitation levels, ``gravity``, a vector in the world's axes [m/s²], and
+``link_accelerometers``, short for sensors that have them.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
+from types import MappingProxyType
 from typing import Any
 
 import gymnasium
@@ -19,6 +22,7 @@ from loose_env.errors import InvalidSetting, UnknownName
 __all__ = [
     "IDS",
     "MAX_EPISODE_STEPS",
+    "TIERS",
     "make_arm",
     "make_arm_vector",
     "make_planar",
@@ -39,7 +43,24 @@ IDS = (
     "loose_env/Scara-v0",
     "loose_env/Arm-v0",
 )
-"""Every registered id."""
+"""Ids by arm."""
+
+_ONE_EXCITER = {"max_excited": 1, "durations": (0.2,)}
+TIERS: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
+    {
+        "loose_env/ControlTier-v0": ("loose_env/Vera-v0", {}),
+        "loose_env/StoppingTier-v0": (
+            "loose_env/Planar-v0",
+            {"difficulty": "hard", **_ONE_EXCITER},
+        ),
+        "loose_env/GravityTier-v0": ("loose_env/SixAxis-v0", _ONE_EXCITER),
+        "loose_env/WeakDriveTier-v0": (
+            "loose_env/SixAxis-v0",
+            {"levels": (1.0, 2.0), **_ONE_EXCITER},
+        ),
+    }
+)
+"""Ids of the tiers: the arm's id and its arguments, which others given to `make` replace."""
 
 MAX_EPISODE_STEPS = 14
 """Steps after which Gymnasium's time limit cuts an episode: one more than the longest episode of
@@ -48,11 +69,12 @@ REWARD_THRESHOLDS = (0.80, 0.82, 0.65, None, None)
 """Mean return from which an id counts as solved: what the best agents reach, rounded down
 (docs/agents.md); None where no agent is published."""
 
-_VERA = ("hold",)
-_PLANAR = ("n_links", "vertical", "hold")
-_SIX_AXIS = ("hold",)
-_SCARA = ("hold",)
-_FROM_FILE = ("model", "true_model", "tool", "tool_offset", "joints", "hold")
+_OF_ANY = ("hold", "levels", "gravity")
+_VERA = _OF_ANY
+_PLANAR = ("n_links", "vertical", *_OF_ANY)
+_SIX_AXIS = _OF_ANY
+_SCARA = _OF_ANY
+_FROM_FILE = ("model", "true_model", "tool", "tool_offset", "joints", *_OF_ANY)
 _SINGLE = ("render_mode", "rig", "threads", "true_arm")
 _VECTOR = ("render_mode", "threads", "true_arm", "autoreset_mode")
 _ON_LINKS = "link_accelerometers"
@@ -62,7 +84,12 @@ def register() -> None:
     """Register all ids with Gymnasium; those already there are left alone."""
     here = "loose_env.registration"
     names = ("vera", "planar", "six_axis", "scara", "arm")
-    for env_id, name, threshold in zip(IDS, names, REWARD_THRESHOLDS, strict=True):
+    by_arm = dict(zip(IDS, zip(names, REWARD_THRESHOLDS, strict=True), strict=True))
+    every: dict[str, tuple[str, float | None, dict[str, Any]]] = {
+        env_id: (*by_arm[env_id], {}) for env_id in IDS
+    }
+    every |= {tier: (by_arm[of][0], None, dict(how)) for tier, (of, how) in TIERS.items()}
+    for env_id, (name, threshold, arguments) in every.items():
         if env_id not in gymnasium.registry:
             gymnasium.register(
                 id=env_id,
@@ -70,6 +97,7 @@ def register() -> None:
                 vector_entry_point=f"{here}:make_{name}_vector",
                 reward_threshold=threshold,
                 max_episode_steps=MAX_EPISODE_STEPS,
+                kwargs=arguments,
             )
 
 
@@ -126,37 +154,49 @@ def make_arm_vector(num_envs: int = 1, **arguments: Any) -> Any:
 def _vera(arguments: dict[str, Any]) -> Any:
     from loose_env.arms import vera
 
-    return vera(**_take(arguments, *_VERA))
+    return _varied(vera, _take(arguments, *_VERA))
 
 
 def _planar(arguments: dict[str, Any]) -> Any:
     from loose_env.arms import planar
 
-    return planar(**_take(arguments, *_PLANAR))
+    return _varied(planar, _take(arguments, *_PLANAR))
 
 
 def _six_axis(arguments: dict[str, Any]) -> Any:
     from loose_env.arms import six_axis
 
-    return six_axis(**_take(arguments, *_SIX_AXIS))
+    return _varied(six_axis, _take(arguments, *_SIX_AXIS))
 
 
 def _scara(arguments: dict[str, Any]) -> Any:
     from loose_env.arms import scara
 
-    return scara(**_take(arguments, *_SCARA))
+    return _varied(scara, _take(arguments, *_SCARA))
 
 
 def _from_file(arguments: dict[str, Any]) -> Any:
     from loose_env.arms import DESK_ARM, arm_from_file
+
+    def made(*, path: Any, **how: Any) -> Any:
+        return arm_from_file(path, **how)
 
     own = _take(arguments, *_FROM_FILE)
     model, true_model = own.pop("model", None), own.pop("true_model", None)
     if true_model is not None:
         if arguments.get("true_arm") is not None:
             raise InvalidSetting("give the true arm as true_model or as true_arm, not as both")
-        arguments["true_arm"] = arm_from_file(true_model, **own)
-    return arm_from_file(DESK_ARM if model is None else model, **own)
+        arguments["true_arm"] = _varied(made, {"path": true_model, **own})
+    return _varied(made, {"path": DESK_ARM if model is None else model, **own})
+
+
+def _varied(make: Callable[..., Any], own: dict[str, Any]) -> Any:
+    """Make an arm, then change its levels and the gravity that it stands in, where asked."""
+    levels, gravity = own.pop("levels", None), own.pop("gravity", None)
+    arm = make(**own)
+    if gravity is not None:
+        arm = arm.under_gravity(gravity)
+    return arm if levels is None else arm.with_levels(levels)
 
 
 def _take(arguments: dict[str, Any], *names: str) -> dict[str, Any]:

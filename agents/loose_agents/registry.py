@@ -26,12 +26,15 @@ from loose_agents.core.estimators import (
     setting_name,
     tuned,
     tuned_stopping,
+    usual_estimator,
     weights_path,
 )
+from loose_agents.evaluation.evaluate import AfterRecords
 from loose_agents.policies.blind import BlindAgent
 from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings, arm_class
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.policies.local import LocalAgent
+from loose_agents.policies.non_adaptive import FIXED_RECORDS, FixedPolicy, tuned_sequence
 from loose_agents.policies.oracle import oracle_agent
 from loose_agents.policies.policies import POLICIES, make_policy
 from loose_agents.policies.spatial_link_finding import (
@@ -78,6 +81,22 @@ def _of(estimator: str, policy: str) -> Callable[[Problem, int], Agent]:
 def classical_settings(problem: Problem) -> ClassicalSettings:
     """Settings of the classical method that ship for an arm's class."""
     return ClassicalSettings(**_tuned_search(f"{arm_class(problem)}-classical"))
+
+
+def _usual(policy: str) -> Callable[[Problem, int], Agent]:
+    """A policy with the learned posterior where one is trained, else with the analytic one."""
+    return lambda problem, seed: belief_agent(usual_estimator(problem), policy, problem, seed=seed)
+
+
+def _fixed(records: int) -> Callable[[Problem, int], Agent]:
+    """The best sequence of so many records, all of them taken."""
+
+    def make(problem: Problem, seed: int) -> Agent:
+        made = make_estimator(usual_estimator(problem), problem)
+        policy = FixedPolicy(problem, tuned_sequence(problem, records))
+        return BeliefAgent(problem, made, policy, AfterRecords(records=records), seed=seed)
+
+    return make
 
 
 def _classical(
@@ -169,6 +188,12 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     ),
     "greedy": (_of("amortised", "greedy"), "the learned posterior, the most telling record next"),
     "look_ahead": (_of("amortised", "look_ahead"), "the same, two records ahead"),
+    **{
+        f"fixed_{k}": (_fixed(k), f"the same {k} record{'s' * (k > 1)} on every arm, then a name")
+        for k in range(1, FIXED_RECORDS + 1)
+    },
+    "fixed": (_usual("fixed"), "the same records on every arm, until its posterior is sure"),
+    "open_loop": (_usual("open_loop"), "records chosen by the model, blind to their results"),
     "always_healthy": (_blind("healthy"), "blind: healthy, after the cheapest record"),
     "always_unsure": (_blind(UNSURE), "blind: unsure, after the cheapest records that allow it"),
     "oracle": (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -15,7 +15,7 @@ from loose_env.arms.packed_spec import PackedSpec
 from loose_env.arms.reach import largest_levers, largest_reach
 from loose_env.arms.shaker import COIL, Shaker
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.io import Checked, NonNegative
+from loose_env.io import Checked, NonNegative, all_of, is_finite
 from loose_env.typing import Array
 
 __all__ = [
@@ -184,6 +184,10 @@ class Arm:
     """Sites of the spec that carry further accelerometers, read along their own axes."""
     shaker: Shaker | None = None
     """A shaker beside the arm, if there is one."""
+    rated_level: float | None = None
+    """Level to which the friction of seats is compared [m/s²]; None: the highest of `levels`.
+
+    An arm of weaker levels keeps it, so that the same seats are harder to open."""
 
     def __post_init__(self) -> None:
         n = len(self.joints)
@@ -208,8 +212,10 @@ class Arm:
             )
         if not 0 < self.band[0] < self.band[1]:
             raise InvalidSetting(f"band must be 0 < low < high in Hz, got {self.band}")
-        if any(b <= a for a, b in zip(self.levels, self.levels[1:], strict=False)):
-            raise InvalidSetting(f"levels must increase, got {self.levels}")
+        if not self.levels or any(
+            b <= a for a, b in zip((0.0, *self.levels), self.levels, strict=False)
+        ):
+            raise InvalidSetting(f"levels are positive and increase, got {self.levels}")
 
     def __copy__(self) -> Arm:
         """Return the arm itself: it is read-only."""
@@ -233,6 +239,67 @@ class Arm:
     def probe_sites(self) -> tuple[str, ...]:
         """Sites of all further accelerometers: the probes, then the shaker's coil."""
         return self.probes if self.shaker is None else (*self.probes, COIL)
+
+    def with_levels(self, levels: Sequence[float]) -> Arm:
+        """Return the same arm with other excitation levels; its seats keep their friction.
+
+        Parameters
+        ----------
+        levels : sequence of float
+            Rms accelerations at the nominal tool, increasing [m/s²].
+
+        Raises
+        ------
+        InvalidSetting
+            If they are no positive numbers that increase.
+
+        Examples
+        --------
+        >>> from loose_env.arms import six_axis
+        >>> weak = six_axis().with_levels((1.0, 2.0))
+        >>> weak.levels, weak.top_level
+        ((1.0, 2.0), 4.0)
+        """
+        if not all_of(levels, is_finite, least=1):
+            raise InvalidSetting(
+                f"levels are one or more finite numbers [m/s²] that increase, got {levels!r}"
+            )
+        rigid = None if self.rigid is None else self.rigid.with_levels(levels)
+        own = tuple(float(level) for level in levels)
+        return replace(self, levels=own, rated_level=self.top_level, rigid=rigid)
+
+    def under_gravity(self, gravity: Sequence[float]) -> Arm:
+        """Return the same arm under another gravity, as where it hangs or stands on a slope.
+
+        Parameters
+        ----------
+        gravity : sequence of 3 float
+            In the world's axes [m/s²].
+
+        Raises
+        ------
+        InvalidSetting
+            If they are not three finite numbers.
+
+        Examples
+        --------
+        >>> from loose_env.arms import vera
+        >>> vera().under_gravity((0, -9.81, 0)).model.opt.gravity.tolist()
+        [0.0, -9.81, 0.0]
+        """
+        if not all_of(gravity, is_finite, least=3) or len(gravity) != 3:
+            raise InvalidSetting(
+                f"gravity is three finite numbers, along x, y and z [m/s²], got {gravity!r}"
+            )
+        spec = self.spec.copy()
+        spec.option.gravity = [float(g) for g in gravity]
+        rigid = None if self.rigid is None else self.rigid.under_gravity(gravity)
+        return replace(self, spec=spec, rigid=rigid)
+
+    @property
+    def top_level(self) -> float:
+        """Level to which the friction of seats is compared [m/s²]."""
+        return self.levels[-1] if self.rated_level is None else self.rated_level
 
     @property
     def n(self) -> int:

@@ -23,7 +23,7 @@ from loose_env.envs.rendering.planar.view import PlanarView, moves_in_a_plane
 from loose_env.envs.rendering.scenery import arrow, draw_base, draw_measure, half_height
 from loose_env.envs.rendering.spatial.arm import SpaceDrawing
 from loose_env.envs.rendering.spatial.view import SpaceView
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.envs.settings import DiagnosisSettings, Prices
 from loose_env.envs.vector_env import DiagnosisVectorEnv, VectorState
 from loose_env.envs.vector_inputs import batch_seeds
 
@@ -55,6 +55,7 @@ __all__ = [
     "Outcome",
     "Picture",
     "PlanarView",
+    "Prices",
     "SpaceDrawing",
     "SpaceView",
     "VectorState",

@@ -55,6 +55,11 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     | 1 | 3 | record length: 0.2, 0.4, 1.2 s |
     | 1 | 2 + hypotheses | verdict: 0 go on, k name the k-th hypothesis, the last one unsure |
 
+    Where `max_moved` or `max_excited` is less than the number of joints n, the moves or levels have
+    an entry for each joint that may be moved or excited at once, in place of one for each joint: 0
+    for none, else 1 + j (choices - 1) + k for the k-th move (0 degrees left out) or level of joint
+    j, both from 0. `actions.encode` and `actions.decode` translate.
+
     A joint that slides goes in proportion through its range: 90 degrees are half of it. With a
     verdict nothing is measured and the rest is ignored. Levels beyond a joint's torque limit
     are clipped; the share that remains is in the observation and in `info["level_share"]`. With
@@ -82,7 +87,8 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
 
     ## Rewards
     +1 for the right hypothesis, -1 for a wrong one or for running out of records, -0.25 for being
-    unsure; less the prices of each record (0.05), second of excitation (0.02) and level (0.002).
+    unsure; less the prices of each record (0.05), second of excitation (0.02) and level (0.002). A
+    joint that is moved costs nothing unless `prices.move` says so.
 
     ## Starting State
     A fault drawn from the difficulty's ranges, a true arm that differs from the nominal one, a
@@ -97,6 +103,9 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     the kinds of fault that are hypotheses: "healthy", "structural_looseness" and "backlash" by
     default, "rotational_looseness" and "compound_looseness" besides. `hold` says how joints that
     are not excited are held: "brake", "servo", or "compliant", by brakes behind elastic gears.
+    `levels` replaces the arm's excitation levels [m/s²]; the friction that is drawn stays relative
+    to the arm's own top level, so that weaker levels open fewer seats. `gravity` is a vector in the
+    world's axes [m/s²], such as (9.81, 0, 0) for an arm on a wall.
     For the planar arm also `n_links` and `vertical`; for `loose_env/Arm-v0` `model`, the path of
     an MJCF or URDF file, `tool`, `tool_offset` and `joints`. Where the tool lies on a joint's axis
     it does not feel play there, which is no hypothesis then; `tool_offset`, three lengths in metres

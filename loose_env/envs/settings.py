@@ -42,6 +42,8 @@ class Prices(Checked):
     """Price of one second of excitation."""
     level: NonNegative = 0.002
     """Price of one joint excited one level up, per record."""
+    move: NonNegative = 0.0
+    """Price of one joint moved before a record."""
 
     def verdict(self, named: str, truth: str) -> float:
         """Reward of a verdict.
@@ -109,6 +111,16 @@ class DiagnosisSettings(Checked):
     moves: Annotated[tuple[float, ...], _MOVES] = (-90.0, -45.0, 0.0, 45.0, 90.0)
     """Relative moves a joint can make before a record [deg]. A joint that slides goes in
     proportion through its range: 90 degrees are half of it."""
+    max_excited: Count | None = None
+    """Joints excited in one record; None: all of them may be. 1 is one exciter, as a workshop has.
+
+    With fewer than the arm has joints, an action has an entry for each exciter in place of one for
+    each joint."""
+    max_moved: Count | None = None
+    """Joints moved before one record; None: all of them may be.
+
+    With fewer than the arm has joints, an action has an entry for each of the moves in place of
+    one for each joint."""
     durations: Annotated[tuple[float, ...], _DURATIONS] = (0.2, 0.4, 1.2)
     """Record lengths to choose from [s]."""
     sensors: SensorSuite = field(default_factory=SensorSuite)

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 from dataclasses import fields
 from hashlib import sha256
+from typing import Literal, get_args
 
 import mujoco
 import numpy as np
 
 from loose_env.arms import LinearArm
-from loose_env.errors import InvalidSetting
+from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation.levels import at_levels
 from loose_env.typing import Array
 
-__all__ = ["SeatDrive"]
+__all__ = ["SeatDrive", "SeatReference"]
+
+SeatReference = Literal["median", "best"]
+"""Pose whose seat load counts: the median one, or the best."""
 
 
 class SeatDrive:
     """Rms load of each seat under the strongest excitation, to which friction is compared.
 
-    For every joint excited alone at the top level, the nominal arm says which force a shut
-    seat transmits. The best joint counts; the figure is the median over ``poses`` random
-    poses, the same for everybody.
+    For every joint excited alone at the top level (`Arm.top_level`), the nominal arm says which
+    force a shut seat transmits. The best joint counts; the figure is the median over ``poses``
+    random poses, the same for everybody, or that of the best of them.
 
     Parameters
     ----------
@@ -29,6 +33,8 @@ class SeatDrive:
         The nominal arm; with rotations if `twist` is to be asked.
     poses : int
         Number of poses.
+    over : {"median", "best"}
+        Pose that counts.
 
     Examples
     --------
@@ -38,7 +44,12 @@ class SeatDrive:
     True
     """
 
-    def __init__(self, linear: LinearArm, *, poses: int = 48) -> None:
+    def __init__(
+        self, linear: LinearArm, *, poses: int = 48, over: SeatReference = "median"
+    ) -> None:
+        if over not in get_args(SeatReference):
+            raise UnknownName(f"over is one of {list(get_args(SeatReference))}, got {over!r}")
+        self._of_poses = _median if over == "median" else _best
         key = (_digest(linear), poses)
         if key not in _DRIVES:
             while len(_DRIVES) >= _REMEMBERED:
@@ -53,11 +64,11 @@ class SeatDrive:
         m = self._slide[:, :, link - 1]
         u = u[: m.shape[-1]]
         power = np.einsum("a,pjab,b->pj", u, m, u)
-        return _median(np.sqrt(power.max(axis=1)))
+        return self._of_poses(np.sqrt(power.max(axis=1)))
 
     def hinge(self, joint: int) -> float:
         """Rms torque across the play of a joint [N·m, N where it slides]."""
-        return _median(np.sqrt(self._hinge[:, :, joint - 1].max(axis=1)))
+        return self._of_poses(np.sqrt(self._hinge[:, :, joint - 1].max(axis=1)))
 
     def twist(self, link: int, twist: Array) -> float:
         """Rms force or torque across a seat of a link that moves it by a twist [N or N·m].
@@ -77,7 +88,11 @@ class SeatDrive:
         if self._twist is None:
             raise InvalidSetting("for twists give a LinearArm(arm, rotations=True)")
         power = np.einsum("a,pjab,b->pj", twist, self._twist[:, :, link - 1], twist)
-        return _median(np.sqrt(power.max(axis=1)))
+        return self._of_poses(np.sqrt(power.max(axis=1)))
+
+
+def _best(values: Array) -> float:
+    return float(values.max())
 
 
 def _median(values: Array) -> float:
@@ -118,7 +133,7 @@ def _seat_powers(linear: LinearArm, poses: int) -> _Powers:
         at = linear.at(arm.random_pose(rng))
         for j in range(arm.n):
             levels = np.zeros(arm.n)
-            levels[j] = arm.levels[-1]
+            levels[j] = arm.top_level
             excitation, _ = at_levels(at, levels, duration=1.0)
             # Not those it says are excited: a drive that hardly holds its load is none of them.
             answer = at.response(levels > 0)

@@ -105,7 +105,7 @@ class MacroActions(_ActionWrapper):
             raise InvalidSetting("MacroActions needs one record or more to choose from")
         for each in given:
             record = layout.decode(each)
-            if record.verdict or not np.any(each[layout.arm.n : 2 * layout.arm.n]):
+            if record.verdict or not np.any(each[layout.excitation]):
                 raise InvalidSetting(
                     f"a macro is a record: it excites a joint and gives no verdict; got {each!r}"
                 )
@@ -127,8 +127,8 @@ class MacroActions(_ActionWrapper):
     def action_masks(self) -> NDArray[np.bool_]:
         """Allowed choices (choices,)."""
         parts = _parts(self.diagnosis.actions, self.inner_masks())
-        n = self.diagnosis.arm.n
-        moves = np.array([[parts[j][m[j]] for j in range(n)] for m in self.macros])
+        entries = range(self.diagnosis.actions.most_moved)
+        moves = np.array([[parts[k][m[k]] for k in entries] for m in self.macros])
         return np.concatenate([moves.all(axis=1) & parts[-1][0], parts[-1][1:]])
 
 

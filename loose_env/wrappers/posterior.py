@@ -58,6 +58,7 @@ def analytic_posterior(linear: LinearArm, settings: DiagnosisSettings) -> FaultP
         settings.sensors,
         PosteriorSettings(
             friction=difficulty.friction,
+            friction_over=difficulty.friction_over,
             mismatch=difficulty.mismatch,
             kinds=difficulty.probabilities(settings.kinds),
         ),

@@ -20,7 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from loose_agents.benchmark.tuning import write_tuned
-from loose_agents.core.estimators import WEIGHTS, make_estimator, setting_name
+from loose_agents.core.estimators import WEIGHTS, make_estimator, tuning_name
 from loose_agents.execution.command import command
 from loose_agents.posterior_training.bank_storage import BankOptions, read_bank
 from loose_agents.posterior_training.information_calibration import fit_factors, transitions_of
@@ -37,7 +37,7 @@ def fit(options: BankOptions) -> None:
     bank = read_bank(plan, Path(options.out), plan.shards[:SHARDS])
     found = transitions_of(problem, posterior, bank, np.random.default_rng(0))
     factors = fit_factors(found)
-    path = WEIGHTS / f"{setting_name(problem)}.json"
+    path = WEIGHTS / f"{tuning_name(problem)}.json"
     write_tuned(path, {}, information=asdict(factors))
     print(f"{'joints shaken':<16}{'records':>9}{'expected':>10}{'came true':>11}  [nat]")
     count = found.excited.sum(1)

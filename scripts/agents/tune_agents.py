@@ -1,4 +1,6 @@
-"""Tune when agents stop, and which joint the constant policy shakes, on training episodes.
+"""Tune when agents stop, and which records those take that look at no result.
+
+The constant policy is given its joint and the fixed one its sequences, all on training episodes.
 
 Usage: python scripts/agents/tune_agents.py --env loose_env/Planar-v0 --arguments '{"engine":
 "reduced"}'
@@ -7,7 +9,8 @@ Usage: python scripts/agents/tune_agents.py --env loose_env/Planar-v0 --argument
 Every agent plays the same episodes to the last record; from its trails follows what each stopping
 probability would have brought at the environment's prices. Their seed is never one of the
 evaluation's, nor that of the record banks. Results go to
-agents/loose_agents/weights/<arm>-<difficulty>.json; agents that were not tuned keep their entries.
+agents/loose_agents/weights/<arm>-<difficulty>.json, with other rules than the usual ones in the
+name; agents that were not tuned keep their entries.
 Shards of episodes lie in --folder, so the same command goes on after an interruption; no result
 depends on the backend.
 """
@@ -31,17 +34,26 @@ from loose_agents.benchmark.sharded import problem_of
 from loose_agents.benchmark.tuning import (
     Trails,
     best_constant,
+    best_sequences,
     best_threshold,
     single_joints,
     unseen_return,
     write_tuned,
 )
 from loose_agents.benchmark.tuning_sharded import ORACLE, Player, names_of, play_player, trained
-from loose_agents.core.estimators import WEIGHTS, setting_name
+from loose_agents.core.estimators import WEIGHTS, make_estimator, tuning_name
 from loose_agents.core.seeds import BANK_SEED, TUNING_SEED, check_training_seed
 from loose_agents.evaluation.env_arguments import arguments_of
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.command import command, option
+from loose_agents.policies.non_adaptive import (
+    FIXED_RECORDS,
+    OpenLoopPolicy,
+    Records,
+    designed_sequences,
+    drawn_sequences,
+)
+from loose_agents.policies.policies import make_policy
 
 from loose_env.errors import InvalidSetting
 from loose_env.evaluation import bootstrap_mean
@@ -63,6 +75,7 @@ class Options(BackendSettings):
     levels: tuple[int, ...] | None = option(
         None, "levels tried for the constant policy; default: all"
     )
+    sequences: Count = option(24, "sequences for the fixed policy to choose from")
     seed: int = option(TUNING_SEED, "seed of the training episodes")
     agent_seed: int = option(0, "seed of what agents draw")
     shard: Count = option(100, "episodes that a worker plays at a time")
@@ -100,11 +113,17 @@ def tune(options: Options) -> None:
     posterior = trained(problem)
     stop, lines = {}, []
 
-    def play(agent: str, levels: tuple[int, ...] | None, episodes: int) -> Trails:
+    def play(
+        agent: str,
+        levels: tuple[int, ...] | None,
+        episodes: int,
+        sequence: Records | None = None,
+    ) -> Trails:
         """Trails of the first episodes."""
         player = Player(
             agent=agent,
             levels=levels,
+            sequence=sequence,
             env_id=options.env,
             arguments=arguments,
             seed=options.seed,
@@ -123,7 +142,24 @@ def tune(options: Options) -> None:
             shard=options.shard,
         )
 
+    def played(agent: str, sequence: Records, episodes: int) -> Trails:
+        """Trails of a fixed sequence."""
+        return play(agent, None, episodes, sequence)
+
+    def sequences(estimator: str) -> list[Records]:
+        """Sequences to choose from: half of them drawn at random, half designed by the model."""
+        made = make_estimator(estimator, problem)
+        policy = make_policy("open_loop", problem, made)
+        assert isinstance(policy, OpenLoopPolicy)
+        half = options.sequences // 2
+        rng = np.random.default_rng(options.agent_seed)
+        return [
+            *drawn_sequences(problem, options.sequences - half, records, rng),
+            *designed_sequences(policy, made, half, records, seed=options.seed),
+        ]
+
     constant: tuple[int, ...] | None = None
+    fixed: dict[str, Records] | None = None
     for agent in agents:
         estimator, policy = names_of(agent)
         levels = None
@@ -133,12 +169,22 @@ def tune(options: Options) -> None:
                     candidates, partial(play, agent), episodes=options.episodes
                 )
             levels = constant
-        trails = play(agent, levels, options.episodes)
+        if policy == "fixed" and estimator != ORACLE:
+            if fixed is None:  # the first estimator's best serves the others too
+                fixed = best_sequences(
+                    sequences(estimator),
+                    partial(played, agent),
+                    episodes=options.episodes,
+                    lengths=min(FIXED_RECORDS, records),
+                )
+            trails = played(agent, fixed["stopping"], options.episodes)
+        else:
+            trails = play(agent, levels, options.episodes)
         stop[agent] = best_threshold(trails, np.random.default_rng(BOOTSTRAP_SEED))
         words = agent if levels is None else f"{agent} {list(levels)}"
         lines.append(line_of(words, trails, stop[agent]))
     print(
-        f"\n{options.env}, {setting_name(problem)}: {options.episodes} training episodes of "
+        f"\n{options.env}, {tuning_name(problem)}: {options.episodes} training episodes of "
         f"{records} records, seed {options.seed}\n"
     )
     print(
@@ -147,8 +193,8 @@ def tune(options: Options) -> None:
     )
     print("\n".join(lines))
     print("\nreturn: with its 95 % interval; unseen: each half at the other half's threshold.")
-    path = Path(options.out) / f"{setting_name(problem)}.json"
-    write_tuned(path, stop, constant=constant)
+    path = Path(options.out) / f"{tuning_name(problem)}.json"
+    write_tuned(path, stop, constant=constant, fixed=fixed)
     print(f"Settings: {path}. Took {time.perf_counter() - begin:.0f} s.")
 
 

@@ -22,7 +22,9 @@ import gymnasium
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import Arm
 from loose_env.envs import DIFFICULTIES, DiagnosisEnv
-from loose_env.registration import IDS
+from loose_env.registration import IDS, TIERS
+from loose_env.report import read_study
+from scripts.study_parts.choice_tables import agent_table, pooled, value_table
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 COLUMNS = 100
@@ -32,6 +34,13 @@ LEFT_OUT = ("Version History",)
 
 SCALINGS = {"linear": "value / {}", "log10": "log10(value / {})", "asinh": "asinh(value / {})"}
 """How a scaling is written in the tables."""
+TIER_WORDS = {
+    "loose_env/ControlTier-v0": "little: one record of all joints nearly decides",
+    "loose_env/StoppingTier-v0": "when to stop, more than which records",
+    "loose_env/GravityTier-v0": "joints and poses that open the seat against gravity",
+    "loose_env/WeakDriveTier-v0": "the same at half the drive",
+}
+"""What tells agents apart on each tier."""
 MEANINGS = {
     "sin_pose, cos_pose": "the pose: sine and cosine of a joint that turns; of one that slides its "
     "place in its range, from -1 at the low end to 1 at the high end, and a zero",
@@ -95,6 +104,10 @@ def environments() -> str:
         "## Difficulties",
         "",
         *difficulty_table(),
+        "",
+        "## Tiers",
+        "",
+        *tiers(),
         "",
         "## Names of elements",
         "",
@@ -184,6 +197,8 @@ def difficulty_table() -> list[str]:
             for part in dataclasses.fields(values[0]):
                 cells = " | ".join(f"{getattr(v, part.name):g}" for v in values)
                 rows.append(f"| mismatch: {part.name}, standard deviation | {cells} |")
+        elif field.name == "friction_over":
+            rows.append(f"| friction: pose that counts | {' | '.join(values)} |")
         elif field.name == "kinds":
             cells = " | ".join(
                 ", ".join(f"{k} {p:.2f}" for k, p in d.probabilities().items())
@@ -197,12 +212,54 @@ def difficulty_table() -> list[str]:
         "",
         *prose(
             "Friction is the guide's Coulomb friction over the rms force that the top level drives "
-            "across the shut seat; the gap is in metres (play in a joint that turns is the gap at "
+            "across the shut seat, the best single joint excited, in the median or in the best of "
+            "48 poses; with the best pose and friction below 1 no seat is shut for every agent, "
+            "gravity aside. The gap is in metres (play in a joint that turns is the gap at "
             "full reach, in one that slides the gap itself); contact modes are in Hz; tilt, "
             "misalignment and joint zeros are in degrees, the other mismatches are relative."
         ),
     ]
     return rows
+
+
+def tiers() -> list[str]:
+    """Ids of the tiers, and the value of choice measured on each."""
+    rows = read_study(DOCS / "figures" / "value_of_choice.json")["rows"]
+    arguments = {
+        tier: ", ".join(f"`{name}={value!r}`" for name, value in how.items()) or "none"
+        for tier, (_, how) in TIERS.items()
+    }
+    unmeasured = [f"`{tier}`" for tier in TIERS if tier not in pooled(rows)]
+    missing = f"Not measured yet: {', '.join(unmeasured)}." if unmeasured else ""
+    return [
+        *prose(
+            "Tiers are environments of the arms below with arguments of their own, by what a good "
+            "agent needs on them. Arguments given to `make` replace a tier's."
+        ),
+        "",
+        "| id | arm's id | arguments | what separates agents |",
+        "|---|---|---|---|",
+        *(
+            f"| `{tier}` | `{of}` | {arguments[tier]} | {TIER_WORDS[tier]} |"
+            for tier, (of, _) in TIERS.items()
+        ),
+        "",
+        *prose(
+            "The value of choice V is the return of `greedy` less that of an agent that looks at "
+            "no result before it chooses the next record, on the same fresh arms, with the "
+            "bootstrap's 95 % interval of the paired difference. All agents name the fault by the "
+            "same learned posterior; stopping probabilities and fixed sequences were tuned on "
+            "training episodes. `fixed_1` to `fixed_4` take the best sequence of that length on "
+            "every arm, `fixed` the best one with stopping; `open_loop` takes the records that the "
+            "model expects to tell most, given the poses but no result. Best without stopping is "
+            "the best of `fixed_1` to `fixed_4` on these very arms, which favours it. Reduced "
+            f"engine; printed by `python scripts/agents/value_of_choice.py --show`. {missing}"
+        ),
+        "",
+        *value_table(rows),
+        "",
+        *agent_table(rows),
+    ]
 
 
 def arm_table(arm: Arm) -> list[str]:

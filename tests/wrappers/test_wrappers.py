@@ -226,7 +226,7 @@ def test_predictions_that_make_no_sense_are_refused() -> None:
 @pytest.mark.parametrize("wrapper", [w for w in PLAIN if w is not ActionAndPrediction])
 def test_a_single_file_ppo_trains_through_it(wrapper: type[DiagnosisWrapper]) -> None:
     pytest.importorskip("torch")
-    from scripts.agents.ppo_single_file import Options, train
+    from scripts.ppo_single_file import Options, train
 
     options = Options(
         env="loose_env/Planar-v0",

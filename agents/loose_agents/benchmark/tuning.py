@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.core.base import Agent, Problem
-from loose_agents.core.belief_agent import best_verdict
+from loose_agents.core.belief_agent import BeliefAgent, best_verdict
 from loose_agents.evaluation.evaluate import goes_on
+from loose_agents.policies.non_adaptive import Records
 from loose_env.envs import EpisodeBatch
 from loose_env.errors import InvalidSetting
 from loose_env.io import write_text
@@ -28,6 +29,7 @@ __all__ = [
     "THRESHOLDS",
     "Trails",
     "best_constant",
+    "best_sequences",
     "best_threshold",
     "play_trails",
     "single_joints",
@@ -125,6 +127,8 @@ def play_trails(
             f"got {episodes} of {records}"
         )
     player = goes_on(agent, records)
+    if isinstance(player, BeliefAgent):
+        player.surprising = 0.0  # nor does a surprising episode end before the last record
     batch = EpisodeBatch(problem.arm, problem.settings, num=min(width, episodes), threads=1)
     stop = first + episodes
     parts = [
@@ -161,7 +165,10 @@ def _group(
             states[slot] = state
             if taken > 0:
                 p = state.probabilities
-                truth, named = batch.episode(slot).fault.hypothesis, best_verdict(problem, p)
+                episode = batch.episode(slot)
+                unsure = problem.actions.allows_unsure(episode.records, episode.measured)
+                named = best_verdict(problem, p, unsure=unsure)
+                truth = episode.fault.hypothesis
                 worth = problem.settings.prices.verdict(named, truth)
                 confidence[slot, taken - 1] = p.max()
                 reward[slot, taken - 1 :] = worth - price[slot]
@@ -297,6 +304,51 @@ def best_constant(
         share = min(2 * share, episodes)
 
 
+def best_sequences(
+    candidates: Sequence[Records],
+    play: Callable[[Records, int], Trails],
+    *,
+    episodes: int,
+    lengths: int,
+) -> dict[str, Records]:
+    """Choose fixed sequences by successive halving, as `best_constant` does.
+
+    Those of the last round, four or fewer, give the best for each number of records without
+    stopping, and the best with a stopping probability that suits it.
+
+    Parameters
+    ----------
+    candidates : sequence of sequences of actions
+        What is chosen from.
+    play : callable
+        Takes a candidate and a number of episodes, the same ones for all.
+    episodes : int
+        Episodes of the last round.
+    lengths : int
+        Numbers of records, 1 to this.
+
+    Returns
+    -------
+    dict
+        Sequence by "1", "2", ... and "stopping".
+    """
+    left, share = list(candidates), max(1, episodes // 4)
+    found: dict[str, Records] = {}
+    while True:
+        trails = [play(candidate, share) for candidate in left]
+        by_stop = np.array([_top_return(t) for t in trails])
+        order = np.argsort(-by_stop, kind="stable")
+        if share == episodes:
+            break
+        left = [left[int(k)] for k in order[: max(2, (len(left) + 3) // 4)]]
+        share = min(2 * share, episodes)
+    found["stopping"] = left[int(order[0])]
+    for k in range(1, lengths + 1):
+        best = int(np.argmax([t.reward[:, k - 1].mean() for t in trails]))
+        found[str(k)] = left[best][:k]
+    return found
+
+
 def _top_return(trails: Trails) -> float:
     return max(float(trails.returns(threshold).mean()) for threshold in THRESHOLDS)
 
@@ -307,6 +359,7 @@ def write_tuned(
     *,
     constant: Sequence[int] | None = None,
     information: Mapping[str, object] | None = None,
+    fixed: Mapping[str, Records] | None = None,
 ) -> None:
     """Write tuned values into a settings file, keeping its other entries.
 
@@ -318,6 +371,8 @@ def write_tuned(
         Stopping probability by ``estimator/policy``.
     constant : sequence of int, optional
         Best levels of one joint.
+    fixed : mapping, optional
+        Fixed sequences, as `best_sequences` finds them.
     information : mapping, optional
         Fields of `loose_env.diagnosis.experiment_design.information_gain.InformationFactors`.
     """
@@ -327,4 +382,6 @@ def write_tuned(
         known["constant"] = [int(level) for level in constant]
     if information is not None:
         known["information"] = dict(information)
+    if fixed is not None:
+        known["fixed"] = {name: [list(action) for action in own] for name, own in fixed.items()}
     write_text(path, json.dumps(known, indent=1, sort_keys=True) + "\n")

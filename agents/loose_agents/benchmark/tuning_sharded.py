@@ -14,12 +14,13 @@ import loose_env
 from loose_agents.benchmark.sharded import problem_of
 from loose_agents.benchmark.tuning import Trails, play_trails
 from loose_agents.core.base import EpisodeAgent, Problem
-from loose_agents.core.belief_agent import BeliefAgent, Sure
+from loose_agents.core.belief_agent import BeliefAgent, Policy, Sure
 from loose_agents.core.estimators import ESTIMATORS, WEIGHTS, make_estimator, setting_name
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.configuration_hash import configuration_hash
 from loose_agents.execution.shard_store import ArrayCodec, ShardStore
 from loose_agents.execution.shards import Shard, run_shards, shard_of
+from loose_agents.policies.non_adaptive import FixedPolicy
 from loose_agents.policies.oracle import oracle_agent
 from loose_agents.policies.policies import POLICIES, ConstantPolicy
 from loose_agents.registry import LEARNED, belief_agent, make_agent
@@ -41,6 +42,8 @@ class Player:
     """Estimator and policy, or ``oracle/policy``."""
     levels: tuple[int, ...] | None = None
     """Levels of all joints, in place of those that the constant policy was tuned to."""
+    sequence: tuple[tuple[int, ...], ...] | None = None
+    """Records of the fixed policy, in place of those that it was tuned to."""
     env_id: str
     """Id of the environment."""
     arguments: Mapping[str, Any] = field(default_factory=dict)
@@ -90,11 +93,15 @@ def agent_of(player: Player, problem: Problem) -> EpisodeAgent:
         return learned
     if estimator == ORACLE:
         return oracle_agent(problem, policy=policy, seed=player.agent_seed)
-    if player.levels is None:
+    if player.levels is None and player.sequence is None:
         return belief_agent(estimator, policy, problem, seed=player.agent_seed)
     made = make_estimator(estimator, problem)
-    constant = ConstantPolicy(problem, player.levels)
-    return BeliefAgent(problem, made, constant, Sure(), seed=player.agent_seed)
+    given: Policy
+    if player.sequence is not None:
+        given = FixedPolicy(problem, player.sequence)
+    else:
+        given = ConstantPolicy(problem, player.levels or ())
+    return BeliefAgent(problem, made, given, Sure(), seed=player.agent_seed)
 
 
 def trained(problem: Problem) -> str:

@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import Estimator, Situation, Sure, records_taken
 from loose_env.diagnosis import Belief, LinkReadings, link_axes
-from loose_env.envs import ObservationLayout, difficulty_named
+from loose_env.envs import DiagnosisSettings, ObservationLayout, difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.wrappers import Posterior, analytic_posterior, record_from
 
@@ -31,6 +31,8 @@ __all__ = [
     "make_estimator",
     "setting_name",
     "tuned",
+    "tuning_name",
+    "usual_estimator",
     "weights_path",
 ]
 
@@ -55,19 +57,31 @@ def weights_path(name: str) -> Path:
 
 
 def tuned(problem: Problem) -> dict[str, Any]:
-    """Settings tuned on training episodes of an arm and difficulty; may be empty.
+    """Settings tuned on training episodes of an arm, difficulty and rules; may be empty.
 
     ``stop`` maps agents to the probability at which they stop, ``constant`` holds the best
-    levels of one joint, ``information`` the factors on expected information. Written by
-    scripts/agents/tune_agents.py and scripts/agents/fit_information.py.
+    levels of one joint, ``fixed`` the best sequences of records, ``information`` the factors on
+    expected information. What was not tuned under other rules (`tuning_name`) is that of the
+    usual ones. Written by scripts/agents/tune_agents.py and scripts/agents/fit_information.py.
     """
-    path = weights_path(f"{setting_name(problem)}.json")
-    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    usual, own = (
+        json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        for path in (weights_path(f"{f(problem)}.json") for f in (setting_name, tuning_name))
+    )
+    if setting_name(problem) != tuning_name(problem):
+        usual.pop("fixed", None)  # actions of other rules
+    return {**usual, **own, "stop": {**usual.get("stop", {}), **own.get("stop", {})}}
 
 
 def tuned_stopping(problem: Problem, agent: str) -> Sure:
     """Stopping rule tuned for an agent; that of `Sure` by default where it was not tuned."""
     return Sure(probability=tuned(problem).get("stop", {}).get(agent, Sure.probability))
+
+
+def usual_estimator(problem: Problem) -> str:
+    """Name of the learned posterior where one is trained for a problem, else the analytic one."""
+    trained = weights_path(f"posterior-{setting_name(problem)}").is_dir()
+    return "amortised" if trained else "posterior"
 
 
 def setting_name(problem: Problem) -> str:
@@ -98,6 +112,36 @@ def links_from(
         ),
         rms=at["link_rms"].reshape(count, axes),
     )
+
+
+def tuning_name(problem: Problem) -> str:
+    """Name of the settings tuned for an arm, a difficulty and rules other than the usual ones.
+
+    What was trained is known by `setting_name`: a posterior holds for any rules of its arm.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.envs import DiagnosisSettings
+    >>> tuning_name(Problem.of(planar(4), DiagnosisSettings(max_excited=1, durations=(0.2,))))
+    'planar4-default-excited1-0.2s'
+    """
+    settings, arm, usual = problem.settings, problem.arm, DiagnosisSettings()
+    parts = [setting_name(problem)]
+    if settings.max_excited is not None:
+        parts.append(f"excited{settings.max_excited}")
+    if settings.max_moved is not None:
+        parts.append(f"moved{settings.max_moved}")
+    if settings.durations != usual.durations:
+        parts += [f"{seconds:g}s" for seconds in settings.durations]
+    if arm.rated_level is not None:
+        parts.append("level" + "_".join(f"{level:g}" for level in arm.levels))
+    gravity = arm.model.opt.gravity
+    if not np.allclose(gravity, (0.0, 0.0, -9.81), atol=0.1):
+        parts.append("gravity" + "_".join(f"{g:g}" for g in gravity))
+    if settings.prices != usual.prices:
+        parts.append("prices" + "_".join(f"{p:g}" for p in vars(settings.prices).values() if p))
+    return "-".join(parts)
 
 
 @dataclass

@@ -12,7 +12,7 @@ import gymnasium
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.envs import DiagnosisEnv
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.registration import IDS
+from loose_env.registration import IDS, TIERS
 
 __all__ = ["arguments_of", "diagnosis_env", "refused_in_words"]
 
@@ -76,7 +76,8 @@ def diagnosis_env(
     with refused_in_words(env_id, arguments):
         env = gymnasium.make(env_id, **drawn, **arguments).unwrapped  # type: ignore[arg-type]
     if not isinstance(env, DiagnosisEnv):
-        raise UnknownName(f"{env_id} is no diagnosis environment; those are {', '.join(IDS)}")
+        known = ", ".join((*IDS, *TIERS))
+        raise UnknownName(f"{env_id} is no diagnosis environment; those are {known}")
     return env
 
 

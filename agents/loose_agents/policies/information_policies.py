@@ -58,32 +58,39 @@ def poses(
     allowed = problem.actions.allowed_moves(situation.pose)
     options = [np.flatnonzero(row) for row in allowed]
     total = int(np.prod([len(o) for o in options], dtype=np.int64))
-    if total <= count:
+    if total <= count and problem.actions.most_moved == problem.arm.n:
         moves = np.stack(np.meshgrid(*options, indexing="ij"), -1).reshape(-1, len(options))
     else:
         drawn = [situation.rng.choice(o, 2 * count) for o in options]
-        moves = np.unique(np.stack(drawn, 1), axis=0)
+        moves = np.unique(problem.actions.few_moves(np.stack(drawn, 1), situation.rng), axis=0)
         moves = situation.rng.permutation(moves)[:count]
     steps = problem.actions.steps[np.arange(problem.arm.n), moves]
     where = np.array([problem.arm.wrap(situation.pose + step) for step in steps])
     return moves.astype(np.intp), np.round(where, 9)
 
 
-def excitations(problem: Problem) -> list[tuple[NDArray[np.intp], int]]:
-    """Enumerate excitation levels of the joints and indices of the duration.
+Excitations = list[tuple[NDArray[np.intp], int]]
+"""Levels of the joints (n,) and index of the duration."""
 
-    All joints together at the top level for the longest time comes first; then they at the lower
-    levels and for shorter times, and each joint alone at the two highest levels.
+
+def excitations(problem: Problem) -> tuple[Excitations, Excitations]:
+    """Enumerate excitations: those weighed in every pose, then those weighed in the best ones.
+
+    The first is all joints together at the top level for the longest time; the further ones are
+    lower levels, shorter times, and each joint alone at the two highest levels. Where not all
+    joints may be excited at once, the first are each joint alone at the top level.
     """
     n, top = problem.arm.n, len(problem.arm.levels)
     durations = problem.settings.durations
     longest = int(np.argmax(durations))
-    every = np.ones(n, dtype=np.intp)
-    found = [(level * every, longest) for level in range(top, 0, -1)]
-    found += [(top * every, k) for k in range(len(durations)) if k != longest]
-    for level in range(top, max(top - 2, 0), -1):
-        found += [(level * one, longest) for one in np.eye(n, dtype=np.intp)]
-    return found
+    alone = list(np.eye(n, dtype=np.intp))
+    first = [np.ones(n, dtype=np.intp)] if problem.actions.most_excited == n else alone
+    found = [(level * one, longest) for level in range(top, 0, -1) for one in first]
+    found += [(top * one, k) for k in range(len(durations)) if k != longest for one in first]
+    if len(first) == 1:
+        for level in range(top, max(top - 2, 0), -1):
+            found += [(level * one, longest) for one in alone]
+    return found[: len(first)], found[len(first) :]
 
 
 def candidate_at(
@@ -98,12 +105,14 @@ def candidate_at(
     wanted = np.array([0.0, *problem.arm.levels])[levels]
     excitation, _ = at_levels(problem.linear.at(pose), wanted, duration=seconds)
     prices = problem.settings.prices
+    moved = int(np.count_nonzero(moves != problem.settings.stay))
+    price = prices.record + prices.second * seconds + prices.level * int(levels.sum())
     return Candidate(
         action=problem.actions.encode(moves=moves, levels=levels, duration=duration),
         pose=pose,
         torque=np.array(excitation.torque_rms),
         duration=seconds,
-        price=prices.record + prices.second * seconds + prices.level * int(levels.sum()),
+        price=price + prices.move * moved,
     )
 
 
@@ -113,6 +122,8 @@ class GreedySettings:
 
     poses: int = 16
     """Poses weighed with all joints shaken at the top level."""
+    single_poses: int = 6
+    """Poses weighed where joints are shaken one at a time, each joint in each."""
     shortlist: int = 1
     """The best of these, weighed with every other excitation too."""
     worth: float = 0.5
@@ -153,22 +164,31 @@ def ranked(
     settings: GreedySettings,
     situation: Situation,
     faults: ImaginedFaults,
+    planned: Array | None = None,
 ) -> list[Candidate]:
-    """Score candidate records and sort them, best first."""
+    """Score candidate records and sort them, best first.
+
+    After records with the likelihood ``planned`` where it is given, as
+    `loose_env.diagnosis.RecordInformation.of` takes it.
+    """
 
     def value(candidate: Candidate) -> float:
         if not candidate.torque.any():  # gravity leaves the drives nothing
             return -np.inf
-        found = information.of(faults, candidate.pose, candidate.torque, candidate.duration)
+        found = information.of(
+            faults, candidate.pose, candidate.torque, candidate.duration, planned
+        )
         return settings.worth * found.information - candidate.price
 
-    moves, where = poses(problem, situation, settings.poses)
-    every = excitations(problem)
-    first = [candidate_at(problem, m, p, *every[0]) for m, p in zip(moves, where, strict=True)]
-    found = [(value(candidate), candidate) for candidate in first]
+    first, further = excitations(problem)
+    together = len(first) == 1
+    moves, where = poses(problem, situation, settings.poses if together else settings.single_poses)
+    begun = [(k, how) for k in range(len(moves)) for how in first]
+    candidates = [candidate_at(problem, moves[k], where[k], *how) for k, how in begun]
+    found = [(value(candidate), candidate) for candidate in candidates]
     order = np.argsort([-v for v, _ in found], kind="stable")
-    for k in order[: settings.shortlist]:
-        for levels, duration in every[1:]:
+    for k in (begun[i][0] for i in order[: settings.shortlist]):
+        for levels, duration in further:
             candidate = candidate_at(problem, moves[k], where[k], levels, duration)
             found.append((value(candidate), candidate))
     found.sort(key=lambda pair: -pair[0])
@@ -231,10 +251,12 @@ class LookAheadPolicy:
             faults, candidate.pose, candidate.torque, candidate.duration
         )
         after = Situation(**{**vars(situation), "pose": candidate.pose})
-        every = excitations(self.problem)
+        every, _ = excitations(self.problem)
         moves, where = poses(self.problem, after, self.settings.second)
         seconds = [
-            candidate_at(self.problem, m, p, *every[0]) for m, p in zip(moves, where, strict=True)
+            candidate_at(self.problem, m, p, *how)
+            for m, p in zip(moves, where, strict=True)
+            for how in every
         ]
         next_likely = [
             (self.information.likelihood(faults, c.pose, c.torque, c.duration), c.price)

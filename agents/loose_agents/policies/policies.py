@@ -55,7 +55,8 @@ class RandomPolicy:
 def random_moves(problem: Problem, situation: Situation) -> NDArray[np.intp]:
     """Sample an allowed move for every joint (n,)."""
     allowed = problem.actions.allowed_moves(situation.pose)
-    return np.array([situation.rng.choice(np.flatnonzero(row)) for row in allowed])
+    drawn = np.array([situation.rng.choice(np.flatnonzero(row)) for row in allowed])
+    return problem.actions.few_moves(drawn, situation.rng)
 
 
 class ConstantPolicy:
@@ -104,9 +105,13 @@ def information_of(problem: Problem, estimator: Estimator) -> RecordInformation:
     if isinstance(posterior, AmortisedPosterior):
         return RecordInformation(posterior.features, posterior.frictions, factors=factors)
     if isinstance(posterior, FaultPosterior):
-        mismatch = difficulty_named(problem.settings.difficulty).mismatch
+        difficulty = difficulty_named(problem.settings.difficulty)
         features = SeatFeatures(
-            problem.linear, problem.settings.sensors, mismatch, directions=len(posterior.directions)
+            problem.linear,
+            problem.settings.sensors,
+            difficulty.mismatch,
+            directions=len(posterior.directions),
+            over=difficulty.friction_over,
         )
         return RecordInformation(features, posterior.frictions, factors=factors)
     raise InvalidSetting(
@@ -123,7 +128,8 @@ def _constant(problem: Problem, estimator: Estimator) -> Policy:
     best = tuned(problem).get("constant")
     levels = [0] * problem.arm.n
     levels[0] = len(problem.arm.levels)  # joint 1 moves everything behind it
-    return ConstantPolicy(problem, tuple(levels if best is None else best))
+    top = len(problem.arm.levels)
+    return ConstantPolicy(problem, tuple(levels if best is None else [min(b, top) for b in best]))
 
 
 def _together(problem: Problem, estimator: Estimator) -> Policy:
@@ -142,10 +148,24 @@ def _look_ahead(problem: Problem, estimator: Estimator) -> Policy:
     return LookAheadPolicy(problem, information_of(problem, estimator))
 
 
+def _fixed(problem: Problem, estimator: Estimator) -> Policy:
+    from loose_agents.policies.non_adaptive import FixedPolicy, tuned_sequence
+
+    return FixedPolicy(problem, tuned_sequence(problem))
+
+
+def _open_loop(problem: Problem, estimator: Estimator) -> Policy:
+    from loose_agents.policies.non_adaptive import OpenLoopPolicy
+
+    return OpenLoopPolicy(problem, information_of(problem, estimator), estimator)
+
+
 POLICIES: dict[str, tuple[Callable[[Problem, Estimator], Policy], str]] = {
     "random": (_random, "random poses, joint, level and length"),
     "constant": (_constant, "the best single joint and level, random poses"),
     "together": (_together, "all joints at the top level, random poses"),
+    "fixed": (_fixed, "the same records on every arm, the best of many sequences"),
+    "open_loop": (_open_loop, "records that the model chooses without looking at any result"),
     "greedy": (_greedy, "the record that is expected to say most"),
     "look_ahead": (_look_ahead, "the record that is worth most with the next one in view"),
 }

@@ -164,7 +164,12 @@ class RecordInformation:
         )
 
     def of(
-        self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
+        self,
+        faults: ImaginedFaults,
+        pose: Array,
+        torque: Array,
+        duration: float,
+        planned: Array | None = None,
     ) -> Expectation:
         """Expected information gain of a record.
 
@@ -178,21 +183,30 @@ class RecordInformation:
             Rms torque of every joint [N·m]; at least one is on.
         duration : float
             Its length [s].
+        planned : ndarray (M, M), optional
+            Likelihood of records before it whose outcome is not known: the product of those of
+            `likelihood`.
         """
-        near = faults.weight * self.likelihood(faults, pose, torque, duration)
+        before = faults.weight if planned is None else faults.weight * planned
+        likely = self.likelihood(faults, pose, torque, duration)
+        score_now, _ = self._expected(faults, np.atleast_2d(before))
+        score, sure = self._expected(faults, before * likely)
+        factor = self.factors.of(torque > 0, duration)
+        return Expectation(information=factor * (score - score_now), sure=sure)
+
+    def _expected(self, faults: ImaginedFaults, near: Array) -> tuple[float, float]:
+        """Log score [nat] and largest probability of weights after each fault's records (M, M).
+
+        One row where they are the same after all of them.
+        """
         labels = np.zeros((len(faults.weight), int(faults.hypothesis.max()) + 1))
         labels[np.arange(len(labels)), faults.hypothesis] = 1.0
         after = near @ labels
         after /= after.sum(1, keepdims=True)
-        before = faults.weight @ labels
-        kept = after[np.arange(len(labels)), faults.hypothesis]
-        score = float(faults.weight @ np.log(np.maximum(kept, 1e-12)))
-        score_now = float(faults.weight @ np.log(before[faults.hypothesis]))
-        factor = self.factors.of(torque > 0, duration)
-        return Expectation(
-            information=factor * (score - score_now),
-            sure=float(faults.weight @ after.max(1)),
-        )
+        row = np.arange(len(near)) if len(near) > 1 else 0
+        kept = np.log(np.maximum(after[row, faults.hypothesis], 1e-12))
+        most = np.broadcast_to(after.max(1), len(labels))
+        return float(faults.weight @ kept), float(faults.weight @ most)
 
     def likelihood(
         self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float

@@ -19,7 +19,7 @@ from loose_env.diagnosis.likelihood.seat_response import SeatPrediction, predict
 from loose_env.diagnosis.records.model_uncertainty import stiffness_errors
 from loose_env.diagnosis.records.prediction import SensorFloor
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
-from loose_env.excitation import SeatDrive
+from loose_env.excitation import SeatDrive, SeatReference
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
 from loose_env.typing import Array
@@ -101,6 +101,8 @@ class SeatFeatures:
         Sliding directions of each link, A.
     points : int, optional
         Frequencies across the band; by default 6, or 40 where modes lie within the band.
+    over : {"median", "best"}
+        Pose whose seat drive friction is compared to.
 
     Examples
     --------
@@ -119,6 +121,7 @@ class SeatFeatures:
         *,
         directions: int,
         points: int | None = None,
+        over: SeatReference = "median",
     ) -> None:
         arm = linear.arm
         self.bends = bool(len(linear.flexible_dofs)) or arm.hold != "brake"
@@ -128,7 +131,7 @@ class SeatFeatures:
         self.floor = SensorFloor.of(sensors, arm.band)
         self.directions = axes_grid(directions, len(arm.axes))
         """Sliding directions in a link's frame, unit vectors (A, axes)."""
-        drive = SeatDrive(linear)
+        drive = SeatDrive(linear, over=over)
         top = [drive.slide(link, tuple(u)) for link in range(1, arm.n + 1) for u in self.directions]
         top += [drive.hinge(joint) for joint in range(1, arm.n + 1)]
         self.top = np.maximum(top, 1e-9 * max(top))

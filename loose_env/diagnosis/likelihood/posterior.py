@@ -20,7 +20,7 @@ from loose_env.diagnosis.likelihood.record_likelihood import SHUT, Fit, fit_reco
 from loose_env.diagnosis.records.prediction import SensorFloor
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.errors import InvalidSetting
-from loose_env.excitation import SeatDrive
+from loose_env.excitation import SeatDrive, SeatReference
 from loose_env.faults import DEFAULT_KINDS, hypotheses, places_of_kind
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
@@ -35,6 +35,8 @@ class PosteriorSettings:
 
     friction: tuple[float, float] = (0.02, 1.0)
     """Range of guide friction over the seat drive of the top level, log-uniform [1]."""
+    friction_over: SeatReference = "median"
+    """Pose whose seat drive friction is compared to."""
     frictions: int = 8
     """Nodes of friction."""
     directions: int = 18
@@ -169,7 +171,7 @@ class FaultPosterior:
         count = self.settings.directions if axes == 2 else self.settings.space_directions
         self.directions = slide_directions(count, axes)
         self.variants, self._weights = variants(linear, self.settings.mismatch.stiffness)
-        drive = SeatDrive(linear)
+        drive = SeatDrive(linear, over=self.settings.friction_over)
         locations = [
             drive.slide(link, tuple(u)) for link in range(1, arm.n + 1) for u in self.directions
         ]

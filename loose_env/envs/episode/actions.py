@@ -109,6 +109,12 @@ class Action:
 class ActionLayout:
     """Layout of the `MultiDiscrete` action, and the choices that are allowed.
 
+    Moves have an entry for each joint, and so has the excitation. Where the settings allow fewer
+    joints at once (`max_moved`, `max_excited`), there is an entry for each of those allowed
+    instead: 0 for none, then every joint with every move (or level) that it can have, base first.
+    So a mask can say of every choice whether it is allowed. Of two entries for one joint the first
+    move counts, and the higher level.
+
     Parameters
     ----------
     arm : Arm
@@ -136,9 +142,18 @@ class ActionLayout:
         endless = (-np.inf, np.inf)
         limits = np.array([endless if r is None else r for r in arm.joint_ranges], dtype=float)
         self._low, self._high = limits[:, :1] - 1e-9, limits[:, 1:] + 1e-9
+        self._others = np.delete(np.arange(len(settings.moves)), settings.stay)
+        self._few_moved = settings.max_moved is not None and settings.max_moved < n
+        self._few_excited = settings.max_excited is not None and settings.max_excited < n
+        self.most_moved = min(settings.max_moved or n, n)
+        """Joints that may move before a record, and entries for them."""
+        self.most_excited = min(settings.max_excited or n, n)
+        """Joints that may be excited in a record, and entries for them."""
+        move_choices = 1 + n * len(self._others) if self._few_moved else len(settings.moves)
+        level_choices = 1 + (n if self._few_excited else 1) * len(arm.levels)
         self.nvec = np.array(
-            [len(settings.moves)] * n
-            + [1 + len(arm.levels)] * n
+            [move_choices] * self.most_moved
+            + [level_choices] * self.most_excited
             + [len(settings.durations), 2 + hypotheses]
         )
 
@@ -163,6 +178,15 @@ class ActionLayout:
         ------
         InvalidAction
             If it is not one whole number in range for every entry.
+
+        Examples
+        --------
+        >>> from loose_env.arms import planar
+        >>> layout = ActionLayout(planar(3), DiagnosisSettings(max_excited=1), hypotheses=7)
+        >>> layout.nvec.tolist()
+        [5, 5, 5, 10, 3, 9]
+        >>> layout.decode([2, 2, 2, 5, 0, 0]).levels.tolist()
+        [0, 2, 0]
         """
         try:
             array = np.asarray(action)
@@ -170,8 +194,9 @@ class ActionLayout:
             array = np.array(None)
         if array.shape != self.nvec.shape:
             raise InvalidAction(
-                f"an action has {len(self.nvec)} entries (a move and a level for each of "
-                f"{self.arm.n} joints, a record length, a verdict), got shape {array.shape}"
+                f"an action has {len(self.nvec)} entries ({self.most_moved} for moves, "
+                f"{self.most_excited} for levels of {self.arm.n} joints, a record length, a "
+                f"verdict), got shape {array.shape}"
             )
         whole = np.issubdtype(array.dtype, np.integer) or (
             np.issubdtype(array.dtype, np.floating) and bool(np.all(array == np.round(array)))
@@ -183,16 +208,42 @@ class ActionLayout:
                 f"entries of an action run from 0 to {(self.nvec - 1).tolist()}, "
                 f"got {array.tolist()}"
             )
-        n = self.arm.n
-        levels = array[n : 2 * n].astype(np.intp)
+        whole_numbers = array.astype(np.intp)
+        levels = self._levels_of(whole_numbers[self.excitation])
         if not levels.any():
             levels[-1] = len(self.arm.levels)
         return Action(
-            moves=array[:n].astype(np.intp),
+            moves=self._moves_of(whole_numbers[: self.most_moved]),
             levels=levels,
-            duration=self.settings.durations[int(array[2 * n])],
-            verdict=int(array[2 * n + 1]),
+            duration=self.settings.durations[int(array[-2])],
+            verdict=int(array[-1]),
         )
+
+    @property
+    def excitation(self) -> slice:
+        """Entries of the excitation."""
+        return slice(self.most_moved, self.most_moved + self.most_excited)
+
+    def _moves_of(self, entries: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Move of each joint (n,)."""
+        if not self._few_moved:
+            return entries
+        moves = np.full(self.arm.n, self.settings.stay, dtype=np.intp)
+        for entry in entries[entries > 0]:
+            joint, k = divmod(int(entry) - 1, len(self._others))
+            if moves[joint] == self.settings.stay:
+                moves[joint] = self._others[k]
+        return moves
+
+    def _levels_of(self, entries: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Level of each joint (n,)."""
+        if not self._few_excited:
+            return entries
+        levels = np.zeros(self.arm.n, dtype=np.intp)
+        for entry in entries[entries > 0]:
+            joint, k = divmod(int(entry) - 1, len(self.arm.levels))
+            levels[joint] = max(levels[joint], k + 1)
+        return levels
 
     def encode(
         self,
@@ -202,14 +253,31 @@ class ActionLayout:
         duration: int | None = None,
         verdict: int = 0,
     ) -> NDArray[np.int64]:
-        """Build an action; by default stay, no levels, the longest record, go on."""
-        n = self.arm.n
+        """Build an action; by default stay, no levels, the longest record, go on.
+
+        Of more joints than may move or be excited at once, the first ones from the base move, and
+        those of the highest levels are excited.
+        """
+        n, stay = self.arm.n, self.settings.stay
         longest = int(np.argmax(self.settings.durations))
+        moved = np.full(n, stay) if moves is None else np.asarray(moves)
+        excited = np.zeros(n, dtype=np.intp) if levels is None else np.asarray(levels)
         action = np.zeros(len(self.nvec), dtype=np.int64)
-        action[:n] = self.settings.stay if moves is None else moves
-        action[n : 2 * n] = 0 if levels is None else levels
-        action[2 * n] = longest if duration is None else duration
-        action[2 * n + 1] = verdict
+        if self._few_moved:
+            chosen = np.flatnonzero(moved != stay)[: self.most_moved]
+            place = np.searchsorted(self._others, moved[chosen])
+            action[: len(chosen)] = 1 + chosen * len(self._others) + place
+        else:
+            action[: self.most_moved] = moved
+        entries = action[self.excitation]
+        if self._few_excited:
+            best = np.argsort(-excited, kind="stable")[: self.most_excited]
+            chosen = np.sort(best[excited[best] > 0])
+            entries[: len(chosen)] = chosen * len(self.arm.levels) + excited[chosen]
+        else:
+            entries[:] = excited
+        action[-2] = longest if duration is None else duration
+        action[-1] = verdict
         return action
 
     def allowed_moves(self, pose: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -218,6 +286,16 @@ class ActionLayout:
         allowed = (target >= self._low) & (target <= self._high)
         allowed[:, self.settings.stay] = True
         return np.asarray(allowed)
+
+    def few_moves(self, moves: NDArray[np.intp], rng: np.random.Generator) -> NDArray[np.intp]:
+        """Let only as many joints move as may at once, drawn anew in each row of moves (K, n).
+
+        From ``rng`` nothing is taken where all of them may.
+        """
+        if not self._few_moved:
+            return moves
+        rank = np.argsort(np.argsort(rng.random(moves.shape), axis=-1), axis=-1)
+        return np.where(rank < self.most_moved, moves, self.settings.stay)
 
     def allows_unsure(self, records: int, measured: int) -> bool:
         """Return whether "unsure" may be said after so many records, so many of them measured."""
@@ -235,10 +313,18 @@ class ActionLayout:
         records, measured : int
             Records taken, and those among them that show something.
         """
-        moves, verdicts = self.arm.n * len(self.moves), self.hypotheses + 1
+        verdicts = self.hypotheses + 1
         last = records >= self.settings.max_records
         mask = np.ones(int(self.nvec.sum()), dtype=bool)
-        mask[:moves] = self.allowed_moves(pose).ravel()
+        moves = int(self.nvec[: self.most_moved].sum())
+        allowed = self.allowed_moves(pose)
+        if self._few_moved:
+            entry = np.concatenate([[True], allowed[:, self._others].ravel()])
+            mask[:moves] = np.tile(entry, self.most_moved)
+        else:
+            mask[:moves] = allowed.ravel()
+        if self._few_excited:
+            mask[moves] = False  # a record without excitation shows nothing
         mask[-verdicts - 1] = not last
         mask[-verdicts:-1] = last or measured > 0
         mask[-1] = self.allows_unsure(records, measured)

@@ -300,7 +300,8 @@ class EpisodeBatch:
         episode, action, info = asked.episode, asked.action, asked.info
         measurement, failure = asked.measurement, asked.failure
         prices = self.settings.prices
-        price = prices.record
+        moved = (action.moves != self.settings.stay) & ~info["move_ignored"]
+        price = prices.record + prices.move * int(moved.sum())
         if measurement is not None:
             levels = int(action.levels.sum())
             price += prices.second * action.duration + prices.level * levels

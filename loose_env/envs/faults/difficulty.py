@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import get_args
 
 import numpy as np
 
 from loose_env.arms import Mismatch
 from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.excitation import SeatReference
 from loose_env.faults import DEFAULT_KINDS, KINDS, checked_kinds
 
 __all__ = ["DIFFICULTIES", "Difficulty", "difficulty_named"]
@@ -29,6 +31,11 @@ class Difficulty:
 
     friction: Range = (0.02, 1.0)
     """Guide friction over the seat drive of the top level, log-uniform [1]."""
+    friction_over: SeatReference = "median"
+    """Pose whose seat drive friction is compared to, the best single joint excited.
+
+    "median" leaves some seats shut in most poses, a few of them in all. With "best" and friction
+    below 1 every seat opens in some pose under some joint, gravity aside."""
     gap: Range = (0.02e-3, 0.4e-3)
     """Travel, log-uniform [m].
 
@@ -54,6 +61,11 @@ class Difficulty:
                 raise InvalidSetting(
                     f"difficulty {name} must be 0 < low <= high, got {(low, high)}"
                 )
+        if self.friction_over not in get_args(SeatReference):
+            raise UnknownName(
+                f"difficulty friction_over is one of {list(get_args(SeatReference))}, got "
+                f"{self.friction_over!r}"
+            )
         if self.kinds is None:
             return
         unknown = set(self.kinds) - set(KINDS)
@@ -97,6 +109,7 @@ DIFFICULTIES: Mapping[str, Difficulty] = MappingProxyType(
         ),
         "default": Difficulty(),
         "hard": Difficulty(friction=(0.1, 2.0), mismatch=Mismatch().scaled(1.5)),
+        "reachable": Difficulty(friction=(0.1, 0.7), friction_over="best"),
     }
 )
 """The named difficulties."""

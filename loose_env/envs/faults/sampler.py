@@ -65,7 +65,7 @@ class FaultSampler:
         self.arm: Arm = linear.arm
         self.difficulty = difficulty
         self.probabilities = self._with_a_place(difficulty.probabilities(kinds))
-        self.drive = SeatDrive(linear)
+        self.drive = SeatDrive(linear, over=difficulty.friction_over)
         self.linear = linear
         """The nominal arm."""
         rng = np.random.default_rng(0)

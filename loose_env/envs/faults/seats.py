@@ -200,7 +200,7 @@ class FurtherSeats:
         self.arm = arm = linear.arm
         self.ranges = ranges
         self._linear = full = LinearArm(arm, points=len(linear.frequency), rotations=True)
-        self.drive = SeatDrive(full)
+        self.drive = SeatDrive(full, over=ranges.friction_over)
         self._masses = SeatMasses(full, poses)
         self._levers = np.maximum(_tool_distances(linear, poses), SHORTEST_LEVER * arm.reach)
 

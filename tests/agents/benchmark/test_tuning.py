@@ -42,6 +42,7 @@ HERE = BackendSettings(backend="threading", workers=1)
 SETTINGS = DiagnosisSettings(
     durations=(0.2,),
     max_records=RECORDS,
+    unsure_after=1,
     engine="reduced",
     prices=Prices(miss=-2.0, false_alarm=-0.5, unsure=0.2),  # so that "unsure" comes up
 )

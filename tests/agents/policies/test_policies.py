@@ -39,7 +39,7 @@ def situation(problem, estimator, seed=0):
     )
 
 
-@pytest.mark.parametrize("name", sorted(set(POLICIES) - {"poses"}))
+@pytest.mark.parametrize("name", sorted(set(POLICIES) - {"fixed"}))
 def test_every_policy_measures_and_stays_in_range(problem, estimator, name):
     policy = make_policy(name, problem, estimator)
     for seed in range(2):
@@ -70,7 +70,7 @@ def test_poses_are_distinct_and_within_range(problem, estimator):
     moves, where = poses(problem, now, 20)
     assert len(np.unique(moves, axis=0)) == len(moves) == 20
     assert all(problem.arm.within_ranges(p).all() for p in where)
-    assert any((levels > 0).all() for levels, _ in excitations(problem))
+    assert any((levels > 0).all() for levels, _ in excitations(problem)[0])
 
 
 def test_a_record_that_drives_no_seat_says_nothing(problem, estimator):

@@ -18,8 +18,14 @@ from loose_env.faults import Backlash, Healthy, StructuralLooseness, hypotheses
 from loose_env.rig import PlantShop
 
 ARMS = {arm.name: arm for arm in (planar(3), planar(4, vertical=True), vera())}
-FRICTION = {"easy": (0.02, 0.2), "default": (0.02, 1.0), "hard": (0.1, 2.0)}
+FRICTION = {
+    "easy": (0.02, 0.2),
+    "default": (0.02, 1.0),
+    "hard": (0.1, 2.0),
+    "reachable": (0.1, 0.7),
+}
 GAP = {"easy": (0.1e-3, 0.4e-3), "default": (0.02e-3, 0.4e-3), "hard": (0.02e-3, 0.4e-3)}
+GAP["reachable"] = GAP["hard"]
 
 
 @cache
@@ -35,7 +41,8 @@ def sampler(arm: str, difficulty: str) -> FaultSampler:
 @cache
 def figures(arm: str, difficulty: str) -> tuple[list[float], list[float]]:
     """Friction ratios and travels [m] of many draws."""
-    drive, reach = SeatDrive(linear(arm)), ARMS[arm].reach
+    over = DIFFICULTIES[difficulty].friction_over
+    drive, reach = SeatDrive(linear(arm), over=over), ARMS[arm].reach
     rng = np.random.default_rng(0)
     frictions, travels = [], []
     for _ in range(600):
@@ -49,8 +56,8 @@ def figures(arm: str, difficulty: str) -> tuple[list[float], list[float]]:
     return frictions, travels
 
 
-def test_three_difficulties_have_names() -> None:
-    assert list(DIFFICULTIES) == ["easy", "default", "hard"]
+def test_four_difficulties_have_names() -> None:
+    assert list(DIFFICULTIES) == ["easy", "default", "hard", "reachable"]
     for name, difficulty in DIFFICULTIES.items():
         assert difficulty_named(name) is difficulty
     assert DIFFICULTIES["default"] == Difficulty()

@@ -1,6 +1,6 @@
 """PPO in one file, against Gymnasium's API alone: a wrapped environment in, a learning curve out.
 
-Usage: python scripts/agents/ppo_single_file.py --env loose_env/Vera-v0 --wrapper MacroActions
+Usage: python scripts/ppo_single_file.py --env loose_env/Vera-v0 --wrapper MacroActions
 --steps 20000
 
 It knows nothing of this package but its wrappers, so that it shows what any library needs: vector
