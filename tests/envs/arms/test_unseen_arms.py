@@ -18,9 +18,6 @@ from loose_env.excitation import at_levels
 from loose_env.faults import KINDS, Backlash
 from loose_env.rig import SimulatedRig
 
-# their tools lie on the axis of the last joint, of which the arms warn
-pytestmark = pytest.mark.filterwarnings("ignore:.*lies on the axis:UserWarning")
-
 
 def rod(length: float, radius: float = 0.03) -> str:
     return f'<geom type="capsule" fromto="0 0 0 {length} 0 0" size="{radius}"/>'

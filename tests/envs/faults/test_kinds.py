@@ -33,9 +33,6 @@ from loose_env.faults import (
 )
 from loose_env.rig import PlantShop
 
-# their tools lie on the axis of the last joint, of which the arms warn
-pytestmark = pytest.mark.filterwarnings("ignore:.*lies on the axis:UserWarning")
-
 UR5E = Path(__file__).parents[4] / "shared" / "models" / "ur5e_bare.xml"
 ARMS: dict[str, Callable[[], Arm]] = {
     "vera": vera,
