@@ -48,14 +48,13 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
     """`num_envs` diagnosis episodes side by side, simulated in one batch.
 
     `autoreset_mode` says what becomes of an episode that has ended, as in Gymnasium's own vector
-    environments:
+    environments. With ``SAME_STEP``, the default, the next one begins in the same step: the
+    observation is its first one, that of the ended episode is in `infos["final_obs"]`, its info in
+    `infos["final_info"]`. No step is lost, which matters where an episode takes three.
 
-    * ``SAME_STEP``, the default: the next one begins in the same step. The observation is its
-      first one, that of the ended episode is in `infos["final_obs"]`, its info in
-      `infos["final_info"]`. No step is lost, which matters where an episode takes three.
-    * ``NEXT_STEP``: the next step begins it, whatever the action, with reward 0. Gymnasium's
-      wrappers of observations (`NormalizeObservation` and others) need this one.
-    * ``DISABLED``: ``reset(options={"reset_mask": ended})`` begins it; to step before is an error.
+    With ``NEXT_STEP`` the next step begins it, whatever the action, with reward 0. Gymnasium's
+    wrappers of observations (`NormalizeObservation` and others) need this one. With ``DISABLED``
+    ``reset(options={"reset_mask": ended})`` begins it; to step before is an error.
 
     Environment 0 of a batch seeded with s plays the same episodes as a single environment seeded
     with s, the others those of `loose_env.envs.batch_seeds`. A sequence of seeds is taken as it is.
