@@ -28,6 +28,7 @@ PARTS = (
     "gap",
     "doctor",
     "envs",
+    "wrappers",
     "registration",
     "evaluation",
     "instrument",

@@ -83,7 +83,10 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     them. With `raw=True` a `Dict` of the same vector as `"statistics"` and the signals of the
     latest record. With
     `SensorSuite(link_accelerometers=...)` each slot also holds the transmission to the sensors on
-    links, the nominal one and their rms, and `raw` has their signals as `"links"`.
+    links, the nominal one and their rms, and `raw` has their signals as `"links"`; the agent
+    `local` reads them. The other way, `loose_env.envs.JointSideObservation(env)` keeps what a robot
+    without accelerometers has: pose, excitation, joint motion and apparent inertia. That a fault is
+    there shows in them ([by how much](method.md#torque-and-encoder-alone)), its direction does not.
 
     ## Rewards
     +1 for the right hypothesis, -1 for a wrong one or for running out of records, -0.25 for being
