@@ -112,7 +112,8 @@ def verdict(problem: Problem, probabilities: np.ndarray, surprise: float, **opti
     )
     batch = EpisodeBatch(problem.arm, problem.settings, num=1, threads=1)
     batch.start(0, seed=1, number=0)
-    batch.step([0], [problem.actions.encode(levels=np.array([1, 0]))])
+    for _ in range(problem.settings.unsure_after):  # "unsure" counts from then on
+        batch.step([0], [problem.actions.encode(levels=np.array([1, 0]))])
     action, _ = agent.predict(batch.observe(0))
     return str(batch.step([0], [action])[0].info["verdict"])
 
