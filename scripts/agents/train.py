@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import json
 import shutil
 import sys
 import time
@@ -81,9 +80,8 @@ def configuration_of(
 ) -> dict[str, Any]:
     """Everything that the result depends on."""
     from loose_agents.rl.network import FORMAT
-    from loose_agents.rl.training_run import git_commit
+    from loose_agents.rl.training_run import with_versions
 
-    modules = ("loose_env", "gymnasium", "mujoco", "numpy", "stable_baselines3", "torch")
     own = {key: value for key, value in hyperparameters.items() if key != "n_timesteps"}
     found = {
         "format": FORMAT,
@@ -107,14 +105,8 @@ def configuration_of(
         "settings": asdict(problem.settings),
         "options": vars(options),
         "command": " ".join(sys.argv),
-        "versions": {
-            "python": sys.version.split()[0],
-            **{name: importlib.import_module(name).__version__ for name in modules},
-        },
-        "git_commit": git_commit(ROOT),  # None outside a repository of its own
     }
-    plain: dict[str, Any] = json.loads(json.dumps(found, default=str))
-    return plain
+    return with_versions(found, ROOT)
 
 
 def train(options: argparse.Namespace) -> Path:

@@ -7,14 +7,16 @@ the evaluations so far, in one file.
 
 from __future__ import annotations
 
+import importlib
 import io
 import json
 import os
 import random
 import shutil
 import subprocess
+import sys
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,10 +40,13 @@ __all__ = [
     "Schedule",
     "differences",
     "git_commit",
+    "with_versions",
     "write_json",
     "write_model",
 ]
 
+_VERSIONS = ("loose_env", "gymnasium", "mujoco", "numpy", "stable_baselines3", "torch")
+"""Packages whose versions are written beside a result."""
 NOT_COMPARED = ("n_timesteps", "versions", "git_commit", "command", "trained", "options")
 """Entries that may differ when a run is resumed."""
 
@@ -170,6 +175,28 @@ def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
     keys = (set(before) | set(now)) - set(NOT_COMPARED)
     plain = json.loads(json.dumps(now))
     return sorted(key for key in keys if before.get(key) != plain.get(key))
+
+
+def with_versions(configuration: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Configuration of a training with versions and commit, as read back from its file.
+
+    Parameters
+    ----------
+    configuration : mapping
+        What the result depends on otherwise.
+    folder : Path
+        The repository.
+    """
+    found = {
+        **configuration,
+        "versions": {
+            "python": sys.version.split()[0],
+            **{name: importlib.import_module(name).__version__ for name in _VERSIONS},
+        },
+        "git_commit": git_commit(folder),  # None outside a repository of its own
+    }
+    plain: dict[str, Any] = json.loads(json.dumps(found, default=str))
+    return plain
 
 
 def git_commit(folder: Path) -> str | None:

@@ -124,9 +124,8 @@ class SwapStep:
             return None
         before = self._without(best, effect)
         acceptance = Acceptance(self.comparison, self.scorer, self.base, before, self.settings)
-        tried = [self.scorer.score(fit_in_form(self.comparison, best.fitted, effect, form))
-                 for form in forms]  # fmt: skip
-        tried.sort(key=lambda scored: scored.total)
+        fits = (fit_in_form(self.comparison, best.fitted, effect, form) for form in forms)
+        tried = sorted(map(self.scorer.score, fits), key=lambda scored: scored.total)
         return self._better(tried, before, best, acceptance, lead=EQUAL_LOG_LIKELIHOOD)
 
     def _in_place_of(self, effects: Sequence[Effect], best: ScoredFit) -> ScoredFit | None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import json
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -244,9 +241,8 @@ def _configuration(
     steps: int,
 ) -> dict[str, Any]:
     """Everything that the result depends on."""
-    from loose_agents.rl.training_run import git_commit
+    from loose_agents.rl.training_run import with_versions
 
-    modules = ("loose_env", "gymnasium", "mujoco", "numpy", "stable_baselines3", "torch")
     not_compared = {k: v for k, v in arguments.items() if k != "threads"}
     found = {
         "format": "loose-learning-curve/1",
@@ -262,14 +258,8 @@ def _configuration(
         "n_timesteps": steps,
         "options": asdict(job),
         "command": job.command,
-        "versions": {
-            "python": sys.version.split()[0],
-            **{name: importlib.import_module(name).__version__ for name in modules},
-        },
-        "git_commit": git_commit(Path(__file__).resolve().parents[4]),
     }
-    plain: dict[str, Any] = json.loads(json.dumps(found, default=str))
-    return plain
+    return with_versions(found, Path(__file__).resolve().parents[4])
 
 
 def _restored(folder: Path, model: Any, configuration: dict[str, Any], kind: type[Any]) -> Any:
