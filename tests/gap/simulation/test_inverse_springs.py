@@ -109,3 +109,11 @@ def test_longer_steps_change_little_of_what_a_spring_does() -> None:
     )
     assert np.linalg.norm(exact) > 10
     assert np.linalg.norm(cheap - exact) < 0.06 * np.linalg.norm(exact)
+
+
+def test_a_run_without_the_torque_of_a_joint_says_nothing_of_its_stiffness() -> None:
+    stiffness = SPRING.carried * (2 * np.pi * 8.0) ** 2  # type: ignore[attr-defined]
+    whole = compliant_run(stiffness)
+    others = {name: torque for name, torque in whole.torques.items() if name != "joint2"}
+    comparison = compared(MACHINE, [whole, replace(whole, torques=others)])
+    assert joint_stiffness(comparison, NOTHING)["joint2"] == pytest.approx(stiffness, rel=0.1)

@@ -50,11 +50,14 @@ def joint_stiffness(comparison: ResidualModel, hypothesis: Hypothesis) -> dict[s
     model = known.model(machine, machine.step or float(machine.model.opt.timestep))
     predicted = inverse.predict([known])[0]
     along, sizes = np.zeros((2, len(machine.joints)))
-    for t, motion in enumerate(inverse.motions):
+    for t, (trial, motion) in enumerate(zip(inverse.trials, inverse.motions, strict=True)):
+        read = np.atleast_1d(np.isfinite(trial.measured).any(axis=0))  # torques of this run
         residual = inverse.measured(t)[motion.chosen] - predicted[t][motion.chosen]
         weight = 1.0 / inverse.floors(t) ** 2
-        for joint in inverse.torque_joints.values():
-            change = _change(inverse, model, t, joint)
+        for own_channel, joint in inverse.torque_joints.items():
+            if not read[own_channel]:
+                continue
+            change = _change(inverse, model, t, own_channel)
             for channel, other in inverse.torque_joints.items():
                 good = np.isfinite(residual[:, channel])
                 own = change[good, other]
@@ -68,10 +71,9 @@ def joint_stiffness(comparison: ResidualModel, hypothesis: Hypothesis) -> dict[s
     }
 
 
-def _change(inverse: InverseDynamics, model: mujoco.MjModel, run: int, joint: int) -> Array:
-    """Change of the torques (E, joints) per compliance of a joint, at the compared points."""
-    motion, trial = inverse.motions[run], inverse.trials[run]
-    channel = next(c for c, j in inverse.torque_joints.items() if j == joint)
+def _change(inverse: InverseDynamics, model: mujoco.MjModel, run: int, channel: int) -> Array:
+    """Change of the torques (E, joints) per compliance of a channel's joint, where compared."""
+    motion, trial, joint = inverse.motions[run], inverse.trials[run], inverse.torque_joints[channel]
     measured = filled(trial.time, trial.measured[:, channel], motion.time)
     spring = motion.band.smooth(measured)
     rotor = model.dof_armature[joint] * motion.acceleration[:, joint]
