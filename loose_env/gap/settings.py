@@ -50,7 +50,8 @@ search data; most effects of an answer for which swaps are tried: cost."""
 FURTHER = 2
 """Further ones, each for a reason of its own: by predicted z-score (small effects that act in every
 block of time), kinds at several locations, sets for all search data, what is confusable with the
-best, what lies at the same joint; cost."""
+best, what lies at the same joint; effects that seem to be needed least, for a refit without
+each; cost."""
 LEAST_PREDICTED = 0.1
 """Predicted explained variance of a candidate over that of the best one, from which it is
 fitted."""

@@ -59,6 +59,9 @@ class FitSettings:
     dampings: tuple[float, ...] = (0.0, 0.1, 3.0)
     """Levenberg's dampings, as shares of the curvature; those after the first are tried where its
     step does not bring what it promises."""
+    compared: float = 0.05
+    """Share of the cost beyond that of a better fit, below which a further step is not worth its
+    simulations where the two are only compared."""
     shorter: tuple[float, ...] = (0.3, 0.1, 0.03)
     """Shares of the damped steps that are tried where none of the whole steps is any good."""
 
@@ -188,6 +191,7 @@ def fit(
     settings: FitSettings | None = None,
     known: Array | None = None,
     residual: Array | None = None,
+    reference: float = np.inf,
 ) -> Fit:
     """Fit a hypothesis.
 
@@ -206,6 +210,8 @@ def fit(
         are inaccurate.
     residual : ndarray (N,), optional
         Residual at the start.
+    reference : float
+        Cost of a better fit, where this one is only compared with it: see `FitSettings.compared`.
     """
     settings = settings or fit_settings_for(structure)
     parameters = structure.parameters
@@ -250,6 +256,8 @@ def fit(
         gained = cost - after
         if gained > 0:
             free, residual, cost = free + step, left, after
+        if max(gained, hoped) < settings.compared * (cost - reference):
+            break
         if gained < settings.enough * cost:
             if cost < settings.stale * seen_at:
                 renew = _ALL

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,15 +11,26 @@ from loose_env.gap.fitting.gauss_newton import (
     BESIDE_STOPS,
     Fit,
     FitSettings,
+    cost_of,
     fit,
     fit_settings_for,
     sensitivities,
+    step_of,
 )
+from loose_env.gap.fitting.model_structure import ModelStructure
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 
-__all__ = ["fit_in_form", "fit_without", "fitted_on", "polished", "refined", "settled"]
+__all__ = [
+    "fit_in_form",
+    "fit_without",
+    "fitted_on",
+    "needed_least",
+    "polished",
+    "refined",
+    "settled",
+]
 
 
 _ROUGHLY = 0.01
@@ -42,14 +54,59 @@ def fit_without(
     roughly : bool
         Whether the result is only compared with the fit and not gone on from.
     """
+    others, kept = _without(fitted, effect)
+    settings, reference = fit_settings_for(others), np.inf
+    if roughly:
+        settings, reference = replace(settings, enough=max(settings.enough, _ROUGHLY)), fitted.cost
+    known = fitted.jacobian[:, kept]
+    return fit(
+        comparison,
+        others,
+        fitted.free[kept],
+        settings=settings,
+        known=known,
+        reference=reference,
+    )
+
+
+def needed_least(comparison: ResidualModel, fitted: Fit, effects: Sequence[Effect]) -> list[Effect]:
+    """Sort effects of a fit by what is lost without each, the least first.
+
+    Backward elimination by approximation: each effect is taken out by simulation, and the others
+    are refitted to first order, as in a Wald test (J. F. Lawless and K. Singhal, Biometrics 34,
+    1978).
+
+    Parameters
+    ----------
+    comparison : ResidualModel
+        The runs of the fit.
+    fitted : Fit
+        The fit, with its sensitivities.
+    effects : sequence of Effect
+        Some of its effects.
+    """
+    left = [_without(fitted, effect) for effect in effects]
+    residuals = comparison.residuals(
+        [structure.hypothesis(fitted.free[kept]) for structure, kept in left]
+    )
+    losses = []
+    for (structure, kept), residual in zip(left, residuals, strict=True):
+        free, jacobian, parameters = (
+            fitted.free[kept],
+            fitted.jacobian[:, kept],
+            structure.parameters,
+        )
+        step = step_of(jacobian, residual, free, parameters, 0.0)
+        losses.append(cost_of(residual + jacobian @ step, free + step, parameters))
+    return [effects[k] for k in np.argsort(losses, kind="stable")]
+
+
+def _without(fitted: Fit, effect: Effect) -> tuple[ModelStructure, list[int]]:
+    """Structure of a fit without one of its effects, and indices of its free numbers."""
     own = fitted.structure.slice_of(effect)
     kept = [k for k in range(len(fitted.free)) if not own.start <= k < own.stop]
-    others = fitted.structure.with_effects([e for e in fitted.effects if e is not effect])
-    settings = fit_settings_for(others)
-    if roughly:
-        settings = replace(settings, enough=max(settings.enough, _ROUGHLY))
-    known = fitted.jacobian[:, kept]
-    return fit(comparison, others, fitted.free[kept], settings=settings, known=known)
+    others = [each for each in fitted.effects if each is not effect]
+    return fitted.structure.with_effects(others), kept
 
 
 def fit_in_form(comparison: ResidualModel, fitted: Fit, effect: Effect, form: Effect) -> Fit:

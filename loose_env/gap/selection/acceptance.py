@@ -9,7 +9,7 @@ import numpy as np
 
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, Scorer, improvement_of
-from loose_env.gap.fitting.refit import fit_without, polished
+from loose_env.gap.fitting.refit import fit_without, needed_least, polished
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
@@ -25,6 +25,7 @@ from loose_env.gap.settings import (
     CHANNEL_Z,
     CONFIRMED_Z,
     EQUAL_LOG_LIKELIHOOD,
+    FURTHER,
     OWN_GAIN,
     SEARCH_Z,
     TIE_Z,
@@ -216,7 +217,8 @@ class Acceptance:
         """
         best = self.scorer.score(polished(self.comparison, scored.fitted))
         best = self._pruned(best, self._new(scored))
-        for effect in best.fitted.effects[: len(self.before.fitted.effects)]:
+        earlier = best.fitted.effects[: len(self.before.fitted.effects)]
+        for effect in self._weakest(best, earlier):
             without = self._without(best, effect)
             if not self.significant(improvement_of(best, without)):
                 rather = self.earlier_form(best, effect)
@@ -249,13 +251,20 @@ class Acceptance:
     def _pruned(self, scored: ScoredFit, new: int) -> ScoredFit:
         """Drop those of several new effects that are insignificant by themselves."""
         while new > 1:
-            without = [self._without(scored, effect) for effect in scored.fitted.effects[-new:]]
+            weak = self._weakest(scored, scored.fitted.effects[-new:])
+            without = [self._without(scored, effect) for effect in weak]
             leads = [improvement_of(scored, each) for each in without]
-            weakest = min(range(new), key=lambda k: leads[k].training + leads[k].held_out)
+            weakest = min(range(len(weak)), key=lambda k: leads[k].training + leads[k].held_out)
             if self.significant(leads[weakest]):
                 break
             scored, new = without[weakest], new - 1
         return scored
+
+    def _weakest(self, scored: ScoredFit, effects: Sequence[Effect]) -> list[Effect]:
+        """Return the few of some effects that seem to be needed least."""
+        if len(effects) <= FURTHER:
+            return list(effects)
+        return needed_least(self.comparison, scored.fitted, effects)[:FURTHER]
 
     def _change(self, scored: ScoredFit) -> float:
         """Return the size of the new effects of a hypothesis, in the parameters' scales."""
