@@ -80,8 +80,8 @@ class SwapStep:
         """Return the best hypothesis after swaps; ``best`` itself if none is better.
 
         A hypothesis replaces another if it would have been ranked above it: its residual is
-        smaller, or it fits equally well with fewer parameters. Of more than `LEADING` effects only
-        other forms of each, and one for two at a joint, are tried: a matter of cost.
+        smaller, or it fits equally well with fewer parameters. Beside more than `LEADING` effects,
+        and in place of two, only what promises to explain as much is fitted: a matter of cost.
 
         Parameters
         ----------
@@ -107,7 +107,7 @@ class SwapStep:
             if effect.has_stops and not self.settings.swap_stops:
                 continue
             better = self._in_another_form(effect, best)
-            if better is None and len(best.fitted.effects) <= LEADING:
+            if better is None:
                 better = self._in_place_of((effect,), best)
             best = _said(best, better, say)
         for two in combinations(best.fitted.effects, 2):
@@ -145,7 +145,7 @@ class SwapStep:
         acceptance = Acceptance(self.comparison, self.scorer, self.base, before, self.settings)
         screened = screen(self.short, candidate_fits.windows.before, confusables)
         taken = screened[:ALTERNATIVES]
-        if len(effects) == 1:
+        if len(best.fitted.effects) <= LEADING and len(effects) == 1:
             # the start says little of a delay; at the same joint a fit is worth its cost
             there = [s for s in screened if joint_of(s.effect) == joint_of(effects[0]) is not None]
             taken += [s for s in there if s not in taken][:FURTHER]
