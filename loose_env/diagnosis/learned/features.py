@@ -78,9 +78,11 @@ class TransmissionChange:
     """The motion itself in the nominal arm [m/s²] (d m,)."""
     covariance: Array
     """Covariance by model and sampling errors, to first order [m²/s⁴] (d m, d m)."""
-    springs: Array | None = None
-    """The part of it that the springs make, one standard deviation each: errors that all sensors
-    of the arm share [m/s²] (K, d m); None where no spring matters."""
+    arm_errors: Array | None = None
+    """The part of it by errors of joint zeros and springs, one standard deviation each: the same
+    at every sensor and in every record of an arm [m/s²] (K, d m); None where none is known."""
+    sensor_errors: Array | None = None
+    """The part by errors of the sensor and its levers: the same in every record (L, d m)."""
 
 
 class SeatFeatures:
@@ -281,15 +283,26 @@ class SeatFeatures:
         """Change of transmission b (d, m), with the motion that follows no joint (d, d)."""
         x = seats.in_step[: b.shape[1]]
         nominal = seats.in_step[b.shape[1] :] @ np.linalg.inv(x)
-        springs = self._springs(record.pose, record.excited)
+        pose, on, n = record.pose, np.flatnonzero(record.excited), self.linear.arm.n
+        springs = self._springs(pose, record.excited)
+        errors = transmission_errors(self.linear, pose, on, b, self.mismatch)
+        first = len(errors) - len(b) - n  # the sensor's own, n joint zeros, then the levers
+        sensor, zeros, levers = np.split(errors, [first, first + n])
+        # A row for every spring, those of driven joints zero, so that records can be pooled.
+        modes = len(springs) - int((~record.excited).sum())
+        held = modes + np.flatnonzero(~record.excited)
+        sprung = np.zeros((modes + n if len(springs) else 0, *b.shape))
+        if len(springs):
+            sprung[np.concatenate([np.arange(modes), held])] = springs
         return TransmissionChange(
             measured=((b - nominal) @ x).ravel(),
             open=self.open_change(seats),
             nominal=(nominal @ x).ravel(),
             covariance=self.covariance(
-                record.pose, record.excited, b, residual, x, record.duration, springs=springs
+                pose, record.excited, b, residual, x, record.duration, springs=springs
             ),
-            springs=(springs @ x).reshape(len(springs), b.size) if len(springs) else None,
+            arm_errors=(np.concatenate([zeros, sprung]) @ x).reshape(-1, b.size),
+            sensor_errors=(np.concatenate([sensor, levers]) @ x).reshape(-1, b.size),
         )
 
     def open_change(self, seats: SeatPrediction) -> Array:
