@@ -64,7 +64,7 @@ class ClassicalSettings(Checked):
     """Index of the records' length; the longest by default."""
     seen: Positive = 0.9
     """Change along one place, over what errors make of it, from which something is loose [1]."""
-    chance: NonNegative = 1.0
+    chance: NonNegative = 0.3
     """Change that errors make of every further record in the mean, which is not counted [1]."""
     healthy_poses: Count = 3
     """Records that show nothing before the verdict healthy."""
