@@ -78,6 +78,8 @@ class TransmissionChange:
     """The motion itself in the nominal arm [m/s²] (d m,)."""
     covariance: Array
     """Covariance by model and sampling errors, to first order [m²/s⁴] (d m, d m)."""
+    residual: Array | None = None
+    """Covariance by sampling of the motion per command, one joint alone [m²/s⁴] (d, d)."""
     arm_errors: Array | None = None
     """The part of it by errors of joint zeros and springs, one standard deviation each: the same
     at every sensor and in every record of an arm [m/s²] (K, d m); None where none is known."""
@@ -301,6 +303,7 @@ class SeatFeatures:
             covariance=self.covariance(
                 pose, record.excited, b, residual, x, record.duration, springs=springs
             ),
+            residual=residual / self.samples(record.duration),
             arm_errors=(np.concatenate([zeros, sprung]) @ x).reshape(-1, b.size),
             sensor_errors=(np.concatenate([sensor, levers]) @ x).reshape(-1, b.size),
         )
@@ -369,10 +372,15 @@ class SeatFeatures:
         errors = np.concatenate([errors, springs])
         # In units of the tool's motion per command, in which sampling errors are even.
         uncertain = (errors @ x).reshape(len(errors), d * m)
-        samples = 2 * (self.linear.arm.band[1] - self.linear.arm.band[0]) * duration
-        covariance = uncertain.T @ uncertain + np.kron(residual, np.eye(m)) / samples
+        sampling = np.kron(residual, np.eye(m)) / self.samples(duration)
+        covariance = uncertain.T @ uncertain + sampling
         covariance += 1e-6 * np.trace(covariance) / (d * m) * np.eye(d * m)
         return np.asarray(covariance)
+
+    def samples(self, duration: float) -> float:
+        """Independent samples in a record of some length [s]."""
+        low, high = self.linear.arm.band
+        return 2 * (high - low) * duration
 
     def _springs(self, pose: Array, excited: NDArray[np.bool_]) -> Array:
         """Change of the transmission by an error of each spring in the band (K, d, m)."""

@@ -1,5 +1,9 @@
 """Scatter of measured changes of motion about the direction that each place predicts, pooled.
 
+Errors of sensors, joint zeros and springs are those of the arm, the same in every record: they are
+fitted beside the place over all records, within their standard deviations. Counted anew in every
+record, they would add up in healthy arms as a fault does, and hide half of what poses tell.
+
 The source judges two poses at a time (4.2.2). Here every record counts: carried back into link k,
 the directions of all poses agree if link k slides and scatter if it does not; under play in joint j
 all lie along that joint's own line. The change C of the tool's motion against the nominal arm
@@ -53,6 +57,12 @@ class RecordScatter:
     joints: int
     """Joints shaken, m."""
 
+    @property
+    def gain(self) -> Array:
+        """Part of the change that lies along each place's direction, chi-square [1] (P,)."""
+        misfit = _Left().after(self).misfit()
+        return np.asarray(misfit[-1] - misfit[:-1])
+
 
 class PlaceDirections:
     """Holds records against the directions of all places of an arm.
@@ -87,6 +97,7 @@ def scatter_of(
     changes: Sequence[TransmissionChange],
     joints: int,
     *,
+    sampling: Array | None = None,
     second_order: float = SECOND_ORDER,
 ) -> RecordScatter:
     """Hold a change against the direction of every place.
@@ -99,6 +110,9 @@ def scatter_of(
         all of them.
     joints : int
         Joints excited, m.
+    sampling : ndarray (D, D), optional
+        Covariance of the sampling errors of all axes, per command [m²/s⁴]; by default that of
+        each sensor, errors of different sensors independent.
     second_order : float
         Error of each element beyond the first order, over the rms nominal motion [1].
     """
@@ -111,6 +125,10 @@ def scatter_of(
     for change, error in zip(changes, arm, strict=True):
         part = slice(begin, begin := begin + len(change.measured))
         own[part, part] = change.covariance - error.T @ error
+        if sampling is not None and change.residual is not None:
+            own[part, part] -= np.kron(change.residual, np.eye(joints))
+    if sampling is not None:
+        own += np.kron(sampling, np.eye(joints))
     shared = np.concatenate(arm, axis=1)
     if len(changes) == 1:
         sensor = _rows(changes[0].sensor_errors, changes[0])
@@ -198,8 +216,13 @@ class PooledScatter:
     >>> slide = places.features.hypothesis == 1  # link 2 explains it
     >>> lines = np.where(slide[:, None], [1.0, 0.0], [0.0, 1.0])
     >>> seen = RecordScatter(
-    ...     lines=lines, directions=lines, direction=lines[0], measured=np.array([3.0, 3.0, 0, 0]),
-    ...     precision=np.eye(4), shared=np.zeros((0, 4)), joints=2,
+    ...     lines=lines,
+    ...     directions=lines,
+    ...     direction=lines[0],
+    ...     measured=np.array([3.0, 3.0, 0, 0]),
+    ...     precision=np.eye(4),
+    ...     shared=np.zeros((0, 4)),
+    ...     joints=2,
     ... )
     >>> pool = PooledScatter.none(places, outlier=20.0, chance=1.0).after(seen)
     >>> pool.names[int(np.argmin(pool.by_hypothesis))], round(pool.excess, 6)
