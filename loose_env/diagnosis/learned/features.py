@@ -8,12 +8,12 @@ units of what model and sampling leave open, beside what drives and loads the se
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm, LinearArm, Mismatch
+from loose_env.diagnosis.learned.transmission_change import TransmissionChange
 from loose_env.diagnosis.likelihood.record_likelihood import joint_covariance, transmission_errors
 from loose_env.diagnosis.likelihood.seat_response import SeatPrediction, predict_seats
 from loose_env.diagnosis.records.model_uncertainty import stiffness_errors
@@ -24,7 +24,7 @@ from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
 from loose_env.typing import Array
 
-__all__ = ["LOCATION_FEATURES", "RECORD_FEATURES", "SeatFeatures", "TransmissionChange"]
+__all__ = ["LOCATION_FEATURES", "RECORD_FEATURES", "SeatFeatures"]
 
 
 LOCATION_FEATURES = (
@@ -64,27 +64,6 @@ RECORD_FEATURES = (
 
 _INERTIA_ERROR = 0.03
 _TINY = 1e-12
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TransmissionChange:
-    """Change of the tool's in-step motion per command, as far as the transmission makes it."""
-
-    measured: Array
-    """As measured [m/s²] (d m,)."""
-    open: Array
-    """As each seat would make it by floating [m/s²] (P, d m)."""
-    nominal: Array
-    """The motion itself in the nominal arm [m/s²] (d m,)."""
-    covariance: Array
-    """Covariance by model and sampling errors, to first order [m²/s⁴] (d m, d m)."""
-    residual: Array | None = None
-    """Covariance by sampling of the motion per command, one joint alone [m²/s⁴] (d, d)."""
-    arm_errors: Array | None = None
-    """The part of it by errors of joint zeros and springs, one standard deviation each: the same
-    at every sensor and in every record of an arm [m/s²] (K, d m); None where none is known."""
-    sensor_errors: Array | None = None
-    """The part by errors of the sensor and its levers: the same in every record (L, d m)."""
 
 
 class SeatFeatures:

@@ -23,7 +23,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loose_env.arms import LinearArm, Mismatch
-from loose_env.diagnosis.learned.features import SeatFeatures, TransmissionChange
+from loose_env.diagnosis.learned.features import SeatFeatures
+from loose_env.diagnosis.learned.transmission_change import TransmissionChange
 from loose_env.diagnosis.link_finding.direction_images import fault_locations
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.sensors import SensorSuite
@@ -144,7 +145,7 @@ def scatter_of(
         directions=_leading(opened[:, :axes]),
         direction=np.linalg.eigh(at_tool @ at_tool.T)[1][:, -1],
         measured=measured,
-        precision=np.linalg.inv(own),
+        precision=np.asarray(np.linalg.inv(own), dtype=float),
         shared=shared,
         joints=joints,
     )

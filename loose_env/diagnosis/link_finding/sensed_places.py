@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import LinearArm, Mismatch
-from loose_env.diagnosis.learned.features import TransmissionChange
+from loose_env.diagnosis.learned.transmission_change import TransmissionChange
 from loose_env.diagnosis.link_finding.pooled_scatter import (
     SECOND_ORDER,
     PlaceDirections,

@@ -9,7 +9,7 @@ import pytest
 
 from loose_env.arms import LinearArm, Mismatch, planar
 from loose_env.diagnosis import PlaceDirections, PooledScatter, RecordScatter
-from loose_env.diagnosis.learned.features import TransmissionChange
+from loose_env.diagnosis.learned.transmission_change import TransmissionChange
 from loose_env.diagnosis.link_finding.pooled_scatter import scatter_of
 from loose_env.sensors import SensorSuite
 
