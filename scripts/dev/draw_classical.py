@@ -10,6 +10,7 @@ Usage: python scripts/dev/draw_classical.py [--out FOLDER]
 from __future__ import annotations
 
 import argparse
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -149,9 +150,10 @@ def draw(arm: Arm, episodes: Sequence[tuple[str, list[Step]]], out: Path) -> Pat
     plt = pyplot()
     most = max(len(steps) for _, steps in episodes)
     figure, axes = plt.subplots(
-        len(episodes), most, figsize=(2.4 * most, 2.6 * len(episodes)), squeeze=False
+        len(episodes), most, figsize=(2.9 * most, 3.0 * len(episodes)), squeeze=False
     )
-    reach = 0.85 * arm.reach  # arms are seldom stretched
+    figure.subplots_adjust(left=0.02, right=0.98, top=0.92, bottom=0.07, hspace=0.55, wspace=0.1)
+    half = 0.5 * arm.reach  # arms are seldom stretched
     for (fault, steps), row in zip(episodes, axes, strict=True):
         for k, panel in enumerate(row):
             panel.set_axis_off()
@@ -162,13 +164,16 @@ def draw(arm: Arm, episodes: Sequence[tuple[str, list[Step]]], out: Path) -> Pat
             points = points - points[0]
             panel.plot(*points.T, "-o", color=INK, lw=2.0, ms=4)
             seen = angle + np.radians(step.direction)
-            along = 0.25 * reach * np.array([np.cos(seen), np.sin(seen)])
+            along = 0.4 * half * np.array([np.cos(seen), np.sin(seen)])
             line = np.stack([points[-1] - along, points[-1] + along])
             panel.plot(*line.T, color=MEASURED if step.left else EDGE, lw=2.5)
-            panel.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+            ends = np.concatenate([points, line])
+            x, y = (ends.min(axis=0) + ends.max(axis=0)) / 2
+            panel.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
             left = ", ".join(short(name) for name in step.left[:3]) or "nothing seen"
             panel.set_title(
-                (f"hidden: {short(fault)}\n" if k == 0 else "\n") + f"{k + 1}: {step.moved}",
+                (f"hidden: {short(fault)}\n" if k == 0 else "")
+                + textwrap.fill(f"{k + 1}: {step.moved}", 34),
                 fontsize=8,
                 color=INK,
             )

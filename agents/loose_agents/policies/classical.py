@@ -64,6 +64,8 @@ class ClassicalSettings(Checked):
     """Index of the records' length; the longest by default."""
     seen: Positive = 0.9
     """Change along one place, over what errors make of it, from which something is loose [1]."""
+    chance: NonNegative = 0.3
+    """Change that errors make of every further record in the mean, which is not counted [1]."""
     healthy_poses: Count = 3
     """Records that show nothing before the verdict healthy."""
     clear: Positive = 5.0
@@ -106,7 +108,7 @@ class Search:
     records: list[RecordScatter] = field(default_factory=list)
     """Records that hold something, in order."""
     tried: list[tuple[float, int]] = field(default_factory=list)
-    """Excess of each of them, and its level."""
+    """What each of them added to the excess, and its level."""
     driven: int | None = None
     """Joint driven alone in the latest record, to tell its play from a slide, from 0."""
     left: tuple[str, ...] = ()
@@ -150,7 +152,9 @@ class ClassicalAgent(EpisodeAgent):
 
     def begin(self, rng: np.random.Generator) -> Any:
         """Start with every place in question, at the top level."""
-        pool = PooledScatter.none(self.places, outlier=self.settings.outlier)
+        pool = PooledScatter.none(
+            self.places, outlier=self.settings.outlier, chance=self.settings.chance
+        )
         return Search(rng=rng, pool=pool, level=len(self.problem.arm.levels))
 
     def act(self, observation: NDArray[np.float32], memory: Search) -> NDArray[np.int64]:
@@ -202,9 +206,10 @@ class ClassicalAgent(EpisodeAgent):
         if record is None:
             return
         seen = self._scatter(observation, slot, record)
-        memory.tried.append((seen.excess, memory.level))
-        memory.records.append(seen)
+        before = memory.pool.excess
         memory.pool = memory.pool.after(seen)
+        memory.records.append(seen)
+        memory.tried.append((memory.pool.excess - before, memory.level))
 
     def _scatter(
         self, observation: NDArray[np.float32], slot: int, record: RecordStatistics

@@ -6,6 +6,8 @@ these tell the places apart in one pose, joints hardly move.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,6 +43,8 @@ class LocalAgent(ClassicalAgent):
         self, problem: Problem, settings: ClassicalSettings | None = None, *, seed: int = 0
     ) -> None:
         super().__init__(problem, settings, seed=seed)
+        # The sensors' own errors are counted anew in each record here (`scatter_of`).
+        self.settings = replace(self.settings, chance=1.0)
         rules = problem.settings
         mismatch = difficulty_named(rules.difficulty).mismatch
         self.places = SensedPlaces(problem.linear, rules.sensors, mismatch)

@@ -1,4 +1,5 @@
 """Learned (amortised) posterior, its features, and detection of novel input.
 
-Data flow: features -> network -> residual_change -> novelty -> amortised_posterior.
+Data flow: transmission_change -> features -> network -> residual_change -> novelty ->
+amortised_posterior.
 """

@@ -8,12 +8,12 @@ units of what model and sampling leave open, beside what drives and loads the se
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm, LinearArm, Mismatch
+from loose_env.diagnosis.learned.transmission_change import TransmissionChange
 from loose_env.diagnosis.likelihood.record_likelihood import joint_covariance, transmission_errors
 from loose_env.diagnosis.likelihood.seat_response import SeatPrediction, predict_seats
 from loose_env.diagnosis.records.model_uncertainty import stiffness_errors
@@ -24,7 +24,7 @@ from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
 from loose_env.typing import Array
 
-__all__ = ["LOCATION_FEATURES", "RECORD_FEATURES", "SeatFeatures", "TransmissionChange"]
+__all__ = ["LOCATION_FEATURES", "RECORD_FEATURES", "SeatFeatures"]
 
 
 LOCATION_FEATURES = (
@@ -64,23 +64,6 @@ RECORD_FEATURES = (
 
 _INERTIA_ERROR = 0.03
 _TINY = 1e-12
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TransmissionChange:
-    """Change of the tool's in-step motion per command, as far as the transmission makes it."""
-
-    measured: Array
-    """As measured [m/s²] (d m,)."""
-    open: Array
-    """As each seat would make it by floating [m/s²] (P, d m)."""
-    nominal: Array
-    """The motion itself in the nominal arm [m/s²] (d m,)."""
-    covariance: Array
-    """Covariance by model and sampling errors, to first order [m²/s⁴] (d m, d m)."""
-    springs: Array | None = None
-    """The part of it that the springs make, one standard deviation each: errors that all sensors
-    of the arm share [m/s²] (K, d m); None where no spring matters."""
 
 
 class SeatFeatures:
@@ -281,15 +264,27 @@ class SeatFeatures:
         """Change of transmission b (d, m), with the motion that follows no joint (d, d)."""
         x = seats.in_step[: b.shape[1]]
         nominal = seats.in_step[b.shape[1] :] @ np.linalg.inv(x)
-        springs = self._springs(record.pose, record.excited)
+        pose, on, n = record.pose, np.flatnonzero(record.excited), self.linear.arm.n
+        springs = self._springs(pose, record.excited)
+        errors = transmission_errors(self.linear, pose, on, b, self.mismatch)
+        first = len(errors) - len(b) - n  # the sensor's own, n joint zeros, then the levers
+        sensor, zeros, levers = np.split(errors, [first, first + n])
+        # A row for every spring, those of driven joints zero, so that records can be pooled.
+        modes = len(springs) - int((~record.excited).sum())
+        held = modes + np.flatnonzero(~record.excited)
+        sprung = np.zeros((modes + n if len(springs) else 0, *b.shape))
+        if len(springs):
+            sprung[np.concatenate([np.arange(modes), held])] = springs
         return TransmissionChange(
             measured=((b - nominal) @ x).ravel(),
             open=self.open_change(seats),
             nominal=(nominal @ x).ravel(),
             covariance=self.covariance(
-                record.pose, record.excited, b, residual, x, record.duration, springs=springs
+                pose, record.excited, b, residual, x, record.duration, springs=springs
             ),
-            springs=(springs @ x).reshape(len(springs), b.size) if len(springs) else None,
+            residual=residual / self.samples(record.duration),
+            arm_errors=(np.concatenate([zeros, sprung]) @ x).reshape(-1, b.size),
+            sensor_errors=(np.concatenate([sensor, levers]) @ x).reshape(-1, b.size),
         )
 
     def open_change(self, seats: SeatPrediction) -> Array:
@@ -356,10 +351,15 @@ class SeatFeatures:
         errors = np.concatenate([errors, springs])
         # In units of the tool's motion per command, in which sampling errors are even.
         uncertain = (errors @ x).reshape(len(errors), d * m)
-        samples = 2 * (self.linear.arm.band[1] - self.linear.arm.band[0]) * duration
-        covariance = uncertain.T @ uncertain + np.kron(residual, np.eye(m)) / samples
+        sampling = np.kron(residual, np.eye(m)) / self.samples(duration)
+        covariance = uncertain.T @ uncertain + sampling
         covariance += 1e-6 * np.trace(covariance) / (d * m) * np.eye(d * m)
         return np.asarray(covariance)
+
+    def samples(self, duration: float) -> float:
+        """Independent samples in a record of some length [s]."""
+        low, high = self.linear.arm.band
+        return 2 * (high - low) * duration
 
     def _springs(self, pose: Array, excited: NDArray[np.bool_]) -> Array:
         """Change of the transmission by an error of each spring in the band (K, d, m)."""

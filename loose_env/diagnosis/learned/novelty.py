@@ -26,9 +26,9 @@ from scipy.special import expit, ndtri_exp
 from loose_env.diagnosis.learned.features import (
     LOCATION_FEATURES,
     RECORD_FEATURES,
-    TransmissionChange,
 )
 from loose_env.diagnosis.learned.residual_change import ResidualChange, residual_change
+from loose_env.diagnosis.learned.transmission_change import TransmissionChange
 from loose_env.errors import InvalidData
 from loose_env.statistics import GaussianMixture
 from loose_env.typing import Array

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loose_env.diagnosis.learned.features import TransmissionChange
+from loose_env.diagnosis.learned.transmission_change import TransmissionChange
 from loose_env.typing import Array
 
 __all__ = ["ResidualChange", "residual_change"]

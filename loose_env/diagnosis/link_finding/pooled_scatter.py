@@ -1,5 +1,9 @@
 """Scatter of measured changes of motion about the direction that each place predicts, pooled.
 
+Errors of sensors, joint zeros and springs are those of the arm, the same in every record: they are
+fitted beside the place over all records, within their standard deviations. Counted anew in every
+record, they would add up in healthy arms as a fault does, and hide half of what poses tell.
+
 The source judges two poses at a time (4.2.2). Here every record counts: carried back into link k,
 the directions of all poses agree if link k slides and scatter if it does not; under play in joint j
 all lie along that joint's own line. The change C of the tool's motion against the nominal arm
@@ -19,7 +23,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loose_env.arms import LinearArm, Mismatch
-from loose_env.diagnosis.learned.features import SeatFeatures, TransmissionChange
+from loose_env.diagnosis.learned.features import SeatFeatures
+from loose_env.diagnosis.learned.transmission_change import TransmissionChange
 from loose_env.diagnosis.link_finding.direction_images import fault_locations
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.sensors import SensorSuite
@@ -36,21 +41,28 @@ covariance to first order lacks. Without it single records of healthy arms stand
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordScatter:
-    """One record: how its change of motion lies to the direction of every place."""
+    """One record: its change of motion, the errors of that, and the direction of every place."""
 
+    lines: Array
+    """Direction that each place predicts, axes of all sensors (P, D); zero where it moves none."""
     directions: Array
-    """Direction that each place predicts, tool frame, axial (P, d)."""
+    """The same at the tool, tool frame, axial (P, d)."""
     direction: Array
     """Direction of the measured change, tool frame, axial (d,)."""
-    gain: Array
-    """Part of it that lies along each place's direction, chi-square [1] (P,)."""
+    measured: Array
+    """Measured change of motion [m/s²] (D m,)."""
+    precision: Array
+    """Inverse covariance of its errors that no other record shares (D m, D m)."""
+    shared: Array
+    """Errors that the records of an arm share, one standard deviation each (K, D m)."""
     joints: int
     """Joints shaken, m."""
 
     @property
-    def excess(self) -> float:
-        """Most change along one place, over what errors make of it in the mean [1]."""
-        return float(self.gain.max()) / self.joints
+    def gain(self) -> Array:
+        """Part of the change that lies along each place's direction, chi-square [1] (P,)."""
+        misfit = _Left().after(self).misfit()
+        return np.asarray(misfit[-1] - misfit[:-1])
 
 
 class PlaceDirections:
@@ -83,9 +95,13 @@ class PlaceDirections:
 
 
 def scatter_of(
-    changes: Sequence[TransmissionChange], joints: int, *, second_order: float = SECOND_ORDER
+    changes: Sequence[TransmissionChange],
+    joints: int,
+    *,
+    sampling: Array | None = None,
+    second_order: float = SECOND_ORDER,
 ) -> RecordScatter:
-    """Scatter of a change about the direction of every place.
+    """Hold a change against the direction of every place.
 
     Parameters
     ----------
@@ -95,39 +111,48 @@ def scatter_of(
         all of them.
     joints : int
         Joints excited, m.
+    sampling : ndarray (D, D), optional
+        Covariance of the sampling errors of all axes, per command [m²/s⁴]; by default that of
+        each sensor, errors of different sensors independent.
     second_order : float
         Error of each element beyond the first order, over the rms nominal motion [1].
     """
     opened = np.concatenate([c.open.reshape(len(c.open), -1, joints) for c in changes], axis=1)
-    d = opened.shape[1]
-    line = _leading(opened)
     measured = np.concatenate([change.measured for change in changes])
     nominal = np.concatenate([change.nominal for change in changes])
-    # Sensors err on their own, springs for all of them at once.
-    springs = [change.springs for change in changes if change.springs is not None]
-    shared = np.concatenate(springs, axis=1) if springs else np.zeros((1, len(measured)))
-    covariance = shared.T @ shared
+    arm = [_rows(change.arm_errors, change) for change in changes]
+    own = np.zeros((len(measured), len(measured)))
     begin = 0
-    for change in changes:
-        own = slice(begin, begin := begin + len(change.measured))
-        covariance[own, own] = change.covariance
-    covariance += second_order**2 * np.mean(nominal**2) * np.eye(len(measured))
-    inverse = np.linalg.inv(covariance).reshape(d, joints, d, joints)
-    # Least squares over v for each u: the normal equations of c = (u x 1) v.
-    weighted = np.einsum("pi,iajb->pajb", line, inverse, optimize=True)
-    normal = np.einsum("pajb,pj->pab", weighted, line, optimize=True)
-    toward = line @ np.einsum("iajb,jb->ia", inverse, measured.reshape(d, joints))
-    # A place that moves no sensor explains nothing.
-    normal = normal + np.where(np.any(line, axis=1), 0.0, 1.0)[:, None, None] * np.eye(joints)
-    gain = np.einsum("pa,pa->p", toward, np.linalg.solve(normal, toward[..., None])[..., 0])
+    for change, error in zip(changes, arm, strict=True):
+        part = slice(begin, begin := begin + len(change.measured))
+        own[part, part] = change.covariance - error.T @ error
+        if sampling is not None and change.residual is not None:
+            own[part, part] -= np.kron(change.residual, np.eye(joints))
+    if sampling is not None:
+        own += np.kron(sampling, np.eye(joints))
+    shared = np.concatenate(arm, axis=1)
+    if len(changes) == 1:
+        sensor = _rows(changes[0].sensor_errors, changes[0])
+        own -= sensor.T @ sensor
+        shared = np.concatenate([shared, sensor])
+    # With sensors on links too, the errors of each are left among those of the record: as shared
+    # ones they would be a hundred.
+    own += second_order**2 * np.mean(nominal**2) * np.eye(len(measured))
     axes = len(changes[0].measured) // joints
-    at_tool = measured.reshape(d, joints)[:axes]
+    at_tool = measured.reshape(-1, joints)[:axes]
     return RecordScatter(
+        lines=_leading(opened),
         directions=_leading(opened[:, :axes]),
         direction=np.linalg.eigh(at_tool @ at_tool.T)[1][:, -1],
-        gain=gain,
+        measured=measured,
+        precision=np.asarray(np.linalg.inv(own), dtype=float),
+        shared=shared,
         joints=joints,
     )
+
+
+def _rows(errors: Array | None, change: TransmissionChange) -> Array:
+    return np.zeros((0, len(change.measured))) if errors is None else errors
 
 
 def _leading(matrices: Array) -> Array:
@@ -139,20 +164,70 @@ def _leading(matrices: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class _Left:
+    """Misfit of every place, and of none, as a quadratic form in the shared errors."""
+
+    constant: Array | float = 0.0
+    """At shared errors of zero (P + 1,)."""
+    slope: Array | float = 0.0
+    """Half of minus its slope there (P + 1, K)."""
+    curvature: Array | float = 0.0
+    """Half of its second derivative (P + 1, K, K)."""
+
+    def after(self, record: RecordScatter) -> _Left:
+        """Add a record, the joints' shares in each place's motion eliminated."""
+        m, line, w = record.joints, record.lines, record.precision
+        d = len(w) // m
+        # Columns: the measured change, then the shared errors.
+        known = np.concatenate([record.measured[None], record.shared])
+        whole = known @ w @ known.T
+        weighted = np.einsum("pi,iajb->pajb", line, w.reshape(d, m, d, m), optimize=True)
+        normal = np.einsum("pajb,pj->pab", weighted, line, optimize=True)
+        # A place that moves no sensor explains nothing.
+        normal = normal + np.where(np.any(line, axis=1), 0.0, 1.0)[:, None, None] * np.eye(m)
+        toward = weighted.reshape(-1, d * m) @ known.T
+        toward = toward.reshape(len(line), m, len(known))
+        taken = np.swapaxes(toward, 1, 2) @ np.linalg.solve(normal, toward)
+        form = np.concatenate([whole - taken, whole[None]])
+        return _Left(
+            constant=self.constant + form[:, 0, 0],
+            slope=self.slope + form[:, 0, 1:],
+            curvature=self.curvature + form[:, 1:, 1:],
+        )
+
+    def misfit(self) -> Array:
+        """Smallest misfit over the shared errors, their own size counted (P + 1,)."""
+        slope, curvature = np.asarray(self.slope), np.asarray(self.curvature)
+        best = np.linalg.solve(np.eye(slope.shape[1]) + curvature, slope[..., None])
+        return np.asarray(self.constant - np.einsum("pk,pk->p", slope, best[..., 0]))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class PooledScatter:
     """All records so far: how the changes scatter about each place's direction.
+
+    Errors of the arm and of its sensors are the same in every record: what they may be is fitted
+    beside the place, and counted once.
 
     Examples
     --------
     >>> from loose_env.arms import planar
     >>> from loose_env.sensors import SensorSuite
     >>> places = PlaceDirections(LinearArm(planar(2)), SensorSuite(), Mismatch())
-    >>> lines = np.tile([[1.0, 0.0]], (len(places.features.hypothesis), 1))
-    >>> gain = np.where(places.features.hypothesis == 1, 9.0, 1.0)  # link 2 explains it
-    >>> seen = RecordScatter(directions=lines, direction=lines[0], gain=gain, joints=2)
-    >>> pool = PooledScatter.none(places, outlier=20.0).after(seen)
-    >>> pool.names[int(np.argmin(pool.by_hypothesis))], pool.excess
-    ('structural_looseness@link2', 3.5)
+    >>> slide = places.features.hypothesis == 1  # link 2 explains it
+    >>> lines = np.where(slide[:, None], [1.0, 0.0], [0.0, 1.0])
+    >>> seen = RecordScatter(
+    ...     lines=lines,
+    ...     directions=lines,
+    ...     direction=lines[0],
+    ...     measured=np.array([3.0, 3.0, 0, 0]),
+    ...     precision=np.eye(4),
+    ...     shared=np.zeros((0, 4)),
+    ...     joints=2,
+    ... )
+    >>> pool = PooledScatter.none(places, outlier=20.0, chance=1.0).after(seen)
+    >>> pool.names[int(np.argmin(pool.by_hypothesis))], round(pool.excess, 6)
+    ('structural_looseness@link2', 8.0)
     """
 
     names: tuple[str, ...]
@@ -161,34 +236,59 @@ class PooledScatter:
     """Sliding directions in a link's frame (A, d)."""
     outlier: float
     """Scatter at which a record begins to count as an outlier [1]."""
+    chance: float
+    """Change that errors make in each record beyond the first, chi-square per joint [1]."""
     scatter: Array
     """Scatter about each place's direction, outliers bounded [1] (P,)."""
-    gain: Array
-    """Change along it over what errors make of it, summed over the records [1] (P,)."""
+    misfit: Array
+    """Misfit of each place, then of no place: chi-square with the best shared errors (P + 1,)."""
+    left: _Left
+    """What the records leave to the shared errors."""
     records: int = 0
     """Number of records."""
+    joints: int = 0
+    """Joints shaken, summed over the records."""
 
     @classmethod
-    def none(cls, places: PlaceDirections, *, outlier: float) -> PooledScatter:
+    def none(cls, places: PlaceDirections, *, outlier: float, chance: float) -> PooledScatter:
         """Begin without any record."""
-        zero = np.zeros(places.features.locations)
-        return cls(names=places.names, axes=places.axes, outlier=outlier, scatter=zero, gain=zero)
+        count = places.features.locations
+        return cls(
+            names=places.names,
+            axes=places.axes,
+            outlier=outlier,
+            chance=chance,
+            scatter=np.zeros(count),
+            misfit=np.zeros(count + 1),
+            left=_Left(),
+        )
 
     def after(self, record: RecordScatter) -> PooledScatter:
         """Add a record."""
-        off = np.maximum(record.gain.max() - record.gain, 0.0)
-        off = self.outlier * np.log1p(off / self.outlier)
+        left = self.left.after(record)
+        misfit = left.misfit()
+        # What the record adds, given those before it.
+        off = (misfit - self.misfit)[:-1]
+        off = self.outlier * np.log1p((off - off.min()) / self.outlier)
         return replace(
             self,
             scatter=self.scatter + off,
-            gain=self.gain + record.gain / record.joints,
+            misfit=misfit,
+            left=left,
             records=self.records + 1,
+            joints=self.joints + record.joints,
         )
 
     @property
     def excess(self) -> float:
-        """Most change along one place, beyond one per record that errors make [1]."""
-        return float(self.gain.max()) - self.records
+        """Most change along one place, beyond what errors make of it by chance [1].
+
+        Before any record it is zero.
+        """
+        if not self.records:
+            return 0.0
+        gain = float(self.misfit[-1] - self.misfit[:-1].min()) * self.records / self.joints
+        return gain - 1.0 - self.chance * (self.records - 1)
 
     @property
     def by_hypothesis(self) -> Array:

@@ -23,9 +23,10 @@ def rows(name: str) -> list[EpisodeRow]:
     return evaluate(agent, name, ARM, SENSED, episodes=32, seed=5, width=16, threads=1)
 
 
-def test_it_is_right_more_often_with_fewer_records_than_by_the_tool_alone() -> None:
+def test_it_needs_fewer_records_than_by_the_tool_alone_and_earns_more() -> None:
     local, classical = rows("local"), rows("classical")
-    assert np.mean([row.success for row in local]) >= np.mean([row.success for row in classical])
+    assert np.mean([row.success for row in local]) > 0.9
+    assert np.mean([row.reward for row in local]) > np.mean([row.reward for row in classical])
     assert np.mean([row.records for row in local]) < 0.7 * np.mean(
         [row.records for row in classical]
     )

@@ -10,7 +10,6 @@ import pytest
 from loose_env.diagnosis.learned.features import (
     LOCATION_FEATURES,
     RECORD_FEATURES,
-    TransmissionChange,
 )
 from loose_env.diagnosis.learned.novelty import (
     COLUMNS,
@@ -22,6 +21,7 @@ from loose_env.diagnosis.learned.novelty import (
     sights,
     used_columns,
 )
+from loose_env.diagnosis.learned.transmission_change import TransmissionChange
 from loose_env.errors import InvalidData
 from loose_env.statistics import fit_gaussian_mixture
 

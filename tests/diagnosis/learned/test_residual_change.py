@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.diagnosis.learned.features import TransmissionChange
 from loose_env.diagnosis.learned.residual_change import MODEL_SHARE, SEAT_SHARE, residual_change
+from loose_env.diagnosis.learned.transmission_change import TransmissionChange
 
 SIZE, PLACES = 8, 6
 

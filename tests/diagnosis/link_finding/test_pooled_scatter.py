@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from loose_env.arms import LinearArm, Mismatch, planar
-from loose_env.diagnosis import PlaceDirections, PooledScatter
-from loose_env.diagnosis.learned.features import TransmissionChange
+from loose_env.diagnosis import PlaceDirections, PooledScatter, RecordScatter
+from loose_env.diagnosis.learned.transmission_change import TransmissionChange
 from loose_env.diagnosis.link_finding.pooled_scatter import scatter_of
 from loose_env.sensors import SensorSuite
 
@@ -37,22 +37,59 @@ def test_a_change_along_a_places_line_is_all_gain_there(k: int) -> None:
     whole = made.measured @ np.linalg.solve(made.covariance, made.measured)
     assert found.gain[k] == pytest.approx(whole)
     assert (np.delete(found.gain, k) < 0.999 * whole).all()
-    assert found.excess == pytest.approx(whole / 3)
     axis = np.array([np.cos(np.radians(30.0 * k)), np.sin(np.radians(30.0 * k))])
     assert abs(found.direction @ axis) == pytest.approx(1.0)
 
 
-def test_an_outlying_record_counts_less_than_its_square() -> None:
+def on_axes(measured: list[float], *, shared: list[float] | None = None) -> RecordScatter:
+    """Record of two axes and one joint: places along the first axis, then along the second."""
     places = PlaceDirections(LinearArm(planar(2)), SensorSuite(), Mismatch())
-    count = places.features.locations
-    seen = scatter_of([change(0.0, 8.0)], 3)
-    gain = np.full(count, 1.0)
-    gain[0] = 1001.0
-    wide = type(seen)(directions=np.ones((count, 2)), direction=seen.direction, gain=gain, joints=2)
-    pool = PooledScatter.none(places, outlier=10.0).after(wide)
+    lines = np.tile([[0.0, 1.0]], (places.features.locations, 1))
+    lines[0] = [1.0, 0.0]
+    return RecordScatter(
+        lines=lines,
+        directions=lines,
+        direction=lines[0],
+        measured=np.array(measured),
+        precision=np.eye(2),
+        shared=np.zeros((0, 2)) if shared is None else np.array([shared]),
+        joints=1,
+    )
+
+
+def pooled(*records: RecordScatter, chance: float = 0.0) -> PooledScatter:
+    """Pool of some records."""
+    places = PlaceDirections(LinearArm(planar(2)), SensorSuite(), Mismatch())
+    pool = PooledScatter.none(places, outlier=10.0, chance=chance)
+    for record in records:
+        pool = pool.after(record)
+    return pool
+
+
+def test_an_outlying_record_counts_less_than_its_square() -> None:
+    pool = pooled(on_axes([np.sqrt(1000.0), 0.0]))
     assert pool.scatter[0] == 0.0
     assert pool.scatter[1] == pytest.approx(10.0 * np.log(101.0))
-    assert pool.directions[0] @ places.axes[0] == pytest.approx(1.0)
+    assert pool.excess == pytest.approx(999.0)
+
+
+def test_an_error_that_all_records_share_counts_once() -> None:
+    apart = pooled(*[on_axes([2.0, 0.0])] * 10)
+    shared = pooled(*[on_axes([2.0, 0.0], shared=[2.0, 0.0])] * 10)
+    assert apart.excess == pytest.approx(39.0)
+    # One standard deviation of that error explains it all: chi-square 1 in place of 40.
+    assert shared.excess == pytest.approx(40.0 / 41.0 - 1.0)
+
+
+def test_changes_that_a_shared_error_cannot_make_together_add_up() -> None:
+    # The second record contradicts the first: a fault, not the sensor's error.
+    pool = pooled(*[on_axes([x, 0.0], shared=[2.0, 0.0]) for x in (2.0, -2.0)])
+    assert pool.excess == pytest.approx(7.0)
+
+
+def test_chance_takes_its_share_of_every_further_record() -> None:
+    records = [on_axes([2.0, 0.0])] * 3
+    assert pooled(*records, chance=0.5).excess == pytest.approx(10.0)
 
 
 def test_a_further_sensor_adds_its_gain_along_the_same_place() -> None:
@@ -63,9 +100,9 @@ def test_a_further_sensor_adds_its_gain_along_the_same_place() -> None:
 def test_sensors_do_not_outvote_an_error_that_they_share() -> None:
     made = change(0.0, 8.0)
     spring = made.measured[None]
-    seen = replace(made, covariance=made.covariance + spring.T @ spring, springs=spring)
+    seen = replace(made, covariance=made.covariance + spring.T @ spring, arm_errors=spring)
     # Known to be shared, it is no surer for being seen twice; taken as two errors it would be.
     shared = scatter_of([seen, seen], 3).gain[0]
-    apart = scatter_of([replace(seen, springs=None)] * 2, 3).gain[0]
+    apart = scatter_of([replace(seen, arm_errors=None)] * 2, 3).gain[0]
     assert shared < 1.1
     assert apart == pytest.approx(2 * scatter_of([seen], 3).gain[0])
