@@ -1,0 +1,56 @@
+"""Reference rows of the benchmark: what they are, and what their training took."""
+
+from __future__ import annotations
+
+import json
+
+from loose_agents.core.base import Problem
+from loose_agents.core.estimators import setting_name, weights_path
+from loose_agents.registry import AGENTS, LEARNED, describe
+
+__all__ = ["REFERENCE", "about_of", "training_of"]
+
+_UNTRAINED = ("always_healthy", "always_unsure", "random", "classical", "classical_literal",
+              "images")  # fmt: skip
+
+REFERENCE = (
+    *_UNTRAINED,
+    *("fixed_1", "fixed_2", "fixed_3", "fixed_4", "fixed", "amortised/random"),
+    *("constant", "together", "open_loop", "greedy", "look_ahead", "oracle", *LEARNED),
+)
+"""Agents that have a row where they can play: learned ones need weights of the arm, fixed ones
+sequences chosen for the rules."""
+
+
+def about_of(agent: str) -> str:
+    """Description of an agent in a sentence."""
+    return describe(agent)
+
+
+def training_of(agent: str, problem: Problem) -> int | None:
+    """Number of records behind a shipped agent's weights, tuning left out.
+
+    None of an agent from outside, whose training is not known here.
+    """
+    plain = agent.partition("#")[0]
+    if plain not in AGENTS and not agent.startswith("amortised/"):
+        return None
+    if plain in _UNTRAINED:
+        return 0
+    records = 0
+    bank = _described(f"posterior-{setting_name(problem)}").get("bank")
+    if bank is not None:  # episodes of a few records, and some of as many as the rules allow
+        few, every = bank["records"]["records"], bank["records"]["long_every"]
+        records = round(bank["episodes"] * (few + (problem.settings.max_records - few) / every))
+    if plain in LEARNED:
+        trained = _described(f"{LEARNED[plain]}-{setting_name(problem)}").get("trained", {})
+        records += int(trained.get("steps", 0))
+    return records
+
+
+def _described(name: str) -> dict[str, dict[str, int]]:
+    path = weights_path(name) / "configuration.json"
+    found: dict[str, dict[str, int]] = {}
+    if path.is_file():
+        found = json.loads(path.read_text(encoding="utf-8"))
+    return found
