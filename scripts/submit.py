@@ -63,6 +63,7 @@ def parser_of() -> argparse.ArgumentParser:
     made.add_argument("--tasks", nargs="+", default=list(TASKS), choices=TASKS, metavar="TASK")
     made.add_argument("--sets", nargs="+", default=["test"], choices=list(SETS), metavar="SET",
                       help=f"of {', '.join(SETS)}")  # fmt: skip
+    made.add_argument("--episodes", type=int, help="the first so many; default: the whole set")
     made.add_argument("--entry", default="", help="name on the leaderboard; default: the agent's")
     made.add_argument("--about", default="", help="the method in a sentence")
     made.add_argument("--code", default="", help="address of code and weights")
@@ -95,7 +96,8 @@ def make(given: argparse.Namespace) -> None:
             for set_name in given.sets:
                 entry = given.entry or agent
                 path = results_path(given.out, task, set_name, entry)
-                if path.is_file():
+                wanted = given.episodes or set_named(set_name).episodes
+                if path.is_file() and len(read_results(path).reward) >= wanted:
                     print(f"{path}: there already")
                     continue
                 told = {
@@ -108,10 +110,16 @@ def make(given: argparse.Namespace) -> None:
                     else training_of(agent, task_problem(task, set_named(set_name))),
                 }
                 results = play_results(
-                    task, set_name, agent, told=told, folder=given.shards,
-                    agent_seed=given.agent_seed, say=lambda line: print(line, file=sys.stderr),
+                    task,
+                    set_name,
+                    agent,
+                    told=told,
+                    folder=given.shards,
+                    count=wanted,
+                    agent_seed=given.agent_seed,
                     named=not given.actions_only,
-                )  # fmt: skip
+                    say=lambda line: print(line, file=sys.stderr),
+                )
                 print(
                     f"{write_results(path, results)}: return {results.returns.mean():+.3f}",
                     flush=True,

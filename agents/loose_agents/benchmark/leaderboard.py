@@ -35,7 +35,7 @@ NO_AGENTS = ("oracle",)
 """Entries that are told what no agent is; their names get a star."""
 
 _HEAD = (
-    "| entry | return | over greedy | right % (95 %) | unsure % | false alarms % | missed % "
+    "| entry | arms | return | over greedy | right % (95 %) | unsure % | false alarms % | missed % "
     "| records | calibration error | training records | ms a record |"
 )
 _OUTSIDE_HEAD = "| task | entry | episodes | arms | right % | wrong % | unsure % | return |"
@@ -80,14 +80,14 @@ def value_tables(results: Sequence[Results]) -> str:
         if ADAPTIVE not in own:
             continue
         greedy = own[ADAPTIVE].returns
-        cells = [_short(task), str(len(greedy)), _signed(greedy)]
         lengths = [each.returns for name, each in own.items() if name.startswith("fixed_")]
         best = max(lengths, key=lambda returns: float(returns.mean()), default=None)
-        stopping = own["fixed"].returns if "fixed" in own else None
-        open_loop = own["open_loop"].returns if "open_loop" in own else None
+        stopping, open_loop = (
+            own[name].returns if name in own else None for name in ("fixed", "open_loop")
+        )
         pairs = ((stopping, best), (greedy, open_loop), (greedy, stopping))
-        cells += ["-" if a is None or b is None else _signed(a - b) for a, b in pairs]
-        lines.append(_line(cells))
+        differences = (_difference(first, second) for first, second in pairs)
+        lines.append(_line([_short(task), str(len(greedy)), _signed(greedy), *differences]))
     return "\n".join(lines)
 
 
@@ -121,11 +121,12 @@ def _row(results: Results, greedy: Array | None) -> str:
     named = np.array(results.verdict) == results.verdicts.index("healthy")
     alarms = _share(~(named | unsure)[healthy])
     missed = _share(named[~healthy])
-    over = "-" if greedy is None or results.entry == ADAPTIVE else _signed(results.returns - greedy)
+    over = "-" if results.entry == ADAPTIVE else _difference(results.returns, greedy)
     training = results.training_records
     return _line(
         [
             _name(results),
+            str(count),
             _signed(results.returns),
             over,
             f"{100 * right.mean():.1f} ({100 * low:.1f} to {100 * high:.1f})",
@@ -210,6 +211,14 @@ def _unsure(results: Results) -> Array:
 
 def _share(of: Array) -> str:
     return f"{100 * float(np.mean(of)):.1f}" if len(of) else "-"
+
+
+def _difference(first: Array | None, second: Array | None) -> str:
+    """Paired difference on the episodes that both have played."""
+    if first is None or second is None:
+        return "-"
+    both = min(len(first), len(second))
+    return _signed(first[:both] - second[:both])
 
 
 def _signed(values: Array) -> str:

@@ -28,7 +28,11 @@ OUTSIDE = -1
 
 @dataclass(frozen=True, kw_only=True)
 class Results:
-    """Episodes of one entry on one set of one task; lists have an item for each episode."""
+    """Episodes of one entry on one set of one task.
+
+    Lists have an item for each episode, from number 0; one that has fewer than the set is
+    provisional.
+    """
 
     task: str
     """Id of the environment."""
@@ -166,17 +170,20 @@ def _check(results: Results) -> None:
         if getattr(results, name) not in known:
             raise InvalidData(f"results.{name}: {getattr(results, name)!r:.60} is none of "
                               f"{list(known)}")  # fmt: skip
-    count = results.episodes.episodes
-    for name in ("truth", "verdict", "reward", "records", "confidence", "actions"):
+    most, count = results.episodes.episodes, len(results.reward)
+    if not 1 <= count <= most:
+        raise InvalidData(f"results.reward: the set {results.set!r} has 1 to {most} episodes, got "
+                          f"{count}")  # fmt: skip
+    for name in ("truth", "verdict", "records", "confidence", "actions"):
         if len(getattr(results, name)) != count:
             raise InvalidData(
-                f"results.{name}: the set {results.set!r} has {count} episodes, got "
+                f"results.{name}: {count} episodes as in results.reward are needed, got "
                 f"{len(getattr(results, name))}"
             )
-    most = len(results.verdicts)
+    last = len(results.verdicts) - 1
     for name in ("truth", "verdict"):
-        if not all(OUTSIDE <= k < most for k in getattr(results, name)):
-            raise InvalidData(f"results.{name}: indices run from -1 to {most - 1}")
+        if not all(OUTSIDE <= k <= last for k in getattr(results, name)):
+            raise InvalidData(f"results.{name}: indices run from -1 to {last}")
     if not np.isfinite(results.returns).all():
         raise InvalidData("results.reward: returns are finite numbers")
     if not all(p is None or 0 <= p <= 1 for p in results.confidence):

@@ -26,7 +26,7 @@ from loose_agents.execution.shard_store import RowCodec, ShardStore
 from loose_agents.execution.shards import shard_of
 from loose_agents.registry import make_agent
 from loose_env.envs import EpisodeBatch
-from loose_env.errors import InvalidAction, InvalidData
+from loose_env.errors import InvalidAction, InvalidData, InvalidSetting
 
 __all__ = ["check_results", "play_results"]
 
@@ -41,6 +41,7 @@ def play_results(
     *,
     told: dict[str, Any],
     folder: Path,
+    count: int | None = None,
     agent_seed: int = 0,
     named: bool = True,
     say: Callable[[str], None] = lambda words: None,
@@ -57,6 +58,8 @@ def play_results(
         The entry's name, description and so on: fields of `Results`.
     folder : Path
         Where episodes lie until all are played.
+    count : int, optional
+        Play the first so many episodes; all by default.
     agent_seed : int
         Seed of what the agent draws.
     named : bool
@@ -68,8 +71,15 @@ def play_results(
     ------
     UnknownName, InvalidData
         If there is no such task, set or agent, or its weights are none.
+    InvalidSetting
+        If the set has not so many episodes.
     """
     episodes = set_named(set_name)
+    played = episodes.episodes if count is None else count
+    if not 1 <= played <= episodes.episodes:
+        raise InvalidSetting(
+            f"the set {set_name!r} has 1 to {episodes.episodes} episodes, got {played}"
+        )
     problem = task_problem(task, episodes)
     player = make_agent(agent, problem, seed=agent_seed)
     kept = {
@@ -78,13 +88,13 @@ def play_results(
     }  # fmt: skip
     name = f"{task}-{set_name}-{agent}".replace("/", "_").replace(":", "_")
     store = ShardStore(folder / name, kept, RowCodec())
-    shards = shard_of(episodes.episodes, SHARD)
+    shards = shard_of(played, SHARD)
     for shard in store.missing(shards):
         begin = time.process_time()
         rows = _play(player, agent, problem, episodes, range(shard.start, shard.stop))
         spent = (time.process_time() - begin) / len(rows)
         store.write(shard, [{**row, "cpu_seconds": spent} for row in rows])
-        say(f"{task} {set_name} {agent}: {shard.stop} of {episodes.episodes} episodes")
+        say(f"{task} {set_name} {agent}: {shard.stop} of {played} episodes")
     rows = [row for part in store.read_all(shards) for row in part]
     return results_of(
         rows,
@@ -145,10 +155,11 @@ def check_results(
         )
     if results.verdicts != problem.verdicts:
         raise InvalidData(f"verdicts of {results.task} are {list(problem.verdicts)}")
-    count = min(episodes, results.episodes.episodes)
-    numbers = sorted(rng.choice(results.episodes.episodes, size=count, replace=False).tolist())
+    whole = len(results.reward)
+    count = min(episodes, whole)
+    numbers = sorted(rng.choice(whole, size=count, replace=False).tolist())
     _replay(results, problem, numbers)
-    words = f"{count} of {results.episodes.episodes} episodes replayed from their actions"
+    words = f"{count} of {whole} episodes replayed from their actions"
     if results.agent is None or not by_agent:
         return f"{words}; returns equal bit for bit"
     player = make_agent(results.agent, problem, seed=results.agent_seed)

@@ -245,8 +245,8 @@ class ActionLayout:
         >>> from loose_env.arms import planar
         >>> layout = ActionLayout(planar(2), DiagnosisSettings(), hypotheses=5)
         >>> layout.code([2, 2, 0, 3, 2, 0])
-        '3qe'
-        >>> layout.from_code("3qe").tolist()
+        '365'
+        >>> layout.from_code("365").tolist()
         [2, 2, 0, 3, 2, 0]
         """
         self.decode(action)

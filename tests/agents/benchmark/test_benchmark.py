@@ -75,7 +75,10 @@ def test_what_was_played_is_not_played_again(tmp_path: Path, results: Results) -
         (lambda r: {"truth": tuple((k + 1) % 5 for k in r.truth)}, "truth"),
         (lambda r: {"records": tuple(k + 1 for k in r.records)}, "records"),
         (lambda r: {"actions": ("zzzzzzzzz", *r.actions[1:])}, "not the number of an action"),
-        (lambda r: {"actions": tuple(a.rpartition(" ")[0] for a in r.actions)}, "without a verdict"),
+        (
+            lambda r: {"actions": tuple(a.rpartition(" ")[0] for a in r.actions)},
+            "without a verdict",
+        ),
         (lambda r: {"confidence": (0.5, *r.confidence[1:])}, "confidence"),
         (lambda r: {"fingerprint": "0" * 16}, "another version"),
     ],
@@ -98,7 +101,8 @@ def test_an_agent_that_others_cannot_repeat_is_found_out(results: Results) -> No
     [
         ({"task": "loose_env/None-v0"}, "results.task"),
         ({"set": "none"}, "results.set"),
-        ({"reward": [0.0]}, "has 4 episodes, got 1"),
+        ({"reward": [0.0]}, "1 episodes as in results.reward are needed, got 4"),
+        ({"reward": [0.0] * 5}, "1 to 4 episodes, got 5"),
         ({"verdict": [99, 0, 0, 0]}, "indices run"),
         ({"confidence": [2.0, None, None, None]}, "probabilities"),
         ({"entry": " "}, "a name"),
@@ -129,7 +133,12 @@ def test_tables_pair_entries_on_the_same_arms(results: Results) -> None:
     assert cells[:2] == ["ControlTier-v0", "4"]
     assert cells[3:] == ["+0.100 ± 0.000", "-", "+0.300 ± 0.000"]
     rows = agent_rows({each.entry: each for each in own})
-    assert [row.split(" | ")[0] for row in rows] == ["| greedy", "| fixed", "| fixed_1", "| fixed_2"]
+    assert [row.split(" | ")[0] for row in rows] == [
+        "| greedy",
+        "| fixed",
+        "| fixed_1",
+        "| fixed_2",
+    ]
     assert "-0.300 ± 0.000" in rows[1]
     assert f"### {TASK}" in leaderboard(own)
 
