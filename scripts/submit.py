@@ -1,8 +1,10 @@
 """The benchmark of agents: play the frozen episodes, check a results file, build the leaderboard.
 
-Usage: python scripts/submit.py make --tasks loose_env/WeakDriveTier-v0 --agents greedy
-           [--sets test] [--entry NAME] [--about TEXT] [--code ADDRESS] [--out FOLDER]
-       python scripts/submit.py check FILE ... [--episodes 20] [--actions-only]
+Usage: python scripts/submit.py make --agents AGENT ... [--tasks TASK ...] [--sets SET ...]
+           [--episodes N] [--entry NAME] [--about TEXT] [--code ADDRESS] [--log ADDRESS]
+           [--training-records N] [--agent-seed N] [--actions-only] [--out FOLDER]
+           [--shards FOLDER]
+       python scripts/submit.py check FILE ... [--episodes 20] [--seed N] [--actions-only]
        python scripts/submit.py board [--docs]
 
 make plays an agent (a name, module:Class, path/model.zip or the folder of an exported policy) and

@@ -36,8 +36,8 @@ SCALINGS = {"linear": "value / {}", "log10": "log10(value / {})", "asinh": "asin
 TIER_WORDS = {
     "loose_env/ControlTier-v0": "little: one record of all joints nearly decides",
     "loose_env/StoppingTier-v0": "when to stop, more than which records",
-    "loose_env/GravityTier-v0": "joints and poses that open the seat against gravity",
-    "loose_env/WeakDriveTier-v0": "the same at half the drive",
+    "loose_env/GravityTier-v0": "joints and poses that open the seat against gravity, on a wall",
+    "loose_env/WeakDriveTier-v0": "joints and poses that open the seat at half the drive",
 }
 """What tells agents apart on each tier."""
 MEANINGS = {

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_agents.benchmark.results import Results, read_results
 from loose_agents.benchmark.tasks import SETS, TASKS, task_problem
@@ -200,16 +201,16 @@ def _entries(results: Sequence[Results], task: str, set_name: str) -> dict[str, 
     return {each.entry: each for each in results if (each.task, each.set) == (task, set_name)}
 
 
-def _right(results: Results) -> Array:
+def _right(results: Results) -> NDArray[np.bool_]:
     truth = np.array(results.truth)
     return np.asarray((truth == np.array(results.verdict)) & (truth >= 0))
 
 
-def _unsure(results: Results) -> Array:
+def _unsure(results: Results) -> NDArray[np.bool_]:
     return np.asarray(np.array(results.verdict) == results.verdicts.index(UNSURE))
 
 
-def _share(of: Array) -> str:
+def _share(of: NDArray[np.bool_]) -> str:
     return f"{100 * float(np.mean(of)):.1f}" if len(of) else "-"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 from loose_agents.core.base import Problem
 from loose_agents.core.estimators import setting_name, weights_path
@@ -48,9 +49,9 @@ def training_of(agent: str, problem: Problem) -> int | None:
     return records
 
 
-def _described(name: str) -> dict[str, dict[str, int]]:
+def _described(name: str) -> dict[str, Any]:
     path = weights_path(name) / "configuration.json"
-    found: dict[str, dict[str, int]] = {}
+    found: dict[str, Any] = {}
     if path.is_file():
         found = json.loads(path.read_text(encoding="utf-8"))
     return found

@@ -232,8 +232,10 @@ def results_schema() -> dict[str, Any]:
         "cpu_seconds": {"type": ["number", "null"], "minimum": 0},
         "versions": {"type": "object", "additionalProperties": text},
     }
-    optional = ("agent_seed", "code", "log", "training_records", "information", "guesses")
-    optional = (*optional, "cpu_seconds", "versions")
+    optional = (
+        *("agent_seed", "code", "log", "training_records", "information", "guesses"),
+        *("cpu_seconds", "versions"),
+    )
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": FORMAT,

@@ -29,7 +29,7 @@ from loose_agents.benchmark.submission import check_results, play_results
 from loose_env.errors import InvalidData, UnknownName
 
 TASK = "loose_env/ControlTier-v0"
-TOLD = {"entry": "blind", "about": "says healthy"}
+TOLD: dict[str, Any] = {"entry": "blind", "about": "says healthy"}
 
 
 @pytest.fixture(autouse=True)
