@@ -98,7 +98,8 @@ def make(given: argparse.Namespace) -> None:
             for set_name in given.sets:
                 entry = given.entry or agent
                 path = results_path(given.out, task, set_name, entry)
-                wanted = given.episodes or set_named(set_name).episodes
+                whole = set_named(set_name).episodes
+                wanted = whole if given.episodes is None else given.episodes
                 if path.is_file() and len(read_results(path).reward) >= wanted:
                     print(f"{path}: there already")
                     continue
