@@ -112,7 +112,7 @@ def results_of(
         What was played.
     cpu_seconds : float, optional
         Processor time in all [s].
-    **told
+    told : keyword arguments
         The fields of `Results` that say what was played and by whom.
     """
     names = problem.verdicts
