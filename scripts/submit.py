@@ -37,12 +37,13 @@ from loose_agents.benchmark.leaderboard import (
     stored_results,
     value_tables,
 )
-from loose_agents.benchmark.reference import about_of, training_of
+from loose_agents.benchmark.reference import training_of
 from loose_agents.benchmark.results import read_results, write_results
 from loose_agents.benchmark.submission import check_results, play_results
 from loose_agents.benchmark.tasks import SETS, TASKS, set_named, task_problem
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.execution.study import write_between
+from loose_agents.registry import describe
 
 from loose_env.errors import InvalidData, InvalidSetting
 
@@ -105,7 +106,7 @@ def make(given: argparse.Namespace) -> None:
                     continue
                 told = {
                     "entry": entry,
-                    "about": given.about or about_of(agent),
+                    "about": given.about or describe(agent),
                     "code": given.code,
                     "log": given.log,
                     "training_records": given.training_records

@@ -1,4 +1,4 @@
-"""Reference rows of the benchmark: what they are, and what their training took."""
+"""Records that the training of shipped agents took."""
 
 from __future__ import annotations
 
@@ -7,25 +7,12 @@ from typing import Any
 
 from loose_agents.core.base import Problem
 from loose_agents.core.estimators import setting_name, weights_path
-from loose_agents.registry import AGENTS, LEARNED, describe
+from loose_agents.registry import AGENTS, LEARNED
 
-__all__ = ["REFERENCE", "about_of", "training_of"]
+__all__ = ["training_of"]
 
 _UNTRAINED = ("always_healthy", "always_unsure", "random", "classical", "classical_literal",
               "images")  # fmt: skip
-
-REFERENCE = (
-    *_UNTRAINED,
-    *("fixed_1", "fixed_2", "fixed_3", "fixed_4", "fixed", "amortised/random"),
-    *("constant", "together", "open_loop", "greedy", "look_ahead", "oracle", *LEARNED),
-)
-"""Agents that have a row where they can play: learned ones need weights of the arm, fixed ones
-sequences chosen for the rules."""
-
-
-def about_of(agent: str) -> str:
-    """Description of an agent in a sentence."""
-    return describe(agent)
 
 
 def training_of(agent: str, problem: Problem) -> int | None:
