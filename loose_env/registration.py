@@ -53,7 +53,10 @@ TIERS: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
             "loose_env/Planar-v0",
             {"difficulty": "hard", **_ONE_EXCITER},
         ),
-        "loose_env/GravityTier-v0": ("loose_env/SixAxis-v0", _ONE_EXCITER),
+        "loose_env/GravityTier-v0": (
+            "loose_env/SixAxis-v0",
+            {"gravity": (9.81, 0.0, 0.0), "levels": (1.0, 2.0), **_ONE_EXCITER},
+        ),
         "loose_env/WeakDriveTier-v0": (
             "loose_env/SixAxis-v0",
             {"levels": (1.0, 2.0), **_ONE_EXCITER},

@@ -35,7 +35,7 @@ _REAL = (
     "confidence",
     "truth_probability",
 )
-_WORDS = ("agent", "difficulty", "truth", "verdict", COLUMN)
+_WORDS = ("agent", "difficulty", "truth", "verdict", "actions", COLUMN)
 _TRUE = ("success", "link_success", "truncated")
 _REALS = ("direction", "trail_confidence", "trail_truth", "trail_price", "trail_seconds")
 

@@ -131,6 +131,7 @@ def train(options: argparse.Namespace) -> Path:
         raise InvalidSetting("the hyperparameters have no n_timesteps: give -n")
 
     import torch
+    from loose_agents.rl.checkpoint import TRAINED_ON
     from loose_agents.rl.training_env import TrackedVecEnv, evaluation_seed, training_seed
     from loose_agents.rl.training_run import RunCallback, RunFolder, RunState, Schedule, write_json
     from stable_baselines3.common.logger import Logger
@@ -158,6 +159,7 @@ def train(options: argparse.Namespace) -> Path:
         model = new_model(model_class, vec, given, options.trained_agent)
         model.run_state = RunState()
         folder.clear()  # only now: what was refused has taken nothing away
+    setattr(model, TRAINED_ON, problem.fingerprint)
     if model.num_timesteps >= steps:
         say(options, f"{folder.root} is trained already, {model.num_timesteps} steps")
     else:

@@ -18,13 +18,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import gymnasium
+from loose_agents.benchmark.leaderboard import RESULTS, stored_results, value_tables
 
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import Arm
 from loose_env.envs import DIFFICULTIES, DiagnosisEnv
 from loose_env.registration import IDS, TIERS
-from loose_env.report import read_study
-from scripts.study_parts.choice_tables import agent_table, pooled, value_table
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 COLUMNS = 100
@@ -37,8 +36,8 @@ SCALINGS = {"linear": "value / {}", "log10": "log10(value / {})", "asinh": "asin
 TIER_WORDS = {
     "loose_env/ControlTier-v0": "little: one record of all joints nearly decides",
     "loose_env/StoppingTier-v0": "when to stop, more than which records",
-    "loose_env/GravityTier-v0": "joints and poses that open the seat against gravity",
-    "loose_env/WeakDriveTier-v0": "the same at half the drive",
+    "loose_env/GravityTier-v0": "joints and poses that open the seat against gravity, on a wall",
+    "loose_env/WeakDriveTier-v0": "joints and poses that open the seat at half the drive",
 }
 """What tells agents apart on each tier."""
 MEANINGS = {
@@ -224,13 +223,10 @@ def difficulty_table() -> list[str]:
 
 def tiers() -> list[str]:
     """Ids of the tiers, and the value of choice measured on each."""
-    rows = read_study(DOCS / "figures" / "value_of_choice.json")["rows"]
     arguments = {
         tier: ", ".join(f"`{name}={value!r}`" for name, value in how.items()) or "none"
         for tier, (_, how) in TIERS.items()
     }
-    unmeasured = [f"`{tier}`" for tier in TIERS if tier not in pooled(rows)]
-    missing = f"Not measured yet: {', '.join(unmeasured)}." if unmeasured else ""
     return [
         *prose(
             "Tiers are environments of the arms below with arguments of their own, by what a good "
@@ -245,20 +241,17 @@ def tiers() -> list[str]:
         ),
         "",
         *prose(
-            "The value of choice V is the return of `greedy` less that of an agent that looks at "
-            "no result before it chooses the next record, on the same fresh arms, with the "
-            "bootstrap's 95 % interval of the paired difference. All agents name the fault by the "
-            "same learned posterior; stopping probabilities and fixed sequences were tuned on "
-            "training episodes. `fixed_1` to `fixed_4` take the best sequence of that length on "
-            "every arm, `fixed` the best one with stopping; `open_loop` takes the records that the "
-            "model expects to tell most, given the poses but no result. Best without stopping is "
-            "the best of `fixed_1` to `fixed_4` on these very arms, which favours it. Reduced "
-            f"engine; printed by `python scripts/agents/value_of_choice.py --show`. {missing}"
+            "Three paired differences of returns say what an agent gains on the same fresh arms, "
+            "with the bootstrap's 95 % intervals. V-stop: `fixed`, one sequence of records with "
+            "stopping, less the best of `fixed_1` to `fixed_4`, which do not stop (the best on "
+            "these very arms, which favours it). V-feedback: `greedy` less `open_loop`, which "
+            "knows model and poses but looks at no result before it chooses a record. The last "
+            "column: `greedy` less `fixed`. All name the fault by the same posterior; stopping "
+            "probabilities and sequences were tuned on training episodes. The table is that of "
+            "[the benchmark](benchmark.md), printed by `python scripts/submit.py board`."
         ),
         "",
-        *value_table(rows),
-        "",
-        *agent_table(rows),
+        *value_tables(stored_results(RESULTS)).split("\n"),
     ]
 
 

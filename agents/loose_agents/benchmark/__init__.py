@@ -1,4 +1,5 @@
-"""Sharded benchmarks, out-of-distribution arms, tuning.
+"""Sharded evaluation, out-of-distribution arms, the public benchmark, tuning.
 
-Data flow: sharded -> out_of_distribution -> tuning -> tuning_sharded.
+Data flow: sharded -> out_of_distribution -> tasks -> results -> reference -> submission ->
+leaderboard -> tuning -> tuning_sharded.
 """

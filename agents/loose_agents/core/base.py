@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -59,6 +60,25 @@ class Problem:
             actions=ActionLayout(arm, settings, len(names)),
             hypotheses=names,
         )
+
+    @property
+    def fingerprint(self) -> str:
+        """Arm, hypotheses, and what observations and actions mean, as 16 hexadecimal digits.
+
+        Two problems may have observations of one size and mean different things by them.
+
+        Examples
+        --------
+        >>> from loose_env.arms import planar, vera
+        >>> one, other = (Problem.of(arm, DiagnosisSettings()) for arm in (planar(2), vera()))
+        >>> one.layout.size == other.layout.size, one.fingerprint == other.fingerprint
+        (True, False)
+        """
+        parts = (
+            *(self.arm.name, *self.hypotheses, self.layout.table(), str(self.layout.slots)),
+            str(self.actions.nvec.tolist()),
+        )
+        return hashlib.sha256("\n".join(parts).encode("utf-8")).hexdigest()[:16]
 
     @property
     def verdicts(self) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from loose_env.errors import InvalidSetting
 __all__ = [
     "BANK_ACTIONS",
     "BANK_SEED",
+    "BENCHMARK_SEED",
     "CHECK_ACTIONS",
     "CHECK_PARTICLES",
     "CHECK_SEED",
@@ -23,6 +24,8 @@ EVALUATION_SEED = EVALUATION_SEEDS[0]
 """Seed of the episodes that published comparisons are played on."""
 CURVE_SEED = EVALUATION_SEEDS[50]
 """Seed of the episodes that learning curves are measured on, apart from the comparisons'."""
+BENCHMARK_SEED = EVALUATION_SEEDS[60]
+"""Seed of the benchmark's test set; those of its further sets follow."""
 TUNING_SEED = 20_080_000
 """Seed of the episodes on which stopping thresholds are tuned."""
 BANK_SEED = 19_950_000
@@ -34,30 +37,22 @@ BANK_ACTIONS, CHECK_ACTIONS, CHECK_PARTICLES = 16, 17, 18
 """Streams of an episode for random actions and particles, beyond those the environment uses."""
 
 
-def check_training_seed(seed: int, *, count: int = 1) -> int:
+def check_training_seed(seed: int) -> int:
     """Return a seed for training; refuse evaluation seeds.
-
-    Parameters
-    ----------
-    seed : int
-        First of the seeds.
-    count : int
-        Number of consecutive seeds.
 
     Raises
     ------
     InvalidSetting
-        If one of them is reserved for evaluation.
+        If it is reserved for evaluation.
 
     Examples
     --------
-    >>> check_training_seed(1, count=64)
+    >>> check_training_seed(1)
     1
     """
-    first, last = EVALUATION_SEEDS[0], EVALUATION_SEEDS[-1]
-    if seed <= last and seed + count - 1 >= first:
+    if seed in EVALUATION_SEEDS:
         raise InvalidSetting(
-            f"seeds {seed} to {seed + count - 1} meet those kept for evaluation, {first} to "
-            f"{last}; train with others"
+            f"seed {seed} is one of those kept for evaluation, {EVALUATION_SEEDS[0]} to "
+            f"{EVALUATION_SEEDS[-1]}; train with another"
         )
     return seed

@@ -72,6 +72,9 @@ class EpisodeRow:
     """Probability of what was named, as the agent saw it."""
     truth_probability: float | None
     """Probability that the agent gave to the truth at the end."""
+    actions: str = ""
+    """Actions, the last one the verdict, in the form of `loose_env.envs.ActionLayout.code`, with
+    spaces between."""
     trail_best: tuple[str, ...] = ()
     """Most probable hypothesis after each record."""
     trail_confidence: tuple[float, ...] = ()
@@ -126,6 +129,7 @@ class _Run:
     probabilities: NDArray[np.float64] | None = None
     trail: list[tuple[str, float, float]] = field(default_factory=list)
     spent: list[tuple[float, float]] = field(default_factory=list)
+    actions: list[str] = field(default_factory=list)
 
 
 def evaluate(
@@ -228,6 +232,7 @@ def evaluate(
             _note(batch, slots[k], run)
         for k, outcome in enumerate(batch.step(slots, list(actions))):
             run = runs[k]
+            run.actions.append(batch.actions.code(actions[k]))
             if not outcome.terminated:  # a record was taken
                 run.price -= outcome.reward
                 run.excited += int(np.count_nonzero(batch.actions.decode(actions[k]).levels))
@@ -286,6 +291,7 @@ def _row(
         direction=hidden.direction,
         confidence=_at(p, names, verdict),
         truth_probability=_at(p, names, truth),
+        actions=" ".join(run.actions),
         trail_best=_column(run.trail, 0),
         trail_confidence=_column(run.trail, 1),
         trail_truth=_column(run.trail, 2),

@@ -33,7 +33,14 @@ from loose_env.envs import difficulty_named
 from loose_env.evaluation import Row, by_agent, standings, wilson
 from loose_env.typing import Array
 
-__all__ = ["RecordBound", "bound_line", "record_bound"]
+__all__ = [
+    "RecordBound",
+    "bound_line",
+    "bound_of",
+    "information_limits",
+    "record_bound",
+    "success_limits",
+]
 
 STAR = "*"
 """End of the names that are no agents."""
@@ -87,15 +94,24 @@ def record_bound(problem: Problem, rows: Sequence[Row]) -> RecordBound | None:
     RecordBound or None
         None where no player keeps probabilities on 30 arms or more.
     """
-    prior = _prior(problem, str(rows[0].get("difficulty", "own")))
-    chance = dict(zip(problem.hypotheses, prior, strict=True))
+    players = {
+        name: (information_limits(problem, own), success_limits(own))
+        for name, own in by_agent(rows).items()
+    }
+    return bound_of(_prior(problem, str(rows[0].get("difficulty", "own"))), players)
+
+
+def bound_of(
+    prior: Array, players: Mapping[str, tuple[Sequence[float], Sequence[float]]]
+) -> RecordBound | None:
+    """Compute the bound from each player's limits, `information_limits` and `success_limits`."""
     most: tuple[float, str, int] | None = None
     success: list[float] = []
-    for name, own in by_agent(rows).items():
-        for k, end in enumerate(_information(own, chance), 1):
+    for name, (information, guesses) in players.items():
+        for k, end in enumerate(information, 1):
             if most is None or end > most[0]:
                 most = (end, name, k)
-        for k, end in enumerate(_success(own)):
+        for k, end in enumerate(guesses):
             success[k : k + 1] = [max(end, *success[k : k + 1])] if k < len(success) else [end]
     if most is None or most[0] <= 0:
         return None
@@ -160,8 +176,18 @@ def _prior(problem: Problem, level: str) -> Array:
     return hypothesis_prior(problem.hypotheses, difficulty.probabilities(problem.settings.kinds))
 
 
-def _information(rows: Sequence[Row], chance: Mapping[str, float]) -> list[float]:
-    """Upper confidence limits of the mean gain in log score [nat], by record."""
+def information_limits(problem: Problem, rows: Sequence[Row]) -> list[float]:
+    """Upper 95 % limits of a player's mean gain in log score [nat], by record.
+
+    Parameters
+    ----------
+    problem : Problem
+        Arm and rules.
+    rows : sequence of Row
+        Episodes of one player at one difficulty, with their trails.
+    """
+    prior = _prior(problem, str(rows[0].get("difficulty", "own")))
+    chance = dict(zip(problem.hypotheses, prior, strict=True))
     trails: list[list[float]] = []
     for row in rows:
         told: Sequence[Any] = row.get("trail_truth")  # type: ignore[assignment]
@@ -180,8 +206,8 @@ def _information(rows: Sequence[Row], chance: Mapping[str, float]) -> list[float
     return found
 
 
-def _success(rows: Sequence[Row]) -> list[float]:
-    """Upper confidence limits of best-guess accuracy after 1, 2, ... records.
+def success_limits(rows: Sequence[Row]) -> list[float]:
+    """Upper 95 % limits of a player's best-guess accuracy after 1, 2, ... records.
 
     Who has stopped keeps the last guess.
     """

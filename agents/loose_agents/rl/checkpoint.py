@@ -22,6 +22,7 @@ from loose_env.errors import InvalidData
 
 __all__ = [
     "RUN",
+    "TRAINED_ON",
     "StoredModel",
     "network_arguments",
     "put_parameters",
@@ -32,6 +33,8 @@ __all__ = [
 
 RUN = "loose_run.json"
 """Member of the zip file with what the run remembers."""
+TRAINED_ON = "loose_problem"
+"""Attribute of a model, and so entry of its settings: fingerprint of the problem it learnt."""
 FORMAT = "loose-run/1"
 _COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
 _MOST_BYTES = 2**31

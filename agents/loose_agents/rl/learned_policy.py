@@ -44,8 +44,8 @@ class PolicyForm:
 
     It sees the `loose_env.wrappers.posterior_features`, then what else the estimator has to show.
 
-    It chooses a move for every joint, a level for every joint (0 for off), a record length, and
-    whether to stop.
+    It chooses moves, levels and a record length by the entries of the environment's action, and
+    in place of the verdict whether to stop.
 
     Parameters
     ----------
@@ -60,16 +60,13 @@ class PolicyForm:
     >>> from loose_env.envs import DiagnosisSettings
     >>> PolicyForm(Problem.of(planar(2), DiagnosisSettings())).nvec.tolist()
     [5, 5, 4, 4, 3, 2]
+    >>> PolicyForm(Problem.of(planar(2), DiagnosisSettings(max_excited=1))).nvec.tolist()
+    [5, 5, 7, 3, 2]
     """
 
     def __init__(self, problem: Problem, further: int = 0) -> None:
         self.problem, self.further = problem, further
-        n, settings = problem.arm.n, problem.settings
-        self.nvec = np.array(
-            [len(settings.moves)] * n
-            + [1 + len(problem.arm.levels)] * n
-            + [len(settings.durations), 2]
-        )
+        self.nvec = np.append(problem.actions.nvec[:-1], 2)
         kinds = len(problem.hypotheses)
         start = problem.layout.global_elements
         bounds = [
@@ -129,14 +126,7 @@ class PolicyForm:
 
     def measuring(self, choice: NDArray[np.int64]) -> NDArray[np.int64]:
         """Convert a choice to a measurement action, ignoring its stop decision."""
-        problem = self.problem
-        n = problem.arm.n
-        choice = np.asarray(choice)
-        return problem.actions.encode(
-            moves=choice[:n].astype(np.intp),
-            levels=choice[n : 2 * n].astype(np.intp),
-            duration=int(choice[2 * n]),
-        )
+        return np.append(np.asarray(choice, dtype=np.int64)[:-1], 0)
 
     def mask(self, pose: NDArray[np.float64], records: int, *, least: int = 1) -> NDArray[np.bool_]:
         """Mask of valid options, choice by choice (options,).
@@ -145,17 +135,11 @@ class PolicyForm:
         the last. A pose read from an observation is known up to whole turns: of a joint that
         turns more than once, a move may be masked that would be possible, or the other way round.
         """
-        problem = self.problem
-        n, most = problem.arm.n, problem.settings.max_records
+        actions, most = self.problem.actions, self.problem.settings.max_records
         last = records >= most
         stop = last or records >= min(max(least, 1), most)
-        return np.concatenate(
-            [
-                problem.actions.allowed_moves(pose).ravel(),
-                np.ones(int(self.nvec[n:-1].sum()), dtype=bool),
-                [not last, stop],
-            ]
-        )
+        measuring = actions.mask(pose, records, records)[: int(self.nvec[:-1].sum())]
+        return np.concatenate([measuring, [not last, stop]])
 
 
 @dataclass

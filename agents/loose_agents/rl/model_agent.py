@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from loose_agents.core.base import EpisodeAgent, Problem
 from loose_agents.core.belief_agent import records_taken
 from loose_agents.core.estimators import feature_size, make_estimator
-from loose_agents.rl.checkpoint import StoredModel, network_arguments, read_model
+from loose_agents.rl.checkpoint import (
+    TRAINED_ON,
+    StoredModel,
+    network_arguments,
+    read_model,
+)
 from loose_agents.rl.learned_policy import CONFIGURATION, LearnedAgent, PolicyForm
 from loose_agents.rl.network import PolicyNetwork, network_from_tensors
 from loose_agents.rl.set_network import SetNetwork, is_set_network, set_network
@@ -66,6 +71,8 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
 
     What it was trained on shows in the size of its input: the environment's observation, or that
     of `PolicyForm` on a posterior. Which posterior says ``configuration.json`` beside the file.
+    The arm is told by the file itself where this package trained it, else by the file beside it;
+    of a model that has neither only the sizes are checked.
 
     Parameters
     ----------
@@ -80,6 +87,7 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
         If it is no such model, or was trained on something else.
     """
     stored = read_model(path)
+    _require_same_problem(stored, problem)
     state = {name: value.numpy() for name, value in stored.parameters["policy"].items()}
     layout, actions = problem.layout, problem.actions
     if is_set_network(state):
@@ -88,7 +96,7 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
     # The layers of a policy without memory see the observation itself.
     if seen == layout.size:
         return ModelAgent(problem, _network(stored, state, actions.nvec), seed=seed)
-    estimator = make_estimator(_estimator(Path(path)), problem)
+    estimator = make_estimator(str(_beside(stored).get("estimator", "posterior")), problem)
     form = PolicyForm(problem, feature_size(estimator))
     sees = form.observation_space.shape[0]
     if seen != sees:
@@ -155,10 +163,22 @@ def _network(
     return network
 
 
-def _estimator(path: Path) -> str:
-    """Estimator of the run that a model file lies in."""
+def _require_same_problem(stored: StoredModel, problem: Problem) -> None:
+    """Refuse a model of another arm or other spaces, whose sizes may be the same."""
+    trained_on = stored.described.get(TRAINED_ON, problem.fingerprint)
+    arm = _beside(stored).get("arm", problem.arm.name)
+    if trained_on != problem.fingerprint or arm != problem.arm.name:
+        raise InvalidData(
+            f"{stored.path} was trained on {arm!r:.60}, fingerprint {trained_on!r:.20}, not on arm "
+            f"{problem.arm.name!r} under these rules, fingerprint {problem.fingerprint!r}; play it "
+            "with the environment and the arguments of its training"
+        )
+
+
+def _beside(stored: StoredModel) -> dict[str, Any]:
+    """Configuration of the run that a model file lies in; empty where there is none."""
     try:
-        found = json.loads((path.parent / CONFIGURATION).read_text(encoding="utf-8"))
-        return str(found.get("estimator", "posterior"))
-    except (OSError, ValueError, AttributeError):
-        return "posterior"
+        found = json.loads((stored.path.parent / CONFIGURATION).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

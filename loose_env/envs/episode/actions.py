@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -127,12 +128,19 @@ class ActionLayout:
     Raises
     ------
     InvalidSetting
-        If a joint slides without limits.
+        If a joint slides without limits, or more joints than the arm has may move or be excited.
     """
 
     def __init__(self, arm: Arm, settings: DiagnosisSettings, hypotheses: int) -> None:
         self.arm, self.settings, self.hypotheses = arm, settings, hypotheses
         n = arm.n
+        for name in ("max_moved", "max_excited"):
+            most = getattr(settings, name)
+            if most is not None and most > n:
+                raise InvalidSetting(
+                    f"{name} is 1 to {n} on arm {arm.name!r}, its number of joints, got {most}; "
+                    "leave it out for no limit"
+                )
         self.moves = np.radians(settings.moves)
         """Relative moves of a hinge [rad] (moves,)."""
         shown = JointPose(arm)
@@ -223,6 +231,52 @@ class ActionLayout:
     def excitation(self) -> slice:
         """Entries of the excitation."""
         return slice(self.most_moved, self.most_moved + self.most_excited)
+
+    def code(self, action: Any) -> str:
+        """Write an action as its number among all actions, in base 36.
+
+        Raises
+        ------
+        InvalidAction
+            As `decode` does.
+
+        Examples
+        --------
+        >>> from loose_env.arms import planar
+        >>> layout = ActionLayout(planar(2), DiagnosisSettings(), hypotheses=5)
+        >>> layout.code([2, 2, 0, 3, 2, 0])
+        '365'
+        >>> layout.from_code("365").tolist()
+        [2, 2, 0, 3, 2, 0]
+        """
+        self.decode(action)
+        number = 0
+        for entry, choices in zip(np.asarray(action).tolist(), self.nvec.tolist(), strict=True):
+            number = number * choices + int(entry)
+        return str(np.base_repr(number, 36)).lower()
+
+    def from_code(self, code: str) -> NDArray[np.int64]:
+        """Read an action that `code` wrote.
+
+        Raises
+        ------
+        InvalidAction
+            If it stands for no action.
+        """
+        try:
+            number = int(code, 36)
+        except ValueError:
+            number = -1
+        entries = []
+        for choices in self.nvec[::-1].tolist():
+            number, entry = divmod(number, choices)
+            entries.append(entry)
+        if number != 0:
+            raise InvalidAction(
+                f"{code!r:.40} is not the number of an action, in base 36: there are "
+                f"{math.prod(self.nvec.tolist())} actions"
+            )
+        return np.array(entries[::-1], dtype=np.int64)
 
     def _moves_of(self, entries: NDArray[np.intp]) -> NDArray[np.intp]:
         """Move of each joint (n,)."""

@@ -135,6 +135,19 @@ def test_several_joints_are_excited_at_once(problem: Problem) -> None:
     assert decoded.verdict == 0
 
 
+def test_limits_on_joints_are_the_policys_too() -> None:
+    problem = Problem.of(planar(3), DiagnosisSettings(max_moved=1, max_excited=1))
+    form = PolicyForm(problem)
+    assert form.nvec.tolist() == [*problem.actions.nvec[:-1].tolist(), 2]
+    choice = np.array([1, 5, 2, 0])
+    measuring = form.action(choice, np.full(7, 1 / 7), records=0)
+    assert measuring.tolist() == [1, 5, 2, 0]
+    mask = form.mask(np.zeros(3), records=0)
+    assert mask.shape == (form.nvec.sum(),)
+    # One move of one joint, then one level of one joint, which is never none.
+    assert mask[: form.nvec[0]].all() and not mask[form.nvec[0]]
+
+
 def test_with_every_joint_off_the_last_one_shakes(problem: Problem) -> None:
     action = PolicyForm(problem).action(np.array([2, 2, 0, 0, 0, 0]), np.full(5, 0.2), records=0)
     assert problem.actions.decode(action).levels.tolist() == [0, len(problem.arm.levels)]

@@ -11,7 +11,7 @@ import pytest
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import planar, six_axis, with_compliance
 from loose_env.envs import ActionLayout, DiagnosisSettings, Difficulty, FaultSampler, Prices
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.registration import TIERS
 
 
@@ -56,9 +56,29 @@ def test_the_mask_knows_each_move_of_each_joint_and_asks_for_excitation() -> Non
 
 
 def test_a_limit_no_lower_than_the_joints_changes_nothing() -> None:
-    assert layout(max_moved=3, max_excited=5).nvec.tolist() == layout().nvec.tolist()
+    assert layout(max_moved=3, max_excited=3).nvec.tolist() == layout().nvec.tolist()
     with pytest.raises(InvalidSetting, match="max_excited"):
         DiagnosisSettings(max_excited=0)
+
+
+@pytest.mark.parametrize("name", ["max_moved", "max_excited"])
+def test_a_limit_above_the_joints_is_refused_with_what_is_allowed(name: str) -> None:
+    with pytest.raises(InvalidSetting, match=f"{name} is 1 to 3 .* got 4"):
+        layout(**{name: 4})
+    with pytest.raises(InvalidSetting, match=f"{name} is 1 to 2"):
+        gymnasium.make("loose_env/Vera-v0", **{name: 9})
+
+
+def test_actions_have_numbers() -> None:
+    actions = layout(max_moved=1, max_excited=2)
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        action = rng.integers(actions.nvec)
+        assert actions.from_code(actions.code(action)).tolist() == action.tolist()
+    assert actions.code(np.zeros(5, dtype=int)) == "0"
+    for wrong in ("", "-1", "?", np.base_repr(int(np.prod(actions.nvec)), 36)):
+        with pytest.raises(InvalidAction, match="not the number of an action"):
+            actions.from_code(wrong)
 
 
 def test_a_moved_joint_has_its_price() -> None:

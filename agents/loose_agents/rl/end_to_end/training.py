@@ -127,6 +127,7 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
     import torch
     from stable_baselines3.common.logger import Logger
 
+    from loose_agents.rl.checkpoint import TRAINED_ON
     from loose_agents.rl.end_to_end.learning_curve import (
         Budget,
         BudgetSchedule,
@@ -156,6 +157,7 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
     if learner.network != "flat":
         model_kwargs |= _set_network(learner, env.layout, problem, model_kwargs)
     model = model_class(env=vec, seed=job.seed, device=job.device, **model_kwargs)
+    setattr(model, TRAINED_ON, problem.fingerprint)
     model.set_logger(Logger(None, []))
     checkpoint = folder / "checkpoint.zip"
     name = f"{job.env} {job.learner} seed {job.seed}"

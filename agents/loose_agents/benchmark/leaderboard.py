@@ -1,0 +1,240 @@
+"""The leaderboard: stored results files as tables, paired on the same episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_agents.benchmark.results import Results, read_results
+from loose_agents.benchmark.tasks import SETS, TASKS, task_problem
+from loose_agents.core.base import hypothesis_prior
+from loose_agents.evaluation.record_bounds import STAR, bound_of
+from loose_env.envs import difficulty_named
+from loose_env.errors import InvalidData
+from loose_env.evaluation import Interval, bootstrap_mean, expected_calibration_error, wilson
+from loose_env.faults import UNSURE
+from loose_env.typing import Array
+
+__all__ = [
+    "ADAPTIVE",
+    "RESULTS",
+    "agent_rows",
+    "leaderboard",
+    "results_path",
+    "stored_results",
+    "value_tables",
+]
+
+RESULTS = Path(__file__).resolve().parents[3] / "docs" / "benchmark_results"
+"""Results files of the repository."""
+ADAPTIVE = "greedy"
+"""Entry with which the others are compared, and whose choice of records V values."""
+NO_AGENTS = ("oracle",)
+"""Entries that are told what no agent is; their names get a star."""
+
+_HEAD = (
+    "| entry | arms | return | over greedy | right % (95 %) | unsure % | false alarms % | missed % "
+    "| records | calibration error | training records | ms a record |"
+)
+_OUTSIDE_HEAD = "| task | entry | episodes | arms | right % | wrong % | unsure % | return |"
+
+ByEntry = Mapping[str, Results]
+"""Results of one set of one task, by entry."""
+
+
+def results_path(folder: Path, task: str, set_name: str, entry: str) -> Path:
+    """File of an entry: ``FOLDER/TASK/ENTRY.json``, with the set between if it is not "test"."""
+    name = "".join(c if c.isalnum() or c in "-_.#" else "-" for c in entry)
+    where = folder / task.removeprefix("loose_env/")
+    return (where if set_name == "test" else where / set_name) / f"{name}.json"
+
+
+def stored_results(folder: Path) -> list[Results]:
+    """Read all results files below a folder, tasks and sets in their order.
+
+    Raises
+    ------
+    InvalidData
+        If one cannot be read, or two entries of a set have one name.
+    """
+    found = [read_results(path) for path in sorted(folder.rglob("*.json"))]
+    seen: set[tuple[str, str, str]] = set()
+    for each in found:
+        key = (each.task, each.set, each.entry)
+        if key in seen:
+            raise InvalidData(f"two entries of {each.task}, {each.set}, are called {each.entry!r}")
+        seen.add(key)
+    return sorted(found, key=lambda r: (TASKS.index(r.task), list(SETS).index(r.set), r.entry))
+
+
+def value_tables(results: Sequence[Results]) -> str:
+    """Value of stopping, of feedback and of choice on every task, paired, as Markdown."""
+    lines = [
+        "| task | arms | greedy | V-stop | V-feedback | V over fixed sequence |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    for task in TASKS:
+        own = _entries(results, task, "test")
+        if ADAPTIVE not in own:
+            continue
+        greedy = own[ADAPTIVE].returns
+        lengths = [each.returns for name, each in own.items() if name.startswith("fixed_")]
+        best = max(lengths, key=lambda returns: float(returns.mean()), default=None)
+        stopping, open_loop = (
+            own[name].returns if name in own else None for name in ("fixed", "open_loop")
+        )
+        pairs = ((stopping, best), (greedy, open_loop), (greedy, stopping))
+        differences = (_difference(first, second) for first, second in pairs)
+        lines.append(_line([_short(task), str(len(greedy)), _signed(greedy), *differences]))
+    return "\n".join(lines)
+
+
+def leaderboard(results: Sequence[Results]) -> str:
+    """Entries of each task, the highest return first, then those out of distribution."""
+    parts = []
+    for task in TASKS:
+        own = _entries(results, task, "test")
+        if not own:
+            continue
+        lines = [_HEAD, "|---|" + "---:|" * (_HEAD.count("|") - 2), *agent_rows(own)]
+        parts.append(f"### {task}\n\n" + "\n".join(lines) + _bound_words(task, own))
+    outside = [_outside_row(each) for each in results if each.set != "test"]
+    if outside:
+        lines = [_OUTSIDE_HEAD, "|---|---|---|" + "---:|" * 5, *outside]
+        parts.append("### Out of distribution\n\n" + "\n".join(lines))
+    return "\n\n".join(parts)
+
+
+def agent_rows(own: ByEntry) -> list[str]:
+    """Rows of one task's entries as Markdown, the highest return first."""
+    greedy = own[ADAPTIVE].returns if ADAPTIVE in own else None
+    ranked = sorted(own.values(), key=lambda each: (-float(each.returns.mean()), each.entry))
+    return [_row(each, greedy) for each in ranked]
+
+
+def _row(results: Results, greedy: Array | None) -> str:
+    right, unsure, count = _right(results), _unsure(results), len(results.truth)
+    low, high = wilson(int(right.sum()), count)
+    healthy = np.array(results.truth) == results.verdicts.index("healthy")
+    named = np.array(results.verdict) == results.verdicts.index("healthy")
+    alarms = _share(~(named | unsure)[healthy])
+    missed = _share(named[~healthy])
+    over = "-" if results.entry == ADAPTIVE else _difference(results.returns, greedy)
+    training = results.training_records
+    return _line(
+        [
+            _name(results),
+            str(count),
+            _signed(results.returns),
+            over,
+            f"{100 * right.mean():.1f} ({100 * low:.1f} to {100 * high:.1f})",
+            _share(unsure),
+            alarms,
+            missed,
+            f"{np.mean(results.records):.2f}",
+            _calibration(results),
+            "-" if training is None else f"{training:,}",
+            "-" if results.cpu_seconds is None else f"{1e3 * results.cpu_seconds:.0f}",
+        ]
+    )
+
+
+def _outside_row(results: Results) -> str:
+    right, unsure = _right(results), _unsure(results)
+    return _line(
+        [
+            _short(results.task),
+            _name(results),
+            results.episodes.words,
+            str(len(right)),
+            _share(right),
+            _share(~(right | unsure)),
+            _share(unsure),
+            _signed(results.returns),
+        ]
+    )
+
+
+def _bound_words(task: str, own: ByEntry) -> str:
+    """Lower bound on the mean number of records at the best entry's error."""
+    agents = {name: each for name, each in own.items() if name not in NO_AGENTS}
+    players = {
+        name: (each.information, each.guesses)
+        for name, each in agents.items()
+        if each.information and each.guesses
+    }
+    if not players:
+        return ""
+    best = max(agents.values(), key=lambda each: float(each.returns.mean()))
+    problem = task_problem(task, best.episodes)
+    shares = difficulty_named(problem.settings.difficulty).probabilities(problem.settings.kinds)
+    bound = bound_of(hypothesis_prior(problem.hypotheses, shares), players)
+    if bound is None:
+        return ""
+    error = 1 - float(_right(best).mean())
+    return (
+        f"\n\nBound: {float(bound.records(error)):.2f} records on average at the error of "
+        f"{best.entry}, {100 * error:.1f} %, which takes {np.mean(best.records):.2f}; no record "
+        f"says more than {bound.information:.2f} nat ({bound.teller}, record {bound.record})."
+    )
+
+
+def _calibration(results: Results) -> str:
+    """Expected calibration error of what was named."""
+    claims = [
+        (p, truth == verdict)
+        for p, truth, verdict in zip(
+            results.confidence, results.truth, results.verdict, strict=True
+        )
+        if p is not None
+    ]
+    if not claims:
+        return "-"
+    confidence, right = zip(*claims, strict=True)
+    return f"{expected_calibration_error(confidence, right):.3f}"
+
+
+def _entries(results: Sequence[Results], task: str, set_name: str) -> dict[str, Results]:
+    return {each.entry: each for each in results if (each.task, each.set) == (task, set_name)}
+
+
+def _right(results: Results) -> NDArray[np.bool_]:
+    truth = np.array(results.truth)
+    return np.asarray((truth == np.array(results.verdict)) & (truth >= 0))
+
+
+def _unsure(results: Results) -> NDArray[np.bool_]:
+    return np.asarray(np.array(results.verdict) == results.verdicts.index(UNSURE))
+
+
+def _share(of: NDArray[np.bool_]) -> str:
+    return f"{100 * float(np.mean(of)):.1f}" if len(of) else "-"
+
+
+def _difference(first: Array | None, second: Array | None) -> str:
+    """Paired difference on the episodes that both have played."""
+    if first is None or second is None:
+        return "-"
+    both = min(len(first), len(second))
+    return _signed(first[:both] - second[:both])
+
+
+def _signed(values: Array) -> str:
+    found: Interval = bootstrap_mean(values, rng=np.random.default_rng(0))
+    return f"{found.estimate:+.3f} ± {found.half:.3f}"
+
+
+def _name(results: Results) -> str:
+    shown = results.entry.replace("|", "\\|")
+    return f"{shown}{STAR}" if results.entry in NO_AGENTS else shown
+
+
+def _short(task: str) -> str:
+    return task.removeprefix("loose_env/")
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
