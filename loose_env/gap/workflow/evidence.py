@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+from loose_env.arms import quiet
 from loose_env.gap.diagnostics.experiment_advice import identifiability_words
 from loose_env.gap.diagnostics.feature_localisation import (
     FeatureChannel,
@@ -98,7 +99,8 @@ def diagnose_residuals(solution: GapSolution, *, say: Say = lambda _: None) -> R
     ]
     say("identifiability from these motions")
     kinds = problem.settings.kinds or None
-    shown = identifiability(problem.fit, best.fitted, candidates(problem.machine, kinds))
+    with quiet():  # an effect of any size may make a simulation diverge
+        shown = identifiability(problem.fit, best.fitted, candidates(problem.machine, kinds))
     own = exported(held, corrected, best.held_out_residual)
     say("residual tests")
     return ResidualDiagnostics(

@@ -16,8 +16,10 @@ from loose_env.gap.diagnostics.localisation import locate
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.preparation.prepare import prepare
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.data_driven_starts import missing_torque, proposals
+from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Recording, Run, write_recording
 from tests.gap.cases.effect_arms import PLANAR
@@ -211,3 +213,38 @@ def test_a_torque_limit_starts_where_the_drive_gave_most(tmp_path: Path) -> None
     assert found is not None
     needed = np.abs(found[4][:, 1])
     assert 0.8 * needed.max() < start <= needed.max() and start > 2 * np.median(needed)
+
+
+def test_a_ripple_in_measured_torques_finds_its_own_period(tmp_path: Path) -> None:
+    model = mujoco.MjModel.from_xml_string(PLANAR)
+    data, rng = mujoco.MjData(model), np.random.default_rng(4)
+    time = np.arange(2000) * 0.002
+    rate = 2 * np.pi * np.array([0.4, 0.55, 0.7])
+    runs = []
+    for k in range(2):
+        phase = rng.uniform(-np.pi, np.pi, 3)
+        position = np.sin(np.outer(time, rate) + phase)
+        speed = rate * np.cos(np.outer(time, rate) + phase)
+        torques = np.zeros_like(position)
+        for row, q, v, a in zip(torques, position, speed, -(rate**2) * position, strict=True):
+            data.qpos[:3], data.qvel[:3], data.qacc[:3] = q, v, a
+            mujoco.mj_inverse(model, data)
+            row[:] = data.qfrc_inverse[:3]
+        torques[:, 0] += 3.0 * np.sin(17.0 * position[:, 0] + 0.4)
+        torques += rng.normal(0.0, 0.05, torques.shape)
+        readings = position + rng.normal(0.0, 1e-5, position.shape)
+        runs.append(
+            Run(
+                name=f"run-{k}.csv",
+                time=time,
+                torques={f"joint{j + 1}": torques[:, j] for j in range(3)},
+                sensors={f"encoder{j + 1}": readings[:, j] for j in range(3)},
+            )
+        )
+    recording = write_recording(tmp_path / "r", model_xml=PLANAR, runs=runs)
+    comparison = prepare(recording, GapSettings(threads=1, kinds=("torque_ripple",))).search
+    ripple = CATALOGUE["torque_ripple"](comparison.machine, "joint1")
+    starts = proposals(comparison, NOTHING, [ripple])[ripple.key]
+    # what is compared is smoothed as the motion is: the start is too low rather than too high
+    assert 1.0 < starts[0][0] < 3.3
+    assert starts[0][1] == pytest.approx(17.0, abs=0.5)

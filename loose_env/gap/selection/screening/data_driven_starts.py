@@ -1,10 +1,11 @@
 """Starting values from data: residual torques and residual accelerations.
 
 The motion of runs with commands is smoothed and put into the inverse dynamics of the model, and the
-result is subtracted from the actuator torque at the measured commands and state. An effect with too
-many possible starts, such as a ripple of any period, fits its start to this residual torque. A
-loose link takes its direction from the accelerometer residuals, a compliant joint its stiffness
-from measured torques (`loose_env.gap.selection.screening.stiffness_starts`).
+result is subtracted from the actuator torque at the measured commands and state; runs with measured
+torques give that residual themselves. An effect with too many possible starts, such as a ripple of
+any period, fits its start to this residual torque. A loose link takes its direction from the
+accelerometer residuals, a compliant joint its stiffness from measured torques
+(`loose_env.gap.selection.screening.stiffness_starts`).
 """
 
 from __future__ import annotations
@@ -78,13 +79,17 @@ def proposals(
     machine = comparison.machine
     for effect in searching:
         k = machine.joint_number(effect.where)
-        if np.ptp(angle[:, k]) > 0:
+        read = np.isfinite(torque[:, k])
+        if read.any() and np.ptp(angle[read, k]) > 0:
             starts[effect.key] = effect.propose(
-                angle[:, k], speed[:, k], acceleration[:, k], torque[:, k]
+                angle[read, k], speed[read, k], acceleration[read, k], torque[read, k]
             )
     for effect in limits:
         k = machine.joint_number(machine.actuated_joint[effect.where])
-        largest = float(np.quantile(np.abs(needed[:, k]), _LARGEST))
+        read = needed[np.isfinite(needed[:, k]), k]
+        if not len(read):
+            continue
+        largest = float(np.quantile(np.abs(read), _LARGEST))
         starts[effect.key] = effect.propose_limit(largest)
     return starts
 
@@ -100,13 +105,14 @@ def _from_readings(comparison: ResidualModel, effect: Effect) -> tuple[tuple[flo
 def missing_torque(
     comparison: ResidualModel, hypothesis: Hypothesis
 ) -> tuple[Array, Array, Array, Array, Array] | None:
-    """Motion, residual torque and needed torque of all runs with commands.
+    """Motion, residual torque and needed torque of all runs with commands or measured torques.
 
     Returns
     -------
     tuple of ndarray (T, joints), or None
-        [rad, m], [rad/s, m/s], [rad/s², m/s²], twice [N·m, N]; None if no run has commands and is
-        long enough, or the actuator torques are not known (`loose_env.gap.data.actuator_states`).
+        [rad, m], [rad/s, m/s], [rad/s², m/s²], twice [N·m, N], NaN where a joint's torque was not
+        measured; None if no run tells and is long enough, or the actuator torques are not known
+        (`loose_env.gap.data.actuator_states`).
     """
     machine = comparison.machine
     rigid = [(effect, values) for effect, values in hypothesis.pairs if not effect.adds_motion]
@@ -115,7 +121,7 @@ def missing_torque(
     model = known.model(machine, step)
     model.opt.disableflags |= _OFF
     runs = [trial for trial in comparison.trials if trial.form == "forward"]
-    parts = []
+    parts = _compared(comparison, known)
     for trial in runs:
         try:
             motion = smooth_motion(trial, machine, comparison.channels)
@@ -131,6 +137,27 @@ def missing_torque(
         np.concatenate(part) for part in zip(*parts, strict=True)
     )
     return position, speed, acceleration, torque, needed
+
+
+def _compared(
+    comparison: ResidualModel, known: Hypothesis
+) -> list[tuple[Array, Array, Array, Array, Array]]:
+    """Motion, residual and needed torque of the runs whose torques are compared with motion."""
+    inverse = comparison.inverse
+    if inverse is None:
+        return []
+    parts = []
+    predicted = inverse.predict([known])[0]
+    for t, motion in enumerate(inverse.motions):
+        own = motion.chosen
+        torque, needed = np.full((2, *motion.position[own].shape), np.nan)
+        for channel, joint in inverse.torque_joints.items():
+            needed[:, joint] = predicted[t][own, channel]
+            torque[:, joint] = inverse.measured(t)[own, channel] - needed[:, joint]
+        parts.append(
+            (motion.position[own], motion.speed[own], motion.acceleration[own], torque, needed)
+        )
+    return parts
 
 
 def _missing(
