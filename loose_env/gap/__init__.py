@@ -1,7 +1,8 @@
 """Model error: find, name and correct the effect a simulation lacks.
 
 Data flow: model -> data -> settings -> simulation -> residuals -> fitting ->
-output -> preparation -> selection -> diagnostics -> workflow.
+output -> preparation -> selection -> diagnostics -> experiment_design ->
+workflow.
 """
 
 from loose_env.gap.diagnostics.experiment_advice import (
@@ -26,6 +27,13 @@ from loose_env.gap.diagnostics.residual_spectra import (
     in_bands,
     series_of,
     spectrum,
+)
+from loose_env.gap.experiment_design.next_motion import (
+    NEXT_MOTION,
+    NextMotionSettings,
+    NextMotionSummary,
+    next_motion_lines,
+    read_next_motion,
 )
 from loose_env.gap.model.effect import (
     Effect,
@@ -88,6 +96,12 @@ from loose_env.gap.settings import (
 )
 from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residuals
 from loose_env.gap.workflow.explain import explain_gap, prediction_error
+from loose_env.gap.workflow.joined_runs import (
+    Source,
+    join_recordings,
+    note_source,
+    read_source,
+)
 from loose_env.gap.workflow.pipeline import (
     GapSolution,
     find_gap,
@@ -98,6 +112,7 @@ from loose_env.gap.workflow.summary import result_of, write_gap
 
 __all__ = [
     "ACCEPTED_Z",
+    "NEXT_MOTION",
     "NOISE_RMS",
     "PROBABILITY_FEATURES",
     "TARGETS",
@@ -117,12 +132,15 @@ __all__ = [
     "Identifiability",
     "JointMotion",
     "NamedEffect",
+    "NextMotionSettings",
+    "NextMotionSummary",
     "Parameter",
     "QuickCandidate",
     "QuickLook",
     "RankedHypothesis",
     "ResidualDiagnostics",
     "Series",
+    "Source",
     "Stages",
     "binned",
     "compared",
@@ -135,14 +153,19 @@ __all__ = [
     "how_to_separate",
     "in_bands",
     "interval_score",
+    "join_recordings",
     "key_of",
     "main_band",
+    "next_motion_lines",
+    "note_source",
     "prediction_error",
     "probability_features",
     "quantity_words",
     "quick_look",
     "read_effects",
+    "read_next_motion",
     "read_result",
+    "read_source",
     "register",
     "resting_runs",
     "result_of",

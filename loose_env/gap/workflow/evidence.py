@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from loose_env.gap.diagnostics.experiment_advice import identifiability_words
 from loose_env.gap.diagnostics.feature_localisation import (
     FeatureChannel,
     feature_channels,
@@ -132,7 +131,6 @@ def diagnose_residuals(solution: GapSolution, *, say: Say = lambda _: None) -> R
         warnings=(
             *corrected_step_words(held, corrected),
             *own.words(),
-            *identifiability_words(shown),
         ),
     )
 
