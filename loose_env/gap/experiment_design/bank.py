@@ -1,0 +1,397 @@
+"""Bank of signatures: the readings of every motion under every candidate, computed once.
+
+For each motion the bank holds the readings of the nominal model, their derivatives by the nominal
+parameters, and their change with each candidate effect at several sizes and with its shape. All are
+in noise standard deviations and projected onto the few directions that they span together, which
+lose nothing to a model that is linear in them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.gap.experiment_design.candidates import Ray, rays_of
+from loose_env.gap.experiment_design.library import battery, check_motion
+from loose_env.gap.experiment_design.motions import Motion
+from loose_env.gap.experiment_design.servo_arm import ServoArm
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.io import written_beside
+from loose_env.typing import Array
+
+__all__ = ["BankSettings", "MotionSignatures", "SignatureBank", "signature_bank"]
+
+_FORMAT = "gap signatures 1"
+"""Version of what is stored; a change of the computation changes it."""
+_STEP = 0.3
+"""Step of a derivative by a nominal parameter over the tolerance, and by a shape parameter over its
+standard deviation."""
+_SEARCHES = 5
+"""Steps of the search for the size of a given visibility."""
+_TOGETHER = 60
+"""Hypotheses simulated at a time."""
+_CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "loose_env" / "gap"
+"""Folder of stored banks."""
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BankSettings:
+    """Settings of a bank of signatures.
+
+    Visibility is the length of an effect's signature on the fixed battery that no change of the
+    nominal parameters explains [noise standard deviations].
+    """
+
+    kinds: tuple[str, ...] | None = None
+    """Kinds of effect; by default the catalogue but for `EXCLUDED`."""
+    visibility: tuple[float, float] = (6.0, 160.0)
+    """Smallest and largest visibility of the linearisation points [noise standard deviations]."""
+    points: int = 4
+    """Linearisation points of each ray, in equal ratios of visibility."""
+    rank: int = 112
+    """Directions that are kept of each motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionSignatures:
+    """Signatures on one motion, in its own directions.
+
+    V base vectors: the nominal parameters, the points of all rays, their shape derivatives.
+    """
+
+    basis: NDArray[np.float32]
+    """Orthonormal directions (n C, K)."""
+    nominal: NDArray[np.float32]
+    """Readings of the nominal model (n, C) [rad, m, N·m, N]."""
+    vectors: NDArray[np.float32]
+    """Base vectors (K, V)."""
+    outside: float
+    """Largest length of a base vector beyond the directions [noise standard deviations]."""
+
+    def projected(self, readings: Array, noise: Array) -> tuple[Array, float]:
+        """Residual of readings (n, C): its coordinates (K,) and the rms of the rest."""
+        residual = ((readings - self.nominal) / noise).ravel()
+        inside = self.basis.T @ residual
+        rest = float(residual @ residual - inside @ inside)
+        return np.asarray(inside), float(np.sqrt(max(rest, 0.0) / max(len(residual), 1)))
+
+
+@dataclass(frozen=True, eq=False)
+class SignatureBank:
+    """Candidates of an arm, a library of motions, and the signatures of ones on the others."""
+
+    arm: ServoArm
+    library: tuple[Motion, ...]
+    settings: BankSettings
+    rays: tuple[Ray, ...]
+    """Rays that can be seen on the battery."""
+    sizes: Array
+    """Sizes of the linearisation points (R, points)."""
+    visibilities: Array
+    """Visibilities there [noise standard deviations] (R, points)."""
+    signatures: tuple[MotionSignatures, ...]
+    """By motion."""
+    seconds: Array
+    """Machine time of each motion [s] (M,)."""
+    wear: Array
+    """Integral of the squared torque shares of each motion [s] (M,)."""
+    shape_columns: tuple[tuple[int, ...], ...] = field(default=())
+    """Base vectors of each ray's shape derivatives, at its middle point."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Candidates, kind and location, in the order of the rays."""
+        return tuple(dict.fromkeys(ray.name for ray in self.rays))
+
+    @property
+    def nuisances(self) -> int:
+        """Number of nominal parameters: the first base vectors."""
+        return len(self.arm.nominal.entries)
+
+    def point(self, ray: int, which: int) -> int:
+        """Index of the base vector of a ray at one of its points."""
+        return self.nuisances + ray * self.settings.points + which
+
+    def index_of(self, motion: Motion) -> int:
+        """Index of a motion in the library.
+
+        Raises
+        ------
+        InvalidData
+            If it is not in it.
+        """
+        if motion not in self.library:
+            raise InvalidData(f"{motion.words} is not in the library of this bank")
+        return self.library.index(motion)
+
+
+def signature_bank(
+    arm: ServoArm,
+    library: Sequence[Motion],
+    settings: BankSettings | None = None,
+    *,
+    cache: Path | None = _CACHE,
+    say: Say | None = None,
+) -> SignatureBank:
+    """Read the bank of an arm and a library from the cache, or compute and store it.
+
+    Parameters
+    ----------
+    arm : ServoArm
+        The arm.
+    library : sequence of Motion
+        The motions.
+    settings : BankSettings, optional
+        Candidates and linearisation points.
+    cache : Path, optional
+        Folder of stored banks; None to store nothing. The name of a stored one is a digest of arm,
+        library, settings and format; its configuration lies beside it as JSON.
+    say : callable, optional
+        Receives lines of progress.
+    """
+    settings = settings or BankSettings()
+    configuration = {
+        "format": _FORMAT,
+        "arm": arm.key,
+        "settings": asdict(settings),
+        "rays": [[ray.name, ray.effect.variant, *ray.start.tolist()] for ray in rays_of(arm, settings.kinds)],
+        "library": [asdict(motion) for motion in library],
+    }  # fmt: skip
+    text = json.dumps(configuration, sort_keys=True, indent=1)
+    key = hashlib.sha256(text.encode()).hexdigest()[:16]
+    file = None if cache is None else Path(cache) / f"{key}.npz"
+    if file is not None and file.is_file():
+        stored = _read(file, arm, tuple(library), settings)
+        if stored is not None:
+            return stored
+    bank = _computed(arm, tuple(library), settings, say or (lambda words: None))
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        written_beside(file, lambda path: _write(path, bank))
+        written_beside(file.with_suffix(".json"), lambda path: path.write_text(text))
+    return bank
+
+
+def _write(path: Path, bank: SignatureBank) -> None:
+    which = [_key(ray) for ray in bank.rays]
+    arrays: dict[str, Array] = {
+        "rays": np.array(which),
+        "sizes": bank.sizes,
+        "visibilities": bank.visibilities,
+        "seconds": bank.seconds,
+        "wear": bank.wear,
+    }
+    for k, found in enumerate(bank.signatures):
+        arrays |= {
+            f"basis{k}": found.basis,
+            f"nominal{k}": found.nominal,
+            f"vectors{k}": found.vectors,
+            f"outside{k}": np.array(found.outside),
+        }
+    with path.open("wb") as out:
+        np.savez(out, **arrays)  # type: ignore[arg-type]
+
+
+def _key(ray: Ray) -> str:
+    return json.dumps([ray.name, ray.effect.variant, *np.round(ray.start, 9).tolist()])
+
+
+def _read(
+    file: Path, arm: ServoArm, library: tuple[Motion, ...], settings: BankSettings
+) -> SignatureBank | None:
+    """A stored bank; None if it cannot be read, such as one cut short."""
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            found = {name: stored[name] for name in stored.files}
+        every = {_key(ray): ray for ray in rays_of(arm, settings.kinds)}
+        rays = tuple(every[str(name)] for name in found["rays"])
+        signatures = tuple(
+            MotionSignatures(
+                found[f"basis{k}"],
+                found[f"nominal{k}"],
+                found[f"vectors{k}"],
+                float(found[f"outside{k}"]),
+            )
+            for k in range(len(library))
+        )
+    except (OSError, ValueError, KeyError, EOFError):
+        return None
+    return SignatureBank(
+        arm, library, settings, rays, found["sizes"], found["visibilities"], signatures,
+        found["seconds"], found["wear"], _shape_columns(rays, arm, settings),
+    )  # fmt: skip
+
+
+def _shape_columns(
+    rays: Sequence[Ray], arm: ServoArm, settings: BankSettings
+) -> tuple[tuple[int, ...], ...]:
+    at = len(arm.nominal.entries) + len(rays) * settings.points
+    found = []
+    for ray in rays:
+        count = len(ray.shape_parameters)
+        found.append(tuple(range(at, at + count)))
+        at += count
+    return tuple(found)
+
+
+def _computed(
+    arm: ServoArm, library: tuple[Motion, ...], settings: BankSettings, say: Say
+) -> SignatureBank:
+    rays, sizes, seen = _sized(arm, rays_of(arm, settings.kinds), settings, say)
+    if not rays:
+        raise InvalidData("no candidate effect can be seen on the battery of this arm")
+    signatures, seconds, wear = [], [], []
+    for k, motion in enumerate(library):
+        say(f"signatures of {motion.words}: {k + 1} of {len(library)}")
+        checked = check_motion(motion, arm)
+        seconds.append(checked.seconds)
+        wear.append(checked.wear)
+        signatures.append(_of_motion(arm, motion.commands(arm), rays, sizes, settings))
+    return SignatureBank(
+        arm, library, settings, rays, sizes, seen, tuple(signatures), np.array(seconds),
+        np.array(wear), _shape_columns(rays, arm, settings),
+    )  # fmt: skip
+
+
+def _residuals(arm: ServoArm, commands: Array, hypotheses: Sequence[Hypothesis]) -> list[Array]:
+    """Readings in noise standard deviations, flat (n C,), of hypotheses in small batches."""
+    found = []
+    for begin in range(0, len(hypotheses), _TOGETHER):
+        group = hypotheses[begin : begin + _TOGETHER]
+        found += [(r / arm.noise).ravel() for r in arm.simulate(group, commands)]
+    return found
+
+
+def _nuisance_columns(arm: ServoArm, commands: Array, base: Array) -> Array:
+    """Change of the readings with one prior standard deviation of each nominal parameter (N, P)."""
+    nominal, steps = arm.nominal, []
+    count = len(nominal.entries)
+    for k in range(count):
+        factors = np.ones(count)
+        factors[k] += _STEP * arm.tolerance
+        steps.append(Hypothesis(nominal=nominal, factors=factors))
+    sds = np.array([p.spread or 1.0 for p in nominal.parameters])
+    moved = np.array(_residuals(arm, commands, steps))
+    return np.asarray((moved - base).T / _STEP * sds)
+
+
+def _sized(
+    arm: ServoArm, rays: Sequence[Ray], settings: BankSettings, say: Say
+) -> tuple[tuple[Ray, ...], Array, Array]:
+    """Rays that can be seen, sizes of their points (R, points) and visibilities there."""
+    motions = [motion.commands(arm) for motion in battery(arm)]
+    bases = [_residuals(arm, commands, [Hypothesis()])[0] for commands in motions]
+    columns = [_nuisance_columns(arm, c, b) for c, b in zip(motions, bases, strict=True)]
+    across = sum((c.T @ c for c in columns), np.eye(columns[0].shape[1]))
+
+    def visibility(sizes: Array) -> Array:
+        total, inside = np.zeros(len(rays)), np.zeros((len(rays), len(across)))
+        tried = [r.hypothesis(r.values(float(s))) for r, s in zip(rays, sizes, strict=True)]
+        for commands, base, column in zip(motions, bases, columns, strict=True):
+            change = np.array(_residuals(arm, commands, tried)) - base
+            total += np.sum(change**2, axis=1)
+            inside += change @ column
+        explained = np.sum(inside * np.linalg.solve(across, inside.T).T, axis=1)
+        return np.sqrt(np.maximum(total - explained, 0.0))
+
+    most = np.array([0.95 * ray.largest for ray in rays])
+    targets = np.geomspace(*settings.visibility, settings.points)
+    sizes = np.empty((len(rays), settings.points))
+    seen = np.empty_like(sizes)
+    tried: list[tuple[Array, Array]] = []
+    for k, target in enumerate(targets):
+        size = np.minimum(1.0, most) if k == 0 else sizes[:, k - 1] * targets[k] / targets[k - 1]
+        size = np.minimum(size, most)
+        for number in range(_SEARCHES if k in (0, settings.points - 1) else 2):
+            say(f"sizes of the effects: point {k + 1} of {settings.points}, step {number + 1}")
+            found = np.where(np.isfinite(v := visibility(size)), v, np.inf)
+            tried.append((size, found))
+            size = np.minimum(_next_size(tried, target), most)
+        best = np.array([np.abs(np.log(np.maximum(f, 1e-9) / target)) for _, f in tried])
+        pick = np.argmin(np.where(np.isfinite(best), best, 1e9), axis=0)
+        every = np.array([s for s, _ in tried]), np.array([f for _, f in tried])
+        sizes[:, k], seen[:, k] = (values[pick, np.arange(len(rays))] for values in every)
+    # a ray that reaches less than twice the least visibility within its bounds is not seen
+    keep = np.flatnonzero(
+        (seen[:, -1] > 2 * settings.visibility[0]) & (np.diff(sizes, axis=1) > 0).all(axis=1)
+    )
+    return tuple(rays[k] for k in keep), sizes[keep], seen[keep]
+
+
+def _next_size(tried: Sequence[tuple[Array, Array]], target: float) -> Array:
+    """Next size of each ray: between the nearest below and above the target, else in proportion."""
+    sizes = np.array([s for s, _ in tried])
+    seen = np.array([v for _, v in tried])
+    below = np.where(seen < target, sizes, -np.inf).max(axis=0)
+    above = np.where(seen >= target, sizes, np.inf).min(axis=0)
+    v_below = np.where(sizes == below, seen, 0.0).max(axis=0)
+    v_above = np.where(sizes == above, seen, np.inf).min(axis=0)
+    found = np.empty(len(below))
+    for k in range(len(found)):
+        if np.isfinite(below[k]) and np.isfinite(above[k]) and below[k] < above[k]:
+            low, high = np.log(max(v_below[k], 1e-3)), np.log(min(v_above[k], 1e6))
+            share = np.clip((np.log(target) - low) / max(high - low, 1e-9), 0.1, 0.9)
+            found[k] = below[k] * (above[k] / below[k]) ** share
+        elif np.isfinite(above[k]):
+            found[k] = above[k] * np.clip(target / min(v_above[k], 1e9), 0.05, 0.9)
+        else:
+            found[k] = below[k] * np.clip(target / max(v_below[k], 1e-9), 1.1, 20.0)
+    return found
+
+
+def _of_motion(
+    arm: ServoArm, commands: Array, rays: Sequence[Ray], sizes: Array, settings: BankSettings
+) -> MotionSignatures:
+    base = _residuals(arm, commands, [Hypothesis()])[0]
+    columns = [_nuisance_columns(arm, commands, base)]
+    points = [
+        ray.hypothesis(ray.values(float(size)))
+        for ray, own in zip(rays, sizes, strict=True)
+        for size in own
+    ]
+    moved = np.array(_residuals(arm, commands, points), dtype=np.float32)
+    middle = settings.points // 2
+    shaped, origins = [], []
+    for k, ray in enumerate(rays):
+        for which in range(len(ray.shape_parameters)):
+            off = np.zeros(len(ray.shape_parameters))
+            off[which] = _STEP
+            shaped.append(ray.hypothesis(ray.values(float(sizes[k, middle]), off)))
+            origins.append(k * settings.points + middle)
+    columns.append((moved - base).T)
+    if shaped:
+        there = np.array(_residuals(arm, commands, shaped), dtype=np.float32)
+        columns.append(((there - moved[origins]) / _STEP).T)
+    vectors = np.nan_to_num(np.concatenate(columns, axis=1)).astype(np.float32)
+    vectors = np.clip(vectors, -1e5, 1e5)
+    basis = _basis(vectors, settings.rank)
+    inside = basis.T @ vectors
+    outside = np.sqrt(np.maximum(np.sum(vectors**2, axis=0) - np.sum(inside**2, axis=0), 0.0))
+    nominal = (base.reshape(-1, len(arm.channels)) * arm.noise).astype(np.float32)
+    return MotionSignatures(basis, nominal, inside.astype(np.float32), float(outside.max()))
+
+
+def _basis(vectors: Array, rank: int) -> NDArray[np.float32]:
+    """Orthonormal directions of base vectors, the large ones bounded in weight (N, K).
+
+    A randomised range finder with one power iteration (Halko, Martinsson and Tropp, SIAM Review 53,
+    2011, 217).
+    """
+    lengths = np.linalg.norm(vectors, axis=0)
+    weighted = vectors / np.sqrt(np.maximum(lengths, 1.0))
+    rng = np.random.default_rng(0)
+    count = min(rank + 20, weighted.shape[0], weighted.shape[1])
+    first = weighted @ rng.normal(size=(weighted.shape[1], count)).astype(np.float32)
+    rough = np.linalg.qr(weighted @ (weighted.T @ np.linalg.qr(first)[0]))[0]
+    left, _, _ = np.linalg.svd(rough.T @ weighted, full_matrices=False)
+    return np.asarray((rough @ left)[:, :rank], dtype=np.float32)
