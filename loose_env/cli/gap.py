@@ -153,9 +153,9 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     home = recording.model_path.parent
     folder.note(folder.path / f.relative_to(home) for f in files_of(recording.model_path))
     report = partial(write_gap_report, say=console.say)
-    motion = settings_of(options, NextMotionSettings) if options.next else None
+    wanted = settings_of(options, NextMotionSettings) if options.next else None
     result, written = write_gap(
-        folder.path, found, report=report, say=console.say, next_motion=motion, earlier=earlier
+        folder.path, found, report=report, say=console.say, next_motion=wanted, earlier=earlier
     )
     if options.rerun is not None:
         console.say("writing the motion for Rerun")
@@ -165,11 +165,9 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     shown = [str(path) for path in written if path.parent == folder.path]
     if options.rerun is not None and str(options.rerun.resolve()) not in shown:
         shown.append(str(options.rerun))
+    motion = _next(folder.path) if options.next else []
     return Outcome(
-        text="\n".join(
-            [gap_text(result, warnings=False), *_next(folder.path, options)]
-            + [f"written: {', '.join(shown)}"]
-        ),
+        text="\n".join([gap_text(result, warnings=False), *motion, f"written: {', '.join(shown)}"]),
         json=result.to_json,
         warnings=tuple(result.warnings),
     )
@@ -207,15 +205,12 @@ def _settings_of(result: GapResult) -> GapSettings:
     return GapSettings(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
 
 
-def _next(folder: Path, options: argparse.Namespace) -> list[str]:
+def _next(folder: Path) -> list[str]:
     """Lines on the next motion."""
-    if not options.next:
-        return []
     file = folder / f"{NEXT_MOTION}.json"
     if not file.is_file():
         return ["next motion: none; nothing is left that a motion would tell apart"]
-    motion = read_next_motion(file)
-    return next_motion_lines(motion)
+    return next_motion_lines(read_next_motion(file))
 
 
 def _quick(

@@ -1,4 +1,4 @@
 """Choice of motions: experiments that tell candidate effects of an arm apart.
 
-Data flow: servo_arm -> motions -> library -> candidates -> bank.
+Data flow: servo_arm -> motions -> library -> candidates -> bank -> next_motion.
 """

@@ -36,7 +36,8 @@ def choose_next(
     """Choose the motion for the pairs that are still open; None where there is none.
 
     Looked at are the effects that the result lists as not told from one of the answer, those that
-    its motions cannot tell from it, near candidates of the ranking, and rivals of an earlier result.
+    its motions cannot tell from it, near candidates of the ranking, and rivals of an earlier
+    result.
 
     Parameters
     ----------
