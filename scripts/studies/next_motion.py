@@ -249,10 +249,10 @@ def machine_with(pair: Sequence[tuple[str, str]], rng: np.random.Generator) -> M
 
 
 def gentle(rng: np.random.Generator) -> Array:
-    """What an operator runs first: slow swings of all joints, 5 s (T, 3) [rad]."""
+    """What an operator runs first: small slow swings of all joints, 5 s (T, 3) [rad]."""
     time = np.arange(round(5.0 * RATE)) / RATE
     waves = sum(
-        rng.uniform(0.08, 0.2, 3) * np.sin(np.outer(time, rng.uniform(0.8, 3.0, 3)))
+        rng.uniform(0.03, 0.08, 3) * np.sin(np.outer(time, rng.uniform(0.6, 1.6, 3)))
         for _ in range(2)
     )
     fade = np.clip((time - 0.3) / 1.0, 0.0, 1.0)
@@ -348,7 +348,7 @@ def table(pair: Sequence[tuple[str, str]], steps: Sequence[Step]) -> list[str]:
         motion = step.motion
         told = "none needed" if motion is None else f"{motion.seconds:.0f} s, {motion.words}"
         gains = "" if motion is None else "; ".join(
-            f"`{p.effect}` from `{p.rival}`, {max(p.if_effect_nats, p.if_rival_nats):.0f} nats"
+            f"{p.effect} from {p.rival}, {p.nats:.0f} nats"
             for p in motion.pairs if p.separates
         )  # fmt: skip
         lines.append(f"| {step.seconds:.0f} | {named(step.result)} | {told} | {gains} |")

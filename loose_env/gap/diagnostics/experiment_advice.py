@@ -23,8 +23,9 @@ def identifiability_words(
     found : Identifiability
         What motions do not show.
     separating : callable
-        Called with two effects, such as "payload at tool"; returns the motion that is expected to
-        separate them, in words, or None where there is none: then general advice is given.
+        Called with two effects, such as "payload at tool", or "nothing" and one; returns the motion
+        that is expected to separate them, or None where there is none: then general advice is
+        given.
     """
     said, by_kind = [], dict[str, list[UnidentifiableEffect]]()
     for each in found.unidentifiable:
@@ -33,10 +34,9 @@ def identifiability_words(
         places = ", ".join(each.where for each in many[:_LISTED])
         places += " and elsewhere" if len(many) > _LISTED else ""
         size = ", ".join(f"{k} {v:.2g}" for k, v in many[0].parameters.items())
-        said.append(
-            f"these motions would not show {kind} at {places} (such as {size}); "
-            f"{_missing(many[0].additional_s)}{how_to_see(kind)}"
-        )
+        motion = separating("nothing", f"{kind} at {many[0].where}")
+        advice = motion or f"{_missing(many[0].additional_s)}{how_to_see(kind)}"
+        said.append(f"these motions would not show {kind} at {places} (such as {size}); {advice}")
     for pair in found.confusable[:_LISTED]:
         one, other = f"{pair.kind} at {pair.where}", f"{pair.other_kind} at {pair.other_where}"
         if motion := separating(one, other):

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import zip_longest
+
+import numpy as np
 
 from loose_env.gap.experiment_design.next_motion import (
+    NOTHING,
     NextMotion,
     NextMotionSettings,
     NextMotionSummary,
@@ -18,6 +22,7 @@ from loose_env.gap.output.evidence_schema import Identifiability
 from loose_env.gap.output.result import GapResult
 from loose_env.gap.settings import WORSE
 from loose_env.gap.workflow.pipeline import GapSolution
+from loose_env.typing import Array
 
 __all__ = ["choose_next", "separating"]
 
@@ -37,7 +42,7 @@ def choose_next(
 
     Looked at are the effects that the result lists as not told from one of the answer, those that
     its motions cannot tell from it, near candidates of the ranking, and rivals of an earlier
-    result.
+    result; besides, effects that the motions would not show.
 
     Parameters
     ----------
@@ -58,14 +63,12 @@ def choose_next(
         If runs take no commands, or no motion fits the machine.
     """
     rivals = _rivals(solution, found, earlier)[: settings.next_rivals]
-    if not rivals:
-        say("next motion: nothing is confusable with the answer; none is needed")
-        return None
+    unseen = _unseen(solution, found)[: settings.next_unseen]
     say(f"next motion: evidence for the answer over {len(rivals)} rivals")
     comparison = solution.problem.fit
-    hypotheses = open_hypotheses(comparison, solution.best.fitted, rivals, say=say)
+    hypotheses = open_hypotheses(comparison, solution.best.fitted, rivals, unseen, say=say)
     if not hypotheses.pairs:
-        say("next motion: the runs tell the answer from every rival; none is needed")
+        say("next motion: nothing is confusable with the answer; none is needed")
         return None
     chosen = choose_motion(comparison, hypotheses, settings, say=say)
     if chosen is None:
@@ -81,7 +84,8 @@ def separating(motion: NextMotionSummary | None) -> Callable[[str, str], str | N
         nats = None if motion is None else motion.gain_of(one, other)
         if motion is None or nats is None:
             return None
-        return f"run {motion.file_words}: expected to separate them by {nats:.0f} nats"
+        what = "show it" if one == NOTHING else "separate them"
+        return f"run {motion.file_words}: expected to {what} by {nats:.0f} nats"
 
     return words
 
@@ -109,6 +113,22 @@ def _rivals(
         for own, other in listed
         if own in answer and other not in answer and other in forms
     ]
+
+
+def _unseen(solution: GapSolution, found: Identifiability) -> list[tuple[Effect, Array]]:
+    """Effects that the motions would not show, at sizes that matter; one of each kind first."""
+    sought = {}
+    for each in solution.problem.sought:
+        sought.setdefault((each.kind, each.where), each)
+    by_kind: dict[str, list[tuple[Effect, Array]]] = {}
+    for one in found.unidentifiable:
+        effect = sought.get((one.kind, one.where))
+        if effect is None or {p.name for p in effect.parameters} != set(one.parameters):
+            continue
+        values = np.array([one.parameters[p.name] for p in effect.parameters])
+        by_kind.setdefault(one.kind, []).append((effect, values))
+    rounds = zip_longest(*by_kind.values())
+    return [pair for one in rounds for pair in one if pair is not None]
 
 
 def _near(solution: GapSolution) -> list[tuple[Place, Place]]:

@@ -18,6 +18,7 @@ from loose_env.gap.experiment_design.next_motion.files import (
     write_next_motion,
 )
 from loose_env.gap.experiment_design.next_motion.open_pairs import (
+    NOTHING,
     Hypotheses,
     OpenPair,
     Place,
@@ -27,6 +28,7 @@ from loose_env.gap.experiment_design.next_motion.settings import NextMotionSetti
 
 __all__ = [
     "NEXT_MOTION",
+    "NOTHING",
     "Hypotheses",
     "NextMotion",
     "NextMotionSettings",

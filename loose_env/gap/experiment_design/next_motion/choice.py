@@ -15,7 +15,11 @@ from loose_env.gap.experiment_design.motions import Motion
 from loose_env.gap.experiment_design.next_motion.expected_gain import GainModel, Gains, value_of
 from loose_env.gap.experiment_design.next_motion.limits import MotionLimits, limits_of
 from loose_env.gap.experiment_design.next_motion.motion_trials import MotionRuns, Played
-from loose_env.gap.experiment_design.next_motion.open_pairs import Hypotheses
+from loose_env.gap.experiment_design.next_motion.open_pairs import (
+    NOTHING,
+    Hypotheses,
+    words_of,
+)
 from loose_env.gap.experiment_design.next_motion.settings import NextMotionSettings
 from loose_env.gap.experiment_design.servo_arm import Sensing, ServoArm
 from loose_env.gap.model.nominal_model import NominalModel
@@ -28,7 +32,7 @@ _AT_A_TIME = 4
 """Motions whose gains are worked out together, the most promising first."""
 _SERVO_HZ = 3.0
 """Bandwidth of the servos that stand in for a controller where the model has none [Hz]."""
-_LEAST = 1.0
+_LEAST = 2.0
 """Gain of a pair below which no motion tells the two apart [nats]."""
 
 
@@ -47,7 +51,7 @@ class PairGain:
     """Expected gain of a motion for one pair."""
 
     effect: str
-    """Effect of the answer and its location."""
+    """Effect of the answer and its location, or "nothing"."""
     rival: str
     """What may be there instead."""
     so_far_nats: float
@@ -60,7 +64,14 @@ class PairGain:
     @property
     def separates(self) -> bool:
         """Return whether the motion is expected to tell the two apart at all."""
-        return max(self.if_effect_nats, self.if_rival_nats) >= _LEAST
+        return self.nats >= _LEAST
+
+    @property
+    def nats(self) -> float:
+        """Larger gain of the two; of an effect that the runs would not show that if it is there."""
+        if self.effect == NOTHING:
+            return self.if_rival_nats
+        return max(self.if_effect_nats, self.if_rival_nats)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -167,8 +178,8 @@ def choose_motion(
     rows = zip(hypotheses.pairs, gains.if_answer, gains.if_rival, strict=True)
     pairs = tuple(
         PairGain(
-            effect=f"{pair.effect.kind} at {pair.effect.where}",
-            rival=f"{pair.rival.kind} at {pair.rival.where}",
+            effect=words_of(pair.effect),
+            rival=words_of(pair.rival),
             so_far_nats=pair.nats,
             if_effect_nats=max(ahead, 0.0),
             if_rival_nats=max(behind, 0.0),

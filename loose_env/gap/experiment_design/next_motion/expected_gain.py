@@ -12,7 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from loose_env.gap.experiment_design.next_motion.laplace import Knowledge, Separation, separation
+from loose_env.gap.experiment_design.next_motion.laplace import (
+    Knowledge,
+    Separation,
+    bounded,
+    separation,
+)
 from loose_env.gap.experiment_design.next_motion.motion_trials import MotionRuns, Played
 from loose_env.gap.experiment_design.next_motion.open_pairs import DECIDED, Hypotheses, OpenPair
 from loose_env.gap.fitting.gauss_newton import Fit, FitSettings, fit_settings_for
@@ -21,14 +26,16 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 __all__ = ["GainModel", "Gains", "value_of"]
 
 _MEMORY = 40_000_000
 """Numbers of predictions and sensitivities that are held at a time, 320 MB."""
 _SHARES = (1.0, 0.5, 0.2)
-"""Shares of the linearised refit that are simulated: beyond some shift it is not linear."""
+"""Shares of a linearised step that are simulated: beyond some shift it is not linear."""
+_REFITS, _ENOUGH = 4, 0.03
+"""Most steps of a refit by simulation, and the share of its cost below which it ends."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,7 +62,7 @@ def value_of(gains: Gains, pairs: Sequence[OpenPair]) -> float:
     for pair, ahead, behind in zip(pairs, gains.if_answer, gains.if_rival, strict=True):
         odds = 1.0 / (1.0 + np.exp(-np.clip(pair.nats, -50.0, 50.0)))
         expected = odds * max(ahead, 0.0) + (1 - odds) * max(behind, 0.0)
-        found += float(np.log1p(expected / DECIDED))
+        found += pair.weight * float(np.log1p(expected / DECIDED))
     return found
 
 
@@ -74,8 +81,7 @@ class GainModel:
         self.hypotheses, self.runs = hypotheses, runs
         self._answer = _Own.of(hypotheses.answer, hypotheses.known)
         self._rivals = [_Own.of(pair.fitted, pair.known) for pair in hypotheses.pairs]
-        every = (*hypotheses.answer.effects, *(pair.rival for pair in hypotheses.pairs))
-        self._springs = any(effect.adds_motion for effect in every)
+        self._springs = any(effect.adds_motion for effect in hypotheses.answer.effects)
         self._root = float(np.sqrt(hypotheses.share))
 
     def bounds(self, motions: Sequence[Played]) -> list[Gains]:
@@ -102,32 +108,36 @@ class GainModel:
         """Gains of motions that are simulated together."""
         pairs = self.hypotheses.pairs
         # A cheaper integrator in both terms of a difference; springs need the steps of the fits.
-        compared = self.runs.compared(motions)
-        if not self._springs:
-            compared = compared.lighter()
+        whole_steps = self.runs.compared(motions)
+        compared = whole_steps if self._springs else whole_steps.lighter()
         nothing = compared.residuals([self._answer.hypothesis()])[0]
-        rivals = compared.residuals([own.hypothesis() for own in self._rivals])
-        effects = tuple(pair.effect for pair in pairs)
+        effects = tuple(pair.effect for pair in pairs if pair.effect is not None)
         chosen = self._answer.of_effects(self._answer.structure.effects if whole else effects)
         common = self._answer.nominal if whole else ()
         own = self._columns(compared, self._answer, nothing, (*common, *chosen))
-        known = self._answer.known.of_some(np.array((*common, *chosen), dtype=np.intp))
+        mine = np.array((*common, *chosen), dtype=np.intp)
+        known = self._answer.known.of_some(mine)
         found: list[list[tuple[Separation, float, Array]]] = [[] for _ in motions]
-        for pair, rival, residual in zip(pairs, self._rivals, rivals, strict=True):
+        for pair, rival in zip(pairs, self._rivals, strict=True):
             last = rival.of_effects((pair.rival,))
-            mine = self._columns(compared, rival, residual, last)
+            steps, base = compared, nothing
+            if pair.rival.adds_motion and compared is not whole_steps:
+                steps = whole_steps
+                base = steps.residuals([self._answer.hypothesis()])[0]
+            residual = steps.residuals([rival.hypothesis()])[0]
+            extra = self._columns(steps, rival, residual, last)
             others = [k for k in range(rival.count) if k not in last]
             # Other columns are those of the answer: what both have changes both nearly alike.
             shared, at = self._shared(rival, others, (*common, *chosen))
-            jacobian = np.concatenate([own[:, at], mine], axis=1)
+            jacobian = np.concatenate([own[:, at], extra], axis=1)
             kept = np.array([*shared, *last], dtype=np.intp)
             there = rival.known.of_some(kept)
             for number in range(len(motions)):
                 rows = compared.rows.trial == number
-                apart = self._root * (residual[rows] - nothing[rows])
+                apart = self._root * (residual[rows] - base[rows])
                 one, other = -self._root * own[rows], -self._root * jacobian[rows]
-                ahead = separation(apart, (known, one), (there, other))
-                behind = separation(-apart, (there, other), (known, one))
+                ahead = separation(apart, (known, one), (there, other), rival.room(kept))
+                behind = separation(-apart, (there, other), (known, one), self._answer.room(mine))
                 shift = np.zeros(rival.count)
                 shift[kept] = ahead.shift
                 found[number].append((ahead, behind.nats, shift))
@@ -172,25 +182,71 @@ class GainModel:
         return np.asarray((changes / np.array(steps)[:, None]).T)
 
     def confirmed(self, motion: Played, gains: Gains) -> Gains:
-        """The same with each rival simulated where the linear refit puts it.
+        """The same with the hypothesis that is not right refitted by simulation.
 
-        A rival that does better somewhere else on the way there counts with that.
+        The linearised refit is its start. Where a hypothesis is not linear over that distance, such
+        as dry friction that holds or slips, the linearised gain is off.
+
+        Parameters
+        ----------
+        motion : Played
+            The motion.
+        gains : Gains
+            As of `gains`.
         """
         compared = self.runs.compared([motion])
-        nothing = compared.residuals([self._answer.hypothesis()])[0]
-        ahead = []
+        answer = self._answer
+        nothing = compared.residuals([answer.hypothesis()])[0]
+        ahead, behind = [], []
         for rival, occam, shift in zip(self._rivals, gains.occam, gains.shifts, strict=True):
-            tried = [
-                np.clip(rival.free + share * shift, rival.low, rival.high)
-                for share in (0.0, *_SHARES)
-            ]
-            left = self._root * (compared.residuals([rival.hypothesis(f) for f in tried]) - nothing)
-            costs = [
-                float(r @ r + (f - rival.free) @ rival.known.precision @ (f - rival.free))
-                for r, f in zip(left, tried, strict=True)
-            ]
-            ahead.append(0.5 * min(costs) + occam)
-        return replace(gains, if_answer=tuple(ahead))
+            residual = compared.residuals([rival.hypothesis()])[0]
+            ahead.append(self._refitted(compared, rival, nothing, shift) + occam)
+            away = np.zeros(answer.count)
+            behind.append(self._refitted(compared, answer, residual, away) - occam)
+        return replace(gains, if_answer=tuple(ahead), if_rival=tuple(behind))
+
+    def _refitted(self, compared: ResidualModel, own: _Own, truth: Array, shift: Array) -> float:
+        """Half the cost that a hypothesis leaves of another, after a refit [nats].
+
+        Parameters
+        ----------
+        compared : ResidualModel
+            The motion.
+        own : _Own
+            The hypothesis that is refitted.
+        truth : ndarray (N,)
+            Residual of the one that is right.
+        shift : ndarray (P,)
+            Start of the refit, beside where the runs so far put it.
+        """
+
+        def at(shifts: Sequence[Array]) -> list[tuple[float, Array, Array]]:
+            tried = [np.clip(own.free + s, own.low, own.high) for s in shifts]
+            left = self._root * (compared.residuals([own.hypothesis(f) for f in tried]) - truth)
+            moved = [f - own.free for f in tried]
+            costs = (
+                0.5 * float(r @ r + m @ own.known.precision @ m)
+                for r, m in zip(left, moved, strict=True)
+            )
+            return list(zip(costs, moved, left, strict=True))
+
+        best = min(at([share * shift for share in (0.0, *_SHARES)]), key=_cost)
+        for _ in range(_REFITS):
+            here = replace(own, free=own.free + best[1])
+            base = best[2] / self._root + truth
+            jacobian = self._root * self._columns(compared, here, base, range(own.count))
+            curvature = jacobian.T @ jacobian + own.known.precision
+            slope = jacobian.T @ best[2] + own.known.precision @ best[1]
+            step = bounded(curvature, -slope, here.room(np.arange(own.count)))
+            found = min(at([best[1] + share * step for share in _SHARES]), key=_cost)
+            gained, best = best[0] - found[0], min(best, found, key=_cost)
+            if gained < _ENOUGH * best[0]:
+                break
+        return best[0]
+
+
+def _cost(tried: tuple[float, Array, Array]) -> float:
+    return tried[0]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -242,6 +298,10 @@ class _Own:
         keys = {effect.key for effect in effects}
         slices = zip(self.structure.effects, self.structure.slices, strict=True)
         return tuple(k for e, own in slices if e.key in keys for k in range(own.start, own.stop))
+
+    def room(self, kept: IndexArray) -> tuple[Array, Array]:
+        """Least and largest shift of some free numbers."""
+        return self.low[kept] - self.free[kept], self.high[kept] - self.free[kept]
 
     def hypothesis(self, free: Array | None = None) -> Hypothesis:
         """The hypothesis at some free numbers, by default those fitted."""

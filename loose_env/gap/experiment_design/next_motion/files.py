@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from loose_env.gap.experiment_design.next_motion.choice import NextMotion, PairGain
+from loose_env.gap.experiment_design.next_motion.open_pairs import NOTHING
 from loose_env.gap.experiment_design.next_motion.settings import NextMotionSettings
 from loose_env.io import json_text, restored, whole_of, write_text
 from loose_env.recording import table_of, write_csv, write_parquet
@@ -73,7 +74,7 @@ class NextMotionSummary:
         """
         for pair in self.pairs:
             if {pair.effect, pair.rival} == {one, other} and pair.separates:
-                return max(pair.if_effect_nats, pair.if_rival_nats)
+                return pair.nats
         return None
 
 
@@ -144,13 +145,15 @@ def next_motion_lines(motion: NextMotionSummary) -> list[str]:
         f"{motion.repeats * motion.seconds:.0f} s in all"
     ]
     for pair in motion.pairs:
-        if pair.separates:
+        if pair.separates and pair.effect == NOTHING:
+            found.append(f"  shows {pair.rival} if it is there: expected gain {pair.nats:.0f} nats")
+        elif pair.separates:
             found.append(
                 f"  separates {pair.effect} from {pair.rival}: expected gain "
                 f"{pair.if_effect_nats:.0f} nats ({pair.if_rival_nats:.0f} if it is the other); "
                 f"{pair.so_far_nats:.1f} so far"
             )
-        else:
+        elif pair.effect != NOTHING:
             found.append(f"  does not separate {pair.effect} from {pair.rival}")
     found.append(f"  checked with the corrected model: {'; '.join(motion.checked)}")
     return found

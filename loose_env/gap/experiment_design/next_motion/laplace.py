@@ -17,7 +17,7 @@ from loose_env.gap.residuals.autocorrelation import independent_rows
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.typing import Array, IndexArray
 
-__all__ = ["Knowledge", "Separation", "separation", "weights_of"]
+__all__ = ["Knowledge", "Separation", "bounded", "prior_precision", "separation", "weights_of"]
 
 _WIDTH = float(np.sqrt(12.0))
 """Width of a uniform distribution over its standard deviation."""
@@ -106,6 +106,7 @@ def separation(
     difference: Array,
     first: tuple[Knowledge, Array],
     other: tuple[Knowledge, Array],
+    room: tuple[Array, Array] | None = None,
 ) -> Separation:
     """Expected gain of a motion in log evidence, if the first of two hypotheses is right.
 
@@ -119,6 +120,8 @@ def separation(
         Readings that the first predicts less those of the other, in noise standard deviations.
     first, other : tuple
         What is known of each, and the change of its predictions with its free numbers (N, P).
+    room : tuple of ndarray (P,), optional
+        Least and largest shift of the other's free numbers: friction adds no energy.
 
     Examples
     --------
@@ -132,7 +135,7 @@ def separation(
     """
     (known, own), (there, jacobian) = first, other
     precision = there.precision + jacobian.T @ jacobian
-    shift = _solved(precision, jacobian.T @ difference)
+    shift = bounded(precision, jacobian.T @ difference, room)
     left = difference - jacobian @ shift
     squares = float(left @ left + shift @ there.precision @ shift)
     occam = _grown(there, precision) - _grown(known, known.precision + own.T @ own)
@@ -158,6 +161,25 @@ def _log_det(precision: Array) -> float:
     return float(np.linalg.slogdet(precision / np.outer(scale, scale))[1] + 2 * np.log(scale).sum())
 
 
-def _solved(precision: Array, right: Array) -> Array:
-    scale = np.sqrt(np.diag(precision))
-    return np.asarray(np.linalg.solve(precision / np.outer(scale, scale), right / scale) / scale)
+def bounded(precision: Array, right: Array, room: tuple[Array, Array] | None) -> Array:
+    """Solution of a positive definite system within bounds, by clamping what leaves them (P,).
+
+    Examples
+    --------
+    >>> bounded(np.eye(2), np.array([2.0, -3.0]), (np.zeros(2), np.ones(2)))
+    array([1., 0.])
+    """
+    found, free = np.zeros(len(right)), np.ones(len(right), dtype=bool)
+    for _ in range(len(right) + 1):
+        rest = right[free] - precision[np.ix_(free, ~free)] @ found[~free]
+        own = precision[np.ix_(free, free)]
+        scale = np.sqrt(np.diag(own))
+        found[free] = np.linalg.solve(own / np.outer(scale, scale), rest / scale) / scale
+        if room is None:
+            break
+        out = free & ((found < room[0]) | (found > room[1]))
+        if not out.any():
+            break
+        found[out] = np.clip(found[out], room[0][out], room[1][out])
+        free &= ~out
+    return found

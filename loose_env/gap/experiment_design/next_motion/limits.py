@@ -55,8 +55,6 @@ class MotionLimits:
             return "the corrected model does not follow it"
         if motion.contacts:
             return f"{motion.contacts[0][0]} and {motion.contacts[0][1]} would touch"
-        if motion.saturated:
-            return f"{motion.saturated[0]} would reach the range of its force"
         low = np.minimum(motion.position, motion.desired).min(axis=0)
         high = np.maximum(motion.position, motion.desired).max(axis=0)
         for k, joint in enumerate(self.joints):
@@ -65,6 +63,8 @@ class MotionLimits:
                     f"{joint} would move from {low[k]:.3g} to {high[k]:.3g}; it may from "
                     f"{self.low[k]:.3g} to {self.high[k]:.3g} ({self.sources[0]})"
                 )
+        if motion.saturated:
+            return f"{motion.saturated[0]} would reach the range of its force"
         wanted = np.abs(np.gradient(motion.desired, motion.time, axis=0)).max(axis=0)
         fastest = np.maximum(wanted, np.abs(motion.speed).max(axis=0) / _OVERSHOOT)
         largest = np.abs(motion.torque).max(axis=0)

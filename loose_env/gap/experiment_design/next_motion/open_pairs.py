@@ -8,10 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loose_env.arms import quiet
-from loose_env.gap.experiment_design.next_motion.laplace import Knowledge, weights_of
+from loose_env.gap.experiment_design.next_motion.laplace import (
+    Knowledge,
+    prior_precision,
+    weights_of,
+)
 from loose_env.gap.fitting.gauss_newton import Fit, cost_of, fit
 from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.parameter import free_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.screening.screening import Screened, screen
@@ -19,10 +24,14 @@ from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import EQUAL_LOG_LIKELIHOOD, SCREENING_S
 from loose_env.typing import Array
 
-__all__ = ["DECIDED", "Hypotheses", "OpenPair", "Place", "open_hypotheses", "words_of"]
+__all__ = ["DECIDED", "NOTHING", "Hypotheses", "OpenPair", "Place", "open_hypotheses", "words_of"]
 
 DECIDED = 0.5 * EQUAL_LOG_LIKELIHOOD
 """Difference in log evidence from which a pair is decided [nats]."""
+NOTHING = "nothing"
+"""Name of what an effect is told from that the runs would not show."""
+_UNSEEN = 0.2
+"""Weight of an effect that the runs would not show, beside one that competes with the answer."""
 _FAR = 0.3
 """Change of a free number from which sensitivities are taken anew."""
 
@@ -32,14 +41,15 @@ Place = tuple[str, str]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OpenPair:
-    """An effect of the answer and one that may be there in its place."""
+    """An effect of the answer and one that may be there in its place, or beside the answer."""
 
-    effect: Effect
-    """The effect of the answer."""
+    effect: Effect | None
+    """The effect of the answer; None for one that the runs would not show beside the answer."""
     rival: Effect
     """What may be there instead."""
     fitted: Fit
-    """The answer with the rival in the place of the effect, fitted to the same runs."""
+    """The answer with the rival in the place of the effect, fitted to the same runs; with one that
+    they would not show, of a size that matters."""
     known: Knowledge
     """What the runs say of the rival hypothesis."""
     nats: float
@@ -49,6 +59,11 @@ class OpenPair:
     def words(self) -> str:
         """Both with their locations."""
         return f"{words_of(self.effect)} from {words_of(self.rival)}"
+
+    @property
+    def weight(self) -> float:
+        """Weight in the choice of a motion: what competes with the answer comes first."""
+        return 1.0 if self.effect is not None else _UNSEEN
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,15 +84,16 @@ class Hypotheses:
     """Rivals that the evidence of the runs excludes."""
 
 
-def words_of(effect: Effect) -> str:
-    """Kind and location."""
-    return f"{effect.kind} at {effect.where}"
+def words_of(effect: Effect | None) -> str:
+    """Kind and location; "nothing" where there is none."""
+    return NOTHING if effect is None else f"{effect.kind} at {effect.where}"
 
 
 def open_hypotheses(
     comparison: ResidualModel,
     best: Fit,
     rivals: Sequence[tuple[Place, Sequence[Effect]]],
+    unseen: Sequence[tuple[Effect, Array]] = (),
     *,
     say: Callable[[str], None] = lambda _: None,
 ) -> Hypotheses:
@@ -91,6 +107,8 @@ def open_hypotheses(
         The answer.
     rivals : sequence of tuple
         Kind and location of an effect of the answer, and a rival in all its forms.
+    unseen : sequence of (Effect, values)
+        Effects that the runs would not show at sizes that matter.
     say : callable
         Receives progress messages.
     """
@@ -116,6 +134,7 @@ def open_hypotheses(
             say(f"  {pair.words}: {pair.nats:.1f} nats so far")
             pairs.append(pair)
     pairs.sort(key=lambda pair: pair.nats)
+    pairs += [_unseen(answer, known, effect, values) for effect, values in unseen]
     return Hypotheses(
         answer=answer,
         known=known,
@@ -123,6 +142,23 @@ def open_hypotheses(
         share=share,
         pairs=tuple(p for p in pairs if p.nats < DECIDED),
         decided=tuple(p for p in pairs if p.nats >= DECIDED),
+    )
+
+
+def _unseen(answer: Fit, known: Knowledge, effect: Effect, values: Array) -> OpenPair:
+    """The answer with one more effect, of which the runs say nothing."""
+    structure = answer.structure.plus(effect)
+    free = np.concatenate([answer.free, free_of(effect.parameters, values)])
+    prior = prior_precision(effect.parameters)
+    precision = np.zeros((len(known.precision) + len(prior),) * 2)
+    precision[: len(known.precision), : len(known.precision)] = known.precision
+    precision[len(known.precision) :, len(known.precision) :] = np.diag(prior)
+    return OpenPair(
+        effect=None,
+        rival=effect,
+        fitted=replace(answer, structure=structure, free=free),
+        known=Knowledge(precision=precision, log_evidence=known.log_evidence),
+        nats=0.0,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from loose_env.io import Checked, Count, NonNegative, Positive
+from loose_env.io import Checked, Count, NonNegative, NonNegativeCount, Positive
 
 __all__ = ["NextMotionSettings"]
 
@@ -36,3 +36,5 @@ class NextMotionSettings(Checked):
     the shorter one is taken."""
     next_rivals: Count = 6
     """Most rivals that are compared."""
+    next_unseen: NonNegativeCount = 6
+    """Most effects that these runs would not show for which a motion is looked for."""
