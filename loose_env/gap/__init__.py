@@ -30,6 +30,7 @@ from loose_env.gap.diagnostics.residual_spectra import (
 )
 from loose_env.gap.experiment_design.next_motion import (
     NEXT_MOTION,
+    NOTHING,
     NextMotionSettings,
     NextMotionSummary,
     next_motion_lines,
@@ -114,6 +115,7 @@ __all__ = [
     "ACCEPTED_Z",
     "NEXT_MOTION",
     "NOISE_RMS",
+    "NOTHING",
     "PROBABILITY_FEATURES",
     "TARGETS",
     "DeletionTest",

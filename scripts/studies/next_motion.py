@@ -7,8 +7,9 @@ it.
 
 An operator records two gentle motions. Then `loose gap RECORDING --out A --next` names what it can
 and writes the next motion; the machine plays ``next_motion.csv``, twice; and `loose gap A NEW`
-goes on, until nothing is left that a motion would tell apart, or after five motions. The session
-is printed as a table. Finished steps are kept: a session that was interrupted goes on.
+goes on, until nothing is left that a motion would tell apart, or a motion has changed nothing and
+no rival competes with the answer, or after five motions. The session is printed as a table.
+Finished steps are kept: a session that was interrupted goes on.
 
 Usage: python -m scripts.studies.next_motion --out out/next-motion [--pairs 3] [--seed 1]
 """
@@ -28,7 +29,7 @@ import numpy as np
 from loose_agents.execution.script_errors import errors_in_one_line
 from numpy.typing import NDArray
 
-from loose_env.gap import GapResult, NextMotionSummary, read_next_motion, read_result
+from loose_env.gap import NOTHING, GapResult, NextMotionSummary, read_next_motion, read_result
 from loose_env.recording import Run, write_recording
 
 Array = NDArray[np.float64]
@@ -324,15 +325,23 @@ def session(folder: Path, pair: Sequence[tuple[str, str]], seed: Sequence[int]) 
         file = out / "next_motion.json"
         motion = read_next_motion(file) if file.is_file() else None
         steps.append(Step(seconds=seconds, result=read_result(out), motion=motion))
-        if motion is None:
+        if motion is None or _settled(steps):
             break
     return steps
 
 
+def _settled(steps: Sequence[Step]) -> bool:
+    """Return whether a motion has changed nothing, and nothing competes with the answer."""
+    motion = steps[-1].motion
+    if len(steps) < 2 or motion is None or named(steps[-1].result) != named(steps[-2].result):
+        return False
+    return not any(pair.effect != NOTHING and pair.separates for pair in motion.pairs)
+
+
 def named(result: GapResult) -> str:
     """Effects of an answer."""
-    found = ", ".join(f"`{e.kind}` at {e.where}" for e in result.effects)
-    return found or result.verdict
+    found = sorted(f"`{e.kind}` at {e.where}" for e in result.effects)
+    return ", ".join(found) or result.verdict
 
 
 def table(pair: Sequence[tuple[str, str]], steps: Sequence[Step]) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -112,10 +112,7 @@ def motion_words(motion: Motion, joints: Sequence[str]) -> str:
     pose = "" if motion.centre is None else " about ({})".format(
         ", ".join(f"{value:.2f}" for value in motion.centre)
     )  # fmt: skip
-    return (
-        f"{motion.kind.replace('_', ' ')} of {which}{pose}, {motion.amplitude:.2g} rad at up to "
-        f"{motion.speed:.2g} rad/s"
-    )
+    return f"{motion.kind.replace('_', ' ')} of {which}{pose}, {motion.amplitude:.2g} rad"
 
 
 def choose_motion(
@@ -200,8 +197,10 @@ def choose_motion(
 
 
 def motions_for(arm: ServoArm, settings: NextMotionSettings) -> tuple[Motion, ...]:
-    """The library of an arm, without motions that are too long."""
-    return tuple(m for m in motion_library(arm) if m.seconds <= settings.next_seconds)
+    """The library of an arm, each motion long enough, without those that are too long."""
+    least = min(settings.next_least_seconds, settings.next_seconds)
+    found = (replace(m, seconds=max(m.seconds, least)) for m in motion_library(arm))
+    return tuple(m for m in dict.fromkeys(found) if m.seconds <= settings.next_seconds)
 
 
 def _played(

@@ -31,6 +31,9 @@ class NextMotionSettings(Checked):
     """Share of a drive's torque limit that a motion may take [1]."""
     next_seconds: Positive = 15.0
     """Longest motion [s]."""
+    next_least_seconds: Positive = 6.0
+    """Shortest excitation [s]: effects are accepted by z-scores over blocks of time, which take
+    many of them."""
     next_setup_s: NonNegative = 10.0
     """Time that a recording costs beside its motion [s]: of two motions that separate equally well
     the shorter one is taken."""
