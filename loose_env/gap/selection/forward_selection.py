@@ -238,11 +238,11 @@ def _step(
             say(f"  {scored.fitted.effects[-1]!r}: {objection}")
             continue
         accepted, dropped = acceptance.accept(scored)
-        earlier = list(best.fitted.effects)
-        alone = candidate_fits.without_earlier(scored, found.base.fitted) if earlier else None
+        first = list(best.fitted.effects)
+        alone = candidate_fits.without_earlier(scored, found.base.fitted) if first else None
         if alone is not None and not acceptance.significant(improvement_of(accepted, alone)):
             acceptance = Acceptance(comparison, scorer, found.base, found.base, settings)
-            accepted, dropped = acceptance.accept(alone)[0], earlier
+            accepted, dropped = acceptance.accept(alone)[0], first
         accepted = _converged(comparison, short, scorer, accepted)
         rivals = [each.bare for each in ranked]
         return SelectionStep(rivals=rivals, accepted=accepted, dropped=dropped)

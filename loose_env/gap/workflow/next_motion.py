@@ -117,7 +117,7 @@ def _rivals(
 
 def _unseen(solution: GapSolution, found: Identifiability) -> list[tuple[Effect, Array]]:
     """Effects that the motions would not show, at sizes that matter; one of each kind first."""
-    sought = {}
+    sought: dict[Place, Effect] = {}
     for each in solution.problem.sought:
         sought.setdefault((each.kind, each.where), each)
     by_kind: dict[str, list[tuple[Effect, Array]]] = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -163,7 +164,7 @@ def test_with_all_parameters_fitted_the_gain_is_within_its_bound(
 def test_a_motion_beyond_a_limit_is_refused(
     comparison: ResidualModel,
     hypotheses: Hypotheses,
-    settings: dict[str, float],
+    settings: dict[str, Any],
     pose: tuple[float, float],
     reason: str,
 ) -> None:

@@ -268,7 +268,7 @@ class _Own:
         nuisance = fitted.structure.nuisance
         structure = replace(fitted.structure, nuisance=replace(nuisance, initial=None))
         bounds = np.array([p.bounds for p in structure.parameters]).reshape(-1, 2)
-        keys = [("nominal", p.name) for p in structure.nuisance.parameters]
+        keys: list[tuple[str, ...]] = [("nominal", p.name) for p in structure.nuisance.parameters]
         keys += [(*e.key, p.name) for e in structure.effects for p in e.parameters]
         return cls(
             structure=structure,
