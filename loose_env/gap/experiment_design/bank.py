@@ -34,7 +34,7 @@ _FORMAT = "gap signatures 1"
 _STEP = 0.3
 """Step of a derivative by a nominal parameter over the tolerance, and by a shape parameter over its
 standard deviation."""
-_SEARCHES = 5
+_SEARCHES = 4
 """Steps of the search for the size of a given visibility."""
 _TOGETHER = 60
 """Hypotheses simulated at a time."""
@@ -252,7 +252,7 @@ def _computed(
         raise InvalidData("no candidate effect can be seen on the battery of this arm")
     signatures, seconds, wear = [], [], []
     for k, motion in enumerate(library):
-        say(f"signatures of {motion.words}: {k + 1} of {len(library)}")
+        say(f"signatures, motion {k + 1} of {len(library)}: {motion.words}")
         checked = check_motion(motion, arm)
         seconds.append(checked.seconds)
         wear.append(checked.wear)
@@ -305,22 +305,29 @@ def _sized(
         return np.sqrt(np.maximum(total - explained, 0.0))
 
     most = np.array([0.95 * ray.largest for ray in rays])
-    targets = np.geomspace(*settings.visibility, settings.points)
-    sizes = np.empty((len(rays), settings.points))
-    seen = np.empty_like(sizes)
+    least = np.array([max(ray.smallest, 1e-9) for ray in rays])
+    steps = np.geomspace(*settings.visibility, settings.points) / settings.visibility[0]
+    sizes, seen = np.empty((2, len(rays), settings.points))
     tried: list[tuple[Array, Array]] = []
-    for k, target in enumerate(targets):
-        size = np.minimum(1.0, most) if k == 0 else sizes[:, k - 1] * targets[k] / targets[k - 1]
-        size = np.minimum(size, most)
-        for number in range(_SEARCHES if k in (0, settings.points - 1) else 2):
+    target = np.full(len(rays), settings.visibility[0])
+    size = np.clip(np.array([1.0 if r.smallest == 0 else r.smallest for r in rays]), least, most)
+    for k, step in enumerate(steps):
+        wanted = target * step if k else target
+        if k:
+            size = np.clip(sizes[:, k - 1] * steps[k] / steps[k - 1], least, most)
+        for number in range(_SEARCHES if k == 0 else 2):
             say(f"sizes of the effects: point {k + 1} of {settings.points}, step {number + 1}")
             found = np.where(np.isfinite(v := visibility(size)), v, np.inf)
             tried.append((size, found))
-            size = np.minimum(_next_size(tried, target), most)
-        best = np.array([np.abs(np.log(np.maximum(f, 1e-9) / target)) for _, f in tried])
-        pick = np.argmin(np.where(np.isfinite(best), best, 1e9), axis=0)
+            size = np.clip(_next_size(tried, wanted), least, most)
+        off = np.array([np.abs(np.log(np.maximum(f, 1e-9) / wanted)) for _, f in tried])
+        if k:  # larger than the point before
+            off[np.array([s for s, _ in tried]) <= sizes[:, k - 1] * 1.01] = np.inf
+        pick = np.argmin(np.where(np.isfinite(off), off, 1e9), axis=0)
         every = np.array([s for s, _ in tried]), np.array([f for _, f in tried])
         sizes[:, k], seen[:, k] = (values[pick, np.arange(len(rays))] for values in every)
+        if k == 0:  # what is seen clearly at its least size begins there
+            target = np.maximum(target, seen[:, 0])
     # a ray that reaches less than twice the least visibility within its bounds is not seen
     keep = np.flatnonzero(
         (seen[:, -1] > 2 * settings.visibility[0]) & (np.diff(sizes, axis=1) > 0).all(axis=1)
@@ -328,7 +335,7 @@ def _sized(
     return tuple(rays[k] for k in keep), sizes[keep], seen[keep]
 
 
-def _next_size(tried: Sequence[tuple[Array, Array]], target: float) -> Array:
+def _next_size(tried: Sequence[tuple[Array, Array]], target: Array) -> Array:
     """Next size of each ray: between the nearest below and above the target, else in proportion."""
     sizes = np.array([s for s, _ in tried])
     seen = np.array([v for _, v in tried])
@@ -340,12 +347,12 @@ def _next_size(tried: Sequence[tuple[Array, Array]], target: float) -> Array:
     for k in range(len(found)):
         if np.isfinite(below[k]) and np.isfinite(above[k]) and below[k] < above[k]:
             low, high = np.log(max(v_below[k], 1e-3)), np.log(min(v_above[k], 1e6))
-            share = np.clip((np.log(target) - low) / max(high - low, 1e-9), 0.1, 0.9)
+            share = np.clip((np.log(target[k]) - low) / max(high - low, 1e-9), 0.1, 0.9)
             found[k] = below[k] * (above[k] / below[k]) ** share
         elif np.isfinite(above[k]):
-            found[k] = above[k] * np.clip(target / min(v_above[k], 1e9), 0.05, 0.9)
+            found[k] = above[k] * np.clip(target[k] / min(v_above[k], 1e9), 0.01, 0.9)
         else:
-            found[k] = below[k] * np.clip(target / max(v_below[k], 1e-9), 1.1, 20.0)
+            found[k] = below[k] * np.clip(target[k] / max(v_below[k], 1e-9), 1.1, 20.0)
     return found
 
 

@@ -12,7 +12,7 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.experiment_design.servo_arm import ServoArm
 from loose_env.typing import Array
 
-__all__ = ["MotionKind", "Motion"]
+__all__ = ["Motion", "MotionKind"]
 
 MotionKind = Literal[
     "slow_triangle", "constant_speed", "chirp", "multisine", "steps", "holds", "random"
