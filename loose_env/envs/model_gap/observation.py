@@ -44,7 +44,7 @@ class GapObservation:
 
     @property
     def evidence(self) -> slice:
-        """Log evidence x of each candidate alone against none, as sign(x) ln(1 + |x|) [nats] (N)."""
+        """Log evidence x [nats] of each candidate alone, as sign(x) ln(1 + |x|) (N)."""
         return slice(self.candidates, 2 * self.candidates)
 
     @property

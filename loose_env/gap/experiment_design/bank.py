@@ -14,6 +14,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,6 +141,7 @@ def signature_bank(
     library: Sequence[Motion],
     settings: BankSettings | None = None,
     *,
+    reference: Sequence[Motion] | None = None,
     cache: Path | None = _CACHE,
     say: Say | None = None,
 ) -> SignatureBank:
@@ -153,6 +155,8 @@ def signature_bank(
         The motions.
     settings : BankSettings, optional
         Candidates and linearisation points.
+    reference : sequence of Motion, optional
+        Motions on which sizes are sought; the fixed battery by default.
     cache : Path, optional
         Folder of stored banks; None to store nothing. The name of a stored one is a digest of arm,
         library, settings and format; its configuration lies beside it as JSON.
@@ -160,13 +164,18 @@ def signature_bank(
         Receives lines of progress.
     """
     settings = settings or BankSettings()
-    configuration = {
+    configuration: dict[str, object] = {
         "format": _FORMAT,
         "arm": arm.key,
         "settings": asdict(settings),
-        "rays": [[ray.name, ray.effect.variant, *ray.start.tolist()] for ray in rays_of(arm, settings.kinds)],
+        "rays": [
+            [ray.name, ray.effect.variant, *ray.start.tolist()]
+            for ray in rays_of(arm, settings.kinds)
+        ],
         "library": [asdict(motion) for motion in library],
-    }  # fmt: skip
+    }
+    if reference is not None:
+        configuration["reference"] = [asdict(motion) for motion in reference]
     text = json.dumps(configuration, sort_keys=True, indent=1)
     key = hashlib.sha256(text.encode()).hexdigest()[:16]
     file = None if cache is None else Path(cache) / f"{key}.npz"
@@ -174,7 +183,8 @@ def signature_bank(
         stored = _read(file, arm, tuple(library), settings)
         if stored is not None:
             return stored
-    bank = _computed(arm, tuple(library), settings, say or (lambda words: None))
+    sized_on = battery(arm) if reference is None else tuple(reference)
+    bank = _computed(arm, tuple(library), sized_on, settings, say or (lambda words: None))
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         written_beside(file, lambda path: _write(path, bank))
@@ -211,7 +221,7 @@ def _read(
 ) -> SignatureBank | None:
     """A stored bank; None if it cannot be read, such as one cut short."""
     try:
-        with np.load(file, allow_pickle=False) as stored:
+        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as stored:
             found = {name: stored[name] for name in stored.files}
         every = {_key(ray): ray for ray in rays_of(arm, settings.kinds)}
         rays = tuple(every[str(name)] for name in found["rays"])
@@ -224,7 +234,7 @@ def _read(
             )
             for k in range(len(library))
         )
-    except (OSError, ValueError, KeyError, EOFError):
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None
     return SignatureBank(
         arm, library, settings, rays, found["sizes"], found["visibilities"], signatures,
@@ -245,9 +255,13 @@ def _shape_columns(
 
 
 def _computed(
-    arm: ServoArm, library: tuple[Motion, ...], settings: BankSettings, say: Say
+    arm: ServoArm,
+    library: tuple[Motion, ...],
+    reference: tuple[Motion, ...],
+    settings: BankSettings,
+    say: Say,
 ) -> SignatureBank:
-    rays, sizes, seen = _sized(arm, rays_of(arm, settings.kinds), settings, say)
+    rays, sizes, seen = _sized(arm, rays_of(arm, settings.kinds), reference, settings, say)
     if not rays:
         raise InvalidData("no candidate effect can be seen on the battery of this arm")
     signatures, seconds, wear = [], [], []
@@ -286,10 +300,14 @@ def _nuisance_columns(arm: ServoArm, commands: Array, base: Array) -> Array:
 
 
 def _sized(
-    arm: ServoArm, rays: Sequence[Ray], settings: BankSettings, say: Say
+    arm: ServoArm,
+    rays: Sequence[Ray],
+    reference: Sequence[Motion],
+    settings: BankSettings,
+    say: Say,
 ) -> tuple[tuple[Ray, ...], Array, Array]:
     """Rays that can be seen, sizes of their points (R, points) and visibilities there."""
-    motions = [motion.commands(arm) for motion in battery(arm)]
+    motions = [motion.commands(arm) for motion in reference]
     bases = [_residuals(arm, commands, [Hypothesis()])[0] for commands in motions]
     columns = [_nuisance_columns(arm, c, b) for c, b in zip(motions, bases, strict=True)]
     across = sum((c.T @ c for c in columns), np.eye(columns[0].shape[1]))

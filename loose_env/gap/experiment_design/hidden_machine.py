@@ -61,7 +61,7 @@ class HiddenMachine:
         )
 
     def run(self, motion: int, rng: np.random.Generator) -> Array:
-        """Measure a motion of the library: simulated readings with noise (n, C); NaN if diverged."""
+        """Measure a motion of the library: readings with noise (n, C); NaN if it diverged."""
         arm = self.bank.arm
         commands = self.bank.library[motion].commands(arm)
         return arm.measured(arm.simulate([self.hypothesis], commands)[0], rng)

@@ -231,7 +231,7 @@ def motion_library(arm: ServoArm, *, short: bool = False) -> tuple[Motion, ...]:
 
 
 def battery(arm: ServoArm) -> tuple[Motion, ...]:
-    """Fixed battery of an experienced engineer: slow triangle, multisine and steps of all joints."""
+    """Battery that an experienced engineer runs: slow triangle, multisine and steps, all joints."""
     every = tuple(range(len(arm.joints)))
     wanted = (
         Motion(kind="slow_triangle", joints=every, amplitude=0.3, speed=0.3, seconds=8.0),
