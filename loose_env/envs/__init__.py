@@ -14,6 +14,7 @@ from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty, difficult
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.joint_side import JointSideObservation
 from loose_env.envs.model_gap.env import ModelGapEnv
+from loose_env.envs.model_gap.hidden_machine import HiddenEffect, HiddenMachine, MachineDraw
 from loose_env.envs.model_gap.make import make_model_gap
 from loose_env.envs.model_gap.observation import GapObservation
 from loose_env.envs.model_gap.settings import GapPrices, ModelGapSettings
@@ -55,8 +56,11 @@ __all__ = [
     "FaultSampler",
     "GapObservation",
     "GapPrices",
+    "HiddenEffect",
+    "HiddenMachine",
     "JointSideObservation",
     "Loop",
+    "MachineDraw",
     "ModelGapEnv",
     "ModelGapSettings",
     "ObservationLayout",

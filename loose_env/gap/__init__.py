@@ -1,7 +1,7 @@
 """Model error: find, name and correct the effect a simulation lacks.
 
 Data flow: model -> data -> settings -> simulation -> residuals -> fitting ->
-output -> preparation -> selection -> diagnostics -> experiment_design -> workflow.
+output -> selection -> diagnostics -> experiment_design -> workflow.
 """
 
 from loose_env.gap.diagnostics.experiment_advice import (
@@ -32,11 +32,8 @@ from loose_env.gap.experiment_design import (
     Belief,
     BeliefSettings,
     EffectEstimate,
-    HiddenEffect,
-    HiddenMachine,
     HypothesisSet,
     LocalModels,
-    MachineDraw,
     Motion,
     MotionCheck,
     MotionSignatures,
@@ -61,6 +58,9 @@ from loose_env.gap.model.effect import (
 from loose_env.gap.model.effects.catalogue import (
     read_effects,
     register,
+)
+from loose_env.gap.model.hypothesis import (
+    Hypothesis,
 )
 from loose_env.gap.model.parameter import (
     Parameter,
@@ -146,13 +146,11 @@ __all__ = [
     "GapSession",
     "GapSettings",
     "GapSolution",
-    "HiddenEffect",
-    "HiddenMachine",
+    "Hypothesis",
     "HypothesisSet",
     "Identifiability",
     "JointMotion",
     "LocalModels",
-    "MachineDraw",
     "Motion",
     "MotionCheck",
     "MotionSignatures",

@@ -1,4 +1,4 @@
 """The environment that chooses motions to find what a model lacks.
 
-Data flow: settings -> observation -> env -> make.
+Data flow: hidden_machine -> settings -> observation -> env -> make.
 """

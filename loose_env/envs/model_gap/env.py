@@ -10,12 +10,12 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
+from loose_env.envs.model_gap.hidden_machine import HiddenMachine
 from loose_env.envs.model_gap.observation import GapObservation
 from loose_env.envs.model_gap.settings import ModelGapSettings
 from loose_env.errors import InvalidAction, UnknownName
 from loose_env.gap import (
     Belief,
-    HiddenMachine,
     HypothesisSet,
     LocalModels,
     SignatureBank,

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from loose_env.gap import BeliefSettings, MachineDraw
+from loose_env.envs.model_gap.hidden_machine import MachineDraw
+from loose_env.gap import BeliefSettings
 from loose_env.io import Checked, Count, NonNegative, Positive, Probability, Rule, all_of
 
 __all__ = ["GapPrices", "ModelGapSettings"]

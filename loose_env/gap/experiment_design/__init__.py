@@ -1,24 +1,16 @@
 """Choice of motions: experiments that tell candidate effects of an arm apart.
 
-Data flow: servo_arm -> motions -> library -> candidates -> bank -> local_models -> belief ->
-information -> hidden_machine.
+Data flow: servo_arm -> motions -> library -> candidates -> sizing -> bank -> local_models ->
+posterior -> belief -> information.
 """
 
 from loose_env.gap.experiment_design.bank import (
-    BankSettings,
     MotionSignatures,
     SignatureBank,
     signature_bank,
 )
-from loose_env.gap.experiment_design.belief import (
-    Belief,
-    BeliefSettings,
-    EffectEstimate,
-    HypothesisSet,
-    Posterior,
-)
+from loose_env.gap.experiment_design.belief import Belief
 from loose_env.gap.experiment_design.candidates import Ray, rays_of
-from loose_env.gap.experiment_design.hidden_machine import HiddenEffect, HiddenMachine, MachineDraw
 from loose_env.gap.experiment_design.information import expected_information, pair_gains
 from loose_env.gap.experiment_design.library import (
     MotionCheck,
@@ -29,18 +21,22 @@ from loose_env.gap.experiment_design.library import (
 )
 from loose_env.gap.experiment_design.local_models import LocalModels
 from loose_env.gap.experiment_design.motions import Motion
+from loose_env.gap.experiment_design.posterior import (
+    BeliefSettings,
+    EffectEstimate,
+    HypothesisSet,
+    Posterior,
+)
 from loose_env.gap.experiment_design.servo_arm import Sensing, ServoArm, read_servo_arm
+from loose_env.gap.experiment_design.sizing import BankSettings
 
 __all__ = [
     "BankSettings",
     "Belief",
     "BeliefSettings",
     "EffectEstimate",
-    "HiddenEffect",
-    "HiddenMachine",
     "HypothesisSet",
     "LocalModels",
-    "MachineDraw",
     "Motion",
     "MotionCheck",
     "MotionSignatures",

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loose_env.gap.experiment_design.belief import Belief, NormalEquations
+from loose_env.gap.experiment_design.belief import Belief
+from loose_env.gap.experiment_design.posterior import NormalEquations
 from loose_env.typing import Array
 
 __all__ = ["expected_information", "pair_gains"]

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
+from loose_env.envs import HiddenMachine, MachineDraw
 from loose_env.errors import InvalidSetting
 from loose_env.gap import (
     Belief,
     BeliefSettings,
-    HiddenMachine,
-    MachineDraw,
     expected_information,
     pair_gains,
     signature_bank,

@@ -42,7 +42,8 @@ def test_a_motion_about_another_pose_goes_there_and_back(arm):
 
 
 def test_a_motion_that_leaves_a_range_is_refused_and_then_reduced(arm):
-    motion = Motion(kind="slow_triangle", joints=(2,), amplitude=2.0, speed=1.9, seconds=12.0)
+    centre = (0.0, -0.7, 2.2)
+    motion = Motion(kind="holds", joints=(2,), amplitude=0.5, speed=1.5, centre=centre)
 
     with pytest.raises(InvalidSetting, match=r"takes joint3 to .* its range is"):
         motion.commands(arm)

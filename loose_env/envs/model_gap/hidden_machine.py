@@ -7,9 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from loose_env.errors import InvalidSetting
-from loose_env.gap.experiment_design.bank import SignatureBank
-from loose_env.gap.experiment_design.candidates import Ray
-from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap import Hypothesis, Ray, SignatureBank
 from loose_env.typing import Array
 
 __all__ = ["HiddenEffect", "HiddenMachine", "MachineDraw"]
