@@ -202,7 +202,9 @@ def _given(options: argparse.Namespace, folder: OutputFolder) -> list[Path]:
 def _settings_of(result: GapResult) -> GapSettings:
     """Settings of an earlier result; the defaults for those that it does not have."""
     known = {each.name for each in fields(GapSettings)}
-    given: dict[str, Any] = {k: v for k, v in result.settings.items() if k in known and k != "held_out"}
+    given: dict[str, Any] = {
+        k: v for k, v in result.settings.items() if k in known and k != "held_out"
+    }
     return GapSettings(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
 
 

@@ -14,6 +14,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,43 +24,25 @@ from loose_env.gap.experiment_design.candidates import Ray, rays_of
 from loose_env.gap.experiment_design.library import battery, check_motion
 from loose_env.gap.experiment_design.motions import Motion
 from loose_env.gap.experiment_design.servo_arm import ServoArm
+from loose_env.gap.experiment_design.sizing import (
+    STEP,
+    BankSettings,
+    nuisance_columns,
+    residuals,
+    sized_rays,
+)
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.io import written_beside
 from loose_env.typing import Array
 
-__all__ = ["BankSettings", "MotionSignatures", "SignatureBank", "signature_bank"]
+__all__ = ["MotionSignatures", "SignatureBank", "signature_bank"]
 
 _FORMAT = "gap signatures 1"
 """Version of what is stored; a change of the computation changes it."""
-_STEP = 0.3
-"""Step of a derivative by a nominal parameter over the tolerance, and by a shape parameter over its
-standard deviation."""
-_SEARCHES = 5
-"""Steps of the search for the size of a given visibility."""
-_TOGETHER = 60
-"""Hypotheses simulated at a time."""
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "loose_env" / "gap"
 """Folder of stored banks."""
 
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True, kw_only=True)
-class BankSettings:
-    """Settings of a bank of signatures.
-
-    Visibility is the length of an effect's signature on the fixed battery that no change of the
-    nominal parameters explains [noise standard deviations].
-    """
-
-    kinds: tuple[str, ...] | None = None
-    """Kinds of effect; by default the catalogue but for `EXCLUDED`."""
-    visibility: tuple[float, float] = (6.0, 160.0)
-    """Smallest and largest visibility of the linearisation points [noise standard deviations]."""
-    points: int = 4
-    """Linearisation points of each ray, in equal ratios of visibility."""
-    rank: int = 112
-    """Directions that are kept of each motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +123,7 @@ def signature_bank(
     library: Sequence[Motion],
     settings: BankSettings | None = None,
     *,
+    reference: Sequence[Motion] | None = None,
     cache: Path | None = _CACHE,
     say: Say | None = None,
 ) -> SignatureBank:
@@ -153,6 +137,8 @@ def signature_bank(
         The motions.
     settings : BankSettings, optional
         Candidates and linearisation points.
+    reference : sequence of Motion, optional
+        Motions on which sizes are sought; the fixed battery by default.
     cache : Path, optional
         Folder of stored banks; None to store nothing. The name of a stored one is a digest of arm,
         library, settings and format; its configuration lies beside it as JSON.
@@ -160,13 +146,18 @@ def signature_bank(
         Receives lines of progress.
     """
     settings = settings or BankSettings()
-    configuration = {
+    configuration: dict[str, object] = {
         "format": _FORMAT,
         "arm": arm.key,
         "settings": asdict(settings),
-        "rays": [[ray.name, ray.effect.variant, *ray.start.tolist()] for ray in rays_of(arm, settings.kinds)],
+        "rays": [
+            [ray.name, ray.effect.variant, *ray.start.tolist()]
+            for ray in rays_of(arm, settings.kinds)
+        ],
         "library": [asdict(motion) for motion in library],
-    }  # fmt: skip
+    }
+    if reference is not None:
+        configuration["reference"] = [asdict(motion) for motion in reference]
     text = json.dumps(configuration, sort_keys=True, indent=1)
     key = hashlib.sha256(text.encode()).hexdigest()[:16]
     file = None if cache is None else Path(cache) / f"{key}.npz"
@@ -174,7 +165,8 @@ def signature_bank(
         stored = _read(file, arm, tuple(library), settings)
         if stored is not None:
             return stored
-    bank = _computed(arm, tuple(library), settings, say or (lambda words: None))
+    sized_on = battery(arm) if reference is None else tuple(reference)
+    bank = _computed(arm, tuple(library), sized_on, settings, say or (lambda words: None))
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         written_beside(file, lambda path: _write(path, bank))
@@ -211,7 +203,7 @@ def _read(
 ) -> SignatureBank | None:
     """A stored bank; None if it cannot be read, such as one cut short."""
     try:
-        with np.load(file, allow_pickle=False) as stored:
+        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as stored:
             found = {name: stored[name] for name in stored.files}
         every = {_key(ray): ray for ray in rays_of(arm, settings.kinds)}
         rays = tuple(every[str(name)] for name in found["rays"])
@@ -224,7 +216,7 @@ def _read(
             )
             for k in range(len(library))
         )
-    except (OSError, ValueError, KeyError, EOFError):
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None
     return SignatureBank(
         arm, library, settings, rays, found["sizes"], found["visibilities"], signatures,
@@ -245,14 +237,18 @@ def _shape_columns(
 
 
 def _computed(
-    arm: ServoArm, library: tuple[Motion, ...], settings: BankSettings, say: Say
+    arm: ServoArm,
+    library: tuple[Motion, ...],
+    reference: tuple[Motion, ...],
+    settings: BankSettings,
+    say: Say,
 ) -> SignatureBank:
-    rays, sizes, seen = _sized(arm, rays_of(arm, settings.kinds), settings, say)
+    rays, sizes, seen = sized_rays(arm, rays_of(arm, settings.kinds), reference, settings, say)
     if not rays:
         raise InvalidData("no candidate effect can be seen on the battery of this arm")
     signatures, seconds, wear = [], [], []
     for k, motion in enumerate(library):
-        say(f"signatures of {motion.words}: {k + 1} of {len(library)}")
+        say(f"signatures, motion {k + 1} of {len(library)}: {motion.words}")
         checked = check_motion(motion, arm)
         seconds.append(checked.seconds)
         wear.append(checked.wear)
@@ -263,115 +259,29 @@ def _computed(
     )  # fmt: skip
 
 
-def _residuals(arm: ServoArm, commands: Array, hypotheses: Sequence[Hypothesis]) -> list[Array]:
-    """Readings in noise standard deviations, flat (n C,), of hypotheses in small batches."""
-    found = []
-    for begin in range(0, len(hypotheses), _TOGETHER):
-        group = hypotheses[begin : begin + _TOGETHER]
-        found += [(r / arm.noise).ravel() for r in arm.simulate(group, commands)]
-    return found
-
-
-def _nuisance_columns(arm: ServoArm, commands: Array, base: Array) -> Array:
-    """Change of the readings with one prior standard deviation of each nominal parameter (N, P)."""
-    nominal, steps = arm.nominal, []
-    count = len(nominal.entries)
-    for k in range(count):
-        factors = np.ones(count)
-        factors[k] += _STEP * arm.tolerance
-        steps.append(Hypothesis(nominal=nominal, factors=factors))
-    sds = np.array([p.spread or 1.0 for p in nominal.parameters])
-    moved = np.array(_residuals(arm, commands, steps))
-    return np.asarray((moved - base).T / _STEP * sds)
-
-
-def _sized(
-    arm: ServoArm, rays: Sequence[Ray], settings: BankSettings, say: Say
-) -> tuple[tuple[Ray, ...], Array, Array]:
-    """Rays that can be seen, sizes of their points (R, points) and visibilities there."""
-    motions = [motion.commands(arm) for motion in battery(arm)]
-    bases = [_residuals(arm, commands, [Hypothesis()])[0] for commands in motions]
-    columns = [_nuisance_columns(arm, c, b) for c, b in zip(motions, bases, strict=True)]
-    across = sum((c.T @ c for c in columns), np.eye(columns[0].shape[1]))
-
-    def visibility(sizes: Array) -> Array:
-        total, inside = np.zeros(len(rays)), np.zeros((len(rays), len(across)))
-        tried = [r.hypothesis(r.values(float(s))) for r, s in zip(rays, sizes, strict=True)]
-        for commands, base, column in zip(motions, bases, columns, strict=True):
-            change = np.array(_residuals(arm, commands, tried)) - base
-            total += np.sum(change**2, axis=1)
-            inside += change @ column
-        explained = np.sum(inside * np.linalg.solve(across, inside.T).T, axis=1)
-        return np.sqrt(np.maximum(total - explained, 0.0))
-
-    most = np.array([0.95 * ray.largest for ray in rays])
-    targets = np.geomspace(*settings.visibility, settings.points)
-    sizes = np.empty((len(rays), settings.points))
-    seen = np.empty_like(sizes)
-    tried: list[tuple[Array, Array]] = []
-    for k, target in enumerate(targets):
-        size = np.minimum(1.0, most) if k == 0 else sizes[:, k - 1] * targets[k] / targets[k - 1]
-        size = np.minimum(size, most)
-        for number in range(_SEARCHES if k in (0, settings.points - 1) else 2):
-            say(f"sizes of the effects: point {k + 1} of {settings.points}, step {number + 1}")
-            found = np.where(np.isfinite(v := visibility(size)), v, np.inf)
-            tried.append((size, found))
-            size = np.minimum(_next_size(tried, target), most)
-        best = np.array([np.abs(np.log(np.maximum(f, 1e-9) / target)) for _, f in tried])
-        pick = np.argmin(np.where(np.isfinite(best), best, 1e9), axis=0)
-        every = np.array([s for s, _ in tried]), np.array([f for _, f in tried])
-        sizes[:, k], seen[:, k] = (values[pick, np.arange(len(rays))] for values in every)
-    # a ray that reaches less than twice the least visibility within its bounds is not seen
-    keep = np.flatnonzero(
-        (seen[:, -1] > 2 * settings.visibility[0]) & (np.diff(sizes, axis=1) > 0).all(axis=1)
-    )
-    return tuple(rays[k] for k in keep), sizes[keep], seen[keep]
-
-
-def _next_size(tried: Sequence[tuple[Array, Array]], target: float) -> Array:
-    """Next size of each ray: between the nearest below and above the target, else in proportion."""
-    sizes = np.array([s for s, _ in tried])
-    seen = np.array([v for _, v in tried])
-    below = np.where(seen < target, sizes, -np.inf).max(axis=0)
-    above = np.where(seen >= target, sizes, np.inf).min(axis=0)
-    v_below = np.where(sizes == below, seen, 0.0).max(axis=0)
-    v_above = np.where(sizes == above, seen, np.inf).min(axis=0)
-    found = np.empty(len(below))
-    for k in range(len(found)):
-        if np.isfinite(below[k]) and np.isfinite(above[k]) and below[k] < above[k]:
-            low, high = np.log(max(v_below[k], 1e-3)), np.log(min(v_above[k], 1e6))
-            share = np.clip((np.log(target) - low) / max(high - low, 1e-9), 0.1, 0.9)
-            found[k] = below[k] * (above[k] / below[k]) ** share
-        elif np.isfinite(above[k]):
-            found[k] = above[k] * np.clip(target / min(v_above[k], 1e9), 0.05, 0.9)
-        else:
-            found[k] = below[k] * np.clip(target / max(v_below[k], 1e-9), 1.1, 20.0)
-    return found
-
-
 def _of_motion(
     arm: ServoArm, commands: Array, rays: Sequence[Ray], sizes: Array, settings: BankSettings
 ) -> MotionSignatures:
-    base = _residuals(arm, commands, [Hypothesis()])[0]
-    columns = [_nuisance_columns(arm, commands, base)]
+    base = residuals(arm, commands, [Hypothesis()])[0]
+    columns = [nuisance_columns(arm, commands, base)]
     points = [
         ray.hypothesis(ray.values(float(size)))
         for ray, own in zip(rays, sizes, strict=True)
         for size in own
     ]
-    moved = np.array(_residuals(arm, commands, points), dtype=np.float32)
+    moved = np.array(residuals(arm, commands, points), dtype=np.float32)
     middle = settings.points // 2
     shaped, origins = [], []
     for k, ray in enumerate(rays):
         for which in range(len(ray.shape_parameters)):
             off = np.zeros(len(ray.shape_parameters))
-            off[which] = _STEP
+            off[which] = STEP
             shaped.append(ray.hypothesis(ray.values(float(sizes[k, middle]), off)))
             origins.append(k * settings.points + middle)
     columns.append((moved - base).T)
     if shaped:
-        there = np.array(_residuals(arm, commands, shaped), dtype=np.float32)
-        columns.append(((there - moved[origins]) / _STEP).T)
+        there = np.array(residuals(arm, commands, shaped), dtype=np.float32)
+        columns.append(((there - moved[origins]) / STEP).T)
     vectors = np.nan_to_num(np.concatenate(columns, axis=1)).astype(np.float32)
     vectors = np.clip(vectors, -1e5, 1e5)
     basis = _basis(vectors, settings.rank)

@@ -27,6 +27,10 @@ changes nothing but the noise, the third acts where torque is compared with moti
 _AXES = ("base_compliance", "link_flexibility")
 """Kinds whose variants are directions in the arm; those of others are richer laws of one effect,
 of which the plain one is a candidate."""
+_TIMES, _LEAST_S = ("actuator_lag", "command_delay", "sensor_delay"), 3e-4
+"""Kinds that are a time, and the least of it [s]."""
+_SPRINGS = ("joint_compliance", "backlash", "link_flexibility", "base_compliance")
+"""Kinds with a spring of their own."""
 _LOG_SD, _LINEAR_SD = 0.35, 0.5
 """Standard deviations of shape parameters: of logarithms, and of linear ones over their scale."""
 _ACROSS_SD = 0.6
@@ -147,6 +151,23 @@ class Ray:
             else:
                 reached.append(parameter.high / start)
         return min(reached)
+
+    @cached_property
+    def smallest(self) -> float:
+        """Least size that a simulation at this arm's steps tells from none; 0 if any does.
+
+        A spring or a play below the smallest of the effect's starts rings faster than the steps;
+        lags and delays below 0.3 ms only say on which side of a step a sample was taken.
+        """
+        if self.effect.kind in _TIMES:
+            return _LEAST_S / float(np.max(self.start))
+        if not self.effect.sharp or self.effect.nothing is not None or self.effect.adds_up:
+            return 0.0
+        if self.effect.kind not in _SPRINGS:
+            return 0.0
+        k = self.sized.index(True)
+        sizes = [float(start[k]) / float(self.start[k]) for start in self.effect.starts]
+        return min(sizes) if self.effect.has_stops else 1.0 / max(sizes)
 
     def hypothesis(self, values: Array, base: Hypothesis | None = None) -> Hypothesis:
         """The effect with some values, beside a hypothesis."""

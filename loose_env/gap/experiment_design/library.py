@@ -102,7 +102,9 @@ def check_motion(motion: Motion, arm: ServoArm) -> MotionCheck:
             beyond = arm.joints[int(np.argmax(outside))]
         for k in range(data.ncon):
             if not contact and _pair(data.contact[k]) not in apart:
-                bodies = [model.body(int(model.geom_bodyid[g])).name for g in _pair(data.contact[k])]
+                bodies = [
+                    model.body(int(model.geom_bodyid[g])).name for g in _pair(data.contact[k])
+                ]
                 contact = " and ".join(bodies)
     return MotionCheck(
         seconds=len(commands) / arm.sensing.rate,
@@ -171,8 +173,8 @@ def loaded_poses(arm: ServoArm, *, poses: int = 400, seed: int = 0) -> tuple[Arr
 def motion_library(arm: ServoArm, *, short: bool = False) -> tuple[Motion, ...]:
     """Motions of an arm that fit its limits.
 
-    For each joint: slow triangles under small and large load, several constant speeds, a chirp,
-    steps and a random excitation. For all joints together: multisines, chirps, random excitations,
+    For each joint: slow triangles under small and large load, several constant speeds, a chirp
+    and steps. For all joints together: multisines, chirps, random excitations,
     steps, triangles and poses held, under small and large load.
 
     Parameters
@@ -200,7 +202,6 @@ def motion_library(arm: ServoArm, *, short: bool = False) -> tuple[Motion, ...]:
                 Motion(kind="constant_speed", joints=(j,), amplitude=0.8, speed=1.6, seconds=5.0),
                 Motion(kind="chirp", joints=(j,), amplitude=0.2, speed=0.8, highest=20.0),
                 Motion(kind="steps", joints=(j,), amplitude=0.06, speed=1.5, seconds=2.5),
-                Motion(kind="random", joints=(j,), amplitude=0.3, speed=1.2, seconds=2.5, seed=j),
             ]
         for centre in (small, large):
             wanted += [
@@ -214,8 +215,6 @@ def motion_library(arm: ServoArm, *, short: bool = False) -> tuple[Motion, ...]:
             Motion(kind="holds", joints=every, amplitude=0.7, speed=1.2, seconds=8.0, seed=1),
             Motion(kind="chirp", joints=every, amplitude=0.2, speed=0.8, highest=20.0),
             Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=9),
-            Motion(kind="random", joints=every, amplitude=0.1, speed=0.8, highest=25.0, seed=5,
-                   seconds=2.5),
             Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=3, seconds=1.5),
         ]  # fmt: skip
     fitting = []
@@ -232,7 +231,7 @@ def motion_library(arm: ServoArm, *, short: bool = False) -> tuple[Motion, ...]:
 
 
 def battery(arm: ServoArm) -> tuple[Motion, ...]:
-    """Fixed battery of an experienced engineer: slow triangle, multisine and steps of all joints."""
+    """Battery that an experienced engineer runs: slow triangle, multisine and steps, all joints."""
     every = tuple(range(len(arm.joints)))
     wanted = (
         Motion(kind="slow_triangle", joints=every, amplitude=0.3, speed=0.3, seconds=8.0),

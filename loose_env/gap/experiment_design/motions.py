@@ -12,7 +12,7 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.experiment_design.servo_arm import ServoArm
 from loose_env.typing import Array
 
-__all__ = ["MotionKind", "Motion"]
+__all__ = ["Motion", "MotionKind"]
 
 MotionKind = Literal[
     "slow_triangle", "constant_speed", "chirp", "multisine", "steps", "holds", "random"
@@ -49,7 +49,7 @@ class Motion:
     amplitude: float
     """Largest deviation from the centre pose [rad; slides: 0.2 m]."""
     speed: float
-    """Largest speed of the excitation [rad/s; slides: 0.2 m/s]."""
+    """Speed of the excitation [rad/s; slides: 0.2 m/s]; fades add to it, up to the arm's limit."""
     seconds: float = 4.0
     """Length of the excitation [s], without the ways from home and back."""
     highest: float = 8.0
@@ -116,7 +116,9 @@ class Motion:
         time = np.arange(len(excited)) / rate
         for number, joint in enumerate(self.joints):
             shape = _SHAPES[self.kind](self, time, number, float(speed[joint] / unit[joint]))
-            excited[:, joint] += unit[joint] * shape
+            off = unit[joint] * shape
+            fastest = float(np.max(np.abs(np.diff(off)))) * rate
+            excited[:, joint] += off * min(1.0, arm.speed_limits[joint] / max(fastest, 1e-12))
         pause = round(_PAUSE * rate)
         parts = [np.tile(arm.home, (pause, 1))]
         if self.centre is not None:

@@ -37,9 +37,9 @@ class Sensing:
 
     rate: float = 250.0
     """Sample rate [1/s]."""
-    encoder_steps: int = 2**16
+    encoder_steps: int = 2**14
     """Steps of an encoder per turn; of a slide, per metre."""
-    encoder_noise: float = 3e-5
+    encoder_noise: float = 1.5e-4
     """Standard deviation of the noise before quantisation [rad, m]."""
     torque_noise: float = 0.005
     """Standard deviation of the measured torque over the torque limit [1]."""

@@ -19,8 +19,8 @@ from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
 from loose_env.gap.fitting.model_structure import Nuisance
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.output.result import RankedHypothesis
-from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.physical_units import noise_ratio
+from loose_env.gap.residuals.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.forward_selection import Selection, StepStore, select_effects
 from loose_env.gap.selection.ranking import indistinct, ranking_of

@@ -28,7 +28,7 @@ from loose_env.gap.output.result import (
     RankedHypothesis,
     Verdict,
 )
-from loose_env.gap.preparation.prepare import GapProblem, prepare
+from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.progress import counted, reported
 from loose_env.gap.selection.checkpoint_codec import StepFiles
 from loose_env.gap.selection.deletion import (
