@@ -52,6 +52,14 @@ from loose_env.gap.experiment_design import (
     scaled_to_fit,
     signature_bank,
 )
+from loose_env.gap.experiment_design.next_motion import (
+    NEXT_MOTION,
+    NOTHING,
+    NextMotionSettings,
+    NextMotionSummary,
+    next_motion_lines,
+    read_next_motion,
+)
 from loose_env.gap.model.effect import (
     Effect,
 )
@@ -132,7 +140,9 @@ from loose_env.gap.workflow.summary import result_of, write_gap
 
 __all__ = [
     "ACCEPTED_Z",
+    "NEXT_MOTION",
     "NOISE_RMS",
+    "NOTHING",
     "PROBABILITY_FEATURES",
     "TARGETS",
     "BankSettings",
@@ -161,6 +171,8 @@ __all__ = [
     "MotionCheck",
     "MotionSignatures",
     "NamedEffect",
+    "NextMotionSettings",
+    "NextMotionSummary",
     "Parameter",
     "Posterior",
     "QuickCandidate",
@@ -192,6 +204,7 @@ __all__ = [
     "key_of",
     "main_band",
     "motion_library",
+    "next_motion_lines",
     "note_source",
     "pair_gains",
     "prediction_error",
@@ -200,6 +213,7 @@ __all__ = [
     "quick_look",
     "rays_of",
     "read_effects",
+    "read_next_motion",
     "read_result",
     "read_servo_arm",
     "read_source",
