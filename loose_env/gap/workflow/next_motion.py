@@ -116,7 +116,10 @@ def _rivals(
 
 
 def _unseen(solution: GapSolution, found: Identifiability) -> list[tuple[Effect, Array]]:
-    """Effects that the motions would not show, at sizes that matter; one of each kind first."""
+    """Effects that the motions would not show, at sizes that matter; one of each kind first.
+
+    Those with springs come last: a simulation takes many times as long.
+    """
     sought: dict[Place, Effect] = {}
     for each in solution.problem.sought:
         sought.setdefault((each.kind, each.where), each)
@@ -128,7 +131,8 @@ def _unseen(solution: GapSolution, found: Identifiability) -> list[tuple[Effect,
         values = np.array([one.parameters[p.name] for p in effect.parameters])
         by_kind.setdefault(one.kind, []).append((effect, values))
     rounds = zip_longest(*by_kind.values())
-    return [pair for one in rounds for pair in one if pair is not None]
+    listed = [pair for one in rounds for pair in one if pair is not None]
+    return sorted(listed, key=lambda pair: pair[0].adds_motion)
 
 
 def _near(solution: GapSolution) -> list[tuple[Place, Place]]:

@@ -13,7 +13,7 @@ from loose_env.gap.experiment_design.next_motion.laplace import (
     prior_precision,
     weights_of,
 )
-from loose_env.gap.fitting.gauss_newton import Fit, cost_of, fit
+from loose_env.gap.fitting.gauss_newton import Fit, FitSettings, cost_of, fit
 from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.parameter import free_of
@@ -34,6 +34,9 @@ _UNSEEN = 0.2
 """Weight of an effect that the runs would not show, beside one that competes with the answer."""
 _FAR = 0.3
 """Change of a free number from which sensitivities are taken anew."""
+
+_CLOSE = FitSettings(iterations=8, enough=1e-4)
+"""Fit of a rival: what it leaves to gain counts as evidence against it."""
 
 Place = tuple[str, str]
 """Kind and location of an effect."""
@@ -197,7 +200,7 @@ def _replaced(
     together = without.structure.plus(own.effects[-1])
     count = len(own.effects[-1].parameters)
     start = np.concatenate([without.free, own.free[len(own.free) - count :]])
-    found = fit(comparison, together, start, known=without.jacobian)
+    found = fit(comparison, together, start, settings=_CLOSE, known=without.jacobian)
     # The sensitivities of the rival's own parameters at the end; the others hardly change.
     return refined(found, comparison) if _moved(found, start) else found
 

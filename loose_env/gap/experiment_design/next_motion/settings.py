@@ -39,5 +39,5 @@ class NextMotionSettings(Checked):
     the shorter one is taken."""
     next_rivals: Count = 6
     """Most rivals that are compared."""
-    next_unseen: NonNegativeCount = 6
+    next_unseen: NonNegativeCount = 4
     """Most effects that these runs would not show for which a motion is looked for."""
