@@ -236,3 +236,59 @@ def test_commands_of_two_kinds_are_refused() -> None:
 def test_settings_out_of_range_are_refused() -> None:
     with pytest.raises(InvalidSetting, match="next_seconds must be positive"):
         NextMotionSettings(next_seconds=0.0)
+
+
+def driven_by_torque(form: str) -> tuple[MotionRuns, NominalModel]:
+    """A machine on motors, whose runs have commands, or torques alone."""
+    spec = mujoco.MjSpec.from_string(MODEL)
+    for motor in spec.actuators:
+        motor.set_to_motor()
+        motor.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    machine = NominalModel(spec, step=STEP)
+    time = np.arange(round(2 * RATE)) / RATE
+    wave = HOME[:, None] + 0.1 * np.sin(2 * time) * np.ones((2, 1))
+    noise = np.random.default_rng(3).normal(0, 1e-4, (4, len(time)))
+    torques = {"shoulder": 20 * np.sin(2 * time) + noise[2], "elbow": np.cos(time) + noise[3]}
+    run = Run(
+        name="a.csv", time=time,
+        controls={"one": torques["shoulder"], "two": torques["elbow"]} if form == "forward" else {},
+        sensors={"q1": wave[0] + noise[0], "q2": wave[1] + noise[1]},
+        torques=torques if form == "inverse" else {},
+    )  # fmt: skip
+    channels = (*CHANNELS, *(Channel(f"torque.{j}") for j in ("shoulder", "elbow")))
+    channels = channels if form == "inverse" else CHANNELS
+    trial = align_run(run, machine, channels, step=STEP)
+    floors = np.array([1e-4, 1e-4, 0.05, 0.05])[: len(channels)]
+    comparison = ResidualModel(machine, [trial], channels, floors, threads=1)
+    assert comparison.trials[0].form == form
+    return MotionRuns(comparison, Hypothesis(), np.ones(len(channels))), machine
+
+
+def test_torque_commands_follow_the_desired_positions_and_replay() -> None:
+    runs, machine = driven_by_torque("forward")
+    assert runs.drive == "torque"
+    way = np.clip(np.arange(round(3 * RATE)) / RATE - 0.3, 0, 2)[:, None] / 2
+    played = runs.played(HOME + 0.4 * way**3 * (10 - 15 * way + 6 * way**2))
+    assert np.abs(played.position - played.desired).max() < 0.05
+    assert played.controls.shape == (len(way), 2)
+    compared = runs.compared([played])
+    assert np.isfinite(compared.measured).all() and len(compared) == 2 * len(way) - 26
+    assert machine.actuators == ("one", "two")
+
+
+def test_runs_without_commands_are_compared_by_the_torque_of_the_motion() -> None:
+    runs, _ = driven_by_torque("inverse")
+    time = np.arange(round(3 * RATE)) / RATE
+    played = runs.played(HOME + 0.3 * np.sin(3 * time)[:, None] * np.minimum(time, 1)[:, None] ** 2)
+    assert played.controls.shape[1] == 0
+    compared = runs.compared([played])
+    assert compared.trials[0].form == "inverse"
+    heavy = CATALOGUE["link_mass"](runs.machine, "lower")
+    own, other = compared.residuals(
+        [Hypothesis(), Hypothesis(effects=(heavy,), values=(np.array([0.5]),))]
+    )
+    # A gain is that of a difference: what smoothing leaves of the motion is in both.
+    assert np.sqrt(np.mean((other - own) ** 2)) > 5
+    assert np.corrcoef(other - own, other)[0, 1] > 0.5
+    run = runs.run("next.csv", played)
+    assert set(run.torques) == {"shoulder", "elbow"} and run.comparison == "inverse"

@@ -30,6 +30,8 @@ __all__ = ["Candidate", "NextMotion", "PairGain", "choose_motion", "motions_for"
 
 _AT_A_TIME = 4
 """Motions whose gains are worked out together, the most promising first."""
+_WORKED_OUT = 12
+"""Most motions whose gains are worked out with all parameters: a matter of cost."""
 _SERVO_HZ = 3.0
 """Bandwidth of the servos that stand in for a controller where the model has none [Hz]."""
 _LEAST = 2.0
@@ -247,7 +249,7 @@ def _best(
     hopes = [rate(each, gains) for each, gains in zip(candidates, bounds, strict=True)]
     order = sorted(range(len(candidates)), key=lambda k: -hopes[k])
     best: tuple[float, int, Gains] = (-1.0, order[0], bounds[order[0]])
-    for first in range(0, len(order), _AT_A_TIME):
+    for first in range(0, min(len(order), _WORKED_OUT), _AT_A_TIME):
         group = order[first : first + _AT_A_TIME]
         taken = [k for k in group if hopes[k] > best[0] and _promising(bounds[k])]
         if not taken:

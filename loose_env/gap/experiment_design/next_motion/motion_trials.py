@@ -151,6 +151,10 @@ class MotionRuns:
                 data.ctrl[: controls.shape[1]] = controls[row]
             position[row] = data.qpos[own]
             torque[row] = (data.qfrc_actuator + data.qfrc_applied)[dofs]
+            if self.drive == "none":  # that of this state, not of the step before
+                torque[row] = tracking.torque(
+                    data, own, desired[row], _slope(desired, row, self.rate)
+                )
             if given.size:
                 given[row] = data.ctrl[: given.shape[1]]
             for k, name in enumerate(self.machine.actuators):
