@@ -37,6 +37,7 @@ from loose_env.cli.output_folder import KEPT, OutputFolder
 from loose_env.errors import InvalidSetting
 from loose_env.gap import (
     NEXT_MOTION,
+    NO_MOTION,
     GapResult,
     GapSettings,
     NextMotionSettings,
@@ -166,7 +167,7 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     shown = [str(path) for path in written if path.parent == folder.path]
     if options.rerun is not None and str(options.rerun.resolve()) not in shown:
         shown.append(str(options.rerun))
-    motion = _next(folder.path) if options.next else []
+    motion = _next(folder.path, result) if options.next else []
     return Outcome(
         text="\n".join([gap_text(result, warnings=False), *motion, f"written: {', '.join(shown)}"]),
         json=result.to_json,
@@ -208,10 +209,12 @@ def _settings_of(result: GapResult) -> GapSettings:
     return GapSettings(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
 
 
-def _next(folder: Path) -> list[str]:
+def _next(folder: Path, result: GapResult) -> list[str]:
     """Lines on the next motion."""
     file = folder / f"{NEXT_MOTION}.json"
     if not file.is_file():
+        if any(words.startswith(NO_MOTION) for words in result.warnings):
+            return ["next motion: none, for the reason in the warnings"]
         return ["next motion: none; nothing is left that a motion would tell apart"]
     return next_motion_lines(read_next_motion(file))
 

@@ -136,13 +136,14 @@ from loose_env.gap.workflow.pipeline import (
 )
 from loose_env.gap.workflow.quick_look import QuickCandidate, QuickLook, quick_look
 from loose_env.gap.workflow.session import GapSession
-from loose_env.gap.workflow.summary import result_of, write_gap
+from loose_env.gap.workflow.summary import NO_MOTION, result_of, write_gap
 
 __all__ = [
     "ACCEPTED_Z",
     "NEXT_MOTION",
     "NOISE_RMS",
     "NOTHING",
+    "NO_MOTION",
     "PROBABILITY_FEATURES",
     "TARGETS",
     "BankSettings",

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from loose_env.errors import InvalidData
 from loose_env.gap.diagnostics.experiment_advice import identifiability_words
 from loose_env.gap.diagnostics.localisation import location_words
 from loose_env.gap.diagnostics.remaining_error import remaining_words
@@ -32,8 +33,10 @@ from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residu
 from loose_env.gap.workflow.next_motion import choose_next, separating
 from loose_env.gap.workflow.pipeline import GapSolution
 
-__all__ = ["result_of", "write_gap"]
+__all__ = ["NO_MOTION", "result_of", "write_gap"]
 
+NO_MOTION = "no next motion"
+"""Beginning of the warning that says why none was written."""
 Report = Callable[[Path, GapSolution, ResidualDiagnostics, GapResult], Path | None]
 """Writes a report into a folder; returns its file, or None where it cannot be made."""
 
@@ -186,10 +189,13 @@ def write_gap(
     place, problem = Path(folder), solution.problem
     with reported(say) as told:
         evidence = diagnose_residuals(solution, say=told)
-        chosen = None
+        chosen, none = None, tuple[str, ...]()
         if next_motion is not None:
             found = evidence.identifiability
-            chosen = choose_next(solution, found, next_motion, earlier=earlier, say=told)
+            try:
+                chosen = choose_next(solution, found, next_motion, earlier=earlier, say=told)
+            except InvalidData as error:  # the result itself does not depend on it
+                none = (f"{NO_MOTION}: {error}",)
     # An earlier motion must not stand beside a later result.
     for ending in ("json", "csv", "parquet"):
         place.joinpath(f"{NEXT_MOTION}.{ending}").unlink(missing_ok=True)
@@ -198,6 +204,7 @@ def write_gap(
         place.mkdir(parents=True, exist_ok=True)
         summary, motions = write_next_motion(place, chosen, next_motion)
     result = result_of(solution, evidence, summary)
+    result = replace(result, warnings=(*result.warnings, *none))
     # An earlier result must not stand beside a later model if this run is cut short.
     place.joinpath("result.json").unlink(missing_ok=True)
     say("writing model, result and report")
