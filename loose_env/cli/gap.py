@@ -204,9 +204,11 @@ def _settings_of(result: GapResult) -> GapSettings:
     """Settings of an earlier result; the defaults for those that it does not have."""
     known = {each.name for each in fields(GapSettings)}
     given: dict[str, Any] = {
-        k: v for k, v in result.settings.items() if k in known and k != "held_out"
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in result.settings.items()
+        if name in known and name != "held_out"
     }
-    return GapSettings(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
+    return GapSettings(**given)
 
 
 def _next(folder: Path, result: GapResult) -> list[str]:
