@@ -75,4 +75,4 @@ def draw(rows: Sequence[dict[str, Any]], path: Path, *, motions: Sequence[str] =
 
 def _shown(rows: Sequence[dict[str, Any]]) -> int:
     """Episode that is drawn: the first with two effects."""
-    return min(row["episode"] for row in rows if row["effects"] == 2 and row["seconds"])
+    return min(int(row["episode"]) for row in rows if row["effects"] == 2 and row["seconds"])

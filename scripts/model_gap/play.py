@@ -38,7 +38,8 @@ class Step:
 
 def made(model: str | None = None) -> ModelGapEnv:
     """Make the environment."""
-    env = gymnasium.make(GAP_ID, **({} if model is None else {"model": model}))
+    arguments: dict[str, Any] = {} if model is None else {"model": model}
+    env = gymnasium.make(GAP_ID, **arguments)
     unwrapped = env.unwrapped
     assert isinstance(unwrapped, ModelGapEnv)
     return unwrapped
@@ -70,7 +71,8 @@ def played(
     options = {"names": names} if names else {"count": COUNTS[number % len(COUNTS)]}
     observation, info = env.reset(seed=int(seed + 1000 * number), options=options)
     assert env.machine is not None
-    truth, steps, certain = env.machine.names, [], 0
+    truth, certain = env.machine.names, 0
+    steps: list[Step] = []
     state, start = None, True
     while len(steps) < most and certain < _CERTAIN_MOTIONS:
         action, state = agent.predict(observation, state, np.array([start]))

@@ -95,7 +95,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         self.layout = GapObservation(
             candidates=len(bank.names), motions=len(bank.library), ranks=self.settings.ranks
         )
-        self.observation_space = self.layout.space
+        self.observation_space: Any = self.layout.space
         self.action_space = spaces.Discrete(len(bank.library) + self.settings.ranks)
         self.machine: HiddenMachine | None = None
         """The hidden machine of the episode."""
@@ -145,7 +145,9 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         if self.machine is None or self._over:
             raise ResetNeeded("the episode is over: call reset() first")
         if not self.action_space.contains(np.int64(action)):
-            raise InvalidAction(f"an action is 0 to {self.action_space.n - 1}, got {action!r}")
+            raise InvalidAction(
+                f"an action is 0 to {len(self.motions) + self.settings.ranks - 1}, got {action!r}"
+            )
         action, prices = int(action), self.settings.prices
         if action >= len(self.motions):
             return self._verdict(action - len(self.motions))
@@ -205,7 +207,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Actions that make sense (M + R,), as sb3-contrib's MaskablePPO asks for them."""
-        mask = np.zeros(int(self.action_space.n), dtype=bool)
+        mask = np.zeros(len(self.motions) + self.settings.ranks, dtype=np.bool_)
         mask[: len(self.motions)] = self.taken < self.settings.max_motions
         if self.taken:
             known = min(len(self.belief.posterior.sets), self.settings.ranks)

@@ -91,7 +91,7 @@ class GapObservation:
     @property
     def size(self) -> int:
         """Number of elements."""
-        return self.spent.stop
+        return int(self.spent.stop)
 
     @property
     def space(self) -> spaces.Box:

@@ -14,6 +14,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -176,7 +177,7 @@ def signature_bank(
 
 def _write(path: Path, bank: SignatureBank) -> None:
     which = [_key(ray) for ray in bank.rays]
-    arrays: dict[str, Array] = {
+    arrays: dict[str, NDArray[Any]] = {
         "rays": np.array(which),
         "sizes": bank.sizes,
         "visibilities": bank.visibilities,
@@ -263,7 +264,7 @@ def _of_motion(
     arm: ServoArm, commands: Array, rays: Sequence[Ray], sizes: Array, settings: BankSettings
 ) -> MotionSignatures:
     base = residuals(arm, commands, [Hypothesis()])[0]
-    columns = [nuisance_columns(arm, commands, base)]
+    columns: list[NDArray[Any]] = [nuisance_columns(arm, commands, base)]
     points = [
         ray.hypothesis(ray.values(float(size)))
         for ray, own in zip(rays, sizes, strict=True)
@@ -291,7 +292,7 @@ def _of_motion(
     return MotionSignatures(basis, nominal, inside.astype(np.float32), float(outside.max()))
 
 
-def _basis(vectors: Array, rank: int) -> NDArray[np.float32]:
+def _basis(vectors: NDArray[np.float32], rank: int) -> NDArray[np.float32]:
     """Orthonormal directions of base vectors, the large ones bounded in weight (N, K).
 
     A randomised range finder with one power iteration (Halko, Martinsson and Tropp, SIAM Review 53,

@@ -21,9 +21,16 @@ from loose_env.typing import Array
 
 __all__ = ["EXCLUDED", "Ray", "rays_of"]
 
-EXCLUDED = ("structural_looseness", "sensor_quantisation", "torque_constant")
+EXCLUDED = (
+    "structural_looseness",
+    "sensor_quantisation",
+    "torque_constant",
+    "torque_limit",
+    "voltage_limit",
+)
 """Kinds that are no candidates: the first needs an accelerometer beyond the flange, the second
-changes nothing but the noise, the third acts where torque is compared with motion."""
+changes nothing but the noise, the third acts where torque is compared with motion, and limits do
+nothing until they are reached, which no linear model describes."""
 _AXES = ("base_compliance", "link_flexibility")
 """Kinds whose variants are directions in the arm; those of others are richer laws of one effect,
 of which the plain one is a candidate."""
@@ -31,6 +38,8 @@ _TIMES, _LEAST_S = ("actuator_lag", "command_delay", "sensor_delay"), 3e-4
 """Kinds that are a time, and the least of it [s]."""
 _SPRINGS = ("joint_compliance", "backlash", "link_flexibility", "base_compliance")
 """Kinds with a spring of their own."""
+_SOFTER = {"joint_compliance": 3.0}
+"""Compliance over that of the stiffest start from which it is stable in every pose."""
 _LOG_SD, _LINEAR_SD = 0.35, 0.5
 """Standard deviations of shape parameters: of logarithms, and of linear ones over their scale."""
 _ACROSS_SD = 0.6
@@ -167,7 +176,9 @@ class Ray:
             return 0.0
         k = self.sized.index(True)
         sizes = [float(start[k]) / float(self.start[k]) for start in self.effect.starts]
-        return min(sizes) if self.effect.has_stops else 1.0 / max(sizes)
+        if self.effect.has_stops:
+            return min(sizes)
+        return _SOFTER.get(self.effect.kind, 1.0) / max(sizes)
 
     def hypothesis(self, values: Array, base: Hypothesis | None = None) -> Hypothesis:
         """The effect with some values, beside a hypothesis."""

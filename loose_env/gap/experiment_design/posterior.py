@@ -183,7 +183,7 @@ def _solved(curvature: Array, slope: Array, square: Array) -> tuple[Array, Array
     coefficients = np.einsum("hij,hj->hi", covariance, slope)
     chi2 = square - np.sum(slope * coefficients, axis=1)
     half = np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
-    return chi2, half, coefficients, covariance
+    return chi2, half, coefficients, np.asarray(covariance)
 
 
 def _beside(
@@ -298,7 +298,7 @@ def _summary(
         members = tuple(sorted(int(candidate[h]) for h in (a, b) if h >= 0))
         grouped.setdefault(members, []).append(k)
     marginal = np.zeros(len(names))
-    sets = []
+    sets: list[HypothesisSet] = []
     shares = {members: float(weights[rows].sum()) for members, rows in grouped.items()}
     for members in sorted(shares, key=lambda m: -shares[m]):
         rows = grouped[members]
@@ -341,7 +341,7 @@ def _estimates(
     columns = np.concatenate([models.columns[h] for h in own])
     means = [int(models.means[h]) for h in own]
     curvature = gram[np.ix_(columns, columns)] + np.eye(len(columns))
-    slope = right[columns] - gram[np.ix_(columns, means)].sum(axis=1)
+    slope = right[columns] - gram[columns][:, means].sum(axis=1)
     covariance = np.linalg.inv(curvature)
     found, width = covariance @ slope, models.columns.shape[1]
     estimates = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
+from loose_env.gap.simulation.sensor_timing import changes_within
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.typing import Array
 
@@ -270,7 +271,26 @@ class ServoArm:
             Positions and torques; NaN where a simulation diverged.
         """
         simulator = Simulator(self.machine, [self._trial(commands)], self.channels, threads=1)
-        return [found[0] for found in simulator.predict(hypotheses)]
+
+        def predicted(each: Sequence[Hypothesis]) -> list[Array]:
+            return [found[0] for found in simulator.predict(each)]
+
+        readings = predicted(hypotheses)
+        within = [
+            k
+            for k, hypothesis in enumerate(hypotheses)
+            if changes_within(self.machine, hypothesis, self.channels)
+        ]
+        # what shifts commands is read at other moments of a step: only its difference from the
+        # same machine without effects, read alike, is the effect
+        plain = [hypotheses[k].with_effects([]) for k in within]
+        alike = [
+            replace(each, stepped_as=hypotheses[k].effects)
+            for k, each in zip(within, plain, strict=True)
+        ]
+        for k, at, of in zip(within, predicted(plain), predicted(alike), strict=True):
+            readings[k] = readings[k] - of + at
+        return readings
 
     def _trial(self, commands: Array) -> Trial:
         count = len(commands)

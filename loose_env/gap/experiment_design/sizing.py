@@ -20,6 +20,8 @@ STEP = 0.3
 standard deviation."""
 _SEARCHES = 4
 """Steps of the search for the size of the least visibility."""
+_RATIO = 3.0
+"""Largest ratio of neighbouring sizes of effects that have a smallest one."""
 _TOGETHER = 60
 """Hypotheses simulated at a time."""
 
@@ -87,7 +89,7 @@ def sized_rays(
             total += np.sum(change**2, axis=1)
             inside += change @ column
         explained = np.sum(inside * np.linalg.solve(across, inside.T).T, axis=1)
-        return np.sqrt(np.maximum(total - explained, 0.0))
+        return np.asarray(np.sqrt(np.maximum(total - explained, 0.0)))
 
     most = np.array([0.95 * ray.largest for ray in rays])
     least = np.array([max(ray.smallest, 1e-9) for ray in rays])
@@ -96,18 +98,24 @@ def sized_rays(
     tried: list[tuple[Array, Array]] = []
     target = np.full(len(rays), settings.visibility[0])
     size = np.clip(np.array([1.0 if r.smallest == 0 else r.smallest for r in rays]), least, most)
+    most_here = most
     for k, step in enumerate(steps):
         wanted = target * step if k else target
         if k:
             size = np.clip(sizes[:, k - 1] * steps[k] / steps[k - 1], least, most)
+            # springs and times are far from linear: their points lie close together
+            reach = np.where(least > 1e-9, _RATIO * sizes[:, k - 1], np.inf)
+            most_here = np.minimum(most, reach)
+            size = np.minimum(size, most_here)
         for number in range(_SEARCHES if k == 0 else 2):
             say(f"sizes of the effects: point {k + 1} of {settings.points}, step {number + 1}")
             found = np.where(np.isfinite(v := visibility(size)), v, np.inf)
             tried.append((size, found))
-            size = np.clip(_next_size(tried, wanted), least, most)
+            size = np.clip(_next_size(tried, wanted), least, most_here)
         off = np.array([np.abs(np.log(np.maximum(f, 1e-9) / wanted)) for _, f in tried])
         if k:  # larger than the point before
-            off[np.array([s for s, _ in tried]) <= sizes[:, k - 1] * 1.01] = np.inf
+            tries = np.array([s for s, _ in tried])
+            off[(tries <= 1.2 * sizes[:, k - 1]) | (tries > 1.001 * most_here)] = np.inf
         pick = np.argmin(np.where(np.isfinite(off), off, 1e9), axis=0)
         every = np.array([s for s, _ in tried]), np.array([f for _, f in tried])
         sizes[:, k], seen[:, k] = (values[pick, np.arange(len(rays))] for values in every)
@@ -117,7 +125,7 @@ def sized_rays(
     keep = np.flatnonzero(
         (seen[:, -1] > 2 * settings.visibility[0]) & (np.diff(sizes, axis=1) > 0).all(axis=1)
     )
-    return tuple(rays[k] for k in keep), sizes[keep], seen[keep]
+    return tuple(rays[int(k)] for k in keep), sizes[keep], seen[keep]
 
 
 def _next_size(tried: Sequence[tuple[Array, Array]], target: Array) -> Array:

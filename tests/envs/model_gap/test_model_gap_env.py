@@ -1,5 +1,7 @@
 """loose_env/Gap-v0 keeps Gymnasium's contract, and its rewards are as documented."""
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -13,18 +15,18 @@ from loose_env.registration import GAP_ID
 from tests.gap.experiment_design.small_bank import small_bank, small_models
 
 
-def env(**settings) -> ModelGapEnv:
+def env(**settings: Any) -> ModelGapEnv:
     return ModelGapEnv(small_bank(), ModelGapSettings(**settings), models=small_models())
 
 
-def test_gymnasiums_checker_passes():
+def test_gymnasiums_checker_passes() -> None:
     check_env(env(), skip_render_check=True)
 
 
-def test_an_episode_of_two_motions_and_a_verdict():
+def test_an_episode_of_two_motions_and_a_verdict() -> None:
     made = env()
     observation, info = made.reset(seed=3, options={"names": ["payload@tool"]})
-    assert made.machine.names == ("payload@tool",)
+    assert made.machine is not None and made.machine.names == ("payload@tool",)
     assert not info["action_mask"][len(made.motions) :].any()  # nothing to name yet
     spent = 0.0
     for motion in (0, 1):
@@ -45,7 +47,7 @@ def test_an_episode_of_two_motions_and_a_verdict():
         made.step(0)
 
 
-def test_going_on_after_the_last_motion_is_a_wrong_verdict():
+def test_going_on_after_the_last_motion_is_a_wrong_verdict() -> None:
     made = env(max_motions=1)
     made.reset(seed=1)
     _, _, terminated, _, info = made.step(1)
@@ -56,7 +58,7 @@ def test_going_on_after_the_last_motion_is_a_wrong_verdict():
     assert terminated and reward == -1.0
 
 
-def test_rewards_of_verdicts():
+def test_rewards_of_verdicts() -> None:
     prices = GapPrices()
     both = ("a@1", "b@2")
     assert prices.verdict(both, both, parameter_error=0.5) == pytest.approx(0.9)
@@ -66,7 +68,7 @@ def test_rewards_of_verdicts():
     assert prices.verdict((), both, parameter_error=1.0) == -1.0
 
 
-def test_one_seed_gives_one_episode():
+def test_one_seed_gives_one_episode() -> None:
     made = env()
     first = [made.reset(seed=5)[0], made.step(0)[0]]
     again = [made.reset(seed=5)[0], made.step(0)[0]]
@@ -76,7 +78,7 @@ def test_one_seed_gives_one_episode():
 
 
 @pytest.mark.parametrize("rule", GAP_AGENTS)
-def test_agents_find_a_large_effect(rule):
+def test_agents_find_a_large_effect(rule: str) -> None:
     made = env()
     agent = GapAgent(rule, made.layout, made.bank.seconds, (1, 0), sure=0.8, most=4)
     observation, info = made.reset(seed=2, options={"names": ["coulomb_friction@joint2"]})
@@ -90,7 +92,7 @@ def test_agents_find_a_large_effect(rule):
     assert 1 <= info["motions"] <= 4
 
 
-def test_bad_input_is_told_what_is_allowed():
+def test_bad_input_is_told_what_is_allowed() -> None:
     made = env()
     made.reset(seed=0)
     with pytest.raises(InvalidAction, match="an action is 0 to"):

@@ -1,5 +1,7 @@
 """The belief names what is hidden, is not overconfident, and prefers motions that tell apart."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.gap import (
     Belief,
     BeliefSettings,
+    SignatureBank,
     expected_information,
     pair_gains,
     signature_bank,
@@ -20,7 +23,7 @@ from tests.gap.experiment_design.small_bank import (
 )
 
 
-def believed(machine: HiddenMachine, motions=(0, 1), seed: int = 0) -> Belief:
+def believed(machine: HiddenMachine, motions: tuple[int, ...] = (0, 1), seed: int = 0) -> Belief:
     rng = np.random.default_rng(seed)
     belief = Belief(small_models())
     for motion in motions:
@@ -42,7 +45,7 @@ def machine(*names: str, seed: int = 1) -> HiddenMachine:
         ("coulomb_friction@joint1", "rotor_inertia@joint3"),
     ],
 )
-def test_the_most_probable_set_is_what_is_hidden(names):
+def test_the_most_probable_set_is_what_is_hidden(names: tuple[str, ...]) -> None:
     hidden = machine(*names)
 
     posterior = believed(hidden).posterior
@@ -57,7 +60,7 @@ def test_the_most_probable_set_is_what_is_hidden(names):
     assert np.all((posterior.marginal >= 0) & (posterior.marginal <= 1 + 1e-9))
 
 
-def test_the_posterior_of_healthy_machines_is_calibrated():
+def test_the_posterior_of_healthy_machines_is_calibrated() -> None:
     draw = MachineDraw(probabilities=(1.0, 0.0, 0.0))
     rng = np.random.default_rng(7)
 
@@ -68,7 +71,7 @@ def test_the_posterior_of_healthy_machines_is_calibrated():
     assert sum(none) >= 7
 
 
-def test_a_residual_that_no_candidate_explains_lowers_the_confidence():
+def test_a_residual_that_no_candidate_explains_lowers_the_confidence() -> None:
     hidden = machine("coulomb_friction@joint2")
     readings = hidden.run(0, np.random.default_rng(0))
     strange = readings + 3e-3 * np.sin(np.arange(len(readings)) / 9.0)[:, None]
@@ -80,7 +83,7 @@ def test_a_residual_that_no_candidate_explains_lowers_the_confidence():
     assert odd.rest[0] > 2.0 * plain.rest[0]
 
 
-def test_expected_information_is_of_what_separates_the_open_sets():
+def test_expected_information_is_of_what_separates_the_open_sets() -> None:
     belief = believed(machine("coulomb_friction@joint2"), motions=())
 
     prior = expected_information(belief)
@@ -93,24 +96,25 @@ def test_expected_information_is_of_what_separates_the_open_sets():
     assert np.allclose(np.diag(gains), 0.0)
 
 
-def test_one_seed_gives_one_machine_and_one_posterior():
+def test_one_seed_gives_one_machine_and_one_posterior() -> None:
     one, other = (believed(machine("payload@tool")).posterior for _ in range(2))
 
     assert one.best == other.best
     assert np.array_equal(one.marginal, other.marginal)
 
 
-def test_a_stored_bank_is_read_and_a_broken_one_computed_anew(tmp_path):
+def test_a_stored_bank_is_read_and_a_broken_one_computed_anew(tmp_path: Path) -> None:
     arm = small_bank().arm
     settings = type(SETTINGS)(kinds=("payload",), points=2, rank=12)
 
-    def bank(said=None):
+    def bank(said: list[str] | None = None) -> SignatureBank:
         return signature_bank(
             arm, LIBRARY[:1], settings, reference=LIBRARY[:1], cache=tmp_path,
             say=None if said is None else said.append,
         )  # fmt: skip
 
-    first, said = bank(), []
+    said: list[str] = []
+    first = bank()
     again = bank(said)
     assert not said  # nothing was computed
     assert np.array_equal(first.signatures[0].vectors, again.signatures[0].vectors)
@@ -121,7 +125,7 @@ def test_a_stored_bank_is_read_and_a_broken_one_computed_anew(tmp_path):
     assert '"kinds"' in file.with_suffix(".json").read_text()
 
 
-def test_bad_settings_and_names_are_refused():
+def test_bad_settings_and_names_are_refused() -> None:
     with pytest.raises(InvalidSetting, match="probabilities of at most 1 in all"):
         BeliefSettings(none=0.8, single=0.4)
     with pytest.raises(InvalidSetting, match="sum to 1"):
