@@ -57,6 +57,7 @@ from loose_env.gap.experiment_design.next_motion import (
     NOTHING,
     NextMotionSettings,
     NextMotionSummary,
+    PairGain,
     next_motion_lines,
     read_next_motion,
 )
@@ -174,6 +175,7 @@ __all__ = [
     "NamedEffect",
     "NextMotionSettings",
     "NextMotionSummary",
+    "PairGain",
     "Parameter",
     "Posterior",
     "QuickCandidate",

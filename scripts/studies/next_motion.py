@@ -29,7 +29,14 @@ import numpy as np
 from loose_agents.execution.script_errors import errors_in_one_line
 from numpy.typing import NDArray
 
-from loose_env.gap import NOTHING, GapResult, NextMotionSummary, read_next_motion, read_result
+from loose_env.gap import (
+    NOTHING,
+    GapResult,
+    NextMotionSummary,
+    PairGain,
+    read_next_motion,
+    read_result,
+)
 from loose_env.recording import Run, write_recording
 
 Array = NDArray[np.float64]
@@ -358,22 +365,27 @@ def named(result: GapResult) -> str:
     return ", ".join(found) or result.verdict
 
 
+def gain_words(pair: PairGain) -> str:
+    """Expected gain of a pair; of an effect that the runs would not show "nothing" is left out."""
+    nats = f"{pair.nats:.0f} nats" if pair.separates else "not separated"
+    if pair.effect == NOTHING:
+        return f"{pair.rival} if it is there: {nats}"
+    return f"{pair.effect} from {pair.rival}: {nats}"
+
+
 def table(pair: Sequence[tuple[str, str]], steps: Sequence[Step]) -> list[str]:
     """Lines of a session's table."""
     hidden = " and ".join(f"`{kind}` at {where}" for kind, where in pair)
     lines = [
         f"Hidden: {hidden}.",
         "",
-        "| machine time [s] | named | next motion | expected to separate |",
+        "| machine time [s] | named | next motion | expected to show or separate |",
         "|---:|---|---|---|",
     ]
     for step in steps:
         motion = step.motion
         told = "none needed" if motion is None else f"{motion.seconds:.0f} s, {motion.words}"
-        gains = "" if motion is None else "; ".join(
-            f"{p.effect} from {p.rival}, {p.nats:.0f} nats"
-            for p in motion.pairs if p.separates
-        )  # fmt: skip
+        gains = "" if motion is None else "; ".join(map(gain_words, motion.pairs))
         lines.append(f"| {step.seconds:.0f} | {named(step.result)} | {told} | {gains} |")
     answer = {(e.kind, e.where) for e in steps[-1].result.effects}
     right = "right" if answer == set(pair) else "not right"
