@@ -70,10 +70,14 @@ class PairGain:
 
     @property
     def nats(self) -> float:
-        """Larger gain of the two; of an effect that the runs would not show that if it is there."""
+        """Expected gain, by how probable each of the two is now.
+
+        Of an effect that the runs would not show it is that if the effect is there.
+        """
         if self.effect == NOTHING:
             return self.if_rival_nats
-        return max(self.if_effect_nats, self.if_rival_nats)
+        odds = 1.0 / (1.0 + float(np.exp(-np.clip(self.so_far_nats, -50.0, 50.0))))
+        return odds * self.if_effect_nats + (1 - odds) * self.if_rival_nats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
