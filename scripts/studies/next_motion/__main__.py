@@ -178,7 +178,15 @@ def table(pair: Sequence[tuple[str, str]], steps: Sequence[Step]) -> list[str]:
     for step in steps:
         motion = step.motion
         told = "none needed" if motion is None else f"{motion.seconds:.0f} s, {motion.words}"
-        gains = "" if motion is None else "; ".join(map(gain_words, motion.pairs))
+        gains = (
+            ""
+            if motion is None
+            else "; ".join(
+                gain_words(pair)
+                for pair in motion.pairs
+                if pair.separates or pair.effect != NOTHING
+            )
+        )
         lines.append(f"| {step.seconds:.0f} | {named(step.result)} | {told} | {gains} |")
     answer = {(e.kind, e.where) for e in steps[-1].result.effects}
     right = "right" if answer == set(pair) else "not right"
@@ -202,7 +210,7 @@ def main() -> None:
             folder.mkdir(parents=True, exist_ok=True)
             kinds = () if options.whole else KINDS
             steps = session(folder, pair, (options.seed, number), kinds)
-            print("\n".join([f"### Session {number}", "", *table(pair, steps), ""]), flush=True)
+            print("\n".join([f"**Session {number}**", "", *table(pair, steps), ""]), flush=True)
 
 
 if __name__ == "__main__":
