@@ -38,7 +38,7 @@ _TIMES, _LEAST_S = ("actuator_lag", "command_delay", "sensor_delay"), 3e-4
 """Kinds that are a time, and the least of it [s]."""
 _SPRINGS = ("joint_compliance", "backlash", "link_flexibility", "base_compliance")
 """Kinds with a spring of their own."""
-_SOFTER = {"joint_compliance": 3.0}
+_SOFTER = {"joint_compliance": 6.0}
 """Compliance over that of the stiffest start from which it is stable in every pose."""
 _LOG_SD, _LINEAR_SD = 0.35, 0.5
 """Standard deviations of shape parameters: of logarithms, and of linear ones over their scale."""
