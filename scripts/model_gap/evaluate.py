@@ -49,7 +49,7 @@ class Settings:
 
     seed: int = option(EVALUATION_SEED, "seed of the machines")
     model: str = option("", "MJCF file of the arm; the package's three-joint arm by default")
-    most: Count = option(10, "motions of an episode")
+    most: Count = option(8, "motions of an episode")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -68,7 +68,8 @@ class Belief:
             repeated = self.counts[motion]
             mean = summed / repeated
             weight = 1.0 / (1.0 / repeated + self.error(mean))
-            vectors = self.bank.signatures[motion].vectors
+            # in single precision the large signatures hide what tells the small ones apart
+            vectors = self.bank.signatures[motion].vectors.astype(float)
             gram += weight * (vectors.T @ vectors)
             right += weight * (vectors.T @ mean)
             total += weight * float(mean @ mean)

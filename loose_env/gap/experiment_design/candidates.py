@@ -23,14 +23,16 @@ __all__ = ["EXCLUDED", "Ray", "rays_of"]
 
 EXCLUDED = (
     "structural_looseness",
+    "backlash",
     "sensor_quantisation",
     "torque_constant",
     "torque_limit",
     "voltage_limit",
 )
-"""Kinds that are no candidates: the first needs an accelerometer beyond the flange, the second
-changes nothing but the noise, the third acts where torque is compared with motion, and limits do
-nothing until they are reached, which no linear model describes."""
+"""Kinds that are no candidates of encoders and torque sensors on the drives' side: looseness needs
+an accelerometer beyond the joint; play under a load that keeps its side shows the stiffness of its
+stops alone; quantisation changes nothing but the noise; the torque constant acts where torque is
+compared with motion; limits do nothing until they are reached, which no linear model describes."""
 _AXES = ("base_compliance", "link_flexibility")
 """Kinds whose variants are directions in the arm; those of others are richer laws of one effect,
 of which the plain one is a candidate."""
@@ -38,7 +40,7 @@ _TIMES, _LEAST_S = ("actuator_lag", "command_delay", "sensor_delay"), 3e-4
 """Kinds that are a time, and the least of it [s]."""
 _SPRINGS = ("joint_compliance", "backlash", "link_flexibility", "base_compliance")
 """Kinds with a spring of their own."""
-_SOFTER = {"joint_compliance": 3.0}
+_SOFTER = {"joint_compliance": 6.0}
 """Compliance over that of the stiffest start from which it is stable in every pose."""
 _LOG_SD, _LINEAR_SD = 0.35, 0.5
 """Standard deviations of shape parameters: of logarithms, and of linear ones over their scale."""

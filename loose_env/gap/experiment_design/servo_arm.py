@@ -133,14 +133,12 @@ class ServoArm:
 
     @cached_property
     def machine(self) -> NominalModel:
-        """Nominal model of the identification, without contacts and joint stops.
+        """Nominal model of the identification, without contacts.
 
-        Motions are checked to stay clear of both (`check_motion`), and without them a simulation
-        takes half the time.
+        Motions are checked to stay clear of them (`check_motion`), and simulations are faster.
         """
         spec = self._prepared.copy()
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
         # typical loads and speeds scale the effects' starts
         return NominalModel(
             spec, uniform_steps=True, loads=0.3 * self.all_torque_limits, speeds=self._speeds
