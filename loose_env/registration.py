@@ -20,11 +20,13 @@ import gymnasium
 from loose_env.errors import InvalidSetting, UnknownName
 
 __all__ = [
+    "GAP_ID",
     "IDS",
     "MAX_EPISODE_STEPS",
     "TIERS",
     "make_arm",
     "make_arm_vector",
+    "make_gap",
     "make_planar",
     "make_planar_vector",
     "make_scara",
@@ -65,6 +67,10 @@ TIERS: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
 )
 """Ids of the tiers: the arm's id and its arguments, which others given to `make` replace."""
 
+GAP_ID = "loose_env/Gap-v0"
+"""Id of the environment that chooses motions to find what a model lacks. Its vector form is
+Gymnasium's synchronous one: environments of a process share the arm's signatures."""
+
 MAX_EPISODE_STEPS = 14
 """Steps after which Gymnasium's time limit cuts an episode: one more than the longest episode of
 twelve records and a verdict, so that it never does."""
@@ -102,6 +108,15 @@ def register() -> None:
                 max_episode_steps=MAX_EPISODE_STEPS,
                 kwargs=arguments,
             )
+    if GAP_ID not in gymnasium.registry:
+        gymnasium.register(id=GAP_ID, entry_point=f"{here}:make_gap")
+
+
+def make_gap(**arguments: Any) -> gymnasium.Env[Any, Any]:
+    """Make the environment of missing effects; see `loose_env.envs.ModelGapEnv`."""
+    from loose_env.envs import make_model_gap
+
+    return make_model_gap(**arguments)
 
 
 def make_vera(**arguments: Any) -> gymnasium.Env[Any, Any]:

@@ -8,6 +8,7 @@ from loose_env.arms.arm import Arm, Gears, Holding, HoldKind
 from loose_env.arms.engine_warnings import quiet
 from loose_env.arms.files.load import (
     DESK_ARM,
+    SERVO_ARM,
     arm_from_file,
     arm_of_model_file,
     describe_file,
@@ -64,6 +65,7 @@ __all__ = [
     "HOLDING_MODE_HZ",
     "LINK2_MASS",
     "LINK_LENGTH",
+    "SERVO_ARM",
     "Arm",
     "BendingLink2",
     "Chain",

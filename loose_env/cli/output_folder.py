@@ -13,11 +13,12 @@ from pathlib import Path
 
 from loose_env.errors import InvalidSetting, LooseEnvError
 
-_KEPT = ".gap"
+KEPT = ".gap"
+"""Folder in an output for what is kept between runs."""
 _LIST, _WHOSE = "written.json", "command"
 _FORMATS = {"loose-gap": "gap", "loose-diagnosis": "diagnose"}
 """Whose a result is, by its format: folders of earlier versions note nothing."""
-_OWN = frozenset({_KEPT, "model.xml", "result.json", "report.html"})
+_OWN = frozenset({KEPT, "model.xml", "result.json", "report.html"})
 
 
 class OutputFolder:
@@ -41,7 +42,7 @@ class OutputFolder:
         if self.path.exists() and not self.path.is_dir():
             raise InvalidSetting(f"--out {path} is a file; give a folder")
         there = sorted(p.name for p in self.path.iterdir()) if self.path.is_dir() else []
-        known = _OWN | self._written() if _KEPT in there else frozenset()
+        known = _OWN | self._written() if KEPT in there else frozenset()
         other = [name for name in there if name not in known and not _half_written(name)]
         if other:
             raise InvalidSetting(
@@ -58,7 +59,7 @@ class OutputFolder:
 
     def prepared(self) -> Path:
         """Make the folder, and return the one inside it for what is kept between runs."""
-        kept = self.path / _KEPT
+        kept = self.path / KEPT
         kept.mkdir(parents=True, exist_ok=True)
         kept.joinpath(_WHOSE).write_text(self.command, encoding="utf-8")
         return kept
@@ -85,7 +86,7 @@ class OutputFolder:
 
     def _written(self) -> frozenset[str]:
         try:
-            names = json.loads(self.path.joinpath(_KEPT, _LIST).read_text("utf-8"))
+            names = json.loads(self.path.joinpath(KEPT, _LIST).read_text("utf-8"))
         except (OSError, ValueError):
             return frozenset()
         return frozenset(str(name) for name in names) if isinstance(names, list) else frozenset()
@@ -93,7 +94,7 @@ class OutputFolder:
     def _whose(self) -> str:
         """Command that wrote here before; "" if that is not known."""
         try:
-            return self.path.joinpath(_KEPT, _WHOSE).read_text("utf-8").strip()
+            return self.path.joinpath(KEPT, _WHOSE).read_text("utf-8").strip()
         except (OSError, ValueError):
             pass
         try:

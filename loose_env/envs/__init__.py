@@ -1,7 +1,7 @@
 """The diagnosis environments.
 
 Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> joint_side ->
-vector_inputs -> vector_env -> sb3.
+vector_inputs -> vector_env -> sb3 -> model_gap.
 """
 
 from loose_env.envs.diagnosis_env import DiagnosisEnv, EnvState
@@ -13,6 +13,11 @@ from loose_env.envs.episode.state import Outcome
 from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty, difficulty_named
 from loose_env.envs.faults.sampler import FaultSampler
 from loose_env.envs.joint_side import JointSideObservation
+from loose_env.envs.model_gap.env import ModelGapEnv
+from loose_env.envs.model_gap.hidden_machine import HiddenEffect, HiddenMachine, MachineDraw
+from loose_env.envs.model_gap.make import make_model_gap
+from loose_env.envs.model_gap.observation import GapObservation
+from loose_env.envs.model_gap.settings import GapPrices, ModelGapSettings
 from loose_env.envs.rendering import palette
 from loose_env.envs.rendering.correlation import Loop, measured_loop, predicted_loop
 from loose_env.envs.rendering.fault_text import fault_words, hypothesis_words
@@ -49,8 +54,15 @@ __all__ = [
     "EnvState",
     "EpisodeBatch",
     "FaultSampler",
+    "GapObservation",
+    "GapPrices",
+    "HiddenEffect",
+    "HiddenMachine",
     "JointSideObservation",
     "Loop",
+    "MachineDraw",
+    "ModelGapEnv",
+    "ModelGapSettings",
     "ObservationLayout",
     "Outcome",
     "Picture",
@@ -67,6 +79,7 @@ __all__ = [
     "fault_words",
     "half_height",
     "hypothesis_words",
+    "make_model_gap",
     "measured_loop",
     "moves_in_a_plane",
     "palette",

@@ -1,7 +1,7 @@
 """Model error: find, name and correct the effect a simulation lacks.
 
 Data flow: model -> data -> settings -> simulation -> residuals -> fitting ->
-output -> preparation -> selection -> diagnostics -> workflow.
+output -> selection -> diagnostics -> experiment_design -> workflow.
 """
 
 from loose_env.gap.diagnostics.experiment_advice import (
@@ -27,12 +27,49 @@ from loose_env.gap.diagnostics.residual_spectra import (
     series_of,
     spectrum,
 )
+from loose_env.gap.experiment_design import (
+    BankSettings,
+    Belief,
+    BeliefSettings,
+    EffectEstimate,
+    HypothesisSet,
+    LocalModels,
+    Motion,
+    MotionCheck,
+    MotionSignatures,
+    Posterior,
+    Ray,
+    Sensing,
+    ServoArm,
+    SignatureBank,
+    battery,
+    check_motion,
+    expected_information,
+    motion_library,
+    pair_gains,
+    rays_of,
+    read_servo_arm,
+    scaled_to_fit,
+    signature_bank,
+)
+from loose_env.gap.experiment_design.next_motion import (
+    NEXT_MOTION,
+    NOTHING,
+    NextMotionSettings,
+    NextMotionSummary,
+    PairGain,
+    next_motion_lines,
+    read_next_motion,
+)
 from loose_env.gap.model.effect import (
     Effect,
 )
 from loose_env.gap.model.effects.catalogue import (
     read_effects,
     register,
+)
+from loose_env.gap.model.hypothesis import (
+    Hypothesis,
 )
 from loose_env.gap.model.parameter import (
     Parameter,
@@ -88,22 +125,35 @@ from loose_env.gap.settings import (
 )
 from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residuals
 from loose_env.gap.workflow.explain import explain_gap, prediction_error
+from loose_env.gap.workflow.joined_runs import (
+    Source,
+    join_recordings,
+    note_source,
+    read_source,
+)
 from loose_env.gap.workflow.pipeline import (
     GapSolution,
     find_gap,
 )
 from loose_env.gap.workflow.quick_look import QuickCandidate, QuickLook, quick_look
 from loose_env.gap.workflow.session import GapSession
-from loose_env.gap.workflow.summary import result_of, write_gap
+from loose_env.gap.workflow.summary import NO_MOTION, result_of, write_gap
 
 __all__ = [
     "ACCEPTED_Z",
+    "NEXT_MOTION",
     "NOISE_RMS",
+    "NOTHING",
+    "NO_MOTION",
     "PROBABILITY_FEATURES",
     "TARGETS",
+    "BankSettings",
+    "Belief",
+    "BeliefSettings",
     "DeletionTest",
     "Dependence",
     "Effect",
+    "EffectEstimate",
     "EffectLocation",
     "Export",
     "ExportSettings",
@@ -114,19 +164,37 @@ __all__ = [
     "GapSession",
     "GapSettings",
     "GapSolution",
+    "Hypothesis",
+    "HypothesisSet",
     "Identifiability",
     "JointMotion",
+    "LocalModels",
+    "Motion",
+    "MotionCheck",
+    "MotionSignatures",
     "NamedEffect",
+    "NextMotionSettings",
+    "NextMotionSummary",
+    "PairGain",
     "Parameter",
+    "Posterior",
     "QuickCandidate",
     "QuickLook",
     "RankedHypothesis",
+    "Ray",
     "ResidualDiagnostics",
+    "Sensing",
     "Series",
+    "ServoArm",
+    "SignatureBank",
+    "Source",
     "Stages",
+    "battery",
     "binned",
+    "check_motion",
     "compared",
     "diagnose_residuals",
+    "expected_information",
     "explain_gap",
     "export_result",
     "exported",
@@ -135,18 +203,29 @@ __all__ = [
     "how_to_separate",
     "in_bands",
     "interval_score",
+    "join_recordings",
     "key_of",
     "main_band",
+    "motion_library",
+    "next_motion_lines",
+    "note_source",
+    "pair_gains",
     "prediction_error",
     "probability_features",
     "quantity_words",
     "quick_look",
+    "rays_of",
     "read_effects",
+    "read_next_motion",
     "read_result",
+    "read_servo_arm",
+    "read_source",
     "register",
     "resting_runs",
     "result_of",
+    "scaled_to_fit",
     "series_of",
+    "signature_bank",
     "spectrum",
     "stored_calibration",
     "strongest",

@@ -53,6 +53,7 @@ from loose_env.recording.table import (
 from loose_env.recording.writing import (
     FileFormat,
     check_target,
+    table_of,
     write_recording,
 )
 
@@ -82,6 +83,7 @@ __all__ = [
     "read_recording",
     "read_text",
     "set_aside",
+    "table_of",
     "without_corrupt",
     "write_csv",
     "write_parquet",

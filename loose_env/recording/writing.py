@@ -23,7 +23,7 @@ from loose_env.recording.parquet_file import write_parquet
 from loose_env.recording.recording import ENDINGS, Recording, read_recording
 from loose_env.recording.run import Run
 
-__all__ = ["FileFormat", "check_target", "write_recording"]
+__all__ = ["FileFormat", "check_target", "table_of", "write_recording"]
 
 FileFormat = Literal["parquet", "csv"]
 """How the tables of runs are kept."""
@@ -158,7 +158,7 @@ def _write_run(folder: Path, run: Run, file_format: FileFormat) -> dict[str, Any
             f"run {run.name!r}: {str(PurePosixPath(given).parent)!r} is a file of the recording "
             "and no folder; rename the run"
         ) from None
-    _WRITERS[file_format](path, _columns(run))
+    _WRITERS[file_format](path, table_of(run))
     entry: dict[str, Any] = {"file": given}
     if run.excited:
         entry["excited"] = list(run.excited)
@@ -167,7 +167,15 @@ def _write_run(folder: Path, run: Run, file_format: FileFormat) -> dict[str, Any
     return entry | {"condition": run.condition}
 
 
-def _columns(run: Run) -> dict[str, NDArray[np.float64]]:
+def table_of(run: Run) -> dict[str, NDArray[np.float64]]:
+    """Columns of a run by their names in a file, for `write_csv` and `write_parquet`.
+
+    Examples
+    --------
+    >>> run = Run(name="run", time=np.arange(3.0), sensors={"tip": np.zeros((3, 3))})
+    >>> list(table_of(run))
+    ['time', 'sensor.tip.x', 'sensor.tip.y', 'sensor.tip.z']
+    """
     columns = {"time": run.time}
     columns |= {f"ctrl.{name}": values for name, values in run.controls.items()}
     for name, values in run.sensors.items():

@@ -40,7 +40,13 @@ class Search:
         self.ends: BaseException | None = None
 
     def __call__(
-        self, recording: Recording, settings: GapSettings, *, say: Any, stages: Any
+        self,
+        recording: Recording,
+        settings: GapSettings,
+        *,
+        say: Any,
+        stages: Any,
+        earlier: GapResult | None = None,
     ) -> GapSolution:
         self.settings = settings
         say("nominal model: 6.9 noise standard deviations")

@@ -1,5 +1,5 @@
 """Policies: random, constant, greedy, look-ahead, oracle, link finding, blind rows.
 
 Data flow: blind -> classical -> local -> information_policies -> non_adaptive -> link_finding ->
-policies -> oracle -> spatial_link_finding.
+policies -> oracle -> spatial_link_finding -> model_gap.
 """

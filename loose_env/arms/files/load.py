@@ -32,6 +32,7 @@ from loose_env.typing import Array
 
 __all__ = [
     "DESK_ARM",
+    "SERVO_ARM",
     "FileReport",
     "FoundJoint",
     "Payload",
@@ -43,6 +44,8 @@ __all__ = [
 
 DESK_ARM = Path(__file__).parents[1] / "models" / "desk_arm.xml"
 """A small arm of six joints with a gripper, to try things on."""
+SERVO_ARM = Path(__file__).parents[1] / "models" / "servo_arm.xml"
+"""A waist, a shoulder and an elbow on position servos."""
 
 _POSES = 24
 """Poses at which loads, inertias and levels are looked at."""

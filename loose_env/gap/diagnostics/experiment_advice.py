@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from loose_env.gap.output.evidence_schema import Identifiability, UnidentifiableEffect
 from loose_env.io import duration_words
 
@@ -11,8 +13,20 @@ _LISTED = 3
 """Effects, and pairs, that are told of one by one."""
 
 
-def identifiability_words(found: Identifiability) -> list[str]:
-    """Report effects that cannot be seen or distinguished, and experiments that help."""
+def identifiability_words(
+    found: Identifiability, separating: Callable[[str, str], str | None] = lambda *_: None
+) -> list[str]:
+    """Report effects that cannot be seen or distinguished, and experiments that help.
+
+    Parameters
+    ----------
+    found : Identifiability
+        What motions do not show.
+    separating : callable
+        Called with two effects, such as "payload at tool", or "nothing" and one; returns the motion
+        that is expected to separate them, or None where there is none: then general advice is
+        given.
+    """
     said, by_kind = [], dict[str, list[UnidentifiableEffect]]()
     for each in found.unidentifiable:
         by_kind.setdefault(each.kind, []).append(each)
@@ -20,11 +34,14 @@ def identifiability_words(found: Identifiability) -> list[str]:
         places = ", ".join(each.where for each in many[:_LISTED])
         places += " and elsewhere" if len(many) > _LISTED else ""
         size = ", ".join(f"{k} {v:.2g}" for k, v in many[0].parameters.items())
-        said.append(
-            f"these motions would not show {kind} at {places} (such as {size}); "
-            f"{_missing(many[0].additional_s)}{how_to_see(kind)}"
-        )
+        motion = separating("nothing", f"{kind} at {many[0].where}")
+        advice = motion or f"{_missing(many[0].additional_s)}{how_to_see(kind)}"
+        said.append(f"these motions would not show {kind} at {places} (such as {size}); {advice}")
     for pair in found.confusable[:_LISTED]:
+        one, other = f"{pair.kind} at {pair.where}", f"{pair.other_kind} at {pair.other_where}"
+        if motion := separating(one, other):
+            said.append(f"these motions do not tell {one} from {other}; {motion}")
+            continue
         advice = how_to_separate(pair.kind, pair.where, pair.other_kind, pair.other_where)
         said.append(
             f"these motions do not tell {pair.kind} at {pair.where} from {pair.other_kind} at "

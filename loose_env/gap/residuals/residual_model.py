@@ -86,7 +86,7 @@ class ResidualModel:
         Inverse dynamics of the inverse runs, if already computed.
     parting : frozenset of str
         Names of the random runs that are compared by features
-        (`loose_env.gap.preparation.chaotic_runs.chaotic_runs`).
+        (`loose_env.gap.residuals.preparation.chaotic_runs.chaotic_runs`).
     read : ndarray (C,), optional
         Sensor noise standard deviation of each channel, where more counts as noise in
         ``floors``.

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
 from loose_env.gap.fitting.refit import fitted_on, polished
 from loose_env.gap.model.effect import Effect, have_stops
+from loose_env.gap.model.parameter import free_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import SHORTEST, windowed
 from loose_env.gap.selection.acceptance import Acceptance
@@ -31,6 +34,7 @@ from loose_env.gap.settings import (
     WORTH_PARAMETERS,
     SearchSettings,
 )
+from loose_env.typing import Array
 
 __all__ = ["Selection", "SelectionStep", "StepStore", "select_effects"]
 
@@ -100,6 +104,7 @@ def select_effects(
     keep: StepStore | None = None,
     begun: Selection | None = None,
     pause: Callable[[ScoredFit], bool] = lambda _: False,
+    earlier: Sequence[tuple[Effect, Array]] = (),
 ) -> Selection:
     """Add effects to a nominal model by forward selection with held-out validation.
 
@@ -122,6 +127,9 @@ def select_effects(
         goes on from there.
     pause : callable
         Receives the result after each step; the search stops, unfinished, if it returns true.
+    earlier : sequence of (Effect, values)
+        Answer of an earlier search on some of the runs: one more hypothesis of the first step,
+        with the others, by the same tests.
     """
     settings, keep = settings or SearchSettings(), keep or StepStore()
     scorer = Scorer(comparison, held_out)
@@ -155,7 +163,7 @@ def select_effects(
         step = keep.step(
             f"effect-{number}",
             lambda: _step(
-                (comparison, short), scorer, candidates, found, settings, say, signatures
+                (comparison, short), scorer, candidates, found, settings, say, signatures, earlier
             ),
         )
         found.rivals.append([(j, improvement_of(j, found.best)) for j in step.rivals])
@@ -197,6 +205,7 @@ def _step(
     settings: SearchSettings,
     say: Say,
     signatures: Signatures,
+    earlier: Sequence[tuple[Effect, Array]],
 ) -> SelectionStep:
     """Search for one more effect."""
     comparison, short = comparisons
@@ -218,6 +227,8 @@ def _step(
     tried = candidate_fits.fit_candidates(
         screened, lambda: _sets(short, candidate_fits, screened), say, share=share
     )
+    if earlier and not best.fitted.effects:
+        tried = _with_earlier(tried, comparison, scorer, best, earlier)
     ranked = acceptance.ranked(tried) if tried else []
     for each in ranked:
         scored = acceptance.within_bounds(each) if acceptance.accepts(each) else each
@@ -227,15 +238,33 @@ def _step(
             say(f"  {scored.fitted.effects[-1]!r}: {objection}")
             continue
         accepted, dropped = acceptance.accept(scored)
-        earlier = list(best.fitted.effects)
-        alone = candidate_fits.without_earlier(scored, found.base.fitted) if earlier else None
+        first = list(best.fitted.effects)
+        alone = candidate_fits.without_earlier(scored, found.base.fitted) if first else None
         if alone is not None and not acceptance.significant(improvement_of(accepted, alone)):
             acceptance = Acceptance(comparison, scorer, found.base, found.base, settings)
-            accepted, dropped = acceptance.accept(alone)[0], earlier
+            accepted, dropped = acceptance.accept(alone)[0], first
         accepted = _converged(comparison, short, scorer, accepted)
         rivals = [each.bare for each in ranked]
         return SelectionStep(rivals=rivals, accepted=accepted, dropped=dropped)
     return SelectionStep(rivals=[each.bare for each in ranked], accepted=None)
+
+
+def _with_earlier(
+    tried: Sequence[ScoredFit],
+    comparison: ResidualModel,
+    scorer: Scorer,
+    before: ScoredFit,
+    earlier: Sequence[tuple[Effect, Array]],
+) -> list[ScoredFit]:
+    """Add an earlier answer to the hypotheses of a step, from its values."""
+    own = before.fitted
+    structure = own.structure.plus(*(effect for effect, _ in earlier))
+    start = np.concatenate([own.free, *(free_of(e.parameters, v) for e, v in earlier)])
+    found = scorer.score(fit(comparison, structure, start, known=own.jacobian))
+    keys = {effect.key for effect, _ in earlier}
+    others = [each for each in tried if {e.key for e in each.fitted.effects} != keys]
+    same = [each for each in tried if {e.key for e in each.fitted.effects} == keys]
+    return [*others, min((found, *same), key=lambda scored: scored.total)]
 
 
 def _converged(

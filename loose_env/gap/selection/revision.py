@@ -19,7 +19,7 @@ from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, improvement_o
 from loose_env.gap.fitting.profile_bounds import short_of_limit, short_of_nothing
 from loose_env.gap.fitting.refit import fit_in_form, fit_without, polished, refined
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.preparation.prepare import GapProblem
+from loose_env.gap.residuals.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits

@@ -19,8 +19,8 @@ from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
 from loose_env.gap.fitting.model_structure import Nuisance
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.output.result import RankedHypothesis
-from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.physical_units import noise_ratio
+from loose_env.gap.residuals.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.forward_selection import Selection, StepStore, select_effects
 from loose_env.gap.selection.ranking import indistinct, ranking_of
@@ -101,6 +101,7 @@ def search(
     settings: SearchSettings,
     say: Callable[[str], None] = lambda _: None,
     keep: Callable[[str], StepStore] = lambda _: StepStore(),
+    earlier: Sequence[tuple[Effect, Array]] = (),
 ) -> SearchResult:
     """Search for effects that a model lacks.
 
@@ -108,7 +109,7 @@ def search(
     ----------
     prepared : GapProblem
         The runs.
-    nuisance, sought, settings, say
+    nuisance, sought, settings, say, earlier
         As of `loose_env.gap.selection.forward_selection.select_effects`, ``sought`` being its
         candidates.
     keep : callable
@@ -135,6 +136,7 @@ def search(
             keep=keep(f"part-{number}-" if number > 1 else ""),
             begun=begun,
             pause=pause,
+            earlier=earlier,
         )
         parts.append((reweighted, named))
         if not named.unfinished:

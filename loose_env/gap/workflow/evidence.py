@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from loose_env.arms import quiet
-from loose_env.gap.diagnostics.experiment_advice import identifiability_words
 from loose_env.gap.diagnostics.feature_localisation import (
     FeatureChannel,
     feature_channels,
@@ -22,7 +21,7 @@ from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.evidence_schema import Identifiability, Location, ResidualTest
 from loose_env.gap.output.export_check import Exported, exported
-from loose_env.gap.preparation.integrator_choice import corrected_step_words
+from loose_env.gap.residuals.preparation.integrator_choice import corrected_step_words
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.workflow.pipeline import GapSolution
 from loose_env.typing import Array
@@ -134,7 +133,6 @@ def diagnose_residuals(solution: GapSolution, *, say: Say = lambda _: None) -> R
         warnings=(
             *corrected_step_words(held, corrected),
             *own.words(),
-            *identifiability_words(shown),
         ),
     )
 

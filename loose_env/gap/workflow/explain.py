@@ -10,8 +10,8 @@ from loose_env.gap.fitting.initial_state import InitialStates
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.checkpoints import Stage, fresh
 from loose_env.gap.output.result import GapResult
-from loose_env.gap.preparation.prepare import prepare
 from loose_env.gap.residuals.physical_units import rms
+from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.evidence import diagnose_residuals
 from loose_env.gap.workflow.pipeline import find_gap

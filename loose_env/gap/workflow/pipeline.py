@@ -23,11 +23,12 @@ from loose_env.gap.output.checkpoints import Stage, fresh
 from loose_env.gap.output.result import (
     DeletionTest,
     EffectLocation,
+    GapResult,
     NamedEffect,
     RankedHypothesis,
     Verdict,
 )
-from loose_env.gap.preparation.prepare import GapProblem, prepare
+from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.progress import counted, reported
 from loose_env.gap.selection.checkpoint_codec import StepFiles
 from loose_env.gap.selection.deletion import (
@@ -49,6 +50,7 @@ from loose_env.gap.settings import (
     SearchSettings,
 )
 from loose_env.recording import Recording
+from loose_env.typing import Array
 
 __all__ = ["GapSolution", "find_gap", "named_effects"]
 
@@ -102,6 +104,7 @@ def find_gap(
     *,
     say: Say = lambda _: None,
     stages: Stage = fresh,
+    earlier: GapResult | None = None,
 ) -> GapSolution:
     """Identify the effects that the model of a recording lacks.
 
@@ -116,6 +119,9 @@ def find_gap(
     stages : callable
         Checkpoints of stages, such as `loose_env.gap.output.checkpoints.Stages`; an interrupted
         run goes on from there.
+    earlier : GapResult, optional
+        Result of some of the runs. Its effects are one more hypothesis of the first step: they are
+        accepted by the same tests, on all runs, and only the search for them is spared.
 
     Raises
     ------
@@ -124,10 +130,10 @@ def find_gap(
     """
     # diverging simulations are part of the search
     with quiet(), reported(say) as told:
-        return _solved(prepare(recording, settings or GapSettings()), told, stages)
+        return _solved(prepare(recording, settings or GapSettings()), told, stages, earlier)
 
 
-def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
+def _solved(problem: GapProblem, say: Say, stages: Stage, earlier: GapResult | None) -> GapSolution:
     """Search, refit to more of the runs, drop insignificant effects, decide."""
     settings, machine = problem.settings, problem.machine
     nuisance = nuisance_of(problem.search, tolerance=settings.tolerance)
@@ -137,7 +143,8 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
     def keep(prefix: str, nuisance: Nuisance = nuisance) -> StepStore:
         return StepStore() if stages is fresh else StepFiles(stages, machine, nuisance, prefix)
 
-    found = search(problem, nuisance, sought, settings=naming, say=say, keep=keep)
+    before = () if earlier is None else _earlier_effects(problem, earlier)
+    found = search(problem, nuisance, sought, settings=naming, say=say, keep=keep, earlier=before)
     reweighted, base, best = found.reweighted, found.base, found.best
     whole, scorer = (Scorer(runs.fit, runs.held_out_whole) for runs in (problem, reweighted))
     if problem.fit is not problem.search or problem.held_out is not problem.held_out_whole:
@@ -198,6 +205,19 @@ def _solved(problem: GapProblem, say: Say, stages: Stage) -> GapSolution:
         ranking=found.ranking,
         warnings=(*problem.warnings, *([] if impact_fit is None else [impact_fit.words])),
     )
+
+
+def _earlier_effects(problem: GapProblem, earlier: GapResult) -> tuple[tuple[Effect, Array], ...]:
+    """Effects of an earlier result with their values, as far as they are sought here."""
+    sought = {each.key: each for each in problem.sought}
+    found = []
+    for named in (*earlier.effects, *earlier.doubtful):
+        effect = sought.get((named.kind, named.where, named.variant))
+        if effect is None or {p.name for p in effect.parameters} != set(named.parameters):
+            continue
+        values = [p.clipped(named.parameters[p.name]) for p in effect.parameters]
+        found.append((effect, np.array(values)))
+    return tuple(found)
 
 
 def _untenable(

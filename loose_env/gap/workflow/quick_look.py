@@ -15,7 +15,7 @@ from loose_env.gap.diagnostics.localisation import locate, location_words
 from loose_env.gap.fitting.holdout_score import ScoredFit
 from loose_env.gap.fitting.model_structure import nuisance_of
 from loose_env.gap.output.result import EffectLocation
-from loose_env.gap.preparation.prepare import GapProblem, prepare
+from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.progress import reported
 from loose_env.gap.residuals.windows import SHORTEST, windowed
 from loose_env.gap.selection.forward_selection import Selection, select_effects

@@ -27,7 +27,7 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.export_check import exported
 from loose_env.gap.output.export_mjcf import correction_code, write_model
 from loose_env.gap.output.result import NamedEffect
-from loose_env.gap.preparation.prepare import GapProblem, prepare
+from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits

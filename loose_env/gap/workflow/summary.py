@@ -8,8 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
+from loose_env.errors import InvalidData
+from loose_env.gap.diagnostics.experiment_advice import identifiability_words
 from loose_env.gap.diagnostics.localisation import location_words
 from loose_env.gap.diagnostics.remaining_error import remaining_words
+from loose_env.gap.experiment_design.next_motion import (
+    NEXT_MOTION,
+    NextMotionSettings,
+    NextMotionSummary,
+    write_next_motion,
+)
 from loose_env.gap.output.calibration import stored_calibration, with_probability
 from loose_env.gap.output.evidence_schema import Identifiability
 from loose_env.gap.output.export_mjcf import (
@@ -22,15 +30,22 @@ from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEff
 from loose_env.gap.residuals.physical_units import errors_by_quantity, rms
 from loose_env.gap.residuals.progress import reported
 from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residuals
+from loose_env.gap.workflow.next_motion import choose_next, separating
 from loose_env.gap.workflow.pipeline import GapSolution
 
-__all__ = ["result_of", "write_gap"]
+__all__ = ["NO_MOTION", "result_of", "write_gap"]
 
+NO_MOTION = "no next motion"
+"""Beginning of the warning that says why none was written."""
 Report = Callable[[Path, GapSolution, ResidualDiagnostics, GapResult], Path | None]
 """Writes a report into a folder; returns its file, or None where it cannot be made."""
 
 
-def result_of(solution: GapSolution, evidence: ResidualDiagnostics | None = None) -> GapResult:
+def result_of(
+    solution: GapSolution,
+    evidence: ResidualDiagnostics | None = None,
+    motion: NextMotionSummary | None = None,
+) -> GapResult:
     """Summarise a search as a result.
 
     Parameters
@@ -39,6 +54,8 @@ def result_of(solution: GapSolution, evidence: ResidualDiagnostics | None = None
         The finished search.
     evidence : ResidualDiagnostics, optional
         Of `diagnose_residuals`; without, the result has no horizons, locations and residual tests.
+    motion : NextMotionSummary, optional
+        The motion that separates what the runs do not tell apart, for the warnings.
     """
     evidence = evidence or ResidualDiagnostics()
     problem, base, best = solution.problem, solution.base, solution.best
@@ -89,7 +106,12 @@ def result_of(solution: GapSolution, evidence: ResidualDiagnostics | None = None
             "shape": stored_calibration().shape_factor,
         },
         identifiability=evidence.identifiability,
-        warnings=(*solution.warnings, *unnamed_words(solution.unnamed.pairs), *evidence.warnings),
+        warnings=(
+            *solution.warnings,
+            *unnamed_words(solution.unnamed.pairs),
+            *evidence.warnings,
+            *identifiability_words(evidence.identifiability, separating(motion)),
+        ),
         preflight=solution.preflight,
         settings=asdict(problem.settings),
     )
@@ -132,6 +154,8 @@ def write_gap(
     *,
     report: Report = lambda *_: None,
     say: Callable[[str], None] = lambda _: None,
+    next_motion: NextMotionSettings | None = None,
+    earlier: GapResult | None = None,
 ) -> tuple[GapResult, list[Path]]:
     """Write ``model.xml``, the files it needs, a report and ``result.json``, the result last.
 
@@ -145,6 +169,12 @@ def write_gap(
         Writes the report (`loose_env.report.write_gap_report`); none by default.
     say : callable
         Receives progress messages, line by line.
+    next_motion : NextMotionSettings, optional
+        Where given, the motion that best separates what the runs do not tell apart is written
+        too, as ``next_motion.csv``, ``.parquet`` and ``.json``; none where nothing is left to
+        separate.
+    earlier : GapResult, optional
+        Result of some of the runs, whose rivals are compared again.
 
     Returns
     -------
@@ -159,7 +189,22 @@ def write_gap(
     place, problem = Path(folder), solution.problem
     with reported(say) as told:
         evidence = diagnose_residuals(solution, say=told)
-    result = result_of(solution, evidence)
+        chosen, none = None, tuple[str, ...]()
+        if next_motion is not None:
+            found = evidence.identifiability
+            try:
+                chosen = choose_next(solution, found, next_motion, earlier=earlier, say=told)
+            except InvalidData as error:  # the result itself does not depend on it
+                none = (f"{NO_MOTION}: {error}",)
+    # An earlier motion must not stand beside a later result.
+    for ending in ("json", "csv", "parquet"):
+        place.joinpath(f"{NEXT_MOTION}.{ending}").unlink(missing_ok=True)
+    summary, motions = None, list[Path]()
+    if chosen is not None and next_motion is not None:
+        place.mkdir(parents=True, exist_ok=True)
+        summary, motions = write_next_motion(place, chosen, next_motion)
+    result = result_of(solution, evidence, summary)
+    result = replace(result, warnings=(*result.warnings, *none))
     # An earlier result must not stand beside a later model if this run is cut short.
     place.joinpath("result.json").unlink(missing_ok=True)
     say("writing model, result and report")
@@ -173,4 +218,4 @@ def write_gap(
         notes=model_notes(solution.effects, solution.unnamed.pairs, result.nominal_parameters),
     )
     file = result.write(place / "result.json")
-    return result, [*models, *([] if page is None else [page]), file]
+    return result, [*models, *([] if page is None else [page]), *motions, file]

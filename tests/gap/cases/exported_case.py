@@ -11,7 +11,7 @@ import numpy as np
 
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.preparation.prepare import GapProblem, prepare
+from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
 from loose_env.gap.settings import GapSettings
 from loose_env.recording import Run, write_recording
 from tests.gap.cases.effect_arms import PLANAR

@@ -21,7 +21,7 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.model.parameter import free_of
 from loose_env.gap.output.result import EffectLocation, NamedEffect, RankedHypothesis
-from loose_env.gap.preparation.prepare import GapProblem
+from loose_env.gap.residuals.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.pipeline import GapSolution

@@ -12,7 +12,7 @@ import pytest
 from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.data.initial_rest import comes_to_rest
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.preparation.prepare import prepare
+from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.pipeline import find_gap
 from loose_env.recording import Run, read_recording, write_recording

@@ -16,7 +16,7 @@ from loose_env.gap.model.effects.sensors import SensorGain
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.export_check import Exported, exported, played
 from loose_env.gap.output.export_mjcf import corrected_spec
-from loose_env.gap.preparation.prepare import GapProblem
+from loose_env.gap.residuals.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import ResidualModel
 from tests.gap.cases.exported_case import judged_with, prepared_arm
 

@@ -19,9 +19,9 @@ from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.preparation import chaotic_runs as chaotic
-from loose_env.gap.preparation.chaotic_runs import chaotic_runs
-from loose_env.gap.preparation.prepare import GapProblem, prepare
+from loose_env.gap.residuals.preparation import chaotic_runs as chaotic
+from loose_env.gap.residuals.preparation.chaotic_runs import chaotic_runs
+from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.settings import GapSettings

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.gap.preparation.prepare import prepare
+from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
 from loose_env.recording import Recording, Run, write_recording
 from tests.gap.cases.effect_arms import PLANAR

@@ -13,12 +13,12 @@ from loose_env.gap.data.aligned_run import channels_of
 from loose_env.gap.model.effects.drives.actuators import ActuatorGain
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.preparation.integrator_choice import (
+from loose_env.gap.residuals.preparation.integrator_choice import (
     Integration,
     choose_integration,
     corrected_step_words,
 )
-from loose_env.gap.preparation.prepare import prepare
+from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
 from loose_env.recording import Run, write_recording
 from loose_env.typing import Array

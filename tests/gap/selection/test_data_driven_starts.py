@@ -16,7 +16,7 @@ from loose_env.gap.diagnostics.localisation import locate
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.preparation.prepare import prepare
+from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.data_driven_starts import missing_torque, proposals
 from loose_env.gap.settings import GapSettings

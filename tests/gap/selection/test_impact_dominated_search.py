@@ -20,7 +20,7 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import free_of
 from loose_env.gap.output.checkpoints import Stages, key_of
-from loose_env.gap.preparation.prepare import GapProblem, prepare
+from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.checkpoint_codec import StepFiles
 from loose_env.gap.selection.forward_selection import Selection

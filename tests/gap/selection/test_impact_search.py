@@ -16,8 +16,8 @@ from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
-from loose_env.gap.preparation.integrator_choice import corrected_step_words
-from loose_env.gap.preparation.prepare import GapProblem, prepare
+from loose_env.gap.residuals.preparation.integrator_choice import corrected_step_words
+from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.impacts import impact_search as with_stops
 from loose_env.gap.selection.impacts.impact_power import ImpactPower

@@ -16,7 +16,7 @@ from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.model_structure import ModelStructure, nuisance_of
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.preparation.prepare import prepare
+from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.joint_proposals import JointProblem, Proposal
 from loose_env.gap.selection.screening.screening import Screened, screen

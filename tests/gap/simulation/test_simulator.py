@@ -14,7 +14,7 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis, compiled
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.export_mjcf import corrected_spec
-from loose_env.gap.preparation.prepare import prepare
+from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Run, write_recording

@@ -15,7 +15,7 @@ import pytest
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap.model.effects.friction import make_it_stick
 from loose_env.gap.output.checkpoints import Stages, key_of
-from loose_env.gap.preparation.prepare import prepare
+from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.residuals.windows import SHORTEST
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.pipeline import GapSolution, find_gap

@@ -10,10 +10,13 @@ import mujoco
 import numpy as np
 import pytest
 
+from loose_env.errors import InvalidData
+from loose_env.gap import NextMotionSettings
 from loose_env.gap.fitting.holdout_score import Scorer
 from loose_env.gap.output.checkpoints import Stages, key_of
 from loose_env.gap.output.result import read_result
 from loose_env.gap.selection.checkpoint_codec import plain_fit, restored_fit
+from loose_env.gap.workflow import summary
 from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residuals
 from loose_env.gap.workflow.pipeline import GapSolution
 from loose_env.gap.workflow.summary import result_of, write_gap
@@ -221,3 +224,19 @@ def test_stages_keep_no_objects(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not numbers"):
         Stages(tmp_path, "a")("fit", lambda: np.array([object()]))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_motion_that_cannot_be_written_costs_no_result(
+    solution: GapSolution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise InvalidData("no motion fits the machine")
+
+    monkeypatch.setattr(summary, "diagnose_residuals", lambda *_, **__: ResidualDiagnostics())
+    monkeypatch.setattr(summary, "choose_next", refused)
+    (tmp_path / "next_motion.json").write_text("of an earlier run")
+    result, written = write_gap(tmp_path, solution, next_motion=NextMotionSettings())
+    assert result.warnings[-1] == "no next motion: no motion fits the machine"
+    assert read_result(tmp_path).warnings == result.warnings
+    assert [path.name for path in written] == ["model.xml", "result.json"]
+    assert not (tmp_path / "next_motion.json").exists()

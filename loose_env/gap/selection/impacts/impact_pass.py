@@ -18,8 +18,8 @@ from loose_env.gap.fitting.gauss_newton import Fit, cost_of, fit
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
 from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.preparation.prepare import GapProblem
 from loose_env.gap.residuals.physical_units import noise_ratio
+from loose_env.gap.residuals.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.deletion import at_bound, worse_quantity
 from loose_env.gap.selection.impacts.impact_power import ImpactPower

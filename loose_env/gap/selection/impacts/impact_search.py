@@ -19,7 +19,7 @@ from loose_env.gap.fitting.model_structure import ModelStructure
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import free_of
-from loose_env.gap.preparation.prepare import GapProblem
+from loose_env.gap.residuals.preparation.prepare import GapProblem
 from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.impacts.impact_power import ImpactPower

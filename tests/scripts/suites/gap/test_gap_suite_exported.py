@@ -14,7 +14,7 @@ from loose_env.gap.model.effects.drives.actuators import ActuatorLag, CommandDel
 from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.joint_elasticity import JointCompliance
 from loose_env.gap.model.effects.sensors import SensorGain
-from loose_env.gap.preparation.prepare import GapProblem
+from loose_env.gap.residuals.preparation.prepare import GapProblem
 from scripts.suites.gap.cases.draw import draw_case
 from scripts.suites.gap.grading.exported import exported_gap
 from scripts.suites.gap.studies.edits import EditRow, edit_rows, table

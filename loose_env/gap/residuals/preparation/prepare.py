@@ -20,9 +20,9 @@ from loose_env.gap.model.effects.link_inertia import payload_words
 from loose_env.gap.model.element_names import naming_words
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.preparation.chaotic_runs import chaotic_runs
-from loose_env.gap.preparation.data_sufficiency import sufficiency_words
-from loose_env.gap.preparation.integrator_choice import Integration, choose_integration
+from loose_env.gap.residuals.preparation.chaotic_runs import chaotic_runs
+from loose_env.gap.residuals.preparation.data_sufficiency import sufficiency_words
+from loose_env.gap.residuals.preparation.integrator_choice import Integration, choose_integration
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.settings import GapSettings

@@ -17,7 +17,7 @@ adds them. The fast posteriors are evaluated anew.
 With --cases, hundreds of cases are drawn from the prior in one record's pose and excitation, and
 scored with the same particles: whether the particles' own probabilities are calibrated.
 
-Usage: python scripts/studies/check_posterior.py --episodes 60 --particles 200
+Usage: python scripts/studies/checks/posterior.py --episodes 60 --particles 200
 """
 
 from __future__ import annotations

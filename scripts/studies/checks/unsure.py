@@ -4,7 +4,7 @@ Plays episodes as trained, with two faults at once, with three times the mismatc
 lengths and masses are 15 % off, and with 1 g of preload on the loose seat. Prints the shares of
 right verdicts, of wrong ones, of right locations, and of "unsure".
 
-Usage: python scripts/studies/check_unsure.py --env loose_env/Planar-v0 --episodes 300
+Usage: python scripts/studies/checks/unsure.py --env loose_env/Planar-v0 --episodes 300
 
 Rows are stored shard by shard; the same command goes on from where it was stopped. Delete the
 folder after training anew: rows are known by the agent's name, not by its weights.

@@ -1,0 +1,110 @@
+"""Agents for loose_env/Gap-v0: random motions, a fixed battery, greedy by expected information."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_agents.core.base import EpisodeAgent
+from loose_env.envs import GapObservation, ModelGapEnv
+from loose_env.errors import UnknownName
+from loose_env.gap import battery
+from loose_env.typing import Array
+
+__all__ = ["GAP_AGENTS", "GapAgent", "make_gap_agent"]
+
+GAP_AGENTS = ("random", "battery", "greedy")
+"""Names of the agents."""
+STOPPING = {"random": 0.9, "battery": 0.9, "greedy": 0.9}
+"""Probability of the best set from which each agent names it, tuned by
+scripts/model_gap/evaluate.py on development episodes."""
+_REPEATS = 2
+"""Times that greedy takes a motion: a repetition does not average out the linearisation error."""
+_SETUP_S = 0.5
+"""Time to set up a motion [s], so that motions of almost no length are not preferred."""
+
+
+@dataclass(eq=False)
+class _Memory:
+    """State of an episode."""
+
+    rng: np.random.Generator
+    taken: int = 0
+
+
+class GapAgent(EpisodeAgent):
+    """Agent that takes motions by a rule and names the most probable set once it is sure.
+
+    Parameters
+    ----------
+    rule : {"random", "battery", "greedy"}
+        Choice of motions.
+    layout : GapObservation
+        Layout of the observation.
+    seconds : ndarray (M,)
+        Machine time of the motions [s].
+    order : sequence of int
+        Motions of the battery, in order; repeated when they are through.
+    sure : float
+        Probability of the best set from which it is named; above 1 never.
+    most : int
+        Motions after which it is named anyway.
+    seed : int
+        Seed of random motions.
+    """
+
+    def __init__(
+        self, rule: str, layout: GapObservation, seconds: Array, order: Sequence[int], *,
+        sure: float, most: int, seed: int = 0,
+    ) -> None:  # fmt: skip
+        if rule not in GAP_AGENTS:
+            raise UnknownName(f"an agent of Gap-v0 is one of {list(GAP_AGENTS)}, got {rule!r}")
+        self.rule, self.layout, self.seconds = rule, layout, seconds
+        self.order, self.sure, self.most, self.seed = tuple(order), sure, most, seed
+
+    def begin(self, rng: np.random.Generator) -> _Memory:
+        """Return the initial state of an episode."""
+        return _Memory(rng)
+
+    def act(self, observation: NDArray[np.float32], memory: Any) -> Any:
+        """Choose a motion, or name the most probable set."""
+        best = 10.0 ** float(observation[self.layout.sets][0])
+        if memory.taken and (best >= self.sure or memory.taken >= self.most):
+            return np.int64(self.layout.motions)
+        memory.taken += 1
+        return np.int64(self._motion(observation, memory))
+
+    def _motion(self, observation: NDArray[np.float32], memory: _Memory) -> int:
+        if self.rule == "battery":
+            return self.order[(memory.taken - 1) % len(self.order)]
+        if self.rule == "random":
+            return int(memory.rng.integers(self.layout.motions))
+        rate = observation[self.layout.information] / (self.seconds + _SETUP_S)
+        fresh = observation[self.layout.taken] < _REPEATS
+        return int(np.argmax(np.where(fresh, rate, rate - 1e3)))
+
+
+def make_gap_agent(
+    name: str, env: ModelGapEnv, *, sure: float | None = None, seed: int = 0
+) -> GapAgent:
+    """Make an agent for an environment.
+
+    Parameters
+    ----------
+    name : str
+        One of `GAP_AGENTS`.
+    env : ModelGapEnv
+        The environment, unwrapped; its hidden machine is not looked at.
+    sure : float, optional
+        Probability from which it stops; by default the tuned one.
+    """
+    order = [env.bank.index_of(motion) for motion in battery(env.bank.arm)]
+    return GapAgent(
+        name, env.layout, env.bank.seconds, order,
+        sure=STOPPING.get(name, 0.9) if sure is None else sure,
+        most=env.settings.max_motions, seed=seed,
+    )  # fmt: skip

@@ -1,0 +1,4 @@
+"""The environment that chooses motions to find what a model lacks.
+
+Data flow: hidden_machine -> settings -> observation -> env -> make.
+"""

@@ -1,0 +1,57 @@
+"""Choice of motions: experiments that tell candidate effects of an arm apart.
+
+Data flow: servo_arm -> motions -> library -> candidates -> sizing -> bank -> local_models ->
+posterior -> belief -> information -> next_motion.
+"""
+
+from loose_env.gap.experiment_design.bank import (
+    MotionSignatures,
+    SignatureBank,
+    signature_bank,
+)
+from loose_env.gap.experiment_design.belief import Belief
+from loose_env.gap.experiment_design.candidates import Ray, rays_of
+from loose_env.gap.experiment_design.information import expected_information, pair_gains
+from loose_env.gap.experiment_design.library import (
+    MotionCheck,
+    battery,
+    check_motion,
+    motion_library,
+    scaled_to_fit,
+)
+from loose_env.gap.experiment_design.local_models import LocalModels
+from loose_env.gap.experiment_design.motions import Motion
+from loose_env.gap.experiment_design.posterior import (
+    BeliefSettings,
+    EffectEstimate,
+    HypothesisSet,
+    Posterior,
+)
+from loose_env.gap.experiment_design.servo_arm import Sensing, ServoArm, read_servo_arm
+from loose_env.gap.experiment_design.sizing import BankSettings
+
+__all__ = [
+    "BankSettings",
+    "Belief",
+    "BeliefSettings",
+    "EffectEstimate",
+    "HypothesisSet",
+    "LocalModels",
+    "Motion",
+    "MotionCheck",
+    "MotionSignatures",
+    "Posterior",
+    "Ray",
+    "Sensing",
+    "ServoArm",
+    "SignatureBank",
+    "battery",
+    "check_motion",
+    "expected_information",
+    "motion_library",
+    "pair_gains",
+    "rays_of",
+    "read_servo_arm",
+    "scaled_to_fit",
+    "signature_bank",
+]

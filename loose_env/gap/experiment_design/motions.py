@@ -1,0 +1,276 @@
+"""Motions for experiments: parametrised excitations about a pose, from home and back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.gap.experiment_design.servo_arm import ServoArm
+from loose_env.typing import Array
+
+__all__ = ["Motion", "MotionKind"]
+
+MotionKind = Literal[
+    "slow_triangle", "constant_speed", "chirp", "multisine", "steps", "holds", "random"
+]
+"""Kinds of excitation."""
+_RAMP = 0.25
+"""Fade of an excitation at either end [s]."""
+_PAUSE = 0.3
+"""Rest at home, and in the centre pose, before and after [s]."""
+_STEP_S = 0.04
+"""Time that a step takes [s]: what a servo's controller lets through."""
+_LOWEST = 0.5
+"""Lowest frequency of a chirp and of a multisine [Hz]."""
+_PHASES = 2.399963
+"""Phase between joints that move together [rad], the golden angle: no two stay in step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """One motion: an excitation of some joints about a centre pose.
+
+    It begins and ends at rest in the arm's home pose, so that motions can follow one another.
+
+    Examples
+    --------
+    >>> Motion(kind="slow_triangle", joints=(1,), amplitude=0.2, speed=0.1).words
+    'slow triangle of joint 2, 0.20 rad at 0.10 rad/s'
+    """
+
+    kind: MotionKind
+    """Excitation."""
+    joints: tuple[int, ...]
+    """Indices of the joints that are excited, among the arm's driven ones."""
+    amplitude: float
+    """Largest deviation from the centre pose [rad; slides: 0.2 m]."""
+    speed: float
+    """Speed of the excitation [rad/s; slides: 0.2 m/s]; fades add to it, up to the arm's limit."""
+    seconds: float = 4.0
+    """Length of the excitation [s], without the ways from home and back."""
+    highest: float = 8.0
+    """Highest frequency of chirps, multisines and random excitation [Hz]."""
+    centre: tuple[float, ...] | None = None
+    """Pose about which it moves [rad, m] (J,); None for home. It sets the load by gravity."""
+    seed: int = 0
+    """Seed of a random excitation and of poses that are held."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such kind.
+        InvalidSetting
+            If a size is not positive, or no joint is named.
+        """
+        if self.kind not in get_args(MotionKind):
+            raise UnknownName(f"kind is one of {list(get_args(MotionKind))}, got {self.kind!r}")
+        if not self.joints or len(set(self.joints)) != len(self.joints) or min(self.joints) < 0:
+            raise InvalidSetting(f"joints are distinct indices from 0, got {self.joints!r}")
+        for name, unit in (
+            ("amplitude", "rad"),
+            ("speed", "rad/s"),
+            ("seconds", "s"),
+            ("highest", "Hz"),
+        ):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise InvalidSetting(f"{name} is above 0 {unit}, got {value!r}")
+
+    @property
+    def words(self) -> str:
+        """The motion in words."""
+        which = ", ".join(str(j + 1) for j in self.joints)
+        plural = "s" if len(self.joints) > 1 else ""
+        size = f"{self.amplitude:.2f} rad at {self.speed:.2f} rad/s"
+        where = "" if self.centre is None else ", about another pose"
+        return f"{self.kind.replace('_', ' ')} of joint{plural} {which}, {size}{where}"
+
+    def commands(self, arm: ServoArm) -> Array:
+        """Desired positions of the arm's driven joints at its samples (n, J) [rad, m].
+
+        Within the ranges of the joints and the speed limits; torque and collisions are
+        `check_motion`'s.
+
+        Raises
+        ------
+        InvalidSetting
+            If the joints or the centre pose are not those of the arm, or the motion leaves a
+            joint's range.
+        """
+        count, rate = len(arm.joints), arm.sensing.rate
+        if max(self.joints) >= count:
+            raise InvalidSetting(f"the arm drives {count} joints, got {self.joints!r}")
+        if self.centre is not None and len(self.centre) != count:
+            raise InvalidSetting(f"centre has a position for each of {count} joints")
+        centre = arm.home if self.centre is None else np.array(self.centre, dtype=float)
+        unit = np.where(arm.turning, 1.0, 0.2)
+        speed = np.minimum(self.speed * unit, arm.speed_limits)
+        excited = np.tile(centre, (max(round(self.seconds * rate), 2), 1))
+        time = np.arange(len(excited)) / rate
+        for number, joint in enumerate(self.joints):
+            shape = _SHAPES[self.kind](self, time, number, float(speed[joint] / unit[joint]))
+            off = unit[joint] * shape
+            fastest = float(np.max(np.abs(np.diff(off)))) * rate
+            excited[:, joint] += off * min(1.0, arm.speed_limits[joint] / max(fastest, 1e-12))
+        pause = round(_PAUSE * rate)
+        parts = [np.tile(arm.home, (pause, 1))]
+        if self.centre is not None:
+            there = _way(arm.home, centre, arm.speed_limits, rate)
+            parts += [there, np.tile(centre, (pause, 1)), excited, np.tile(centre, (pause, 1))]
+            parts += [there[::-1], np.tile(arm.home, (pause, 1))]
+        else:
+            parts += [excited, np.tile(arm.home, (pause, 1))]
+        found = np.concatenate(parts)
+        low, high = arm.ranges
+        for k, name in enumerate(arm.joints):
+            if found[:, k].min() < low[k] or found[:, k].max() > high[k]:
+                raise InvalidSetting(
+                    f"{self.words} takes {name} to {found[:, k].min():.2f} and "
+                    f"{found[:, k].max():.2f}; its range is {low[k]:.2f} to {high[k]:.2f}"
+                )
+        return found
+
+
+def _smooth(share: Array) -> Array:
+    """Way of least jerk from 0 to 1 for shares of its time (n,), clipped to it."""
+    s = np.clip(share, 0.0, 1.0)
+    return np.asarray(s**3 * (10 - 15 * s + 6 * s**2))
+
+
+def _way(start: Array, end: Array, speeds: Array, rate: float) -> Array:
+    """Way of least jerk between two poses, at half the speed limits (n, J)."""
+    seconds = float(np.max(1.875 * np.abs(end - start) / (0.5 * speeds)))
+    count = max(round(seconds * rate), 2)
+    share = _smooth(np.arange(count) / (count - 1))
+    return np.asarray(start + share[:, None] * (end - start))
+
+
+def _faded(motion: Motion, time: Array) -> Array:
+    """Window that fades in and out (n,)."""
+    ramp = min(_RAMP, motion.seconds / 4)
+    return _smooth(time / ramp) * _smooth((time[-1] - time) / ramp)
+
+
+def _triangle(motion: Motion, time: Array, number: int, speed: float) -> Array:
+    """Reversals at one speed, with corners rounded over a twentieth of a period (n,)."""
+    period = 4 * motion.amplitude / speed
+    turns = max(round((motion.seconds - 2 * _RAMP) / period), 1)
+    phase = time / motion.seconds * turns
+    period = motion.seconds / turns
+    height = min(motion.amplitude, speed * period / 4)
+    raw = np.abs((phase + 0.25 + 0.13 * number) % 1.0 - 0.5) * 4 - 1
+    width = max(round(0.04 * period * (len(time) / motion.seconds)), 1)
+    rounded = np.convolve(np.pad(raw, width, mode="wrap"), np.ones(width) / width, "same")
+    return np.asarray(-height * rounded[width:-width] * _faded(motion, time))
+
+
+def _constant_speed(motion: Motion, time: Array, number: int, speed: float) -> Array:
+    """There and back at a quarter, half and all of the speed, rests in between (n,)."""
+    shares = np.array([1.0, 0.5, 0.25])
+    lengths = 1 / shares / np.sum(1 / shares)
+    reach = min(motion.amplitude, 0.85 * speed * motion.seconds / np.sum(1 / shares) / 4)
+    found = np.zeros_like(time)
+    begin = 0.0
+    for length in lengths * motion.seconds:
+        share = np.clip((time - begin) / length, 0.0, 1.0)
+        # out, across and back: four ways of one speed with soft ends
+        knots = np.array([0.0, 0.22, 0.28, 0.72, 0.78, 1.0])
+        heights = np.array([0.0, 1.0, 1.0, -1.0, -1.0, 0.0])
+        inside = (time >= begin) & (time < begin + length)
+        found[inside] = reach * np.interp(share[inside], knots, heights)
+        begin += length
+    width = max(round(0.06 * len(time) / motion.seconds), 1)
+    kernel = np.hanning(width + 2)[1:-1]
+    return np.asarray(np.convolve(found, kernel / kernel.sum(), "same") * _faded(motion, time))
+
+
+def _sine_height(motion: Motion, frequency: Array | float, speed: float) -> Array:
+    """Amplitude at a frequency, within amplitude and speed."""
+    return np.minimum(motion.amplitude, speed / (2 * np.pi * np.asarray(frequency)))
+
+
+def _chirp(motion: Motion, time: Array, number: int, speed: float) -> Array:
+    """Logarithmic sweep of frequency at the largest amplitude that the speed allows (n,)."""
+    ratio = motion.highest / _LOWEST
+    share = time / motion.seconds
+    frequency = _LOWEST * ratio**share
+    phase = 2 * np.pi * _LOWEST * motion.seconds / np.log(ratio) * (ratio**share - 1)
+    height = _sine_height(motion, frequency, speed)
+    return np.asarray(height * np.sin(phase + number * _PHASES) * _faded(motion, time))
+
+
+def _multisine(motion: Motion, time: Array, number: int, speed: float) -> Array:
+    """Sines of ten frequencies with Schroeder's phases (n,)."""
+    frequencies = np.geomspace(_LOWEST, motion.highest, 10)
+    k = np.arange(10)
+    phases = -np.pi * k * (k + 1) / 10 + number * _PHASES * (k + 1)
+    waves = np.sin(2 * np.pi * frequencies * time[:, None] + phases) / frequencies**0.7
+    return _fitted(motion, waves.sum(axis=1) * _faded(motion, time), time, speed)
+
+
+def _random(motion: Motion, time: Array, number: int, speed: float) -> Array:
+    """Gaussian noise of a band (n,)."""
+    rng = np.random.default_rng([motion.seed, number])
+    rate = len(time) / motion.seconds
+    frequency = np.fft.rfftfreq(len(time), 1 / rate)
+    spectrum = np.fft.rfft(rng.normal(size=len(time)))
+    spectrum[(frequency < 0.2) | (frequency > motion.highest)] = 0.0
+    spectrum[1:] /= np.maximum(frequency[1:], _LOWEST) ** 0.5
+    return _fitted(motion, np.fft.irfft(spectrum, len(time)) * _faded(motion, time), time, speed)
+
+
+def _fitted(motion: Motion, wave: Array, time: Array, speed: float) -> Array:
+    """Scale a wave to the amplitude, or to the speed where that is less (n,)."""
+    fastest = float(np.max(np.abs(np.gradient(wave, time))))
+    scale = min(motion.amplitude / max(float(np.max(np.abs(wave))), 1e-12), speed / fastest)
+    return np.asarray(scale * wave)
+
+
+def _steps(motion: Motion, time: Array, number: int, speed: float) -> Array:
+    """Steps to and fro, of two sizes, a rest after each (n,)."""
+    count = max(round(motion.seconds / 0.5), 2)
+    heights = motion.amplitude * np.resize([1.0, -1.0, 0.4, -0.4, 0.0], count)
+    heights[-1] = 0.0
+    if number % 2:
+        heights[:-1] = -heights[:-1]
+    largest = motion.amplitude * 2
+    fast = max(_STEP_S, 1.875 * largest / speed)
+    found, before = np.zeros_like(time), 0.0
+    for k, height in enumerate(heights):
+        begin = k * motion.seconds / count + 0.02 * number
+        found += (height - before) * _smooth((time - begin) / fast)
+        before = float(height)
+    return np.asarray(found)
+
+
+def _holds(motion: Motion, time: Array, number: int, speed: float) -> Array:
+    """Poses held one after the other, ways of least jerk between them (n,)."""
+    count = max(round(motion.seconds / 1.0), 2)
+    rng = np.random.default_rng([motion.seed, number, 7])
+    levels = np.linspace(-1.0, 1.0, count - 1)
+    heights = np.append(motion.amplitude * rng.permutation(levels), 0.0)
+    found, before = np.zeros_like(time), 0.0
+    for k, height in enumerate(heights):
+        slot = motion.seconds / count
+        way = min(max(1.875 * abs(height - before) / speed, 0.1), slot)
+        found += (height - before) * _smooth((time - k * slot) / way)
+        before = float(height)
+    return np.asarray(found)
+
+
+_SHAPES: dict[str, Callable[[Motion, Array, int, float], Array]] = {
+    "slow_triangle": _triangle,
+    "constant_speed": _constant_speed,
+    "chirp": _chirp,
+    "multisine": _multisine,
+    "steps": _steps,
+    "holds": _holds,
+    "random": _random,
+}

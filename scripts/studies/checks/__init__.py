@@ -1,0 +1,1 @@
+"""Checks of what agents say of themselves, against simulation."""

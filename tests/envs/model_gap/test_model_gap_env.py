@@ -1,0 +1,103 @@
+"""loose_env/Gap-v0 keeps Gymnasium's contract, and its rewards are as documented."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from loose_agents.policies.model_gap import GAP_AGENTS, GapAgent
+
+from loose_env.envs import GapPrices, ModelGapEnv, ModelGapSettings
+from loose_env.errors import InvalidAction, UnknownName
+from loose_env.registration import GAP_ID
+from tests.gap.experiment_design.small_bank import small_bank, small_models
+
+
+def env(**settings: Any) -> ModelGapEnv:
+    return ModelGapEnv(small_bank(), ModelGapSettings(**settings), models=small_models())
+
+
+def test_gymnasiums_checker_passes() -> None:
+    check_env(env(), skip_render_check=True)
+
+
+def test_an_episode_of_two_motions_and_a_verdict() -> None:
+    made = env()
+    observation, info = made.reset(seed=3, options={"names": ["payload@tool"]})
+    assert made.machine is not None and made.machine.names == ("payload@tool",)
+    assert not info["action_mask"][len(made.motions) :].any()  # nothing to name yet
+    spent = 0.0
+    for motion in (0, 1):
+        observation, reward, terminated, truncated, info = made.step(motion)
+        spent -= reward
+        assert not terminated and not truncated
+    assert info["seconds"] == pytest.approx(made.bank.seconds.sum())
+    prices = made.settings.prices
+    assert spent == pytest.approx(prices.second * info["seconds"] + prices.wear * info["wear"])
+    best = made.belief.posterior.best
+    assert 10 ** observation[made.layout.sets][0] == pytest.approx(best.probability, rel=1e-3)
+
+    _, reward, terminated, _, info = made.step(len(made.motions))
+
+    assert terminated and info["truth"] == ("payload@tool",) and info["verdict"] == best.names
+    assert reward == pytest.approx(1.0 - prices.parameter * info["parameter_error"])
+    with pytest.raises(ResetNeeded):
+        made.step(0)
+
+
+def test_going_on_after_the_last_motion_is_a_wrong_verdict() -> None:
+    made = env(max_motions=1)
+    made.reset(seed=1)
+    _, _, terminated, _, info = made.step(1)
+    assert not terminated and not info["action_mask"][: len(made.motions)].any()
+
+    _, reward, terminated, _, _ = made.step(1)
+
+    assert terminated and reward == -1.0
+
+
+def test_rewards_of_verdicts() -> None:
+    prices = GapPrices()
+    both = ("a@1", "b@2")
+    assert prices.verdict(both, both, parameter_error=0.5) == pytest.approx(0.9)
+    assert prices.verdict(("a@1",), both, parameter_error=0.0) == 0.0
+    assert prices.verdict(("a@1", "c@3"), both, parameter_error=0.0) == -1.0
+    assert prices.verdict((), (), parameter_error=0.0) == 1.0
+    assert prices.verdict((), both, parameter_error=1.0) == -1.0
+
+
+def test_one_seed_gives_one_episode() -> None:
+    made = env()
+    first = [made.reset(seed=5)[0], made.step(0)[0]]
+    again = [made.reset(seed=5)[0], made.step(0)[0]]
+
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+    assert not np.array_equal(made.reset(seed=6)[0] * 0 + made.step(0)[0], first[1])
+
+
+@pytest.mark.parametrize("rule", GAP_AGENTS)
+def test_agents_find_a_large_effect(rule: str) -> None:
+    made = env()
+    agent = GapAgent(rule, made.layout, made.bank.seconds, (1, 0), sure=0.8, most=4)
+    observation, info = made.reset(seed=2, options={"names": ["coulomb_friction@joint2"]})
+    state, terminated, start = None, False, True
+    while not terminated:
+        action, state = agent.predict(observation, state, np.array([start]))
+        observation, _, terminated, _, info = made.step(action)
+        start = False
+
+    assert info["success"] and info["probability"] > 0.8
+    assert 1 <= info["motions"] <= 4
+
+
+def test_bad_input_is_told_what_is_allowed() -> None:
+    made = env()
+    made.reset(seed=0)
+    with pytest.raises(InvalidAction, match="an action is 0 to"):
+        made.step(99)
+    with pytest.raises(UnknownName, match="known are \\['names', 'count'\\]"):
+        made.reset(options={"fault": 1})
+    with pytest.raises(UnknownName, match="unknown arguments \\['speed'\\]"):
+        gymnasium.make(GAP_ID, speed=3)
