@@ -2,11 +2,11 @@
 
 Every agent meets the same hidden machines. It is played without stopping, and the belief is kept
 after each motion; accuracy against machine time, stopping and calibration are read off that. The
-stopping probabilities are those tuned on other episodes:
+best stopping probabilities are found on other episodes:
 
-    python -m scripts.model_gap.evaluate --seed 20081000 --out out/gap_tuning
+    python scripts/model_gap/evaluate.py --seed 20081000 --out out/gap_tuning
 
-Usage: python -m scripts.model_gap.evaluate --episodes 60
+Usage: python scripts/model_gap/evaluate.py --episodes 60
 
 Episodes are stored as they come: the same command goes on where it was stopped.
 """

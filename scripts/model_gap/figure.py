@@ -74,5 +74,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path, *, motions: Sequence[str] =
 
 
 def _shown(rows: Sequence[dict[str, Any]]) -> int:
-    """Episode that is drawn: the first with two effects."""
-    return min(int(row["episode"]) for row in rows if row["effects"] == 2 and row["seconds"])
+    """Episode that is drawn: the first with effects that greedy needed four motions for, if any."""
+    hidden = [r for r in rows if r["effects"] and r["seconds"]]
+    long = [r for r in hidden if r["agent"] == "greedy" and len(r["seconds"]) >= 4]
+    return min(int(row["episode"]) for row in long or hidden)

@@ -4,7 +4,7 @@ One effect of a pair is hidden. The chosen motions are those whose expected gain
 between both per second is largest; the battery is run in order and repeated. Both go on until the
 log evidence of the hidden effect is ahead of the other's by 5 nats (odds of 150 to 1).
 
-Usage: python -m scripts.model_gap.pairs --machines 4
+Usage: python scripts/model_gap/pairs.py --machines 4
 """
 
 from __future__ import annotations

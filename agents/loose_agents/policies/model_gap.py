@@ -20,8 +20,8 @@ __all__ = ["GAP_AGENTS", "GapAgent", "make_gap_agent"]
 GAP_AGENTS = ("random", "battery", "greedy")
 """Names of the agents."""
 STOPPING = {"random": 0.9, "battery": 0.9, "greedy": 0.9}
-"""Probability of the best set from which each agent names it, tuned by
-scripts/model_gap/evaluate.py on development episodes."""
+"""Probability of the best set from which each agent names it; scripts/model_gap/evaluate.py finds
+the best one on development episodes."""
 _REPEATS = 2
 """Times that greedy takes a motion: a repetition does not average out the linearisation error."""
 _SETUP_S = 0.5
