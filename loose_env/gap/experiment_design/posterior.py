@@ -5,10 +5,10 @@ bank, a hypothesis is
 
     y = V ν + Σ_e (m_e + C_e θ_e) + ε,      ν, θ ~ N(0, I),    ε_k ~ N(0, 1/n_k + δ_k)
 
-V   derivatives by the nominal parameters, each times its prior standard deviation
-m_e mean of an effect about a linearisation point; C_e its slope, curvature and shape columns
-n_k repetitions of motion k;  δ_k = (η |y_k|)² / K_k, the error of the linearisation, in proportion
-    to what is seen; a repetition does not average it out
+with V the derivatives by the nominal parameters, each times its prior standard deviation; m_e the
+mean of an effect about a linearisation point, and C_e its slope, curvature and shape columns; n_k
+repetitions of motion k in K_k directions; δ_k = (η |y_k|)² / K_k the error of the linearisation, in
+proportion to what is seen, which a repetition does not average out.
 
 ν is eliminated once for all hypotheses (Schur complement), so that each costs the determinant of a
 matrix of four or eight rows.
