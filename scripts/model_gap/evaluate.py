@@ -74,7 +74,7 @@ def play(case: Case, *, settings: Settings, run: Run, say: Callable[[str], None]
     """Play one episode of one agent."""
     agent, number = case
     env = _env(settings.model)
-    never = make_gap_agent(agent, env, sure=2.0)
+    never = make_gap_agent(agent, env, sure=2.0, seed=number)
     row = played(env, never, seed=settings.seed, number=number, most=settings.most)
     return [{"agent": agent, **row}]
 

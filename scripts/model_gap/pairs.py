@@ -156,7 +156,7 @@ def show(rows: list[Row], settings: Settings, path: Path, run: Run) -> None:
     for hidden, other in dict.fromkeys((row["hidden"], row["other"]) for row in rows):
         own = [r for r in rows if (r["hidden"], r["other"]) == (hidden, other)]
         if own[0]["chosen"] == -2:
-            print(f"| {hidden} | {other} | no motion of this arm shows both | | | |")
+            print(f"| {hidden} | {other} | one of them is no candidate here | | | |")
             continue
         cells = [_median([r[way] for r in own]) for way in ("chosen", "battery")]
         gain = f"{own[0]['gain']:.0f} nats"
