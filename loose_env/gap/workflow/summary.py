@@ -204,7 +204,8 @@ def write_gap(
         place.mkdir(parents=True, exist_ok=True)
         summary, motions = write_next_motion(place, chosen, next_motion)
     result = result_of(solution, evidence, summary)
-    result = replace(result, warnings=(*result.warnings, *none))
+    if none:
+        result = replace(result, warnings=(*result.warnings, *none))
     # An earlier result must not stand beside a later model if this run is cut short.
     place.joinpath("result.json").unlink(missing_ok=True)
     say("writing model, result and report")
