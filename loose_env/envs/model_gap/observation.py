@@ -27,7 +27,7 @@ class GapObservation:
     --------
     >>> layout = GapObservation(candidates=3, motions=2, ranks=5)
     >>> layout.size, layout.information
-    (33, slice(26, 28, None))
+    (32, slice(26, 28, None))
     """
 
     candidates: int
