@@ -122,6 +122,7 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
             "--quick corrects no model, so that it has no motion for --rerun; leave one of them out"
         )
     _check_rerun(options.rerun)
+    wanted = settings_of(options, NextMotionSettings) if options.next else None
     folder = folder_of(options)
     sources = [read_source(path, KEPT, model=options.model) for path in _given(options, folder)]
     earlier = sources[0].result
@@ -155,7 +156,6 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     home = recording.model_path.parent
     folder.note(folder.path / f.relative_to(home) for f in files_of(recording.model_path))
     report = partial(write_gap_report, say=console.say)
-    wanted = settings_of(options, NextMotionSettings) if options.next else None
     result, written = write_gap(
         folder.path, found, report=report, say=console.say, next_motion=wanted, earlier=earlier
     )

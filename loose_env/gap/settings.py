@@ -46,7 +46,7 @@ ALTERNATIVES = 4
 """Alternatives fitted to the windows: pairs, and what may take the place of an effect; cost."""
 LEADING = 3
 """Leading candidates that are fitted from a second start, where there is one as good, and to all
-search data; most effects of an answer for which swaps are tried: cost."""
+search data; most effects of an answer for which swaps are fitted whatever they promise: cost."""
 FURTHER = 2
 """Further ones, each for a reason of its own: by predicted z-score (small effects that act in every
 block of time), kinds at several locations, sets for all search data, what is confusable with the

@@ -154,3 +154,19 @@ def test_an_output_whose_recording_is_gone_says_so(
     out.joinpath(".gap", "source.json").unlink()
     assert "does not say of which recording" in refused(again, capsys)
     assert read_recording(recording.folder).runs
+
+
+def test_settings_of_the_next_motion_are_checked_before_the_search(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    def search(*_: Any, **__: Any) -> GapSolution:
+        raise AssertionError("searched with settings that are refused")
+
+    monkeypatch.setattr(gap, "find_gap", search)
+    place = str(recording.model_path.parent)
+    out = tmp_path / "out"
+    code = main(["gap", place, "--out", str(out), "--next", "--next-max-speed-rad-s", "nan"])
+    assert code == 1
+    assert "next-max-speed-rad-s" in capsys.readouterr().err.replace("_", "-")
+    assert not out.exists()

@@ -144,7 +144,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         """
         if self.machine is None or self._over:
             raise ResetNeeded("the episode is over: call reset() first")
-        if not self.action_space.contains(np.int64(action)):
+        if not self.action_space.contains(action):
             raise InvalidAction(
                 f"an action is 0 to {len(self.motions) + self.settings.ranks - 1}, got {action!r}"
             )

@@ -10,6 +10,7 @@ are dropped.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from itertools import combinations
 
 import numpy as np
@@ -106,29 +107,46 @@ class SwapStep:
                 continue  # an effect that a swap made insignificant
             if effect.has_stops and not self.settings.swap_stops:
                 continue
-            better = self._in_another_form(effect, best)
+            before = self._before(best, (effect,))
+            better = self._in_another_form(effect, best, before)
             if better is None:
-                better = self._in_place_of((effect,), best)
+                better = self._in_place_of((effect,), best, before)
             best = _said(best, better, say)
         for two in combinations(best.fitted.effects, 2):
             there = {joint_of(effect) for effect in two}
             if _among(two, best.fitted.effects) and len(there) == 1 and None not in there:
-                best = _said(best, self._in_place_of(two, best), say)
+                better = self._in_place_of(two, best, self._before(best, two))
+                best = _said(best, better, say)
         return best
 
-    def _in_another_form(self, effect: Effect, best: ScoredFit) -> ScoredFit | None:
+    def _before(self, best: ScoredFit, effects: Sequence[Effect]) -> Callable[[], ScoredFit]:
+        """Return a function that gives a hypothesis without some effects, fitted once if asked."""
+
+        @cache
+        def before() -> ScoredFit:
+            scored = best
+            for effect in effects:
+                scored = self._without(scored, effect)
+            return scored
+
+        return before
+
+    def _in_another_form(
+        self, effect: Effect, best: ScoredFit, before: Callable[[], ScoredFit]
+    ) -> ScoredFit | None:
         """Return the best hypothesis with another form of an effect; None if none is better."""
         place = effect.kind, effect.where
         forms = [c for c in self.candidates if (c.kind, c.where) == place and c.key != effect.key]
         if not forms:
             return None
-        before = self._without(best, effect)
-        acceptance = Acceptance(self.comparison, self.scorer, self.base, before, self.settings)
+        acceptance = Acceptance(self.comparison, self.scorer, self.base, before(), self.settings)
         fits = (fit_in_form(self.comparison, best.fitted, effect, form) for form in forms)
         tried = sorted(map(self.scorer.score, fits), key=lambda scored: scored.total)
-        return self._better(tried, before, best, acceptance, lead=EQUAL_LOG_LIKELIHOOD)
+        return self._better(tried, before(), best, acceptance, lead=EQUAL_LOG_LIKELIHOOD)
 
-    def _in_place_of(self, effects: Sequence[Effect], best: ScoredFit) -> ScoredFit | None:
+    def _in_place_of(
+        self, effects: Sequence[Effect], best: ScoredFit, without: Callable[[], ScoredFit]
+    ) -> ScoredFit | None:
         """Return the best hypothesis with one or two effects replaced by one; None if none is."""
         named = {(e.kind, e.where) for e in best.fitted.effects}
         confusables = [
@@ -138,9 +156,7 @@ class SwapStep:
         ]
         if not confusables:
             return None
-        before = best
-        for effect in effects:
-            before = self._without(before, effect)
+        before = without()
         candidate_fits = CandidateFits(self.comparison, self.short, self.scorer, before)
         acceptance = Acceptance(self.comparison, self.scorer, self.base, before, self.settings)
         screened = screen(self.short, candidate_fits.windows.before, confusables)

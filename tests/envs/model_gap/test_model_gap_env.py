@@ -95,8 +95,9 @@ def test_agents_find_a_large_effect(rule: str) -> None:
 def test_bad_input_is_told_what_is_allowed() -> None:
     made = env()
     made.reset(seed=0)
-    with pytest.raises(InvalidAction, match="an action is 0 to"):
-        made.step(99)
+    for action in (99, -1, float("nan"), 0.7, np.zeros(2, dtype=int)):
+        with pytest.raises(InvalidAction, match="an action is 0 to"):
+            made.step(action)  # type: ignore[arg-type]
     with pytest.raises(UnknownName, match="known are \\['names', 'count'\\]"):
         made.reset(options={"fault": 1})
     with pytest.raises(UnknownName, match="unknown arguments \\['speed'\\]"):
