@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -236,9 +237,11 @@ def test_a_part_with_stops_is_not_exchanged_in_noise_that_it_makes(
     )  # fmt: skip
     scorer, tried = Scorer(runs, problem.held_out), list[str]()
     best = scorer.score(fitted)
-    monkeypatch.setattr(
-        SwapStep, "_in_place_of", lambda _, effects, best: tried.extend(e.kind for e in effects)
-    )
+
+    def noted(_: SwapStep, effects: Sequence[Effect], *_others: object) -> None:
+        tried.extend(effect.kind for effect in effects)
+
+    monkeypatch.setattr(SwapStep, "_in_place_of", noted)
     for settings in (SearchSettings(), beside_stops(SearchSettings())):
         assert SwapStep(runs, runs, scorer, effects, best, settings).improved(best) is best
     assert tried == ["backlash", "payload", "payload"]
