@@ -16,6 +16,7 @@ from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.holdout_score import Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure, nuisance_of
 from loose_env.gap.fitting.refit import refined
+from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
