@@ -343,8 +343,20 @@ class Effect:
         """Propose starts from the stiffness that measured torques suggest for its joint."""
         return ()
 
-    def propose_limit(self, torque: float) -> tuple[tuple[float, ...], ...]:
-        """Propose starts from the largest torque [N·m, N] that the motion of its joint takes."""
+    def propose_limit(
+        self, speed: Array, asked: Array, needed: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Propose starts of a limit from what its drive was asked for and what it gave.
+
+        Parameters
+        ----------
+        speed : ndarray (T,)
+            Speed of the joint [rad/s, m/s].
+        asked : ndarray (T,)
+            Torque of the nominal drive for the commands and the measured motion [N·m, N].
+        needed : ndarray (T,)
+            Torque that the measured motion takes [N·m, N].
+        """
         return ()
 
     def propose_along(self, residual: ResidualAccelerations) -> tuple[tuple[float, ...], ...]:

@@ -205,7 +205,7 @@ def test_a_loose_link_shakes_the_tool_along_its_own_direction(where: str, angle:
     assert min(gaps) < 2e-4 < max(gaps)
 
 
-def test_a_torque_limit_starts_where_the_drive_gave_most(tmp_path: Path) -> None:
+def test_without_a_limit_the_start_is_the_largest_torque_given(tmp_path: Path) -> None:
     comparison = compared(record(tmp_path / "r"))
     limit = CATALOGUE["torque_limit"](comparison.machine, comparison.machine.actuators[1])
     ((start,),) = proposals(comparison, NOTHING, [limit])[limit.key]
@@ -213,6 +213,25 @@ def test_a_torque_limit_starts_where_the_drive_gave_most(tmp_path: Path) -> None
     assert found is not None
     needed = np.abs(found[4][:, 1])
     assert 0.8 * needed.max() < start <= needed.max() and start > 2 * np.median(needed)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"), [("torque_limit", (21.0,)), ("voltage_limit", (40.0, 9.0))]
+)
+def test_a_limit_starts_where_it_explains_what_was_not_given(
+    kind: str, values: tuple[float, ...]
+) -> None:
+    machine = NominalModel(mujoco.MjSpec.from_string(PLANAR), step=0.001)
+    rng, time = np.random.default_rng(5), np.linspace(0.0, 10.0, 3000)
+    speed = 3.0 * np.cos(4.0 * time) + np.cos(9.0 * time)
+    asked = 50.0 * np.sin(2.3 * time + 0.4) * np.cos(0.7 * time)
+    stall = values[0]
+    back = stall / values[1] * speed if len(values) > 1 else 0.0
+    given = np.clip(asked + back, -stall, stall) - back + rng.normal(0.0, 0.5, len(time))
+    given[::40] += rng.normal(0.0, 30.0, len(given[::40]))  # where smoothing went wrong
+    limit = CATALOGUE[kind](machine, "servo1")
+    (start,) = limit.propose_limit(speed, asked, given)
+    assert start == pytest.approx(values, rel=0.25 if len(values) > 1 else 0.03)
 
 
 def test_a_ripple_in_measured_torques_finds_its_own_period(tmp_path: Path) -> None:

@@ -36,9 +36,6 @@ _DYNAMICS_SAMPLES = 6000
 """Samples of all runs that are evaluated, at most."""
 _TURNING = 0.01
 """Speed below which the direction of friction is in doubt, as a share of the largest."""
-_LARGEST = 0.99
-"""Share of the samples that need less torque than what counts as the largest: the smoothed
-acceleration has outliers."""
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
 
@@ -86,11 +83,10 @@ def proposals(
             )
     for effect in limits:
         k = machine.joint_number(machine.actuated_joint[effect.where])
-        read = needed[np.isfinite(needed[:, k]), k]
-        if not len(read):
-            continue
-        largest = float(np.quantile(np.abs(read), _LARGEST))
-        starts[effect.key] = effect.propose_limit(largest)
+        read = np.isfinite(needed[:, k])
+        if read.any():
+            own = needed[read, k]
+            starts[effect.key] = effect.propose_limit(speed[read, k], own + torque[read, k], own)
     return starts
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -23,6 +24,10 @@ _HIGHEST = 20.0
 """Highest one of a drive whose model has none."""
 _STARTS = (0.4, 0.8, 1.5, 2.5)
 """Limits from which fits start."""
+_LEAST_GIVEN = 0.05
+"""Lowest limit that is sought in data, over the largest torque given."""
+_GRID, _SPEED_GRID = 150, 16
+"""Limits, 2 % apart, and no-load speeds that are tried on data."""
 _SPEEDS = (1.5, 4.0)
 """No-load speeds from which fits start, over the typical speed."""
 
@@ -73,9 +78,30 @@ class _Limit(Effect):
         limit = self.parameters[0]
         return tuple(dict.fromkeys(limit.clipped(min(t, 0.8 * limit.high)) for t in torques))
 
-    def propose_limit(self, torque: float) -> tuple[tuple[float, ...], ...]:
-        """Start where the drive gave most: a limit is what it never passed."""
-        return self._about((torque / self._gear,))
+    def propose_limit(
+        self, speed: Array, asked: Array, needed: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Start at the limit that turns what was asked into what was given, by least deviations.
+
+        Without such a limit that is the largest torque given.
+        """
+        rate, asked, needed = speed * self._gear, asked / self._gear, needed / self._gear
+        limit = self.parameters[0]
+        most = limit.clipped(float(np.max(np.abs(needed))))
+        least = min(max(limit.low, _LEAST_GIVEN * most), most)
+        # from the largest on: of limits that explain as much the first is taken
+        torques = np.geomspace(most, least, _GRID)
+        tried = [(float(t), *more) for more in self._beside() for t in torques]
+        off = [np.mean(np.abs(needed - self._limited(asked, rate, each))) for each in tried]
+        return (tried[int(np.argmin(off))],)
+
+    def _beside(self) -> tuple[tuple[float, ...], ...]:
+        """Values of further parameters that are tried beside each limit."""
+        return ((),)
+
+    @abstractmethod
+    def _limited(self, force: Array, speed: Array, values: Sequence[float]) -> Array:
+        """Force (T,) of the limited actuator, of that without limit and its speed."""
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
@@ -104,6 +130,9 @@ class TorqueLimit(_Limit):
     def parameters(self) -> tuple[Parameter, ...]:
         """Largest force of the actuator; on the joint it is that times its gear."""
         return (self._limit("limit"),)
+
+    def _limited(self, force: Array, speed: Array, values: Sequence[float]) -> Array:
+        return np.clip(force, -values[0], values[0])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Set the actuator's force range."""
@@ -138,6 +167,15 @@ class VoltageLimit(_Limit):
         """Starts at some stall torques and around the typical speed."""
         usual = self.parameters[1].scale
         return tuple((value, s * usual) for value in self._starts(torques) for s in _SPEEDS)
+
+    def _beside(self) -> tuple[tuple[float, ...], ...]:
+        speed = self.parameters[1]
+        return tuple((float(v),) for v in np.geomspace(speed.high, speed.low, _SPEED_GRID))
+
+    def _limited(self, force: Array, speed: Array, values: Sequence[float]) -> Array:
+        stall, free = values
+        back = stall / free * speed
+        return np.clip(force + back, -stall, stall) - back
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Limit the force without back-EMF, which acts beyond the limit as the actuator's damping.
