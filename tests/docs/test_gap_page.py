@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import pytest
 
+from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.recording import read_recording
 from tests.docs.pages import ROOT, blocks
 from tests.docs.test_examples import a_gap_recording
@@ -28,3 +29,7 @@ def test_step_by_step_finds_the_friction_and_keeps_it(
     assert [effect.kind for effect in steps.added] == ["coulomb_friction"]
     assert "coulomb_friction@joint2: torque" in capsys.readouterr().out
     assert mujoco.MjModel.from_xml_path("corrected.xml").dof_frictionloss[1] > 1.8
+
+
+def test_the_readme_counts_the_catalogue() -> None:
+    assert f"screens {len(CATALOGUE)} effects" in (ROOT / "README.md").read_text()
