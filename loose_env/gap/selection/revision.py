@@ -36,6 +36,7 @@ from loose_env.gap.settings import (
 
 __all__ = ["SwapStep", "drop_insignificant", "refit_without"]
 
+_Key = tuple[str, str, str]
 _ROUNDS = 3
 """Rounds of swaps at most; what is swapped in may have a better form itself."""
 _MOSTLY = 0.9
@@ -70,6 +71,7 @@ class SwapStep:
     ) -> None:
         self.comparison, self.short, self.scorer = comparison, short, scorer
         self.candidates, self.base, self.settings = candidates, base, settings
+        self._left: set[frozenset[_Key]] = set()
 
     def improved(
         self,
@@ -81,8 +83,10 @@ class SwapStep:
         """Return the best hypothesis after swaps; ``best`` itself if none is better.
 
         A hypothesis replaces another if it would have been ranked above it: its residual is
-        smaller, or it fits equally well with fewer parameters. Beside more than `LEADING` effects,
-        and in place of two, only what promises to explain as much is fitted: a matter of cost.
+        smaller, or it fits equally well with fewer parameters. What was replaced does not return:
+        of two that fit alike the one that was fitted last is ahead. Beside more than `LEADING`
+        effects, and in place of two, only what promises to explain as much is fitted: a matter of
+        cost.
 
         Parameters
         ----------
@@ -111,13 +115,29 @@ class SwapStep:
             better = self._in_another_form(effect, best, before)
             if better is None:
                 better = self._in_place_of((effect,), best, before)
-            best = _said(best, better, say)
+            best = self._said(best, better, say)
         for two in combinations(best.fitted.effects, 2):
             there = {joint_of(effect) for effect in two}
             if _among(two, best.fitted.effects) and len(there) == 1 and None not in there:
                 better = self._in_place_of(two, best, self._before(best, two))
-                best = _said(best, better, say)
+                best = self._said(best, better, say)
         return best
+
+    def _said(
+        self, best: ScoredFit, better: ScoredFit | None, say: Callable[[str], None]
+    ) -> ScoredFit:
+        """Return the better hypothesis, if there is one, and say what was swapped."""
+        if better is None:
+            return best
+        self._left.add(_keys(best.fitted.effects))
+        before, after = (", ".join(map(repr, each.fitted.effects)) for each in (best, better))
+        say(f"  swapped {before} for {after}")
+        return better
+
+    def _was_left(self, best: ScoredFit, replaced: Sequence[Effect], by: Effect) -> bool:
+        """Return whether a hypothesis with some effects replaced by one was left before."""
+        kept = [e for e in best.fitted.effects if not _among((e,), replaced)]
+        return _keys((*kept, by)) in self._left
 
     def _before(self, best: ScoredFit, effects: Sequence[Effect]) -> Callable[[], ScoredFit]:
         """Return a function that gives a hypothesis without some effects, fitted once if asked."""
@@ -136,7 +156,13 @@ class SwapStep:
     ) -> ScoredFit | None:
         """Return the best hypothesis with another form of an effect; None if none is better."""
         place = effect.kind, effect.where
-        forms = [c for c in self.candidates if (c.kind, c.where) == place and c.key != effect.key]
+        forms = [
+            c
+            for c in self.candidates
+            if (c.kind, c.where) == place
+            and c.key != effect.key
+            and not self._was_left(best, (effect,), c)
+        ]
         if not forms:
             return None
         acceptance = Acceptance(self.comparison, self.scorer, self.base, before(), self.settings)
@@ -152,7 +178,9 @@ class SwapStep:
         confusables = [
             c
             for c in self.candidates
-            if all(confusable(e, c) for e in effects) and (c.kind, c.where) not in named
+            if all(confusable(e, c) for e in effects)
+            and (c.kind, c.where) not in named
+            and not self._was_left(best, effects, c)
         ]
         if not confusables:
             return None
@@ -267,10 +295,6 @@ def _among(some: Sequence[Effect], effects: Sequence[Effect]) -> bool:
     return all(any(one is each for each in effects) for one in some)
 
 
-def _said(best: ScoredFit, better: ScoredFit | None, say: Callable[[str], None]) -> ScoredFit:
-    """Return the better hypothesis, if there is one, and say what was swapped."""
-    if better is None:
-        return best
-    before, after = (", ".join(map(repr, scored.fitted.effects)) for scored in (best, better))
-    say(f"  swapped {before} for {after}")
-    return better
+def _keys(effects: Sequence[Effect]) -> frozenset[_Key]:
+    """What tells a hypothesis from others, whatever its values."""
+    return frozenset(effect.key for effect in effects)

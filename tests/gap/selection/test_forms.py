@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+import pytest
 
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
@@ -73,3 +74,17 @@ def test_another_form_starts_where_the_first_one_ended() -> None:
     assert again.cost < 0.5 * back.cost
     own = values_of(CENTRE.parameters, again.free[again.structure.slice_of(CENTRE)])
     assert np.allclose(own[:3], LOAD[:3], rtol=0.1, atol=0.01)
+
+
+def test_what_was_replaced_does_not_return(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However close the fits: here the last one always counts as the better one."""
+    scorer, nominal = loaded()
+    base = score(scorer, nominal, [])
+    several = [MASS, POINT, CENTRE]
+    swap = SwapStep(scorer.comparison, scorer.comparison, scorer, several, base, SearchSettings())
+    answer = score(scorer, nominal.with_effects([FRICTION, POINT]), [[0.8], [0.5]])
+    monkeypatch.setattr(SwapStep, "_better", lambda self, tried, *_, **__: next(iter(tried), None))
+    said: list[str] = []
+    swap.improved(answer, said.append)
+    left = [line.split(" for ")[0] for line in said]
+    assert left and len(set(left)) == len(left)
