@@ -67,6 +67,10 @@ SINGLE_SHARE = 0.1
 effects are fitted, too, where that is this share of the nominal model's, or above the noise: a
 smaller second effect is found beside the first."""
 
+SHARE_IN_SET = 0.05
+"""Share of the sum of squares left without it that each effect of a proposed set explains at
+least."""
+
 # Acceptance
 ACCEPTED_Z = 3.5
 """Larger of the z-scores on training and held-out runs from which an improvement is accepted: many

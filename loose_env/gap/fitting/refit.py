@@ -30,6 +30,7 @@ __all__ = [
     "polished",
     "refined",
     "settled",
+    "with_last",
 ]
 
 
@@ -107,6 +108,27 @@ def _without(fitted: Fit, effect: Effect) -> tuple[ModelStructure, list[int]]:
     kept = [k for k in range(len(fitted.free)) if not own.start <= k < own.stop]
     others = [each for each in fitted.effects if each is not effect]
     return fitted.structure.with_effects(others), kept
+
+
+def with_last(fitted: Fit, effect: Effect) -> Fit:
+    """The same fit with one of its effects listed last.
+
+    Parameters
+    ----------
+    fitted : Fit
+        The fit, with its sensitivities.
+    effect : Effect
+        One of its effects.
+    """
+    structure, kept = _without(fitted, effect)
+    own = fitted.structure.slice_of(effect)
+    order = [*kept, *range(own.start, own.stop)]
+    return replace(
+        fitted,
+        structure=structure.plus(effect),
+        free=fitted.free[order],
+        jacobian=fitted.jacobian[:, order],
+    )
 
 
 def fit_in_form(comparison: ResidualModel, fitted: Fit, effect: Effect, form: Effect) -> Fit:

@@ -335,6 +335,34 @@ class Effect:
         """Python lines that apply effects which MJCF cannot express; "" if none."""
         return ""
 
+    @property
+    def axes(self) -> tuple[tuple[float, ...], ...]:
+        """Values whose changes add up, for screening to combine by `combined`; none for most."""
+        if not self.adds_up or self.nothing is None or len(self.parameters) < 2:
+            return ()
+        none = np.array(self.nothing)
+        sizes = np.max(np.array(self.starts) - none, axis=0)
+        return tuple(tuple(float(v) for v in none + row) for row in np.diag(sizes))
+
+    def combined(self, shares: Array) -> tuple[float, ...]:
+        """Values that change what its `axes` do together, each times its share, within bounds.
+
+        Parameters
+        ----------
+        shares : ndarray (K,)
+            Share of each of the axes.
+        """
+        none = np.array(self.nothing)
+        return self._clipped(none + shares @ (np.array(self.axes) - none))
+
+    def shares_of(self, values: Array) -> Array:
+        """Shares (K,) of the axes that `combined` turns into some values."""
+        none = np.array(self.nothing)
+        return np.asarray((values - none) / np.diag(np.array(self.axes) - none))
+
+    def _clipped(self, values: Array) -> tuple[float, ...]:
+        return tuple(p.clipped(float(v)) for p, v in zip(self.parameters, values, strict=True))
+
     def propose_from(self, resolution: float) -> tuple[tuple[float, ...], ...]:
         """Propose starts from the resolution of its sensor's readings; 0 if they have none."""
         return ()

@@ -10,27 +10,41 @@ are dropped.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 from itertools import combinations
 
 import numpy as np
 
 from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
+from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.profile_bounds import short_of_limit, short_of_nothing
-from loose_env.gap.fitting.refit import fit_in_form, fit_without, polished, refined
+from loose_env.gap.fitting.refit import (
+    fit_in_form,
+    fit_without,
+    needed_least,
+    polished,
+    refined,
+    with_last,
+)
 from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.parameter import free_of
 from loose_env.gap.residuals.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits
+from loose_env.gap.selection.screening.data_driven_starts import proposals
 from loose_env.gap.selection.screening.grouping import confusable, joint_of
+from loose_env.gap.selection.screening.relinearised_sets import other_sets
 from loose_env.gap.selection.screening.screening import screen
+from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import (
     ALTERNATIVES,
     EQUAL_LOG_LIKELIHOOD,
     FURTHER,
     LEADING,
+    SHARE_IN_SET,
     SearchSettings,
 )
 
@@ -99,6 +113,11 @@ class SwapStep:
         """
         for _ in range(_ROUNDS):
             found = self._round(best, say, white=white)
+            if found is best:
+                break
+            best = found
+        for _ in range(_ROUNDS):
+            found = self._said(best, self._another_set(best), say)
             if found is best:
                 break
             best = found
@@ -198,6 +217,52 @@ class SwapStep:
             taken = [s for s in taken if s.predicted > _MOSTLY * together]
         tried = candidate_fits.replacements(taken, best.fitted)
         return self._better(tried, before, best, acceptance)
+
+    def _another_set(self, best: ScoredFit) -> ScoredFit | None:
+        """Return a set that explains more than all effects together; None if none does.
+
+        Each of its effects passes the tests of a step beside the others.
+        """
+        windows = WindowFits(self.short, best.fitted)
+        if np.log(windows.before.rms**2) < SHARE_IN_SET:
+            return None  # too little above the noise for one more effect
+        keys = _keys(best.fitted.effects)
+        others = [c for c in self.candidates if c.key not in keys]
+        starts = proposals(self.comparison, best.fitted.hypothesis, others)
+        screened = screen(self.short, windows.before, others, proposed=starts)
+        nuisances = len(best.fitted.structure.nuisance.parameters)
+        for each in other_sets(self.short, windows.before, screened, FURTHER):
+            if _keys(each.effects) in self._left:
+                continue
+            structure = best.fitted.structure.with_effects(each.effects)
+            own = [
+                free_of(effect.parameters, np.array(values))
+                for effect, values in zip(each.effects, each.values, strict=True)
+            ]
+            start = np.concatenate([best.fitted.free[:nuisances], *own])
+            quick = fit(self.short, structure, start)
+            if quick.cost >= windows.before.cost:
+                continue
+            start = np.concatenate([best.fitted.free[:nuisances], quick.free[nuisances:]])
+            found = self._needed(self.scorer.score(fit(self.comparison, structure, start)))
+            acceptance = Acceptance(self.comparison, self.scorer, self.base, best, self.settings)
+            if acceptance.ranked([best, found])[0] is found:
+                return found
+        return None
+
+    def _needed(self, scored: ScoredFit) -> ScoredFit:
+        """Drop effects that would not be accepted beside the others, the one needed least first."""
+        while scored.fitted.effects:
+            weak = needed_least(self.comparison, scored.fitted, scored.fitted.effects)[:FURTHER]
+            for effect in weak:
+                without = self._without(scored, effect)
+                beside = Acceptance(self.comparison, self.scorer, self.base, without, self.settings)
+                if not beside.accepts(replace(scored, fitted=with_last(scored.fitted, effect))):
+                    break
+            else:
+                break
+            scored = without
+        return scored
 
     def _better(
         self,

@@ -187,6 +187,30 @@ class Payload(Effect):
         return tuple((light, *(float(v) for v in axis)) for axis in axes)
 
     @property
+    def axes(self) -> tuple[tuple[float, ...], ...]:
+        """A mass at the tool and beside it along each axis: forces add up by mass and moment."""
+        if not self.variant:
+            return ()
+        off = 0.3 * _FAR_OFF * reach_of(self.machine)
+        beside = np.vstack([np.zeros(3), off * np.eye(3)])
+        return tuple((0.1 * self._moved, *(float(v) for v in row)) for row in beside)
+
+    def combined(self, shares: Array) -> tuple[float, ...]:
+        """Mass and centre of the weighted axes; nothing where the mass would be negative."""
+        axes = np.array(self.axes)
+        masses = shares * axes[:, 0]
+        mass = float(masses.sum())
+        if mass <= 0.0:
+            return (0.0,) * len(self.parameters)
+        return self._clipped(np.append(mass, masses @ axes[:, 1:] / mass))
+
+    def shares_of(self, values: Array) -> Array:
+        """Shares of the axes: moments by those beside the tool, the rest of the mass at it."""
+        axes = np.array(self.axes)
+        beside = values[0] * values[1:] / (axes[0, 0] * np.diag(axes[1:, 1:]))
+        return np.append(values[0] / axes[0, 0] - beside.sum(), beside)
+
+    @property
     def _moved(self) -> float:
         """Mass moved by the first joint, over the number of joints [kg]."""
         model = self.machine.model

@@ -3,7 +3,9 @@
 Two effects that mix may each explain little alone, or a third one explain a little of both and rank
 first. The signatures of all candidates and the sensitivities of the current parameters are columns
 of one bounded linear least-squares problem, which is solved for every pair, for every kind at all
-of its locations, and greedily for many effects. It proposes sets to be fitted; it decides nothing.
+of its locations, and greedily for many effects. An effect whose changes add up along several axes,
+such as the shift of a centre of mass, has a column for each: beside others it is another shift
+that explains best. The problem proposes sets to be fitted; it decides nothing.
 
 Rows are divided by the root mean square of their channel's residual: what is wrong in a quiet
 channel counts as much as what is wrong in a loud one.
@@ -11,6 +13,7 @@ channel counts as much as what is wrong in a loud one.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,7 +24,8 @@ from numpy.typing import NDArray
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.linear_problem import CurrentFit, bounded_minimum
-from loose_env.gap.selection.screening.screening import Screened, at_share
+from loose_env.gap.selection.screening.screening import Screened
+from loose_env.gap.settings import SHARE_IN_SET
 from loose_env.typing import Array
 
 __all__ = ["JointProblem", "Proposal"]
@@ -36,14 +40,13 @@ _SOLVED = 60
 many of each: a matter of cost."""
 _TRIED = 5
 """The same for each further effect of a greedily built set."""
-_COLLINEAR = 1e-3
-"""Share of a signature beyond another one's, below which the two are one direction."""
 _GREEDY = 12
 """Effects from which on a set grows no further."""
-_WORTH = 0.01
-"""Share of the sum of squares that one more effect of a set explains at least."""
-_BETTER = 0.001
-"""The same for a parameter, and for another set of as many."""
+_BETTER = 0.01
+"""`SHARE_IN_SET` for a parameter, and for another set of as many."""
+_RIDGE = 1e-3
+"""Added to the curvature of each column, over its own, where gains are compared: of columns that
+are nearly one direction the difference counts little."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +56,7 @@ class Proposal:
     members: tuple[Screened, ...]
     """Candidates, with the values of the joint solution."""
     predicted: float
-    """Predicted share of the weighted sum of squares that they explain together."""
+    """Predicted share of the weighted cost that they explain together."""
 
 
 class JointProblem:
@@ -80,30 +83,38 @@ class JointProblem:
             residual=fitted.residual * weights,
         )
         known = CurrentFit.of(weighted)
-        across, sizes, slope = self._products(weights, known.jacobian, known.residual)
+        columns = [each.signature for each in self.screened if each.signature is not None]
+        ends = np.cumsum([0, *(own.shape[1] for own in columns)])
+        self._own = [np.arange(a, b) for a, b in itertools.pairwise(ends)]
+        across, sizes, slope = self._products(columns, weights, known.jacobian, known.residual)
         self._known = len(known.slope)
-        self._whole = float(known.residual @ known.residual)
+        # the parameters' deviations from their priors are paid for as the residual is
+        prior = max(fitted.cost - float(fitted.residual @ fitted.residual), 0.0)
+        self._whole = float(known.residual @ known.residual) + prior
+        self._noise = min(float(weights @ weights), self._whole)
         self._curvature = np.block([[known.curvature, across], [across.T, sizes]])
         self._slope = np.concatenate([known.slope, slope])
-        least, most = np.array([each.shares for each in self.screened]).T.reshape(2, -1)
+        shares = [each.shares for each, own in zip(self.screened, self._own, strict=True)
+                  for _ in own]  # fmt: skip
+        least, most = np.array(shares).T.reshape(2, -1)
         self._low = np.concatenate([known.room[0], least])
         self._high = np.concatenate([known.room[1], most])
         self._scale = np.sqrt(np.diag(self._curvature) + 1e-12)
 
     def _products(
-        self, weights: Array, known: Array, residual: Array
+        self, columns: Sequence[NDArray[np.float32]], weights: Array, known: Array, residual: Array
     ) -> tuple[Array, Array, Array]:
-        """Products of the signatures with sensitivities, with each other and the residual."""
-        count = len(self.screened)
+        """Products of the columns with sensitivities, with each other and the residual."""
+        count = sum(own.shape[1] for own in columns)
         across, sizes = np.zeros((known.shape[1], count)), np.zeros((count, count))
         slope = np.zeros(count)
-        signatures = [each.signature for each in self.screened if each.signature is not None]
         for start in range(0, len(residual), _ROWS):
             part = slice(start, start + _ROWS)
-            columns = np.array([each[part] for each in signatures], dtype=float) * weights[part]
-            across += known[part].T @ columns.T
-            sizes += columns @ columns.T
-            slope += columns @ residual[part]
+            rows = np.hstack([each[part] for each in columns]).astype(float)
+            rows *= weights[part, None]
+            across += known[part].T @ rows
+            sizes += rows.T @ rows
+            slope += rows.T @ residual[part]
         return across, sizes, slope
 
     def pairs(self, most: int) -> list[Proposal]:
@@ -117,7 +128,7 @@ class JointProblem:
         first, second = first[kept], second[kept]
         tried: dict[tuple[int, int], None] = {}
         for gram, slope in (self._pinned(), self._reduced()):
-            gain = _pair_gains(gram, slope, first, second)
+            gain = self._gains(gram, slope, np.stack([first, second], axis=1))
             tried |= {(int(first[k]), int(second[k])): None for k in np.argsort(-gain)[:_SOLVED]}
         return _best([self.solved(pair) for pair in tried], most)
 
@@ -132,6 +143,17 @@ class JointProblem:
         for proposal in _best(found, len(found)):
             best.setdefault(proposal.members[0].effect.kind, proposal)
         return list(best.values())[:most]
+
+    def better_than(self, chosen: tuple[int, ...]) -> list[Proposal]:
+        """Sets that are worth more than some candidates (indices), the best first.
+
+        One grows from these, the others from nothing.
+        """
+        own = self.solved(chosen)
+        least = -np.inf if own is None else self._worth(own) + _BETTER
+        found = [*self.greedy(), self._grown((), chosen)]
+        real = [each for each in found if each is not None and self._worth(each) > least]
+        return sorted(real, key=lambda each: -self._worth(each))
 
     def greedy(self) -> list[Proposal]:
         """Sets of many candidates, grown step by step as long as a step explains enough.
@@ -152,15 +174,16 @@ class JointProblem:
             own.setdefault(each.effect.where, k)
         return {key: tuple(own.values()) for key, own in groups.items() if len(own) > 1}
 
-    def _grown(self, groups: Sequence[tuple[Key, tuple[int, ...]]]) -> Proposal | None:
+    def _grown(
+        self, groups: Sequence[tuple[Key, tuple[int, ...]]], chosen: tuple[int, ...] = ()
+    ) -> Proposal | None:
         """Set that grows by one candidate, or one of some groups (indices), at a time.
 
         The step is taken that is worth most. Where no further candidate is worth it, one of the
         set is exchanged for another, and it may grow again: the first members were chosen for what
         they explain of all that is missing, and the rest has come since.
         """
-        chosen: tuple[int, ...] = ()
-        best: Proposal | None = None
+        best = self.solved(chosen)
         while True:
             better = None
             if len(chosen) < _GREEDY:
@@ -176,9 +199,22 @@ class JointProblem:
     ) -> tuple[tuple[int, ...], Proposal] | None:
         """Set (indices) that is worth most; None if none is worth more than the best so far."""
         found = [(own, each) for own in sets if (each := self.solved(own)) is not None]
-        least = -np.inf if best is None else _worth(best) + _BETTER
-        found = [each for each in found if _worth(each[1]) > least]
-        return max(found, key=lambda each: _worth(each[1]), default=None)
+        least = -np.inf if best is None else self._worth(best) + _BETTER
+        found = [each for each in found if self._worth(each[1]) > least]
+        return max(found, key=lambda each: self._worth(each[1]), default=None)
+
+    def _worth(self, proposal: Proposal) -> float:
+        """Fall of the logarithm of what is left, less what members and parameters have to bring.
+
+        What is left is no less than the noise.
+        """
+        count = sum(len(member.effect.parameters) for member in proposal.members)
+        left = max((1.0 - proposal.predicted) * self._whole, self._noise)
+        return (
+            -float(np.log(left / self._whole))
+            - SHARE_IN_SET * len(proposal.members)
+            - _BETTER * count
+        )
 
     def _exchanges(self, chosen: tuple[int, ...]) -> list[tuple[int, ...]]:
         """Sets with one member exchanged for another candidate."""
@@ -197,8 +233,8 @@ class JointProblem:
         free = np.array([place not in taken for place in places], dtype=bool)
         tried: dict[int, None] = {}
         for gram, slope in (self._pinned(chosen), self._reduced(chosen)):
-            size = np.diag(gram)
-            gains = np.where(free & (size > 0), slope**2 / np.maximum(size, 1e-12), 0.0)
+            gains = self._gains(gram, slope, np.arange(len(places))[:, None])
+            gains = np.where(free, gains, 0.0)
             tried |= {int(k): None for k in np.argsort(-gains)[:_TRIED] if gains[k] > 0}
         return [(k,) for k in tried]
 
@@ -211,28 +247,25 @@ class JointProblem:
         if not left:
             return []
         gram, slope = self._reduced(chosen)
-
-        def gain(own: tuple[int, ...]) -> float:
-            within = gram[np.ix_(own, own)] + 1e-9 * np.diag(np.diag(gram)[list(own)] + 1e-12)
-            return float(slope[list(own)] @ np.linalg.lstsq(within, slope[list(own)])[0])
-
-        return sorted(left, key=lambda own: -gain(own))[:_TRIED]
+        gains = [float(self._gains(gram, slope, np.array([own]))[0]) for own in left]
+        return [left[k] for k in np.argsort(gains)[::-1][:_TRIED]]
 
     def solved(self, chosen: tuple[int, ...]) -> Proposal | None:
         """Set of some candidates (indices), solved within all bounds; None if it gains nothing.
 
-        Members that explain less than `_WORTH` of the sum of squares are left out.
+        Members that explain less than `SHARE_IN_SET` of what is left without them are left out.
         """
         while chosen:
-            own = [*range(self._known), *(self._known + k for k in chosen)]
+            own = [*range(self._known), *self._columns(chosen)]
             slope, curvature = self._slope[own], self._curvature[np.ix_(own, own)]
             moved = bounded_minimum(curvature, slope, self._low[own], self._high[own])
             gain = -float(moved @ (2 * slope + curvature @ moved))
-            shares = moved[self._known :]
+            ends = self._known + np.cumsum([0, *(len(self._own[k]) for k in chosen)])
+            parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
             # what the sum of squares loses if a member goes and nothing else moves
-            sizes = np.diag(curvature)[self._known :]
-            own_gain = shares**2 * sizes
-            weak = np.flatnonzero(own_gain < _WORTH * self._whole)
+            own_gain = np.array([moved[p] @ curvature[p, p] @ moved[p] for p in parts])
+            left = max(self._whole - gain, self._noise)
+            weak = np.flatnonzero(own_gain < SHARE_IN_SET * (left + own_gain))
             if not len(weak):
                 break
             worst = int(weak[np.argmin(own_gain[weak])])
@@ -240,21 +273,40 @@ class JointProblem:
         if not chosen or gain <= 0:
             return None
         members = tuple(
-            replace(self.screened[k], values=at_share(self.screened[k], float(share)))
-            for k, share in zip(chosen, shares, strict=True)
+            replace(self.screened[k], values=self.screened[k].at(moved[part]))
+            for k, part in zip(chosen, parts, strict=True)
         )
         return Proposal(members=members, predicted=gain / self._whole)
 
+    def _gains(self, gram: Array, slope: Array, sets: NDArray[np.intp]) -> Array:
+        """Fall of the sum of squares with each of some sets of candidates (S, K), free (S,)."""
+        widest = max(len(own) for own in self._own)
+        padded = np.full((len(self._own), widest), -1)
+        for k, own in enumerate(self._own):
+            padded[k, : len(own)] = own
+        columns = padded[sets].reshape(len(sets), -1)
+        there = columns >= 0
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-12))
+        scaled = gram / np.outer(size, size)
+        within = scaled[columns[:, :, None], columns[:, None, :]]
+        within = np.where(there[:, :, None] & there[:, None, :], within, 0.0)
+        within = within + (_RIDGE + ~there)[:, :, None] * np.eye(columns.shape[1])
+        along = np.where(there, (slope / size)[columns], 0.0)
+        return np.asarray(np.sum(along * np.linalg.solve(within, along[..., None])[..., 0], axis=1))
+
     def _pinned(self, chosen: tuple[int, ...] = ()) -> tuple[Array, Array]:
-        """Gram matrix (C, C) and slope (C,) beside some candidates, the parameters held."""
-        return self._beyond([self._known + k for k in chosen])
+        """Gram matrix (K, K) and slope (K,) beside some candidates, the parameters held."""
+        return self._beyond(self._columns(chosen))
 
     def _reduced(self, chosen: tuple[int, ...] = ()) -> tuple[Array, Array]:
         """The same with the parameters free, without their bounds."""
-        return self._beyond([*range(self._known), *(self._known + k for k in chosen)])
+        return self._beyond([*range(self._known), *self._columns(chosen)])
+
+    def _columns(self, chosen: tuple[int, ...]) -> list[int]:
+        return [self._known + int(c) for k in chosen for c in self._own[k]]
 
     def _beyond(self, own: list[int]) -> tuple[Array, Array]:
-        """Gram matrix (C, C) and slope (C,) of the signatures less what some numbers absorb."""
+        """Gram matrix (K, K) and slope (K,) of the columns less what some numbers absorb."""
         slope, curvature, count = self._slope, self._curvature, self._known
         if not own:
             return curvature[count:, count:], slope[count:]
@@ -268,33 +320,12 @@ class JointProblem:
         )
 
 
-def _pair_gains(
-    gram: Array, slope: Array, first: NDArray[np.intp], second: NDArray[np.intp]
-) -> Array:
-    """Fall of the sum of squares with each of some pairs; 0 where the two are one direction."""
-    size, cross = np.diag(gram), gram[first, second]
-    free = size[first] * size[second] - cross**2
-    gain = (
-        size[second] * slope[first] ** 2
-        + size[first] * slope[second] ** 2
-        - 2 * cross * slope[first] * slope[second]
-    )
-    apart = free > _COLLINEAR * size[first] * size[second]
-    return np.where(apart, gain / np.where(apart, free, 1.0), 0.0)
-
-
 def _weights(comparison: ResidualModel, residual: Array) -> Array:
     """Weight of each row (N,): one over the root mean square of its channel, at most 1."""
     channel = comparison.rows.channel
     count = np.maximum(np.bincount(channel), 1)
     squares: NDArray[np.float64] = np.bincount(channel, residual**2) / count
     return np.asarray(1.0 / np.sqrt(np.maximum(squares, 1.0)))[channel]
-
-
-def _worth(proposal: Proposal) -> float:
-    """Share that a set explains, less what its members and their parameters have to."""
-    count = sum(len(member.effect.parameters) for member in proposal.members)
-    return proposal.predicted - _WORTH * len(proposal.members) - _BETTER * count
 
 
 def _place(each: Screened) -> Key:

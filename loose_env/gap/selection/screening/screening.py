@@ -29,7 +29,7 @@ from loose_env.gap.selection.screening.signatures import Signatures
 from loose_env.gap.settings import SECOND_START
 from loose_env.typing import Array
 
-__all__ = ["Screened", "along", "at_share", "screen"]
+__all__ = ["Screened", "along", "screen"]
 
 
 _SMALLEST_SHARE, _LARGEST_SHARE = 1e-6, 4.0
@@ -55,9 +55,19 @@ class Screened:
     second: tuple[float, ...] | None = None
     """Another start, far from the first, with at least half its predicted gain."""
     signature: NDArray[np.float32] | None = None
-    """Change of the residual with the effect at these values, as far as it is linear (N,)."""
+    """Change of the residual with the effect at these values, as far as it is linear (N, 1); of an
+    effect with `Effect.axes` with each of these (N, K)."""
     shares: tuple[float, float] = (0.0, 1.0)
     """Multiples of the signature that are believed."""
+
+    def at(self, shares: Array) -> tuple[float, ...]:
+        """Values at which the effect has multiples of its signature (1,) or (K,)."""
+        effect, none = self.effect, self.effect.nothing
+        if len(shares) > 1:
+            return effect.combined(shares)
+        if none is None and effect.proportional is None:
+            return self.values
+        return along(effect, self.values, none or (0.0,) * len(self.values), float(shares[0]))
 
 
 def screen(
@@ -98,11 +108,7 @@ def screen(
             fitted.hypothesis, fitted.residual, stiff=stiff, springs=springs
         )
         own = [effect for effect in candidates if effect.adds_motion == springs]
-        axes = {
-            id(effect): (effect, _axes_of(effect))
-            for effect in own
-            if effect.adds_up and len(effect.parameters) > 1
-        }
+        axes = {id(effect): (effect, effect.axes) for effect in own if effect.axes}
         entries = [
             (effect, start)
             for effect in own
@@ -125,7 +131,7 @@ def screen(
                     again[id(effect)] = (found[0], effect, found[1])
         for key, (effect, starts) in axes.items():
             together = np.stack([apart[key][start] for start in starts], axis=1)
-            _keep(seen, _weigh_together(comparison, known, effect, starts, together))
+            _keep(seen, _weigh_together(comparison, known, effect, together))
         entries = [(effect, start) for _, effect, start in again.values()]
         for effect, start, signature in signatures.of(compared, fitted, entries, base):
             _keep(seen, _weigh(comparison, known, effect, start, signature))
@@ -240,7 +246,7 @@ def _weigh(
     found = _screened(comparison, known, effect, values, taken[1])
     ends = sorted((most / share, (-most if linear else 0.0) / share))
     return found and replace(
-        found, signature=(share * signature).astype(np.float32), shares=(ends[0], ends[1])
+        found, signature=(share * signature[:, None]).astype(np.float32), shares=(ends[0], ends[1])
     )
 
 
@@ -248,26 +254,16 @@ def _weigh_together(
     comparison: ResidualModel,
     known: CurrentFit,
     effect: Effect,
-    axes: Sequence[tuple[float, ...]],
     signatures: Array,
 ) -> Screened | None:
     """Predicted gain of the signatures of an effect's axes (N, K), jointly fitted."""
     taken = known.taken_up(signatures, -_LARGEST_SHARE, _LARGEST_SHARE)
-    if taken is None or effect.nothing is None:
+    if taken is None or (values := effect.combined(taken[0])) == effect.nothing:
         return None
-    values = np.array(effect.nothing) + taken[0] @ (np.array(axes) - np.array(effect.nothing))
-    within = tuple(p.clipped(float(v)) for p, v in zip(effect.parameters, values, strict=True))
-    found = _screened(comparison, known, effect, within, taken[1])
-    together = (signatures @ taken[0]).astype(np.float32)
+    found = _screened(comparison, known, effect, values, taken[1])
+    columns = signatures.astype(np.float32)
     ends = (-_LARGEST_SHARE, _LARGEST_SHARE)
-    return found and replace(found, signature=together, shares=ends)
-
-
-def _axes_of(effect: Effect) -> list[tuple[float, ...]]:
-    """Starts of an effect along each parameter axis, as far out as its own starts."""
-    none = np.array(effect.nothing)
-    sizes = np.max(np.array(effect.starts) - none, axis=0)
-    return [tuple(float(v) for v in none + row) for row in np.diag(sizes)]
+    return found and replace(found, signature=columns, shares=ends)
 
 
 def _screened(
@@ -306,14 +302,6 @@ def _proposed(
     if gain <= 0 or share < _SMALLEST_SHARE:
         return None
     return gain / float(lens.residual @ lens.residual), along(effect, start, effect.nothing, share)
-
-
-def at_share(screened: Screened, share: float) -> tuple[float, ...]:
-    """Values at which an effect has a multiple of its signature."""
-    effect, none = screened.effect, screened.effect.nothing
-    if none is None and effect.proportional is None:
-        return screened.values
-    return along(effect, screened.values, none or (0.0,) * len(screened.values), share)
 
 
 def along(

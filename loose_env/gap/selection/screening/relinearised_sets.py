@@ -1,0 +1,133 @@
+"""Sets of effects in place of an answer: the linearised problem of all candidates at its fit.
+
+What was named first was chosen for what it explains of all that is missing, at the nominal model.
+Two shifts of a centre of mass may have stood in for a load and an offset, and no single exchange
+leads back. At the answer the linearisation is better, and its effects can go like any other
+candidate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from loose_env.gap.fitting.gauss_newton import Fit
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.parameter import free_of, values_of
+from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.selection.screening.joint_proposals import JointProblem
+from loose_env.gap.selection.screening.screening import Screened, along
+from loose_env.typing import Array
+
+__all__ = ["OtherSet", "other_sets"]
+
+_STEP = 1e-4
+"""Difference of a share over which free numbers are differentiated."""
+_BELIEVED = 4.0
+"""Largest multiple of what an effect does now that is believed."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OtherSet:
+    """Effects that may explain more than those of an answer."""
+
+    effects: tuple[Effect, ...]
+    """All of them, those that stay and new ones."""
+    values: tuple[tuple[float, ...], ...]
+    """Values of the joint solution, by effect."""
+
+
+def other_sets(
+    comparison: ResidualModel, fitted: Fit, screened: Sequence[Screened], most: int
+) -> list[OtherSet]:
+    """Sets that are worth more than the effects of a fit, the best ones first.
+
+    Parameters
+    ----------
+    comparison : ResidualModel
+        The runs.
+    fitted : Fit
+        The fit to them, with its sensitivities.
+    screened : sequence of Screened
+        Further candidates, screened on top of the fit.
+    most : int
+        Most sets.
+    """
+    removable = [effect for effect in fitted.effects if _none(effect) is not None]
+    kept = [effect for effect in fitted.effects if _none(effect) is None]
+    stay = list(range(len(fitted.structure.nuisance.parameters)))
+    residual, own = fitted.residual, []
+    for effect in fitted.effects:
+        part = fitted.structure.slice_of(effect)
+        if any(effect is each for each in kept):
+            stay += range(part.start, part.stop)
+            continue
+        columns, shares = _columns(effect, fitted.free[part], fitted.jacobian[:, part])
+        residual = residual - columns @ shares
+        own.append(
+            Screened(
+                effect=effect,
+                values=tuple(values_of(effect.parameters, fitted.free[part])),
+                predicted=1.0,
+                z=0.0,
+                signature=columns.astype(np.float32),
+                shares=(-_BELIEVED * max(shares.max(), 1.0), _BELIEVED * max(shares.max(), 1.0)),
+            )
+        )
+    prior = fitted.cost - float(fitted.residual @ fitted.residual)
+    without = replace(
+        fitted,
+        structure=fitted.structure.with_effects(kept),
+        free=fitted.free[stay],
+        jacobian=fitted.jacobian[:, stay],
+        residual=residual,
+        cost=prior + float(residual @ residual),
+    )
+    problem = JointProblem(comparison, without, [*own, *screened])
+    found = problem.better_than(tuple(range(len(own))))
+    fixed = tuple(
+        tuple(values_of(e.parameters, fitted.free[fitted.structure.slice_of(e)])) for e in kept
+    )
+    sets = [
+        OtherSet(
+            effects=(*kept, *(member.effect for member in each.members)),
+            values=(*fixed, *(member.values for member in each.members)),
+        )
+        for each in found
+    ]
+    known: dict[frozenset[tuple[str, str, str]], OtherSet] = {
+        frozenset(e.key for e in (*kept, *removable)): OtherSet(effects=(), values=())
+    }
+    for each in sets:
+        known.setdefault(frozenset(effect.key for effect in each.effects), each)
+    return [each for each in known.values() if each.effects][:most]
+
+
+def _none(effect: Effect) -> tuple[float, ...] | None:
+    """Values at which an effect vanishes, or those that its change is proportional to do."""
+    if effect.nothing is not None or effect.proportional is None:
+        return effect.nothing
+    return (0.0,) * len(effect.parameters)
+
+
+def _columns(effect: Effect, free: Array, jacobian: Array) -> tuple[Array, Array]:
+    """Changes of the residual (N, K) with an effect, linearised where it is, and shares now (K,).
+
+    Of an effect with `Effect.axes` one for each of them; else that from nothing to now.
+    """
+    values = np.array(values_of(effect.parameters, free))
+    if effect.axes:
+        shares = effect.shares_of(values)
+        slopes = [
+            (
+                free_of(effect.parameters, np.array(effect.combined(shares + step)))
+                - free_of(effect.parameters, np.array(effect.combined(shares - step)))
+            )
+            / (2 * _STEP)
+            for step in _STEP * np.eye(len(shares))
+        ]
+        return jacobian @ np.array(slopes).T, shares
+    none = along(effect, tuple(values), _none(effect) or (), 0.0)
+    return (jacobian @ (free - free_of(effect.parameters, np.array(none))))[:, None], np.ones(1)
