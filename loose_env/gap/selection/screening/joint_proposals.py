@@ -42,8 +42,10 @@ _TRIED = 5
 """The same for each further effect of a greedily built set."""
 _GREEDY = 12
 """Effects from which on a set grows no further."""
-_BETTER = 0.01
-"""`SHARE_IN_SET` for a parameter, and for another set of as many."""
+_PARAMETER = 0.02
+"""Fall of the logarithm of what a set leaves that each parameter has to bring, as much again the
+choice of an effect, and another set of as many: about what a parameter costs by an information
+criterion with a few hundred independent readings."""
 _RIDGE = 1e-3
 """Added to the curvature of each column, over its own, where gains are compared: of columns that
 are nearly one direction the difference counts little."""
@@ -150,7 +152,7 @@ class JointProblem:
         One grows from these, the others from nothing.
         """
         own = self.solved(chosen)
-        least = -np.inf if own is None else self._worth(own) + _BETTER
+        least = -np.inf if own is None else self._worth(own) + _PARAMETER
         found = [*self.greedy(), self._grown((), chosen)]
         real = [each for each in found if each is not None and self._worth(each) > least]
         return sorted(real, key=lambda each: -self._worth(each))
@@ -199,7 +201,7 @@ class JointProblem:
     ) -> tuple[tuple[int, ...], Proposal] | None:
         """Set (indices) that is worth most; None if none is worth more than the best so far."""
         found = [(own, each) for own in sets if (each := self.solved(own)) is not None]
-        least = -np.inf if best is None else self._worth(best) + _BETTER
+        least = -np.inf if best is None else self._worth(best) + _PARAMETER
         found = [each for each in found if self._worth(each[1]) > least]
         return max(found, key=lambda each: self._worth(each[1]), default=None)
 
@@ -208,12 +210,12 @@ class JointProblem:
 
         What is left is no less than the noise.
         """
-        count = sum(len(member.effect.parameters) for member in proposal.members)
+        count = sum(1 + len(member.effect.parameters) for member in proposal.members)
         left = max((1.0 - proposal.predicted) * self._whole, self._noise)
         return (
             -float(np.log(left / self._whole))
             - SHARE_IN_SET * len(proposal.members)
-            - _BETTER * count
+            - _PARAMETER * count
         )
 
     def _exchanges(self, chosen: tuple[int, ...]) -> list[tuple[int, ...]]:
