@@ -66,10 +66,9 @@ SINGLE_SHARE = 0.1
 """Share of the autocorrelated residual that the best single effect leaves, above which sets of
 effects are fitted, too, where that is this share of the nominal model's, or above the noise: a
 smaller second effect is found beside the first."""
-
 SHARE_IN_SET = 0.05
-"""Share of the sum of squares left without it that each effect of a proposed set explains at
-least."""
+"""Share of the sum of squares left without it that each effect of a proposed set explains at least:
+as much as laws that are slightly off leave."""
 
 # Acceptance
 ACCEPTED_Z = 3.5

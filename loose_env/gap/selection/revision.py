@@ -223,15 +223,18 @@ class SwapStep:
 
         Each of its effects passes the tests of a step beside the others.
         """
-        windows = WindowFits(self.short, best.fitted)
+        # torques are compared with motion so quickly that all of them tell
+        inverse = bool(self.comparison.rows.inverse.all())
+        runs = self.comparison if inverse else self.short
+        windows = WindowFits(runs, best.fitted)
         if np.log(windows.before.rms**2) < SHARE_IN_SET:
             return None  # too little above the noise for one more effect
         keys = _keys(best.fitted.effects)
         others = [c for c in self.candidates if c.key not in keys]
         starts = proposals(self.comparison, best.fitted.hypothesis, others)
-        screened = screen(self.short, windows.before, others, proposed=starts)
+        screened = screen(runs, windows.before, others, proposed=starts)
         nuisances = len(best.fitted.structure.nuisance.parameters)
-        for each in other_sets(self.short, windows.before, screened, FURTHER):
+        for each in other_sets(runs, windows.before, screened, FURTHER):
             if _keys(each.effects) in self._left:
                 continue
             structure = best.fitted.structure.with_effects(each.effects)
@@ -240,7 +243,7 @@ class SwapStep:
                 for effect, values in zip(each.effects, each.values, strict=True)
             ]
             start = np.concatenate([best.fitted.free[:nuisances], *own])
-            quick = fit(self.short, structure, start)
+            quick = fit(runs, structure, start)
             if quick.cost >= windows.before.cost:
                 continue
             start = np.concatenate([best.fitted.free[:nuisances], quick.free[nuisances:]])

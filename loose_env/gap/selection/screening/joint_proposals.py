@@ -42,10 +42,8 @@ _TRIED = 5
 """The same for each further effect of a greedily built set."""
 _GREEDY = 12
 """Effects from which on a set grows no further."""
-_PARAMETER = 0.02
-"""Fall of the logarithm of what a set leaves that each parameter has to bring, as much again the
-choice of an effect, and another set of as many: about what a parameter costs by an information
-criterion with a few hundred independent readings."""
+_PARAMETER = 0.01
+"""`SHARE_IN_SET` for each parameter, and for another set of as many."""
 _RIDGE = 1e-3
 """Added to the curvature of each column, over its own, where gains are compared: of columns that
 are nearly one direction the difference counts little."""
@@ -210,7 +208,7 @@ class JointProblem:
 
         What is left is no less than the noise.
         """
-        count = sum(1 + len(member.effect.parameters) for member in proposal.members)
+        count = sum(len(member.effect.parameters) for member in proposal.members)
         left = max((1.0 - proposal.predicted) * self._whole, self._noise)
         return (
             -float(np.log(left / self._whole))
