@@ -7,7 +7,8 @@ import numpy as np
 from loose_env.diagnosis.learned.transmission_change import sampling_covariance
 
 
-def test_it_is_the_scatter_of_records_with_gaussian_commands(rng: np.random.Generator) -> None:
+def test_it_is_the_scatter_of_records_with_gaussian_commands() -> None:
+    rng = np.random.default_rng(1)
     lines, axes, commands, records = 20, 2, 2, 20_000
     rest = rng.standard_normal((lines, axes, commands, 2)) @ [1.0, 1j]
     rest[:, 0] *= 5.0  # one axis moves more
