@@ -144,7 +144,8 @@ class SeatFeatures:
         noise = np.full(len(transmission), self.floor.tool)
         noise = np.concatenate([self.floor.joints(self.linear.arm)[on], noise])
         pose = self.linear.at(record.pose)
-        seats = predict_seats(pose, record.torque, self.directions, noise**2)
+        torque, directions = record.torque, self.directions
+        seats = predict_seats(pose, torque, directions, noise**2, covariances=False)
         springs = self._springs(record.pose, record.excited)
         return self._changed(record, transmission, seats, springs)
 

@@ -94,9 +94,13 @@ class PlaceDirections:
 
     def of(self, record: RecordStatistics) -> RecordScatter:
         """Hold one record against all places; at least one joint must be excited."""
-        change = self.features.with_change(record)[2]
+        change = self._at_tool(record)
         sampling = self.sampling(record, [self.features])
         return scatter_of([change], int(record.excited.sum()), sampling=sampling)
+
+    def _at_tool(self, record: RecordStatistics) -> TransmissionChange:
+        on = np.flatnonzero(record.excited)
+        return self.features.change_at(record, record.transmission_by_instrument[:, on])
 
     def sampling(self, record: RecordStatistics, sensors: Sequence[SeatFeatures]) -> Array:
         """Covariance of what a record's finite length makes of the changes at some sensors.
@@ -169,9 +173,10 @@ def scatter_of(
     own += second_order**2 * np.mean(nominal**2) * np.eye(len(measured))
     axes = len(changes[0].measured) // joints
     at_tool = measured.reshape(-1, joints)[:axes]
+    lines = _leading(opened)
     return RecordScatter(
-        lines=_leading(opened),
-        directions=_leading(opened[:, :axes]),
+        lines=lines,
+        directions=lines if len(changes) == 1 else _leading(opened[:, :axes]),
         direction=np.linalg.eigh(at_tool @ at_tool.T)[1][:, -1],
         measured=measured,
         precision=np.asarray(np.linalg.inv(own), dtype=float),
@@ -186,7 +191,10 @@ def _rows(errors: Array | None, change: TransmissionChange) -> Array:
 
 def _leading(matrices: Array) -> Array:
     """Leading left singular vectors (P, D) of matrices (P, D, m); zero where a matrix is."""
-    right = np.linalg.eigh(np.swapaxes(matrices, -1, -2) @ matrices)[1][..., -1]
+    if matrices.shape[1] <= matrices.shape[2]:
+        left = np.linalg.eigh(matrices @ matrices.mT)[1][..., -1]
+        return np.asarray(left * np.any(matrices, axis=(1, 2))[:, None])
+    right = np.linalg.eigh(matrices.mT @ matrices)[1][..., -1]
     left = np.einsum("pdm,pm->pd", matrices, right)
     size = np.linalg.norm(left, axis=1, keepdims=True)
     return np.asarray(left / np.where(size > 0, size, 1.0))

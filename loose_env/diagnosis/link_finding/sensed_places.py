@@ -75,7 +75,7 @@ class SensedPlaces(PlaceDirections):
     def with_links(self, record: RecordStatistics, links: LinkReadings) -> RecordScatter:
         """Hold one record of all sensors against all places."""
         on = np.flatnonzero(record.excited)
-        changes = [self.features.with_change(record)[2]]
+        changes = [self._at_tool(record)]
         read = zip(self._links, links.transmission_by_instrument, strict=True)
         changes += [one.change_at(record, b[:, on]) for one, b in read]
         sampling = self.sampling(record, [self.features, *self._links])
