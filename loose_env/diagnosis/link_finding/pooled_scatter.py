@@ -37,7 +37,7 @@ __all__ = ["PlaceDirections", "PooledScatter", "RecordScatter", "scatter_of"]
 
 _AXES = {2: 60, 3: 300}
 """Sliding directions tried for each link by dimension: 3 and 8 degrees apart."""
-SECOND_ORDER = 0.02
+_SECOND_ORDER = 0.02
 """Error of each element over the rms nominal motion [1]: products of two model errors, which the
 covariance to first order lacks. Without it single records of healthy arms stand out 60-fold."""
 
@@ -138,7 +138,6 @@ def scatter_of(
     joints: int,
     *,
     sampling: Array,
-    second_order: float = SECOND_ORDER,
 ) -> RecordScatter:
     """Hold a change against the direction of every place.
 
@@ -152,8 +151,6 @@ def scatter_of(
         Joints excited, m.
     sampling : ndarray (D m, D m)
         Covariance of the sampling errors of all axes [m²/s⁴].
-    second_order : float
-        Error of each element beyond the first order, over the rms nominal motion [1].
     """
     measured = np.concatenate([change.measured for change in changes])
     nominal = np.concatenate([change.nominal for change in changes])
@@ -170,7 +167,7 @@ def scatter_of(
             own[part, part] += sensor.T @ sensor
     # With sensors on links too, the errors of each are left among those of the record: as shared
     # ones they would be a hundred.
-    own += second_order**2 * np.mean(nominal**2) * np.eye(len(measured))
+    own += _SECOND_ORDER**2 * np.mean(nominal**2) * np.eye(len(measured))
     axes = len(changes[0].measured) // joints
     at_tool = measured.reshape(-1, joints)[:axes]
     lines = _leading(opened)

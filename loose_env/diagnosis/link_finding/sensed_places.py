@@ -11,7 +11,6 @@ import numpy as np
 
 from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.link_finding.pooled_scatter import (
-    SECOND_ORDER,
     PlaceDirections,
     RecordScatter,
     scatter_of,
@@ -22,11 +21,6 @@ from loose_env.errors import InvalidSetting
 from loose_env.sensors import SensorSuite
 
 __all__ = ["SensedPlaces"]
-
-_BENDING = 0.08
-"""Error beyond the first order on an arm that bends in the band, over the rms nominal motion [1]:
-what springs do to its modes shows at every sensor by another amount. With the 2 % of stiff arms
-most healthy ones look loose on VERA."""
 
 
 class SensedPlaces(PlaceDirections):
@@ -79,5 +73,4 @@ class SensedPlaces(PlaceDirections):
         read = zip(self._links, links.transmission_by_instrument, strict=True)
         changes += [one.change_at(record, b[:, on]) for one, b in read]
         sampling = self.sampling(record, [self.features, *self._links])
-        order = _BENDING if self.features.bends else SECOND_ORDER
-        return scatter_of(changes, len(on), sampling=sampling, second_order=order)
+        return scatter_of(changes, len(on), sampling=sampling)
