@@ -21,7 +21,7 @@ __all__ = ["LocalAgent"]
 
 
 _SEEN, _CHANCE = 2.0, 1.0
-"""Least change from which something is loose; what errors make of it in every further record [1]."""
+"""Least change from which something is loose, and what errors make of it in further records [1]."""
 
 
 class LocalAgent(ClassicalAgent):
