@@ -8,6 +8,7 @@ units of what model and sampling leave open, beside what drives and loads the se
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,13 +194,17 @@ class SeatFeatures:
         size, along = np.linalg.eigh(residual)
         residual = along @ np.diag(np.maximum(size, 1e-3 * self.floor.tool**2)) @ along.T
         springs = self._springs(record.pose, record.excited)
-        change = self._changed(record, b, seats, springs)
-        x = seats.in_step[:m]
-        white = _whitening(
-            self.covariance(
-                record.pose, record.excited, b, residual, x, record.duration, springs=springs
-            )
+        covariance = self.covariance(
+            record.pose,
+            record.excited,
+            b,
+            residual,
+            seats.in_step[:m],
+            record.duration,
+            springs=springs,
         )
+        change = replace(self._changed(record, b, seats, springs), covariance=covariance)
+        white = _whitening(covariance)
         seen, opened = white @ change.measured, change.open @ white.T
         power = (opened**2).sum(-1)
         inner = opened @ seen

@@ -21,6 +21,9 @@ class TransmissionChange:
     """As each seat would make it by floating [m/s²] (P, d m)."""
     nominal: Array
     """The motion itself in the nominal arm [m/s²] (d m,)."""
+    covariance: Array | None = None
+    """Covariance by model errors, to first order, and sampling as the record shows it [m²/s⁴]
+    (d m, d m); None where only the errors by source were asked for."""
     arm_errors: Array | None = None
     """What errors of joint zeros and springs make of it, one standard deviation each: the same at
     every sensor and in every record of an arm [m/s²] (K, d m); None where none is known."""
