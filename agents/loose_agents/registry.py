@@ -127,6 +127,14 @@ def _classical_literal(problem: Problem, seed: int) -> Agent:
     return LinkFindingAgent(problem, LinkFindingSettings(**settings), seed=seed)
 
 
+def _images(problem: Problem, seed: int) -> Agent:
+    shared = classical_settings(problem)
+    settings = SpaceLinkFindingSettings(
+        change=shared.seen, chance=shared.chance, healthy_poses=shared.healthy_poses
+    )
+    return SpaceLinkFindingAgent(problem, settings, seed=seed)
+
+
 def _tuned_search(name: str) -> dict[str, Any]:
     """Settings of a search tuned for an arm or a class of arms; none where it was not."""
     path = weights_path(f"{name}.json")
@@ -175,7 +183,7 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
         "the thesis's link finding to the letter: lowest correlation, two poses compared",
     ),
     "images": (
-        lambda problem, seed: SpaceLinkFindingAgent(problem, seed=seed),
+        _images,
         "predicted directions of every hypothesis, all joints at once",
     ),
     "constant": (

@@ -5,6 +5,15 @@ ch6_experiments -> ch4_diagnosis.
 """
 
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import printed_healthy
+from loose_env.thesis.methods.looseness.docked_arm import (
+    DockedMotion,
+    DockedVerdict,
+    JigSettings,
+    SeatMotion,
+    docked_verdict,
+    measure_docked,
+    seat_motion,
+)
 from loose_env.thesis.rigs.cylindrical import cylindrical
 from loose_env.thesis.rigs.shaken_vera import (
     PROXIMAL,
@@ -20,14 +29,21 @@ __all__ = [
     "PROXIMAL",
     "SECTIONS",
     "STIFF_PIN_FACTOR",
+    "DockedMotion",
+    "DockedVerdict",
+    "JigSettings",
     "Outcome",
     "Pin",
+    "SeatMotion",
     "ShakenVeraParameters",
     "choose",
     "cylindrical",
+    "docked_verdict",
     "first_line",
+    "measure_docked",
     "printed_healthy",
     "render_thesis_page",
     "run_sections",
+    "seat_motion",
     "shaken_vera",
 ]

@@ -181,6 +181,7 @@ def candidate(bench: Bench, rng: np.random.Generator) -> ClassicalSettings:
         "level": known[int(rng.integers(len(known)))],
         "duration": 2 if rng.random() < 0.8 else 1,
         "seen": round(float(np.exp(rng.uniform(np.log(0.3), np.log(6.0)))), 2),
+        "chance": round(float(rng.uniform(0.0, 1.5)), 2),
         "healthy_poses": int(rng.integers(1, 6)),
         "clear": round(float(rng.uniform(2.5, 8.0)), 1),
         "outlier": round(float(np.exp(rng.uniform(np.log(8.0), np.log(60.0)))), 1),

@@ -66,11 +66,11 @@ class ClassicalSettings(Checked):
     """Change along one place, over what errors make of it, from which something is loose [1]."""
     chance: NonNegative = 0.3
     """Change that errors make of every further record in the mean, which is not counted [1]."""
-    healthy_poses: Count = 3
+    healthy_poses: Count = 2
     """Records that show nothing before the verdict healthy."""
     clear: Positive = 5.0
     """Scatter above the best place's from which a place is ruled out, chi-square [1]."""
-    outlier: Positive = 20.0
+    outlier: Positive = 42.5
     """Scatter at which a record begins to count as an outlier, chi-square [1]."""
     line: Positive = 8.0
     """Rms angle to a joint's line up to which a slide is taken for play in it (3.4) [deg]."""

@@ -20,6 +20,10 @@ from loose_env.envs import difficulty_named
 __all__ = ["LocalAgent"]
 
 
+_SEEN, _CHANCE = 2.0, 1.0
+"""Least change from which something is loose, and what errors make of it in further records [1]."""
+
+
 class LocalAgent(ClassicalAgent):
     """Link finding by the change of motion at the tool and on the links.
 
@@ -44,7 +48,8 @@ class LocalAgent(ClassicalAgent):
     ) -> None:
         super().__init__(problem, settings, seed=seed)
         # The sensors' own errors are counted anew in each record here (`scatter_of`).
-        self.settings = replace(self.settings, chance=1.0)
+        seen = max(self.settings.seen, _SEEN)
+        self.settings = replace(self.settings, chance=_CHANCE, seen=seen)
         rules = problem.settings
         mismatch = difficulty_named(rules.difficulty).mismatch
         self.places = SensedPlaces(problem.linear, rules.sensors, mismatch)

@@ -3,7 +3,8 @@
 All joints are excited at once: the regression of the tool's motion on theirs takes them apart, and
 one record then sees a slide in any direction. Where nothing stands out, the seat may be held shut
 by gravity or friction, or hit its stops all the time: the next record is taken in another pose
-at another level before the arm is called healthy.
+at another level before the arm is called healthy. Whether something is loose is judged from all
+records together, errors of the arm and of its sensors counted once, as the classical method does.
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ from loose_env.diagnosis import (
     ChangeSighting,
     LinkFindingSettings,
     LinkPosterior,
+    PlaceDirections,
+    PooledScatter,
+    RecordStatistics,
     SensorFloor,
     ToolFrames,
     TurnSearch,
@@ -35,7 +39,7 @@ from loose_env.diagnosis import (
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
-from loose_env.io import Checked, Count, Positive, Probability
+from loose_env.io import Checked, Count, NonNegative, Positive, Probability
 from loose_env.wrappers import record_from
 
 __all__ = ["Policy", "SpaceLinkFindingAgent", "SpaceLinkFindingSettings"]
@@ -52,7 +56,12 @@ class SpaceLinkFindingSettings(Checked):
     sure: Probability = 0.95
     """Probability, of a hypothesis and those confusable with it together, at which it stops."""
     seen: Positive = 1.8
-    """Change over what errors leave from which a record shows something loose."""
+    """For turns: change over what errors leave from which a record shows something loose [1]."""
+    change: Positive = 0.9
+    """For images: change along one place in all records together, over what errors make of it,
+    from which something is loose [1]."""
+    chance: NonNegative = 0.3
+    """For images: part of that which errors make of every further record in the mean [1]."""
     healthy_poses: Count = 5
     """Records that show nothing before the verdict healthy."""
     scales: tuple[float, ...] = (1.0, 2.0, 4.0)
@@ -72,6 +81,7 @@ class _Search:
     rng: np.random.Generator
     search: TurnSearch
     level: int
+    pool: PooledScatter
     sightings: list[ChangeSighting] = field(default_factory=list)
     tried: list[tuple[float, int]] = field(default_factory=list)
     moved: int | None = None
@@ -99,6 +109,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         self.mismatch = difficulty_named(rules.difficulty).mismatch
         self.model = ChangeModel.of(self.mismatch, joints=arm.n)
         self.floor = SensorFloor.of(rules.sensors, arm.band)
+        self.places = PlaceDirections(problem.linear, rules.sensors, self.mismatch)
         # Hypotheses that the environment does not hold are left out.
         self.prior = np.array([float(name in problem.hypotheses) for name in self.names])
         if not self.prior.any():
@@ -110,7 +121,8 @@ class SpaceLinkFindingAgent(EpisodeAgent):
     def begin(self, rng: np.random.Generator) -> Any:
         """Start with every link as a candidate, at the top level."""
         arm = self.problem.arm
-        return _Search(rng=rng, search=TurnSearch.over(arm.n), level=len(arm.levels))
+        pool = PooledScatter.none(self.places, outlier=1.0, chance=self.settings.chance)
+        return _Search(rng=rng, search=TurnSearch.over(arm.n), level=len(arm.levels), pool=pool)
 
     def act(self, observation: NDArray[np.float32], memory: _Search) -> NDArray[np.int64]:
         """Process the latest record, then move on or decide."""
@@ -119,23 +131,29 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         taken = round(float(problem.layout.physical(observation, "spent")[0]) * most)
         if taken == 0:
             return self._measure(memory, self._stay())
-        seen = self._sighting(observation, taken - 1)
-        if seen is not None:
-            memory.tried.append((seen.excess, memory.level))
+        turns = settings.policy == "turns"
+        record = record_from(problem.layout, observation, taken - 1)
+        if record is not None:
+            seen = self._sighting(record)
             visible = seen.excess >= settings.seen and np.trace(seen.precision) > 0
-            if settings.policy == "turns":
+            gained = seen.excess
+            if turns:
                 self._judge(memory, seen, visible)
-            # Once something is loose, faint sightings count for the little they say.
-            if visible or (memory.sightings and settings.policy != "turns"):
+            else:
+                before, memory.pool = memory.pool.excess, memory.pool.after(self.places.of(record))
+                gained = memory.pool.excess - before
+            memory.tried.append((gained, memory.level))
+            # Faint sightings count for the little they say.
+            if visible or not turns:
                 memory.sightings.append(seen)
-        if not memory.sightings:
+        if not memory.sightings or not (turns or memory.pool.excess >= settings.change):
             if taken >= min(settings.healthy_poses, most):
                 return self._name("healthy", None)
             # Another level, and gravity from another side.
             memory.level = 1 + (memory.level - 2) % len(problem.arm.levels)
             return self._measure(memory, self._random_move(observation, memory))
         memory.level = max(memory.tried)[1]
-        if settings.policy == "turns":
+        if turns:
             return self._by_turns(observation, memory, taken >= most)
         return self._by_images(observation, memory, taken >= most)
 
@@ -233,9 +251,11 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         return confusable_faults(self.frames, found.best, direction, tolerance=self.model.floor)
 
     def _clearest_sd(self, memory: _Search) -> float:
-        """Smallest standard deviation of the directions so far [rad]."""
-        d = self.frames.dimension
-        return float(np.sqrt((d - 1) / max(np.trace(s.precision) for s in memory.sightings)))
+        """Smallest standard deviation of the directions so far, a right angle at most [rad]."""
+        precision = max(np.trace(s.precision) for s in memory.sightings) / (
+            self.frames.dimension - 1
+        )
+        return float(1 / np.sqrt(max(precision, (2 / np.pi) ** 2)))
 
     def _stay(self) -> NDArray[np.intp]:
         return np.full(self.problem.arm.n, self.problem.settings.stay, dtype=np.intp)
@@ -253,12 +273,9 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         levels = np.full(self.problem.arm.n, memory.level, dtype=np.intp)
         return self.problem.actions.encode(moves=moves, levels=levels)
 
-    def _sighting(self, observation: NDArray[np.float32], slot: int) -> ChangeSighting | None:
-        """Direction of one record; None for an empty slot."""
+    def _sighting(self, record: RecordStatistics) -> ChangeSighting:
+        """Direction that one record shows."""
         problem = self.problem
-        record = record_from(problem.layout, observation, slot)
-        if record is None:
-            return None
         excitation = Excitation(
             torque_rms=tuple(float(t) for t in record.torque),
             duration=record.duration,

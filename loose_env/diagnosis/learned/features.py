@@ -8,6 +8,7 @@ units of what model and sampling leave open, beside what drives and loads the se
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,10 +131,8 @@ class SeatFeatures:
         other.linear = LinearArm(arm, points=len(self.linear.frequency), remember=64)
         return other
 
-    def change_at(
-        self, record: RecordStatistics, transmission: Array, rms: Array
-    ) -> TransmissionChange:
-        """Change at a sensor of which transmission and rms are known.
+    def change_at(self, record: RecordStatistics, transmission: Array) -> TransmissionChange:
+        """Change at a sensor of which the transmission is known.
 
         Parameters
         ----------
@@ -141,20 +140,15 @@ class SeatFeatures:
             The record: pose, torque and duration.
         transmission : ndarray (d, m)
             Acceleration per joint acceleration, the command as instrument.
-        rms : ndarray (d,)
-            Rms acceleration in the band [m/s²].
         """
-        on, d = np.flatnonzero(record.excited), len(rms)
-        m = len(on)
-        noise = np.concatenate(
-            [self.floor.joints(self.linear.arm)[on], np.full(d, self.floor.tool)]
-        )
+        on = np.flatnonzero(record.excited)
+        noise = np.full(len(transmission), self.floor.tool)
+        noise = np.concatenate([self.floor.joints(self.linear.arm)[on], noise])
         pose = self.linear.at(record.pose)
-        seats = predict_seats(pose, record.torque, self.directions, noise**2)
-        x = seats.in_step[:m]
-        rest = rms**2 - np.sum((transmission @ x) ** 2, axis=1)
-        residual = np.diag(np.maximum(rest, self.floor.tool**2))
-        return self._changed(record, transmission, residual, seats)
+        torque, directions = record.torque, self.directions
+        seats = predict_seats(pose, torque, directions, noise**2, covariances=False)
+        springs = self._springs(record.pose, record.excited)
+        return self._changed(record, transmission, seats, springs)
 
     @property
     def locations(self) -> int:
@@ -199,8 +193,18 @@ class SeatFeatures:
         residual = record.tool_covariance - b @ mixed - mixed.T @ b.T + b @ joint @ b.T
         size, along = np.linalg.eigh(residual)
         residual = along @ np.diag(np.maximum(size, 1e-3 * self.floor.tool**2)) @ along.T
-        change = self._changed(record, b, residual, seats)
-        white = _whitening(change.covariance)
+        springs = self._springs(record.pose, record.excited)
+        covariance = self.covariance(
+            record.pose,
+            record.excited,
+            b,
+            residual,
+            seats.in_step[:m],
+            record.duration,
+            springs=springs,
+        )
+        change = replace(self._changed(record, b, seats, springs), covariance=covariance)
+        white = _whitening(covariance)
         seen, opened = white @ change.measured, change.open @ white.T
         power = (opened**2).sum(-1)
         inner = opened @ seen
@@ -259,13 +263,12 @@ class SeatFeatures:
         return location, whole, change
 
     def _changed(
-        self, record: RecordStatistics, b: Array, residual: Array, seats: SeatPrediction
+        self, record: RecordStatistics, b: Array, seats: SeatPrediction, springs: Array
     ) -> TransmissionChange:
-        """Change of transmission b (d, m), with the motion that follows no joint (d, d)."""
+        """Change of transmission b (d, m), with the changes by errors of the springs (K, d, m)."""
         x = seats.in_step[: b.shape[1]]
         nominal = seats.in_step[b.shape[1] :] @ np.linalg.inv(x)
         pose, on, n = record.pose, np.flatnonzero(record.excited), self.linear.arm.n
-        springs = self._springs(pose, record.excited)
         errors = transmission_errors(self.linear, pose, on, b, self.mismatch)
         first = len(errors) - len(b) - n  # the sensor's own, n joint zeros, then the levers
         sensor, zeros, levers = np.split(errors, [first, first + n])
@@ -279,10 +282,6 @@ class SeatFeatures:
             measured=((b - nominal) @ x).ravel(),
             open=self.open_change(seats),
             nominal=(nominal @ x).ravel(),
-            covariance=self.covariance(
-                pose, record.excited, b, residual, x, record.duration, springs=springs
-            ),
-            residual=residual / self.samples(record.duration),
             arm_errors=(np.concatenate([zeros, sprung]) @ x).reshape(-1, b.size),
             sensor_errors=(np.concatenate([sensor, levers]) @ x).reshape(-1, b.size),
         )

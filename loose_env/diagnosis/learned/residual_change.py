@@ -73,7 +73,7 @@ def residual_change(change: TransmissionChange) -> ResidualChange:
     Parameters
     ----------
     change : TransmissionChange
-        The change, and what each location would make of it.
+        The change with its covariance, and what each location would make of it.
 
     Examples
     --------
@@ -89,6 +89,7 @@ def residual_change(change: TransmissionChange) -> ResidualChange:
     >>> found.second(0).round(1).tolist()
     [0.0, 2.7]
     """
+    assert change.covariance is not None
     size, axes = np.linalg.eigh(change.covariance)
     measured, opened = axes.T @ change.measured, change.open @ axes
     count = len(measured)

@@ -55,6 +55,7 @@ def predict_seats(
     floor: Array,
     *,
     locations: NDArray[np.intp] | None = None,
+    covariances: bool = True,
 ) -> SeatPrediction:
     """Work out all seats of the arm in one pose.
 
@@ -70,6 +71,9 @@ def predict_seats(
         Variance that the sensors add to each channel.
     locations : ndarray of int, optional
         Places that are asked for, in the order in which they are wanted; all by default.
+    covariances : bool
+        False to leave out what is out of step and the free motion of the seats, which takes most
+        of the time: `rest_mixed`, `rest_open` and `loose` then have no places.
 
     Examples
     --------
@@ -117,9 +121,12 @@ def predict_seats(
     own = healthy.transpose(1, 2, 0).reshape(len(in_step), -1)
     p, m = len(in_step), len(on)
     in_step_open = np.empty((len(free), p, m))
-    mixed, rest_open, loose = (np.empty((len(free), p, p)) for _ in range(3))
+    asked_for = len(free) if covariances else 0
+    mixed, rest_open, loose = (np.empty((asked_for, p, p)) for _ in range(3))
+    if not covariances:
+        in_step_open = (column @ free.transpose(0, 2, 1)).real / count
     chunk = max(1, _CHUNK // (p * m * count))
-    for some in (slice(k, k + chunk) for k in range(0, len(free), chunk)):
+    for some in (slice(k, k + chunk) for k in range(0, asked_for, chunk)):
         change = column[some, :, None] * free[some, None]  # (chunk, p, m, K)
         step = change.real.mean(-1)
         flat = change.reshape(*change.shape[:2], -1)
@@ -137,7 +144,7 @@ def predict_seats(
         rest=(own @ own.conj().T).real / count - in_step @ in_step.T + np.diag(floor),
         rest_mixed=mixed + mixed.transpose(0, 2, 1),
         rest_open=rest_open,
-        loose=loose * power[:, None, None],
+        loose=loose * power[:asked_for, None, None],
         force=np.sqrt(np.mean(np.sum(np.abs(force) ** 2, axis=-1), axis=0)),
         load=np.abs(np.concatenate(at_rest))[asked],
     )

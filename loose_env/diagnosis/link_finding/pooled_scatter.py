@@ -24,7 +24,10 @@ import numpy as np
 
 from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.learned.features import SeatFeatures
-from loose_env.diagnosis.learned.transmission_change import TransmissionChange
+from loose_env.diagnosis.learned.transmission_change import (
+    TransmissionChange,
+    sampling_covariance,
+)
 from loose_env.diagnosis.link_finding.direction_images import fault_locations
 from loose_env.diagnosis.records.record_statistics import RecordStatistics
 from loose_env.sensors import SensorSuite
@@ -34,7 +37,7 @@ __all__ = ["PlaceDirections", "PooledScatter", "RecordScatter", "scatter_of"]
 
 _AXES = {2: 60, 3: 300}
 """Sliding directions tried for each link by dimension: 3 and 8 degrees apart."""
-SECOND_ORDER = 0.02
+_SECOND_ORDER = 0.02
 """Error of each element over the rms nominal motion [1]: products of two model errors, which the
 covariance to first order lacks. Without it single records of healthy arms stand out 60-fold."""
 
@@ -91,15 +94,50 @@ class PlaceDirections:
 
     def of(self, record: RecordStatistics) -> RecordScatter:
         """Hold one record against all places; at least one joint must be excited."""
-        return scatter_of([self.features.with_change(record)[2]], int(record.excited.sum()))
+        change = self._at_tool(record)
+        sampling = self.sampling(record, [self.features])
+        return scatter_of([change], int(record.excited.sum()), sampling=sampling)
+
+    def _at_tool(self, record: RecordStatistics) -> TransmissionChange:
+        on = np.flatnonzero(record.excited)
+        return self.features.change_at(record, record.transmission_by_instrument[:, on])
+
+    def sampling(self, record: RecordStatistics, sensors: Sequence[SeatFeatures]) -> Array:
+        """Covariance of what a record's finite length makes of the changes at some sensors.
+
+        Predicted, not measured: the measured motion out of step is a difference of two large
+        numbers where the arm bends, by chance often below zero, and where a seat is loose it is the
+        seat's, along the seat's own direction, and no error of that place.
+
+        Parameters
+        ----------
+        record : RecordStatistics
+            Pose, torque and duration.
+        sensors : sequence of SeatFeatures
+            The arm as each sensor sees it.
+
+        Returns
+        -------
+        ndarray (D m, D m)
+            Covariance [m²/s⁴], axes of all sensors.
+        """
+        on = np.flatnonzero(record.excited)
+        answers = [one.linear.at(record.pose).response(record.excited) for one in sensors]
+        tool = np.concatenate([answer.tool for answer in answers], axis=1)  # (K, D, m)
+        joint = answers[0].joint[:, on]
+        b = np.linalg.solve(joint.real.mean(axis=0).T, tool.real.mean(axis=0).T).T
+        floor = self.features.floor
+        noise = floor.tool**2 * np.eye(len(b))
+        noise += (b * floor.joints(self.features.linear.arm)[on] ** 2) @ b.T
+        rest = (tool - b @ joint) * record.torque[on]
+        return sampling_covariance(rest, noise, self.features.samples(record.duration))
 
 
 def scatter_of(
     changes: Sequence[TransmissionChange],
     joints: int,
     *,
-    sampling: Array | None = None,
-    second_order: float = SECOND_ORDER,
+    sampling: Array,
 ) -> RecordScatter:
     """Hold a change against the direction of every place.
 
@@ -111,38 +149,31 @@ def scatter_of(
         all of them.
     joints : int
         Joints excited, m.
-    sampling : ndarray (D, D), optional
-        Covariance of the sampling errors of all axes, per command [m²/s⁴]; by default that of
-        each sensor, errors of different sensors independent.
-    second_order : float
-        Error of each element beyond the first order, over the rms nominal motion [1].
+    sampling : ndarray (D m, D m)
+        Covariance of the sampling errors of all axes [m²/s⁴].
     """
-    opened = np.concatenate([c.open.reshape(len(c.open), -1, joints) for c in changes], axis=1)
     measured = np.concatenate([change.measured for change in changes])
     nominal = np.concatenate([change.nominal for change in changes])
-    arm = [_rows(change.arm_errors, change) for change in changes]
-    own = np.zeros((len(measured), len(measured)))
+    opened = np.concatenate([c.open.reshape(len(c.open), -1, joints) for c in changes], axis=1)
+    own = sampling.copy()
+    shared = np.concatenate([_rows(change.arm_errors, change) for change in changes], axis=1)
     begin = 0
-    for change, error in zip(changes, arm, strict=True):
+    for change in changes:
         part = slice(begin, begin := begin + len(change.measured))
-        own[part, part] = change.covariance - error.T @ error
-        if sampling is not None and change.residual is not None:
-            own[part, part] -= np.kron(change.residual, np.eye(joints))
-    if sampling is not None:
-        own += np.kron(sampling, np.eye(joints))
-    shared = np.concatenate(arm, axis=1)
-    if len(changes) == 1:
-        sensor = _rows(changes[0].sensor_errors, changes[0])
-        own -= sensor.T @ sensor
-        shared = np.concatenate([shared, sensor])
+        sensor = _rows(change.sensor_errors, change)
+        if len(changes) == 1:
+            shared = np.concatenate([shared, sensor])
+        else:
+            own[part, part] += sensor.T @ sensor
     # With sensors on links too, the errors of each are left among those of the record: as shared
     # ones they would be a hundred.
-    own += second_order**2 * np.mean(nominal**2) * np.eye(len(measured))
+    own += _SECOND_ORDER**2 * np.mean(nominal**2) * np.eye(len(measured))
     axes = len(changes[0].measured) // joints
     at_tool = measured.reshape(-1, joints)[:axes]
+    lines = _leading(opened)
     return RecordScatter(
-        lines=_leading(opened),
-        directions=_leading(opened[:, :axes]),
+        lines=lines,
+        directions=lines if len(changes) == 1 else _leading(opened[:, :axes]),
         direction=np.linalg.eigh(at_tool @ at_tool.T)[1][:, -1],
         measured=measured,
         precision=np.asarray(np.linalg.inv(own), dtype=float),
@@ -157,7 +188,10 @@ def _rows(errors: Array | None, change: TransmissionChange) -> Array:
 
 def _leading(matrices: Array) -> Array:
     """Leading left singular vectors (P, D) of matrices (P, D, m); zero where a matrix is."""
-    right = np.linalg.eigh(np.swapaxes(matrices, -1, -2) @ matrices)[1][..., -1]
+    if matrices.shape[1] <= matrices.shape[2]:
+        left = np.linalg.eigh(matrices @ matrices.mT)[1][..., -1]
+        return np.asarray(left * np.any(matrices, axis=(1, 2))[:, None])
+    right = np.linalg.eigh(matrices.mT @ matrices)[1][..., -1]
     left = np.einsum("pdm,pm->pd", matrices, right)
     size = np.linalg.norm(left, axis=1, keepdims=True)
     return np.asarray(left / np.where(size > 0, size, 1.0))

@@ -12,6 +12,7 @@ from loose_env.diagnosis import PlaceDirections, PooledScatter, RecordScatter
 from loose_env.diagnosis.learned.transmission_change import TransmissionChange
 from loose_env.diagnosis.link_finding.pooled_scatter import scatter_of
 from loose_env.sensors import SensorSuite
+from loose_env.typing import Array
 
 
 def change(direction: float, size: float) -> TransmissionChange:
@@ -20,21 +21,28 @@ def change(direction: float, size: float) -> TransmissionChange:
     lines = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     share = np.array([0.5, -1.0, 0.2])
     seen = size * np.outer([np.cos(direction), np.sin(direction)], share)
-    # Unequal errors: what counts is the change in units of them.
-    errors = np.diag([1.0, 4.0, 1.0, 9.0, 1.0, 4.0])
     return TransmissionChange(
         measured=seen.ravel(),
         open=np.einsum("pi,j->pij", lines, share).reshape(6, -1),
         nominal=np.zeros(6),
-        covariance=errors,
     )
+
+
+# Unequal errors: what counts is the change in units of them.
+ERRORS = np.diag([1.0, 4.0, 1.0, 9.0, 1.0, 4.0])
+
+
+def gain_of(*changes: TransmissionChange, errors: Array = ERRORS) -> Array:
+    """Gain of every place, the errors of all sensors alike and independent."""
+    sampling = np.kron(np.eye(len(changes)), errors)
+    return scatter_of(changes, 3, sampling=sampling).gain
 
 
 @pytest.mark.parametrize("k", range(6))
 def test_a_change_along_a_places_line_is_all_gain_there(k: int) -> None:
     made = change(np.radians(30.0 * k), 8.0)
-    found = scatter_of([made], 3)
-    whole = made.measured @ np.linalg.solve(made.covariance, made.measured)
+    found = scatter_of([made], 3, sampling=ERRORS)
+    whole = made.measured @ np.linalg.solve(ERRORS, made.measured)
     assert found.gain[k] == pytest.approx(whole)
     assert (np.delete(found.gain, k) < 0.999 * whole).all()
     axis = np.array([np.cos(np.radians(30.0 * k)), np.sin(np.radians(30.0 * k))])
@@ -94,15 +102,14 @@ def test_chance_takes_its_share_of_every_further_record() -> None:
 
 def test_a_further_sensor_adds_its_gain_along_the_same_place() -> None:
     seen = change(np.radians(60.0), 8.0)
-    np.testing.assert_allclose(scatter_of([seen] * 3, 3).gain, 3 * scatter_of([seen], 3).gain)
+    np.testing.assert_allclose(gain_of(seen, seen, seen), 3 * gain_of(seen))
 
 
 def test_sensors_do_not_outvote_an_error_that_they_share() -> None:
     made = change(0.0, 8.0)
     spring = made.measured[None]
-    seen = replace(made, covariance=made.covariance + spring.T @ spring, arm_errors=spring)
+    seen = replace(made, arm_errors=spring)
     # Known to be shared, it is no surer for being seen twice; taken as two errors it would be.
-    shared = scatter_of([seen, seen], 3).gain[0]
-    apart = scatter_of([replace(seen, arm_errors=None)] * 2, 3).gain[0]
-    assert shared < 1.1
-    assert apart == pytest.approx(2 * scatter_of([seen], 3).gain[0])
+    assert gain_of(seen, seen)[0] < 1.1
+    errors = ERRORS + spring.T @ spring
+    assert gain_of(made, made, errors=errors)[0] == pytest.approx(2 * gain_of(seen)[0])

@@ -1,4 +1,5 @@
 """Models of a loose joint and their identification.
 
-Data flow: looseness_joint -> static_force_test -> modelling_alternatives -> parameter_recursion.
+Data flow: looseness_joint -> static_force_test -> docked_arm -> modelling_alternatives
+-> parameter_recursion.
 """
