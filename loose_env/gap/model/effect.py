@@ -26,24 +26,24 @@ A new effect is one small class in one file:
         def edit(self, spec, values):
             ...
 
-`ResidualAccelerations` holds accelerometer residuals by pose.
+How an effect finds starts in data is in `loose_env.gap.model.data_starts`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import ClassVar
 
 import mujoco
 import numpy as np
 
 from loose_env.errors import UnknownName
+from loose_env.gap.model.data_starts import StartsFromData
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["Effect", "Readings", "ResidualAccelerations", "have_stops"]
+__all__ = ["Effect", "Readings", "have_stops"]
 
 
 _AT_BOUND = 1.02
@@ -53,7 +53,7 @@ Readings = dict[str, Array]
 """Column without axis -> readings (..., T) of a scalar, (..., T, 3) of a vector."""
 
 
-class Effect:
+class Effect(StartsFromData):
     """One physical effect at one location.
 
     Parameters
@@ -362,62 +362,6 @@ class Effect:
 
     def _clipped(self, values: Array) -> tuple[float, ...]:
         return tuple(p.clipped(float(v)) for p, v in zip(self.parameters, values, strict=True))
-
-    def propose_from(self, resolution: float) -> tuple[tuple[float, ...], ...]:
-        """Propose starts from the resolution of its sensor's readings; 0 if they have none."""
-        return ()
-
-    def propose_stiffness(self, stiffness: float) -> tuple[tuple[float, ...], ...]:
-        """Propose starts from the stiffness that measured torques suggest for its joint."""
-        return ()
-
-    def propose_limit(
-        self, speed: Array, asked: Array, needed: Array
-    ) -> tuple[tuple[float, ...], ...]:
-        """Propose starts of a limit from what its drive was asked for and what it gave.
-
-        Parameters
-        ----------
-        speed : ndarray (T,)
-            Speed of the joint [rad/s, m/s].
-        asked : ndarray (T,)
-            Torque of the nominal drive for the commands and the measured motion [N·m, N].
-        needed : ndarray (T,)
-            Torque that the measured motion takes [N·m, N].
-        """
-        return ()
-
-    def propose_along(self, residual: ResidualAccelerations) -> tuple[tuple[float, ...], ...]:
-        """Propose starts from accelerometer residuals; none where they are uninformative."""
-        return ()
-
-    def propose(
-        self, angle: Array, speed: Array, acceleration: Array, torque: Array
-    ) -> tuple[tuple[float, ...], ...]:
-        """Propose starts from data, in place of `starts`; empty where there are none.
-
-        Parameters
-        ----------
-        angle, speed, acceleration : ndarray (T,)
-            Motion of the effect's joint [rad, rad/s, rad/s² or m, m/s, m/s²].
-        torque : ndarray (T,)
-            Residual torque: that beyond the nominal model for that motion [N·m or N].
-        """
-        return ()
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ResidualAccelerations:
-    """Measured less predicted accelerations."""
-
-    joints: tuple[str, ...]
-    """Names of the joints."""
-    poses: Array
-    """Measured joint positions (K, joints) [rad, m]."""
-    sites: tuple[str, ...]
-    """Site of the accelerometer (K,)."""
-    accelerations: Array
-    """Residual in the frame of the site (K, 3) [m/s²]."""
 
 
 def have_stops(effects: Iterable[Effect]) -> bool:

@@ -18,7 +18,8 @@ import mujoco
 import numpy as np
 from scipy.linalg import eigh
 
-from loose_env.gap.model.effect import Effect, ResidualAccelerations
+from loose_env.gap.model.data_starts import ResidualAccelerations
+from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.backlash import SOFTER, stops
 from loose_env.gap.model.effects.mjcf.extra_joint import add_extra_joint, keep_motor_side, set_stops
 from loose_env.gap.model.effects.mjcf.geometry import frame_about, normal_of, reach_of

@@ -20,7 +20,8 @@ from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.data.noise_floor import resolution_of
 from loose_env.gap.data.smoothing import Motion, smooth_motion
-from loose_env.gap.model.effect import Effect, ResidualAccelerations
+from loose_env.gap.model.data_starts import ResidualAccelerations
+from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.residuals.residual_model import ResidualModel
