@@ -88,7 +88,7 @@ def gains(env: ModelGapEnv, hidden: str, other: str) -> Array:
     for motion in range(len(found)):
         for ray in rays:
             belief = Belief(env.models, env.settings.belief)
-            at = bank.point(ray, bank.settings.points // 2)
+            at = bank.point(ray)
             belief.sums[motion] = bank.signatures[motion].vectors[:, at].astype(float)
             belief.counts[motion], belief.rest[motion] = 1, 1.0
             found[motion] += ahead(belief, hidden, other) / len(rays)

@@ -13,6 +13,7 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -38,7 +39,7 @@ from loose_env.typing import Array
 
 __all__ = ["MotionSignatures", "SignatureBank", "signature_bank"]
 
-_FORMAT = "gap signatures 1"
+_FORMAT = "gap signatures 2"
 """Version of what is stored; a change of the computation changes it."""
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "loose_env" / "gap"
 """Folder of stored banks."""
@@ -79,10 +80,10 @@ class SignatureBank:
     settings: BankSettings
     rays: tuple[Ray, ...]
     """Rays that can be seen on the battery."""
-    sizes: Array
-    """Sizes of the linearisation points (R, points)."""
-    visibilities: Array
-    """Visibilities there [noise standard deviations] (R, points)."""
+    sizes: tuple[Array, ...]
+    """Sizes of each ray's linearisation points."""
+    visibilities: tuple[Array, ...]
+    """Visibilities there [noise standard deviations]."""
     signatures: tuple[MotionSignatures, ...]
     """By motion."""
     seconds: Array
@@ -102,9 +103,15 @@ class SignatureBank:
         """Number of nominal parameters: the first base vectors."""
         return len(self.arm.nominal.entries)
 
-    def point(self, ray: int, which: int) -> int:
-        """Index of the base vector of a ray at one of its points."""
-        return self.nuisances + ray * self.settings.points + which
+    @cached_property
+    def starts(self) -> NDArray[np.intp]:
+        """Index of each ray's first point among those of all, and their number (R + 1,)."""
+        return np.concatenate([[0], np.cumsum([len(own) for own in self.sizes])]).astype(np.intp)
+
+    def point(self, ray: int, which: int | None = None) -> int:
+        """Index of the base vector of a ray at one of its points; by default the middle one."""
+        which = len(self.sizes[ray]) // 2 if which is None else which
+        return self.nuisances + int(self.starts[ray]) + which
 
     def index_of(self, motion: Motion) -> int:
         """Index of a motion in the library.
@@ -179,8 +186,9 @@ def _write(path: Path, bank: SignatureBank) -> None:
     which = [_key(ray) for ray in bank.rays]
     arrays: dict[str, NDArray[Any]] = {
         "rays": np.array(which),
-        "sizes": bank.sizes,
-        "visibilities": bank.visibilities,
+        "points": np.array([len(own) for own in bank.sizes]),
+        "sizes": np.concatenate(bank.sizes),
+        "visibilities": np.concatenate(bank.visibilities),
         "seconds": bank.seconds,
         "wear": bank.wear,
     }
@@ -217,18 +225,20 @@ def _read(
             )
             for k in range(len(library))
         )
+        ends = np.cumsum(found["points"])[:-1]
+        sizes, seen = (tuple(np.split(found[of], ends)) for of in ("sizes", "visibilities"))
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None
     return SignatureBank(
-        arm, library, settings, rays, found["sizes"], found["visibilities"], signatures,
-        found["seconds"], found["wear"], _shape_columns(rays, arm, settings),
+        arm, library, settings, rays, sizes, seen, signatures, found["seconds"], found["wear"],
+        _shape_columns(rays, arm, sizes),
     )  # fmt: skip
 
 
 def _shape_columns(
-    rays: Sequence[Ray], arm: ServoArm, settings: BankSettings
+    rays: Sequence[Ray], arm: ServoArm, sizes: Sequence[Array]
 ) -> tuple[tuple[int, ...], ...]:
-    at = len(arm.nominal.entries) + len(rays) * settings.points
+    at = len(arm.nominal.entries) + sum(map(len, sizes))
     found = []
     for ray in rays:
         count = len(ray.shape_parameters)
@@ -256,12 +266,16 @@ def _computed(
         signatures.append(_of_motion(arm, motion.commands(arm), rays, sizes, settings))
     return SignatureBank(
         arm, library, settings, rays, sizes, seen, tuple(signatures), np.array(seconds),
-        np.array(wear), _shape_columns(rays, arm, settings),
+        np.array(wear), _shape_columns(rays, arm, sizes),
     )  # fmt: skip
 
 
 def _of_motion(
-    arm: ServoArm, commands: Array, rays: Sequence[Ray], sizes: Array, settings: BankSettings
+    arm: ServoArm,
+    commands: Array,
+    rays: Sequence[Ray],
+    sizes: Sequence[Array],
+    settings: BankSettings,
 ) -> MotionSignatures:
     base = residuals(arm, commands, [Hypothesis()])[0]
     columns: list[NDArray[Any]] = [nuisance_columns(arm, commands, base)]
@@ -271,14 +285,15 @@ def _of_motion(
         for size in own
     ]
     moved = np.array(residuals(arm, commands, points), dtype=np.float32)
-    middle = settings.points // 2
-    shaped, origins = [], []
-    for k, ray in enumerate(rays):
+    shaped, origins, begun = [], [], 0
+    for ray, own in zip(rays, sizes, strict=True):
+        middle = len(own) // 2
         for which in range(len(ray.shape_parameters)):
             off = np.zeros(len(ray.shape_parameters))
             off[which] = STEP
-            shaped.append(ray.hypothesis(ray.values(float(sizes[k, middle]), off)))
-            origins.append(k * settings.points + middle)
+            shaped.append(ray.hypothesis(ray.values(float(own[middle]), off)))
+            origins.append(begun + middle)
+        begun += len(own)
     columns.append((moved - base).T)
     if shaped:
         there = np.array(residuals(arm, commands, shaped), dtype=np.float32)

@@ -35,8 +35,13 @@ class LocalModels:
 
     @cached_property
     def count(self) -> int:
-        """Number of local models: rays times points (H)."""
-        return len(self.bank.rays) * self.bank.settings.points
+        """Number of local models: points of all rays (H)."""
+        return int(self.bank.starts[-1])
+
+    @cached_property
+    def ray(self) -> NDArray[np.intp]:
+        """Index of the ray of each local model (H,)."""
+        return np.repeat(np.arange(len(self.bank.rays)), np.diff(self.bank.starts))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -47,8 +52,7 @@ class LocalModels:
     def candidate(self) -> NDArray[np.intp]:
         """Index of the candidate of each local model (H,)."""
         index = {name: k for k, name in enumerate(self.names)}
-        rows = [index[ray.name] for ray in self.bank.rays]
-        return np.repeat(rows, self.bank.settings.points)
+        return np.array([index[self.bank.rays[r].name] for r in self.ray], dtype=np.intp)
 
     @cached_property
     def log_prior(self) -> Array:
@@ -59,7 +63,7 @@ class LocalModels:
     @cached_property
     def size(self) -> Array:
         """Size of each local model (H,)."""
-        return np.asarray(self.bank.sizes.ravel())
+        return np.concatenate(self.bank.sizes)
 
     @cached_property
     def means(self) -> NDArray[np.intp]:
@@ -75,7 +79,7 @@ class LocalModels:
         found[:, 1] = found[:, 0] + 1
         at = 3 * self.count
         for h in range(self.count):
-            number = len(self.bank.shape_columns[h // self.bank.settings.points])
+            number = len(self.bank.shape_columns[self.ray[h]])
             found[h, 2 : 2 + number] = np.arange(at, at + number)
             at += number
         return found
@@ -83,14 +87,13 @@ class LocalModels:
     @cached_property
     def zero(self) -> int:
         """Index of a column of zeros."""
-        points = self.bank.settings.points
-        return 3 * self.count + points * sum(map(len, self.bank.shape_columns))
+        return 3 * self.count + sum(len(self.bank.shape_columns[r]) for r in self.ray)
 
     @cached_property
     def combinations(self) -> sparse.csc_matrix:
         """Weights of the base vectors beyond the nominal parameters in each column (S, T)."""
         bank = self.bank
-        points, first = bank.settings.points, bank.nuisances
+        first = bank.nuisances
         total = bank.signatures[0].vectors.shape[1] - first
         rows, cols, weights = [], [], []
 
@@ -101,16 +104,15 @@ class LocalModels:
                 weights.append(weight)
 
         for r in range(len(bank.rays)):
-            u = bank.sizes[r]
-            for i in range(points):
-                h = r * points + i
+            u, base = bank.sizes[r], int(bank.starts[r])
+            for i in range(len(u)):
+                h = base + i
                 put(h, {h: 1.0})
                 slope, bend = _derivatives(u, i)
                 sd = SIZE_SD * u[i]
-                base = r * points
                 put(self.columns[h, 0], {base + k: sd * w for k, w in slope.items()})
                 put(self.columns[h, 1], {base + k: 0.5 * sd**2 * w for k, w in bend.items()})
-                ratio = float(u[i] / u[points // 2])
+                ratio = float(u[i] / u[len(u) // 2])
                 for which, vector in enumerate(bank.shape_columns[r]):
                     put(self.columns[h, 2 + which], {vector - first: ratio})
         shape = (total, self.zero + 1)

@@ -321,7 +321,7 @@ def _summary(
     best_of = np.full(len(names), -np.inf)
     np.maximum.at(best_of, candidate, evidence)
     size, size_sd = np.zeros(len(names)), np.zeros(len(names))
-    seen = models.bank.visibilities.ravel()
+    seen = np.concatenate(models.bank.visibilities)
     for k in range(len(names)):
         rows_of = np.flatnonzero(candidate == k)
         h = rows_of[np.argmax(evidence[rows_of])]
@@ -346,7 +346,7 @@ def _estimates(
     found, width = covariance @ slope, models.columns.shape[1]
     estimates = []
     for number, h in enumerate(own):
-        ray = models.bank.rays[h // models.bank.settings.points]
+        ray = models.bank.rays[models.ray[h]]
         size, at = float(models.size[h]), number * width
         spread = 1.96 * SIZE_SD * size * float(np.sqrt(covariance[at, at] * misfit))
         fitted = max(size * (1 + SIZE_SD * float(found[at])), 0.02 * size)
