@@ -1,0 +1,356 @@
+"""Comparison of the leading sets of effects by exact fits.
+
+The bank's signatures alone screen all sets. Those that lead are then fitted exactly, a pair after
+its members alone, and beside an exact fit of a single effect every second one is screened again,
+now with the small error that its residual leaves. Within the sets compared so, the exact evidence
+decides; their probability together is that of the screening.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import logsumexp
+
+from loose_env.gap.experiment_design.inference.exact_fit import ExactFit, Spent
+from loose_env.gap.experiment_design.inference.expansion import (
+    Data,
+    Solution,
+    equations,
+    linear_fit,
+    nominal,
+)
+from loose_env.gap.experiment_design.inference.local_models import SIZE_SD, LocalModels
+from loose_env.gap.experiment_design.inference.posterior import (
+    BeliefSettings,
+    EffectEstimate,
+    HypothesisSet,
+    Posterior,
+)
+from loose_env.gap.experiment_design.inference.screening import (
+    Beside,
+    Screened,
+    log_prior,
+    screened,
+)
+from loose_env.typing import Array
+
+__all__ = ["Comparison"]
+
+_OPEN = 0.02
+"""Probability from which a set is fitted exactly."""
+_CARRIED, _BEHIND = 4, 20.0
+"""Exact fits that are brought up to date with every motion, and log evidence behind the best within
+which they are [nats]."""
+_SINGLES = 4
+"""Single effects that are fitted where the best fit leaves more than the noise."""
+_SIGNIFICANT = 4.0
+"""Standard deviations of χ² above which it leaves more than the noise."""
+_WITHIN, _BEST_WITHIN = 5.0, 2.5
+"""Change of the readings from where they were simulated within which a fit is settled, any and the
+best one [noise standard deviations]."""
+_SLOPES = 0.3
+"""Relative error of the derivatives: by it times that change, a fit may turn out better."""
+_STEPS = 6
+"""Steps of a fit after one motion."""
+_KEPT, _ESTIMATED = 40, 8
+"""Sets of a posterior, and those with estimates."""
+
+Members = tuple[int, ...]
+"""Indices of candidates, increasing."""
+
+
+@dataclass(eq=False)
+class Comparison:
+    """Exact fits of one machine, kept from motion to motion."""
+
+    models: LocalModels
+    settings: BeliefSettings
+    fits: dict[tuple[int, ...], ExactFit] = field(default_factory=dict)
+    """Rays -> fit."""
+    carried: tuple[tuple[int, ...], ...] = ()
+    """Local models of the sets whose fits are brought up to date first."""
+    behind: set[tuple[int, ...]] = field(default_factory=set)
+    """Rays of single effects whose fits fell behind one that leaves the noise alone."""
+
+    def posterior(self, data: Data) -> Posterior:
+        """Posterior over sets of effects."""
+        eta, count = self.settings.linearisation, self.models.bank.nuisances
+        about = equations(self.models, data, nominal(self.models, data), eta, count)
+        first = screened(self.models, about, self.settings)
+        round_ = _Round(self, data, first, Spent(self.settings.simulations))
+        if self.settings.simulations and data:
+            round_.run()
+        return round_.posterior()
+
+    def begun(self, data: Data, own: tuple[int, ...]) -> ExactFit:
+        """Exact fit of local models, begun at their fit by the bank's signatures.
+
+        A pair begins at the exact fit of its first member, where there is one, and the local model
+        of the second one beside it.
+        """
+        models, eta = self.models, self.settings.linearisation
+        alone = self.fits.get((int(models.ray[own[0]]),)) if len(own) == 2 else None
+        if alone is None or alone.diverged or set(alone.about) != set(data):
+            fit = ExactFit(models, (), self.settings, np.zeros(models.bank.nuisances))
+            fit.about = nominal(models, data)
+            return fit.with_models(own, linear_fit(models, data, own, fit.about, eta).parameters)
+        rest = own[1:]
+        return alone.with_models(rest, linear_fit(models, data, rest, alone.about, eta).parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """A set compared exactly: by a fit of its own, or beside that of one of its members."""
+
+    score: float
+    """Log posterior up to a constant."""
+    own: tuple[int, ...]
+    """Its best local models."""
+    fit: tuple[ExactFit, Solution] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Family:
+    """Pairs beside the exact fit of one of their members."""
+
+    pairs: dict[Members, tuple[float, tuple[int, ...]]]
+    """Candidates -> log posterior up to a constant, and best local models."""
+    grown: float
+    """Log evidence that all of them lose by the error of the expansion about that fit."""
+
+
+class _Round:
+    """Comparison after one motion."""
+
+    def __init__(self, state: Comparison, data: Data, first: Screened, spent: Spent) -> None:
+        self.state, self.data, self.first, self.spent = state, data, first, spent
+        self.models, self.settings = state.models, state.settings
+        self.fitted: dict[Members, _Compared] = {}
+        self.families: dict[int, _Family] = {}
+        self.misfit = first.misfit
+        self._steps: Counter[tuple[int, ...]] = Counter()
+        evidence = first.evidence
+        self._single = {
+            (int(self.models.candidate[h]),): (int(h),) for h in np.argsort(evidence)
+        }  # the best local model of each candidate, the last one written
+
+    def run(self) -> None:
+        """Fit sets exactly until the leading ones are, or the simulations are spent."""
+        for own in self.state.carried:
+            self._fit(own, _WITHIN)
+        while self.spent.left > 0:
+            found = self._next()
+            if found is None:
+                break
+            self._fit(*found)
+        found = sorted(self.fitted.values(), key=lambda c: -c.score)
+        near = [c for c in found if (found[0].score - c.score) / self.misfit < _BEHIND]
+        self.state.carried = tuple(c.own for c in near[:_CARRIED])
+        if self.misfit == 1.0:
+            far = [c.own for c in found if c not in near and len(c.own) == 1]
+            self.state.behind |= {self._key(own) for own in far}
+
+    def _key(self, own: tuple[int, ...]) -> tuple[int, ...]:
+        return tuple(int(self.models.ray[h]) for h in own)
+
+    def _next(self) -> tuple[tuple[int, ...], float] | None:
+        """Local models of the set to fit next and how closely; None where all that lead are."""
+        shares, compared = self._shares(), self._compared()
+        leading = [m for m in sorted(shares, key=lambda m: -shares[m]) if shares[m] >= _OPEN]
+        for members in leading:
+            for own in self._alone(members):
+                if not self._steps[self._key(own)]:
+                    return own, _WITHIN
+            if members not in self.fitted:
+                own = compared[members].own if members in compared else self.first.best[members]
+                if not self._steps[self._key(own)]:
+                    return own, _WITHIN
+        best = max((c.score for c in self.fitted.values()), default=0.0)
+        for each in sorted(self.fitted.values(), key=lambda c: -c.score):
+            assert each.fit is not None
+            off = each.fit[0].unsettled(self.data)
+            better = each.score + 0.5 * (_SLOPES * off) ** 2 / self.misfit
+            within = _BEST_WITHIN if each.score == best else _WITHIN
+            near = better > best + self.misfit * np.log(_OPEN)
+            if near and off > within and self._steps[self._key(each.own)] < _STEPS:
+                return each.own, within
+        if self.misfit > 1:
+            evidence = self.first.evidence
+            best = sorted(self._single.values(), key=lambda own: -evidence[own[0]])
+            for own in best[:_SINGLES]:
+                if not self._steps[self._key(own)]:
+                    return own, _WITHIN
+        return None
+
+    def _alone(self, members: Members) -> list[tuple[int, ...]]:
+        """Members of a pair alone, the better one first, but those that fell behind."""
+        if len(members) < 2:
+            return []
+        alone = [self._single[(m,)] for m in members]
+        alone = [own for own in alone if self._key(own) not in self.state.behind]
+        return sorted(alone, key=lambda own: -self.first.evidence[own[0]])
+
+    def _fit(self, own: tuple[int, ...], within: float) -> None:
+        state, key = self.state, self._key(own)
+        fit = state.fits.get(key) or state.begun(self.data, own)
+        state.fits[key] = fit
+        self._steps[key] += 1
+        if not fit.diverged:
+            fit.step(self.data, self.spent, within)
+        if fit.diverged:
+            return
+        found, models = fit.solution(self.data), self.models
+        members = tuple(sorted(int(models.candidate[h]) for h in own))
+        score = log_prior(len(own), len(models.names), self.settings) - found.chi2 / 2
+        score -= found.occam + found.grown
+        score += sum(self._ray_prior(h) for h in own)
+        before = self.fitted.get(members)
+        if before is None or before.score < score:
+            self.fitted[members] = _Compared(score, own, (fit, found))
+        if len(own) == 1:
+            self._screen_beside(fit, own[0])
+        self._update_misfit()
+
+    def _ray_prior(self, h: int) -> float:
+        """Log probability of a local model's ray given its candidate."""
+        own = self.models.candidate == self.models.candidate[h]
+        return -float(np.log(len(np.unique(self.models.ray[own]))))
+
+    def _screen_beside(self, fit: ExactFit, first: int) -> None:
+        """Every second effect beside an exact fit of one."""
+        models, candidate = self.models, self.models.candidate
+        eta = self.settings.linearisation
+        about = equations(models, self.data, fit.about, eta, len(fit.parameters))
+        chi2, half, _, _ = Beside(models, about).alone
+        scores = models.log_prior - chi2 / 2 - half + self._ray_prior(first)
+        scores += log_prior(2, len(models.names), self.settings) - about.own.occam - about.own.grown
+        pairs = {}
+        for other in range(len(models.names)):
+            if other == candidate[first]:
+                continue
+            rows = np.flatnonzero(candidate == other)
+            members = tuple(sorted((other, int(candidate[first]))))
+            best = int(rows[np.argmax(scores[rows])])
+            pairs[members] = float(logsumexp(scores[rows])), (first, best)
+        before = self.families.get(int(candidate[first]))
+        if before is None or about.own.grown < before.grown:
+            self.families[int(candidate[first])] = _Family(pairs, about.own.grown)
+
+    def _update_misfit(self) -> None:
+        """χ² of the best exact fit over its degrees of freedom, where that is significant."""
+        best = max(self.fitted.values(), key=lambda c: c.score).fit
+        assert best is not None
+        found = best[1]
+        limit = found.dof + _SIGNIFICANT * np.sqrt(2 * found.dof)
+        self.misfit = max(found.chi2 / found.dof, 1.0) if found.chi2 > limit else 1.0
+
+    def _compared(self) -> dict[Members, _Compared]:
+        """All sets that were compared: those with fits of their own, and pairs beside a member's.
+
+        A pair of a family is compared with those of the family that have fits of their own by what
+        all of them have beside the common member: what the fits gained together, at most what the
+        error of that expansion cost, is credited to it as well.
+        """
+        found: dict[Members, _Compared] = {}
+        for family in self.families.values():
+            both = [m for m in family.pairs if m in self.fitted]
+            credit = 0.0
+            if both:
+                exact = logsumexp([self.fitted[m].score for m in both])
+                credit = float(exact - logsumexp([family.pairs[m][0] for m in both]))
+                credit = float(np.clip(credit, 0.0, family.grown))
+            for members, (score, own) in family.pairs.items():
+                if members not in found or found[members].score < score + credit:
+                    found[members] = _Compared(score + credit, own)
+        return found | self.fitted
+
+    def _shares(self) -> dict[Members, float]:
+        """Probabilities of all sets."""
+        sets, compared = list(self.first.score), self._compared()
+        scores = np.array([self.first.score[members] for members in sets])
+        if compared:  # a misfit that the error term of the screening hides
+            scores = scores / max(self.misfit / self.first.misfit, 1.0)
+        shares = dict(zip(sets, np.exp(scores - logsumexp(scores)).tolist(), strict=True))
+        if not compared:
+            return shares
+        together = max(sum(shares.get(members, 0.0) for members in compared), 1e-9)
+        exact = np.array([c.score for c in compared.values()]) / self.misfit
+        exact = np.exp(exact - logsumexp(exact)) * together
+        shares |= dict(zip(compared, exact.tolist(), strict=True))
+        whole = sum(shares.values())
+        return {members: share / whole for members, share in shares.items()}
+
+    def posterior(self) -> Posterior:
+        """Posterior over sets, from what was compared."""
+        models, shares, compared = self.models, self._shares(), self._compared()
+        names = models.names
+        marginal, sets = np.zeros(len(names)), []
+        for members in sorted(shares, key=lambda m: -shares[m]):
+            marginal[list(members)] += shares[members]
+            if len(sets) >= _KEPT:
+                continue
+            found = compared.get(members)
+            own = self.first.best[members] if found is None else found.own
+            sets.append(
+                HypothesisSet(
+                    names=tuple(sorted(names[k] for k in members)),
+                    probability=shares[members],
+                    effects=self._estimates(own, found) if len(sets) < _ESTIMATED else (),
+                    exact=found is not None and found.fit is not None,
+                    models=own,
+                )
+            )
+        size, size_sd, evidence = self._sizes()
+        return Posterior(tuple(sets), names, marginal, evidence, size, size_sd, self.misfit)
+
+    def _estimates(
+        self, own: tuple[int, ...], found: _Compared | None
+    ) -> tuple[EffectEstimate, ...]:
+        if found is not None and found.fit is not None:
+            return found.fit[0].estimates(found.fit[1], self.misfit)
+        return self._linear_estimates(own)
+
+    def _linear_estimates(self, own: tuple[int, ...]) -> tuple[EffectEstimate, ...]:
+        """Estimates by the bank's signatures alone."""
+        models = self.models
+        about, eta = nominal(models, self.data), self.settings.linearisation
+        found = linear_fit(models, self.data, own, about, eta)
+        at, estimates = models.bank.nuisances, []
+        for h in own:
+            ray = models.bank.rays[models.ray[h]]
+            size = float(models.size[h])
+            sd = float(np.sqrt(found.covariance[at, at] * self.misfit))
+            middle = size * max(1 + SIZE_SD * float(found.parameters[at]), 0.02)
+            spread = 1.96 * SIZE_SD * size * sd
+            shape = found.parameters[at + 2 : at + 2 + len(ray.shape_parameters)]
+            ends = [
+                float(ray.values(max(s, 1e-6), shape)[ray.main])
+                for s in (middle, middle - spread, middle + spread)
+            ]
+            parameter = ray.effect.parameters[ray.main]
+            estimates.append(
+                EffectEstimate(
+                    ray.name, parameter.name, parameter.unit, ends[0], min(ends), max(ends), middle
+                )
+            )
+            at += models.weights.shape[2] - 1
+        return tuple(sorted(estimates, key=lambda e: e.name))
+
+    def _sizes(self) -> tuple[Array, Array, Array]:
+        """Log10 of each candidate's visibility, alone, its standard deviation, log evidence."""
+        models, evidence = self.models, self.first.evidence
+        _, _, coefficients, covariances = self.first.beside.alone
+        seen = np.concatenate(models.bank.visibilities)
+        count = len(models.names)
+        size, size_sd, found = np.zeros(count), np.zeros(count), np.zeros(count)
+        for k in range(count):
+            (h,) = self._single[(k,)]
+            factor = max(1 + SIZE_SD * float(coefficients[h, 0]), 0.05)
+            size[k] = np.log10(max(seen[h] * factor, 1e-3))
+            sd = np.sqrt(covariances[h, 0, 0] * self.first.misfit)
+            size_sd[k] = SIZE_SD * float(sd) / factor / np.log(10)
+            found[k] = evidence[h]
+        return size, size_sd, found
