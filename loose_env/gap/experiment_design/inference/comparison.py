@@ -53,6 +53,8 @@ _WITHIN, _BEST_WITHIN = 5.0, 2.5
 best one [noise standard deviations]."""
 _SLOPES = 0.3
 """Relative error of the derivatives: by it times that change, a fit may turn out better."""
+_LOST = 40.0
+"""That change after a new motion from which a set is fitted anew, from its best local models."""
 _STEPS = 6
 """Steps of a fit after one motion."""
 _KEPT, _ESTIMATED = 40, 8
@@ -132,6 +134,7 @@ class _Round:
         self.families: dict[int, _Family] = {}
         self.misfit = first.misfit
         self._steps: Counter[tuple[int, ...]] = Counter()
+        self._anew: set[Members] = set()
         evidence = first.evidence
         self._single = {
             (int(self.models.candidate[h]),): (int(h),) for h in np.argsort(evidence)
@@ -156,8 +159,26 @@ class _Round:
     def _key(self, own: tuple[int, ...]) -> tuple[int, ...]:
         return tuple(int(self.models.ray[h]) for h in own)
 
+    def _members(self, own: tuple[int, ...]) -> Members:
+        return tuple(sorted(int(self.models.candidate[h]) for h in own))
+
     def _next(self) -> tuple[tuple[int, ...], float] | None:
         """Local models of the set to fit next and how closely; None where all that lead are."""
+        best = max((c.score for c in self.fitted.values()), default=0.0)
+        for each in sorted(self.fitted.values(), key=lambda c: -c.score):
+            assert each.fit is not None
+            off = each.fit[0].unsettled(self.data)
+            better = each.score + 0.5 * (_SLOPES * off) ** 2 / self.misfit
+            within = _BEST_WITHIN if each.score == best else _WITHIN
+            near = better > best + self.misfit * np.log(_OPEN)
+            members = self._members(each.own)
+            if near and off > _LOST and members in self.first.best and members not in self._anew:
+                self._anew.add(members)
+                own = self.first.best[members]
+                self.state.fits.pop(self._key(own), None)
+                return own, within
+            if near and off > within and self._steps[self._key(each.own)] < _STEPS:
+                return each.own, within
         shares, compared = self._shares(), self._compared()
         leading = [m for m in sorted(shares, key=lambda m: -shares[m]) if shares[m] >= _OPEN]
         for members in leading:
@@ -168,15 +189,6 @@ class _Round:
                 own = compared[members].own if members in compared else self.first.best[members]
                 if not self._steps[self._key(own)]:
                     return own, _WITHIN
-        best = max((c.score for c in self.fitted.values()), default=0.0)
-        for each in sorted(self.fitted.values(), key=lambda c: -c.score):
-            assert each.fit is not None
-            off = each.fit[0].unsettled(self.data)
-            better = each.score + 0.5 * (_SLOPES * off) ** 2 / self.misfit
-            within = _BEST_WITHIN if each.score == best else _WITHIN
-            near = better > best + self.misfit * np.log(_OPEN)
-            if near and off > within and self._steps[self._key(each.own)] < _STEPS:
-                return each.own, within
         if self.misfit > 1:
             evidence = self.first.evidence
             best = sorted(self._single.values(), key=lambda own: -evidence[own[0]])
@@ -203,7 +215,7 @@ class _Round:
         if fit.diverged:
             return
         found, models = fit.solution(self.data), self.models
-        members = tuple(sorted(int(models.candidate[h]) for h in own))
+        members = self._members(own)
         score = log_prior(len(own), len(models.names), self.settings) - found.chi2 / 2
         score -= found.occam + found.grown
         score += sum(self._ray_prior(h) for h in own)

@@ -9,7 +9,7 @@ converge. The evidence is Laplace's approximation there.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,6 +32,9 @@ __all__ = ["ExactFit", "Spent"]
 
 _REACH, _SHRINK = 1.2, 0.4
 """Largest step in the logarithm of a size, and its factor after a step that made the fit worse."""
+_SLOW, _DIFFERENCE = 0.5, 0.02
+"""A step that leaves more than this share of the way is slow: the derivatives by sizes and shapes
+are then found by differences over this many prior standard deviations."""
 _SMALLER = 0.4
 """Least size to begin with, over that of the local model."""
 _WITHIN, _SHAPES_WITHIN = 1.7, 3.0
@@ -65,6 +68,8 @@ class ExactFit:
     """Motion -> latest exact expansion."""
     diverged: bool = False
     _reach: float = _REACH
+    _slow: bool = False
+    _sloped: set[int] = field(default_factory=set)
 
     def with_models(self, beside: Sequence[int], parameters: Array) -> ExactFit:
         """New fit of these effects and more, from a linear fit of local models beside them.
@@ -186,16 +191,38 @@ class ExactFit:
             self._reach = _REACH
             return
         target = self._bounded(self.solution(data).parameters)
+        far, before = self._far(data, target, within), self.unsettled(data)
+        blunt = [k for k in far if k not in self._sloped]
+        if self._slow and blunt:
+            for motion in blunt:
+                self._slope(motion, spent)
+            self._slow = False
+            return
         way = target - self.parameters
         longest = max(
             (abs(way[at]) * self.settings.size_sd for _, at, _ in self._parts()), default=0.0
         )
         step = min(1.0, self._reach / max(longest, 1e-9))
         tried = self._bounded(self.parameters + step * way)
-        if self._moved(data, self._far(data, target, within), tried, spent):
+        if self._moved(data, far, tried, spent):
             self.parameters = tried
         else:
             self._reach = _SHRINK * min(longest * step, self._reach)
+        self._slow = self.unsettled(data) > _SLOW * before
+
+    def _slope(self, motion: int, spent: Spent) -> None:
+        """Replace derivatives by sizes and shapes by those of simulations."""
+        about = self.about[motion]
+        jacobian = about.jacobian.copy()
+        for k in range(self.models.bank.nuisances, len(self.parameters)):
+            step = -_DIFFERENCE if about.at[k] > 0 else _DIFFERENCE  # away from its bound
+            moved = about.at.copy()
+            moved[k] += step
+            found = self._simulated(motion, moved, spent)
+            if found is not None:
+                jacobian[:, k] = (found - about.readings) / step
+        self.about[motion] = replace(about, jacobian=jacobian)
+        self._sloped.add(motion)
 
     def unsettled(self, data: Data) -> float:
         """Length of the change of the readings to the fit from where they were simulated.

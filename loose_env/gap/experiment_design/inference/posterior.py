@@ -32,7 +32,7 @@ class BeliefSettings:
     """Error of a linearisation over the length of the residual about its centre [1]."""
     size_sd: float = 1.3
     """Prior standard deviation of the logarithm of a size, about the middle of the bank's."""
-    simulations: int = 12
+    simulations: int = 20
     """Simulated motions for exact fits after a measured one; 0 for the bank's signatures alone."""
     first: int = 24
     """Candidates beside which every other one is tried as the second of a pair."""
