@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,10 @@ _FORMAT = "gap signatures 2"
 """Version of what is stored; a change of the computation changes it."""
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "loose_env" / "gap"
 """Folder of stored banks."""
+
+_ALIKE = 2.0
+"""Length of a signature beside that of another candidate below which both are one candidate [noise
+standard deviations]."""
 
 Say = Callable[[str], None]
 
@@ -172,14 +176,52 @@ def signature_bank(
     if file is not None and file.is_file():
         stored = _read(file, arm, tuple(library), settings)
         if stored is not None:
-            return stored
+            return _distinct(stored)
     sized_on = battery(arm) if reference is None else tuple(reference)
     bank = _computed(arm, tuple(library), sized_on, settings, say or (lambda words: None))
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         written_beside(file, lambda path: _write(path, bank))
         written_beside(file.with_suffix(".json"), lambda path: path.write_text(text))
-    return bank
+    return _distinct(bank)
+
+
+def _distinct(bank: SignatureBank) -> SignatureBank:
+    """The bank without candidates that no motion of it tells from an earlier one.
+
+    All their signatures, less what nominal parameters explain, are multiples of one of the other's,
+    as those of the mass of a link that only turns about the vertical and of its rotor's inertia.
+    """
+    p, middle = bank.nuisances, [bank.point(ray) for ray in range(len(bank.rays))]
+    gram = np.zeros((p + len(middle),) * 2)
+    for found in bank.signatures:
+        vectors = found.vectors[:, [*range(p), *middle]].astype(float)
+        gram += vectors.T @ vectors
+    inside = np.linalg.solve(gram[:p, :p] + np.eye(p), gram[:p, p:])
+    gram = gram[p:, p:] - gram[p:, :p] @ inside
+    squares = np.diag(gram)
+    left = squares[:, None] - gram**2 / np.maximum(squares, 1e-12)  # of each beside each other one
+    dropped: set[str] = set()
+    of = {name: [k for k, r in enumerate(bank.rays) if r.name == name] for name in bank.names}
+    for number, name in enumerate(bank.names):
+        for earlier in bank.names[:number]:
+            own = left[np.ix_(of[name], of[earlier])].min(axis=1)
+            if earlier not in dropped and np.all(own < _ALIKE**2):
+                dropped.add(name)
+    if not dropped:
+        return bank
+    kept = [k for k, ray in enumerate(bank.rays) if ray.name not in dropped]
+    columns = list(range(p))
+    for k in kept:
+        columns += range(bank.point(k, 0), bank.point(k, 0) + len(bank.sizes[k]))
+    columns += [column for k in kept for column in bank.shape_columns[k]]
+    rays, sizes = tuple(bank.rays[k] for k in kept), tuple(bank.sizes[k] for k in kept)
+    return replace(
+        bank, rays=rays, sizes=sizes,
+        visibilities=tuple(bank.visibilities[k] for k in kept),
+        signatures=tuple(replace(s, vectors=s.vectors[:, columns]) for s in bank.signatures),
+        shape_columns=_shape_columns(rays, bank.arm, sizes),
+    )  # fmt: skip
 
 
 def _write(path: Path, bank: SignatureBank) -> None:

@@ -57,6 +57,8 @@ _LOST = 40.0
 """That change after a new motion from which a set is fitted anew, from its best local models."""
 _STEPS = 6
 """Steps of a fit after one motion."""
+_POLISHED = 2
+"""Steps of the best fit after its derivatives were sharpened."""
 _KEPT, _ESTIMATED = 40, 8
 """Sets of a posterior, and those with estimates."""
 
@@ -149,6 +151,7 @@ class _Round:
             if found is None:
                 break
             self._fit(*found)
+        self._sharpen()
         found = sorted(self.fitted.values(), key=lambda c: -c.score)
         near = [c for c in found if (found[0].score - c.score) / self.misfit < _BEHIND]
         self.state.carried = tuple(c.own for c in near[:_CARRIED])
@@ -158,6 +161,18 @@ class _Round:
 
     def _key(self, own: tuple[int, ...]) -> tuple[int, ...]:
         return tuple(int(self.models.ray[h]) for h in own)
+
+    def _sharpen(self) -> None:
+        """Derivatives of the best fit, which its evidence and its intervals rest on."""
+        best = max(self.fitted.values(), key=lambda c: c.score)
+        assert best.fit is not None
+        if self.misfit > 1 or not best.own or not (blunt := best.fit[0].blunt(self.data)):
+            return
+        best.fit[0].sharpen(blunt, self.spent)
+        self._score(best.own, best.fit[0])
+        for _ in range(_POLISHED):
+            if best.fit[0].unsettled(self.data) > _BEST_WITHIN:
+                self._fit(best.own, _BEST_WITHIN)
 
     def _members(self, own: tuple[int, ...]) -> Members:
         return tuple(sorted(int(self.models.candidate[h]) for h in own))
@@ -214,16 +229,20 @@ class _Round:
             fit.step(self.data, self.spent, within)
         if fit.diverged:
             return
+        self._score(own, fit)
+        if len(own) == 1:
+            self._screen_beside(fit, own[0])
+
+    def _score(self, own: tuple[int, ...], fit: ExactFit) -> None:
         found, models = fit.solution(self.data), self.models
         members = self._members(own)
         score = log_prior(len(own), len(models.names), self.settings) - found.chi2 / 2
         score -= found.occam + found.grown
         score += sum(self._ray_prior(h) for h in own)
         before = self.fitted.get(members)
-        if before is None or before.score < score:
+        same = before is not None and before.fit is not None and before.fit[0] is fit
+        if before is None or same or before.score < score:
             self.fitted[members] = _Compared(score, own, (fit, found))
-        if len(own) == 1:
-            self._screen_beside(fit, own[0])
         self._update_misfit()
 
     def _ray_prior(self, h: int) -> float:

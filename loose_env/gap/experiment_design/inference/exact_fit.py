@@ -8,7 +8,7 @@ converge. The evidence is Laplace's approximation there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,6 +35,9 @@ _REACH, _SHRINK = 1.2, 0.4
 _SLOW, _DIFFERENCE = 0.5, 0.02
 """A step that leaves more than this share of the way is slow: the derivatives by sizes and shapes
 are then found by differences over this many prior standard deviations."""
+_RESEMBLES = 1.0
+"""Component of the derivative by a nominal parameter along that by a size or shape, from which it
+is sharpened too [noise standard deviations]."""
 _SMALLER = 0.4
 """Least size to begin with, over that of the local model."""
 _WITHIN, _SHAPES_WITHIN = 1.7, 3.0
@@ -69,7 +72,7 @@ class ExactFit:
     diverged: bool = False
     _reach: float = _REACH
     _slow: bool = False
-    _sloped: set[int] = field(default_factory=set)
+    _sharp: dict[int, Array] = field(default_factory=dict)
 
     def with_models(self, beside: Sequence[int], parameters: Array) -> ExactFit:
         """New fit of these effects and more, from a linear fit of local models beside them.
@@ -153,14 +156,19 @@ class ExactFit:
             factors=1 + sds * parameters[: bank.nuisances],
         )
 
-    def _simulated(self, motion: int, parameters: Array, spent: Spent) -> Array | None:
+    def _simulated(self, motion: int, parameters: Array, spent: Spent) -> list[Array | None]:
+        """Projected readings at each of some parameters (n, D); None where one diverged."""
         bank = self.models.bank
-        spent.left -= 1
+        spent.left -= len(parameters)
         commands = bank.library[motion].commands(bank.arm)
-        readings = bank.arm.simulate([self.hypothesis(parameters)], commands)[0]
-        if not np.isfinite(readings).all():
-            return None
-        return bank.signatures[motion].projected(readings, bank.arm.noise)[0]
+        found = bank.arm.simulate([self.hypothesis(each) for each in parameters], commands)
+        signatures = bank.signatures[motion]
+        return [
+            signatures.projected(readings, bank.arm.noise)[0]
+            if np.isfinite(readings).all()
+            else None
+            for readings in found
+        ]
 
     def solution(self, data: Data) -> Solution:
         """Least squares about the latest simulations."""
@@ -181,7 +189,7 @@ class ExactFit:
         """
         new = [motion for motion in data if motion not in self.about]
         for motion in new:
-            found = self._simulated(motion, self.parameters, spent)
+            found = self._simulated(motion, self.parameters[None], spent)[0]
             if found is None:
                 self.diverged = True
                 return
@@ -192,10 +200,9 @@ class ExactFit:
             return
         target = self._bounded(self.solution(data).parameters)
         far, before = self._far(data, target, within), self.unsettled(data)
-        blunt = [k for k in far if k not in self._sloped]
+        blunt = [k for k in far if self._sharp.get(k) is not self.about[k].at]
         if self._slow and blunt:
-            for motion in blunt:
-                self._slope(motion, spent)
+            self.sharpen(blunt, spent)
             self._slow = False
             return
         way = target - self.parameters
@@ -210,19 +217,32 @@ class ExactFit:
             self._reach = _SHRINK * min(longest * step, self._reach)
         self._slow = self.unsettled(data) > _SLOW * before
 
-    def _slope(self, motion: int, spent: Spent) -> None:
-        """Replace derivatives by sizes and shapes by those of simulations."""
-        about = self.about[motion]
-        jacobian = about.jacobian.copy()
-        for k in range(self.models.bank.nuisances, len(self.parameters)):
-            step = -_DIFFERENCE if about.at[k] > 0 else _DIFFERENCE  # away from its bound
-            moved = about.at.copy()
-            moved[k] += step
+    def sharpen(self, motions: Iterable[int], spent: Spent) -> None:
+        """Replace the derivatives of motions by differences of simulations.
+
+        Those by sizes and shapes, and by the nominal parameters that resemble one of them: of a
+        machine whose gain is a fifth off, the bank's derivative by the nominal gain differs enough
+        to tell both apart, which nothing does.
+        """
+        for motion in motions:
+            about, first = self.about[motion], self.models.bank.nuisances
+            own = about.jacobian[:, first:]
+            along = about.jacobian[:, :first].T @ (own / (np.linalg.norm(own, axis=0) + 1e-9))
+            nuisances = np.flatnonzero((np.abs(along) > _RESEMBLES).any(axis=1))
+            which = [*nuisances.tolist(), *range(first, len(self.parameters))]
+            steps = np.where(about.at[which] > 0, -_DIFFERENCE, _DIFFERENCE)  # off the bounds
+            moved = about.at + np.eye(len(about.at))[which] * steps[:, None]
             found = self._simulated(motion, moved, spent)
-            if found is not None:
-                jacobian[:, k] = (found - about.readings) / step
-        self.about[motion] = replace(about, jacobian=jacobian)
-        self._sloped.add(motion)
+            jacobian = about.jacobian.copy()
+            for k, step, readings in zip(which, steps, found, strict=True):
+                if readings is not None:
+                    jacobian[:, k] = (readings - about.readings) / step
+            self.about[motion] = replace(about, jacobian=jacobian)
+            self._sharp[motion] = about.at
+
+    def blunt(self, data: Data) -> list[int]:
+        """Motions whose derivatives were not sharpened yet."""
+        return [motion for motion in data if motion not in self._sharp]
 
     def unsettled(self, data: Data) -> float:
         """Length of the change of the readings to the fit from where they were simulated.
@@ -247,7 +267,7 @@ class ExactFit:
 
         The derivatives learn from it in any case.
         """
-        found = {k: self._simulated(k, tried, spent) for k in far}
+        found = {k: self._simulated(k, tried[None], spent)[0] for k in far}
         before, after = float(self.parameters @ self.parameters), float(tried @ tried)
         for motion, readings in found.items():
             if readings is None:
@@ -263,7 +283,7 @@ class ExactFit:
             along = way.copy()
             along[: self.models.bank.nuisances] = 0.0
             jacobian = about.jacobian
-            if along @ along > 1e-12:
+            if motion not in self._sharp and along @ along > 1e-12:
                 missed = readings - about.readings - jacobian @ way
                 jacobian = jacobian + np.outer(missed, along) / (along @ along)
             kept = (readings, tried) if better else (about.readings, about.at)
