@@ -134,7 +134,7 @@ class _Round:
         self.models, self.settings = state.models, state.settings
         self.fitted: dict[Members, _Compared] = {}
         self.families: dict[int, _Family] = {}
-        self.misfit = first.misfit
+        self.misfit, self.excess = first.misfit, 0.0
         self._steps: Counter[tuple[int, ...]] = Counter()
         self._anew: set[Members] = set()
         evidence = first.evidence
@@ -194,7 +194,7 @@ class _Round:
                 return own, within
             if near and off > within and self._steps[self._key(each.own)] < _STEPS:
                 return each.own, within
-        shares, compared = self._shares(), self._compared()
+        shares, compared = self._shares(self.misfit), self._compared()
         leading = [m for m in sorted(shares, key=lambda m: -shares[m]) if shares[m] >= _OPEN]
         for members in leading:
             for own in self._alone(members):
@@ -277,6 +277,7 @@ class _Round:
         found = best[1]
         limit = found.dof + _SIGNIFICANT * np.sqrt(2 * found.dof)
         self.misfit = max(found.chi2 / found.dof, 1.0) if found.chi2 > limit else 1.0
+        self.excess = max(found.chi2 - limit, 0.0)
 
     def _compared(self) -> dict[Members, _Compared]:
         """All sets that were compared: those with fits of their own, and pairs beside a member's.
@@ -298,17 +299,30 @@ class _Round:
                     found[members] = _Compared(score + credit, own)
         return found | self.fitted
 
-    def _shares(self) -> dict[Members, float]:
-        """Probabilities of all sets."""
+    def _probabilities(self) -> dict[Members, float]:
+        """Probabilities of all sets, as they are stated.
+
+        Where the best fit leaves χ²/dof = m of more than noise, a share of 1 - 1/m goes to
+        probabilities for which no difference of χ² up to that excess counts: either the fit has not
+        converged or the set is none of those compared.
+        """
+        shares = self._shares(self.misfit)
+        if self.misfit == 1.0:
+            return shares
+        doubtful, trust = self._shares(1.0 + self.excess), 1.0 / self.misfit
+        return {m: trust * share + (1 - trust) * doubtful[m] for m, share in shares.items()}
+
+    def _shares(self, divisor: float) -> dict[Members, float]:
+        """Probabilities of all sets with log evidence divided by a number."""
         sets, compared = list(self.first.score), self._compared()
         scores = np.array([self.first.score[members] for members in sets])
         if compared:  # a misfit that the error term of the screening hides
-            scores = scores / max(self.misfit / self.first.misfit, 1.0)
+            scores = scores / max(divisor / self.first.misfit, 1.0)
         shares = dict(zip(sets, np.exp(scores - logsumexp(scores)).tolist(), strict=True))
         if not compared:
             return shares
         together = max(sum(shares.get(members, 0.0) for members in compared), 1e-9)
-        exact = np.array([c.score for c in compared.values()]) / self.misfit
+        exact = np.array([c.score for c in compared.values()]) / divisor
         exact = np.exp(exact - logsumexp(exact)) * together
         shares |= dict(zip(compared, exact.tolist(), strict=True))
         whole = sum(shares.values())
@@ -316,7 +330,7 @@ class _Round:
 
     def posterior(self) -> Posterior:
         """Posterior over sets, from what was compared."""
-        models, shares, compared = self.models, self._shares(), self._compared()
+        models, shares, compared = self.models, self._probabilities(), self._compared()
         names = models.names
         marginal, sets = np.zeros(len(names)), []
         for members in sorted(shares, key=lambda m: -shares[m]):

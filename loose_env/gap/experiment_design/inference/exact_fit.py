@@ -72,7 +72,8 @@ class ExactFit:
     diverged: bool = False
     _reach: float = _REACH
     _slow: bool = False
-    _sharp: dict[int, Array] = field(default_factory=dict)
+    _sloped: set[int] = field(default_factory=set)
+    _sharp: set[int] = field(default_factory=set)
 
     def with_models(self, beside: Sequence[int], parameters: Array) -> ExactFit:
         """New fit of these effects and more, from a linear fit of local models beside them.
@@ -200,9 +201,10 @@ class ExactFit:
             return
         target = self._bounded(self.solution(data).parameters)
         far, before = self._far(data, target, within), self.unsettled(data)
-        blunt = [k for k in far if self._sharp.get(k) is not self.about[k].at]
+        blunt = [k for k in far if k not in self._sloped]
         if self._slow and blunt:
-            self.sharpen(blunt, spent)
+            for motion in blunt:
+                self._difference(motion, [], spent)
             self._slow = False
             return
         way = target - self.parameters
@@ -224,21 +226,27 @@ class ExactFit:
         machine whose gain is a fifth off, the bank's derivative by the nominal gain differs enough
         to tell both apart, which nothing does.
         """
+        first = self.models.bank.nuisances
         for motion in motions:
-            about, first = self.about[motion], self.models.bank.nuisances
-            own = about.jacobian[:, first:]
-            along = about.jacobian[:, :first].T @ (own / (np.linalg.norm(own, axis=0) + 1e-9))
-            nuisances = np.flatnonzero((np.abs(along) > _RESEMBLES).any(axis=1))
-            which = [*nuisances.tolist(), *range(first, len(self.parameters))]
-            steps = np.where(about.at[which] > 0, -_DIFFERENCE, _DIFFERENCE)  # off the bounds
-            moved = about.at + np.eye(len(about.at))[which] * steps[:, None]
-            found = self._simulated(motion, moved, spent)
-            jacobian = about.jacobian.copy()
-            for k, step, readings in zip(which, steps, found, strict=True):
-                if readings is not None:
-                    jacobian[:, k] = (readings - about.readings) / step
-            self.about[motion] = replace(about, jacobian=jacobian)
-            self._sharp[motion] = about.at
+            jacobian = self.about[motion].jacobian
+            own = jacobian[:, first:]
+            along = jacobian[:, :first].T @ (own / (np.linalg.norm(own, axis=0) + 1e-9))
+            alike = np.flatnonzero((np.abs(along) > _RESEMBLES).any(axis=1))
+            self._difference(motion, alike.tolist(), spent)
+            self._sharp.add(motion)
+
+    def _difference(self, motion: int, nuisances: Sequence[int], spent: Spent) -> None:
+        """Derivatives of a motion by some nominal parameters and all sizes and shapes."""
+        about = self.about[motion]
+        which = [*nuisances, *range(self.models.bank.nuisances, len(self.parameters))]
+        steps = np.where(about.at[which] > 0, -_DIFFERENCE, _DIFFERENCE)  # off the bounds
+        moved = about.at + np.eye(len(about.at))[which] * steps[:, None]
+        jacobian = about.jacobian.copy()
+        for k, step, found in zip(which, steps, self._simulated(motion, moved, spent), strict=True):
+            if found is not None:
+                jacobian[:, k] = (found - about.readings) / step
+        self.about[motion] = replace(about, jacobian=jacobian)
+        self._sloped.add(motion)
 
     def blunt(self, data: Data) -> list[int]:
         """Motions whose derivatives were not sharpened yet."""

@@ -32,7 +32,7 @@ class BeliefSettings:
     """Error of a linearisation over the length of the residual about its centre [1]."""
     size_sd: float = 1.3
     """Prior standard deviation of the logarithm of a size, about the middle of the bank's."""
-    simulations: int = 20
+    simulations: int = 30
     """Simulated motions for exact fits after a measured one; 0 for the bank's signatures alone."""
     first: int = 24
     """Candidates beside which every other one is tried as the second of a pair."""
@@ -107,8 +107,8 @@ class Posterior:
     size_sd: Array
     """Its standard deviation (names,)."""
     misfit: float
-    """χ² of the best hypothesis over its degrees of freedom, at least 1: evidence is divided by
-    it (Birge ratio)."""
+    """χ² of the best hypothesis over its degrees of freedom, 1 where that is no more than chance;
+    variances of the parameters are multiplied by it (Birge ratio)."""
 
     @property
     def best(self) -> HypothesisSet:
