@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from loose_env.errors import UnknownName
 from loose_env.gap.experiment_design.bank import SignatureBank
 from loose_env.gap.experiment_design.inference.comparison import Comparison
 from loose_env.gap.experiment_design.inference.expansion import Data
@@ -57,3 +58,17 @@ class Belief:
         if self._posterior is None:
             self._posterior = self._comparison.posterior(self.data)
         return self._posterior
+
+    def log_evidence(self, name: str) -> float:
+        """Log evidence of one effect alone, by an exact fit to all motions so far [nats].
+
+        Only differences between effects mean something.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such candidate.
+        """
+        if name not in self.models.names:
+            raise UnknownName(f"no candidate {name!r}; candidates are {list(self.models.names)}")
+        return self._comparison.log_evidence(self.data, self.models.names.index(name))

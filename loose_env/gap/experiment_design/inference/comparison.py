@@ -12,7 +12,6 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import logsumexp
 
 from loose_env.gap.experiment_design.inference.exact_fit import ExactFit, Spent
 from loose_env.gap.experiment_design.inference.expansion import (
@@ -22,7 +21,7 @@ from loose_env.gap.experiment_design.inference.expansion import (
     linear_fit,
     nominal,
 )
-from loose_env.gap.experiment_design.inference.local_models import SIZE_SD, LocalModels
+from loose_env.gap.experiment_design.inference.local_models import LocalModels
 from loose_env.gap.experiment_design.inference.posterior import (
     BeliefSettings,
     EffectEstimate,
@@ -32,10 +31,10 @@ from loose_env.gap.experiment_design.inference.posterior import (
 from loose_env.gap.experiment_design.inference.screening import (
     Beside,
     Screened,
+    linear_estimates,
     log_prior,
     screened,
 )
-from loose_env.typing import Array
 
 __all__ = ["Comparison"]
 
@@ -81,13 +80,20 @@ class Comparison:
 
     def posterior(self, data: Data) -> Posterior:
         """Posterior over sets of effects."""
-        eta, count = self.settings.linearisation, self.models.bank.nuisances
-        about = equations(self.models, data, nominal(self.models, data), eta, count)
-        first = screened(self.models, about, self.settings)
-        round_ = _Round(self, data, first, Spent(self.settings.simulations))
+        round_ = self._round(data, self.settings.simulations)
         if self.settings.simulations and data:
             round_.run()
         return round_.posterior()
+
+    def log_evidence(self, data: Data, candidate: int) -> float:
+        """Log evidence of one effect alone, by its exact fit [nats]; -inf where that diverges."""
+        return self._round(data, _STEPS * len(data)).log_evidence(candidate)
+
+    def _round(self, data: Data, simulations: int) -> _Round:
+        eta, count = self.settings.linearisation, self.models.bank.nuisances
+        about = equations(self.models, data, nominal(self.models, data), eta, count)
+        first = screened(self.models, about, self.settings)
+        return _Round(self, data, first, Spent(simulations))
 
     def begun(self, data: Data, own: tuple[int, ...]) -> ExactFit:
         """Exact fit of local models, begun at their fit by the bank's signatures.
@@ -158,6 +164,18 @@ class _Round:
         if self.misfit == 1.0:
             far = [c.own for c in found if c not in near and len(c.own) == 1]
             self.state.behind |= {self._key(own) for own in far}
+
+    def log_evidence(self, candidate: int) -> float:
+        """Log evidence of one effect alone, by its exact fit."""
+        own, members = self._single[(candidate,)], (candidate,)
+        while self._steps[self._key(own)] <= _STEPS:
+            self._fit(own, _BEST_WITHIN)
+            found = self.fitted.get(members)
+            if found is None or found.fit is None:
+                return -np.inf
+            if found.fit[0].unsettled(self.data) <= _BEST_WITHIN:
+                break
+        return self.fitted[members].score - log_prior(1, len(self.models.names), self.settings)
 
     def _key(self, own: tuple[int, ...]) -> tuple[int, ...]:
         return tuple(int(self.models.ray[h]) for h in own)
@@ -265,7 +283,7 @@ class _Round:
             rows = np.flatnonzero(candidate == other)
             members = tuple(sorted((other, int(candidate[first]))))
             best = int(rows[np.argmax(scores[rows])])
-            pairs[members] = float(logsumexp(scores[rows])), (first, best)
+            pairs[members] = float(np.logaddexp.reduce(scores[rows])), (first, best)
         before = self.families.get(int(candidate[first]))
         if before is None or about.own.grown < before.grown:
             self.families[int(candidate[first])] = _Family(pairs, about.own.grown)
@@ -291,8 +309,8 @@ class _Round:
             both = [m for m in family.pairs if m in self.fitted]
             credit = 0.0
             if both:
-                exact = logsumexp([self.fitted[m].score for m in both])
-                credit = float(exact - logsumexp([family.pairs[m][0] for m in both]))
+                exact = np.logaddexp.reduce([self.fitted[m].score for m in both])
+                credit = float(exact - np.logaddexp.reduce([family.pairs[m][0] for m in both]))
                 credit = float(np.clip(credit, 0.0, family.grown))
             for members, (score, own) in family.pairs.items():
                 if members not in found or found[members].score < score + credit:
@@ -318,12 +336,12 @@ class _Round:
         scores = np.array([self.first.score[members] for members in sets])
         if compared:  # a misfit that the error term of the screening hides
             scores = scores / max(divisor / self.first.misfit, 1.0)
-        shares = dict(zip(sets, np.exp(scores - logsumexp(scores)).tolist(), strict=True))
+        shares = dict(zip(sets, np.exp(scores - np.logaddexp.reduce(scores)).tolist(), strict=True))
         if not compared:
             return shares
         together = max(sum(shares.get(members, 0.0) for members in compared), 1e-9)
         exact = np.array([c.score for c in compared.values()]) / divisor
-        exact = np.exp(exact - logsumexp(exact)) * together
+        exact = np.exp(exact - np.logaddexp.reduce(exact)) * together
         shares |= dict(zip(compared, exact.tolist(), strict=True))
         whole = sum(shares.values())
         return {members: share / whole for members, share in shares.items()}
@@ -348,54 +366,13 @@ class _Round:
                     models=own,
                 )
             )
-        size, size_sd, evidence = self._sizes()
-        return Posterior(tuple(sets), names, marginal, evidence, size, size_sd, self.misfit)
+        return Posterior(tuple(sets), names, marginal, *self.first.alone(), self.misfit)
 
     def _estimates(
         self, own: tuple[int, ...], found: _Compared | None
     ) -> tuple[EffectEstimate, ...]:
         if found is not None and found.fit is not None:
             return found.fit[0].estimates(found.fit[1], self.misfit)
-        return self._linear_estimates(own)
-
-    def _linear_estimates(self, own: tuple[int, ...]) -> tuple[EffectEstimate, ...]:
-        """Estimates by the bank's signatures alone."""
-        models = self.models
-        about, eta = nominal(models, self.data), self.settings.linearisation
-        found = linear_fit(models, self.data, own, about, eta)
-        at, estimates = models.bank.nuisances, []
-        for h in own:
-            ray = models.bank.rays[models.ray[h]]
-            size = float(models.size[h])
-            sd = float(np.sqrt(found.covariance[at, at] * self.misfit))
-            middle = size * max(1 + SIZE_SD * float(found.parameters[at]), 0.02)
-            spread = 1.96 * SIZE_SD * size * sd
-            shape = found.parameters[at + 2 : at + 2 + len(ray.shape_parameters)]
-            ends = [
-                float(ray.values(max(s, 1e-6), shape)[ray.main])
-                for s in (middle, middle - spread, middle + spread)
-            ]
-            parameter = ray.effect.parameters[ray.main]
-            estimates.append(
-                EffectEstimate(
-                    ray.name, parameter.name, parameter.unit, ends[0], min(ends), max(ends), middle
-                )
-            )
-            at += models.weights.shape[2] - 1
-        return tuple(sorted(estimates, key=lambda e: e.name))
-
-    def _sizes(self) -> tuple[Array, Array, Array]:
-        """Log10 of each candidate's visibility, alone, its standard deviation, log evidence."""
-        models, evidence = self.models, self.first.evidence
-        _, _, coefficients, covariances = self.first.beside.alone
-        seen = np.concatenate(models.bank.visibilities)
-        count = len(models.names)
-        size, size_sd, found = np.zeros(count), np.zeros(count), np.zeros(count)
-        for k in range(count):
-            (h,) = self._single[(k,)]
-            factor = max(1 + SIZE_SD * float(coefficients[h, 0]), 0.05)
-            size[k] = np.log10(max(seen[h] * factor, 1e-3))
-            sd = np.sqrt(covariances[h, 0, 0] * self.first.misfit)
-            size_sd[k] = SIZE_SD * float(sd) / factor / np.log(10)
-            found[k] = evidence[h]
-        return size, size_sd, found
+        return linear_estimates(
+            self.models, self.data, own, self.settings.linearisation, self.misfit
+        )

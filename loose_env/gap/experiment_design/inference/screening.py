@@ -12,14 +12,18 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
-from loose_env.gap.experiment_design.inference.expansion import Equations
-from loose_env.gap.experiment_design.inference.local_models import LocalModels
-from loose_env.gap.experiment_design.inference.posterior import BeliefSettings
+from loose_env.gap.experiment_design.inference.expansion import (
+    Data,
+    Equations,
+    linear_fit,
+    nominal,
+)
+from loose_env.gap.experiment_design.inference.local_models import SIZE_SD, LocalModels
+from loose_env.gap.experiment_design.inference.posterior import BeliefSettings, EffectEstimate
 from loose_env.typing import Array
 
-__all__ = ["Beside", "Screened", "log_prior", "screened"]
+__all__ = ["Beside", "Screened", "linear_estimates", "log_prior", "screened"]
 
 
 def log_prior(count: int, candidates: int, settings: BeliefSettings) -> float:
@@ -102,6 +106,18 @@ class Screened:
     misfit: float
     """χ² of the best hypothesis over its degrees of freedom, at least 1."""
 
+    def alone(self) -> tuple[Array, Array, Array]:
+        """Each candidate alone (N,): log evidence, log10 of its visibility, and the latter's sd."""
+        models = self.beside.models
+        _, _, coefficients, covariances = self.beside.alone
+        best = np.empty(len(models.names), dtype=np.intp)
+        order = np.argsort(self.evidence, kind="stable")
+        best[models.candidate[order]] = order  # the last one written has most evidence
+        factor = np.maximum(1 + SIZE_SD * coefficients[best, 0], 0.05)
+        seen = np.concatenate(models.bank.visibilities)[best]
+        sd = SIZE_SD * np.sqrt(covariances[best, 0, 0] * self.misfit) / factor / np.log(10)
+        return self.evidence[best], np.log10(np.maximum(seen * factor, 1e-3)), sd
+
 
 def screened(models: LocalModels, about: Equations, settings: BeliefSettings) -> Screened:
     """Screen sets of at most two effects about the nominal model.
@@ -152,7 +168,7 @@ def screened(models: LocalModels, about: Equations, settings: BeliefSettings) ->
     scores = score[order]
     return Screened(
         beside,
-        {members: float(logsumexp(scores[rows])) for members, rows in sets.items()},
+        {members: float(np.logaddexp.reduce(scores[rows])) for members, rows in sets.items()},
         {
             members: tuple(int(h[unique[order[rows[0]]]]) for h in (a, b)
                            if h[unique[order[rows[0]]]] >= 0)
@@ -175,3 +191,29 @@ def _leading(score: Array, candidate: NDArray[np.intp], most: int) -> list[int]:
         if len(found) == most:
             break
     return found
+
+
+def linear_estimates(
+    models: LocalModels, data: Data, own: Sequence[int], eta: float, misfit: float
+) -> tuple[EffectEstimate, ...]:
+    """Estimates of the effects of some local models by the bank's signatures alone."""
+    found = linear_fit(models, data, own, nominal(models, data), eta)
+    at, estimates = models.bank.nuisances, []
+    for h in own:
+        ray, size = models.bank.rays[models.ray[h]], float(models.size[h])
+        sd = float(np.sqrt(found.covariance[at, at] * misfit))
+        middle = size * max(1 + SIZE_SD * float(found.parameters[at]), 0.02)
+        spread = 1.96 * SIZE_SD * size * sd
+        shape = found.parameters[at + 2 : at + 2 + len(ray.shape_parameters)]
+        ends = [
+            float(ray.values(max(s, 1e-6), shape)[ray.main])
+            for s in (middle, middle - spread, middle + spread)
+        ]
+        parameter = ray.effect.parameters[ray.main]
+        estimates.append(
+            EffectEstimate(
+                ray.name, parameter.name, parameter.unit, ends[0], min(ends), max(ends), middle
+            )
+        )
+        at += models.weights.shape[2] - 1
+    return tuple(sorted(estimates, key=lambda e: e.name))
