@@ -153,10 +153,10 @@ class _Round:
         for own in self.state.carried:
             self._fit(own, _WITHIN)
         while self.spent.left > 0:
-            found = self._next()
-            if found is None:
+            following = self._next()
+            if following is None:
                 break
-            self._fit(*found)
+            self._fit(*following)
         self._sharpen()
         found = sorted(self.fitted.values(), key=lambda c: -c.score)
         near = [c for c in found if (found[0].score - c.score) / self.misfit < _BEHIND]
@@ -224,8 +224,8 @@ class _Round:
                     return own, _WITHIN
         if self.misfit > 1:
             evidence = self.first.evidence
-            best = sorted(self._single.values(), key=lambda own: -evidence[own[0]])
-            for own in best[:_SINGLES]:
+            alone = sorted(self._single.values(), key=lambda own: -evidence[own[0]])
+            for own in alone[:_SINGLES]:
                 if not self._steps[self._key(own)]:
                     return own, _WITHIN
         return None
@@ -276,7 +276,7 @@ class _Round:
         chi2, half, _, _ = Beside(models, about).alone
         scores = models.log_prior - chi2 / 2 - half + self._ray_prior(first)
         scores += log_prior(2, len(models.names), self.settings) - about.own.occam - about.own.grown
-        pairs = {}
+        pairs: dict[Members, tuple[float, tuple[int, ...]]] = {}
         for other in range(len(models.names)):
             if other == candidate[first]:
                 continue
@@ -350,7 +350,8 @@ class _Round:
         """Posterior over sets, from what was compared."""
         models, shares, compared = self.models, self._probabilities(), self._compared()
         names = models.names
-        marginal, sets = np.zeros(len(names)), []
+        marginal = np.zeros(len(names))
+        sets: list[HypothesisSet] = []
         for members in sorted(shares, key=lambda m: -shares[m]):
             marginal[list(members)] += shares[members]
             if len(sets) >= _KEPT:

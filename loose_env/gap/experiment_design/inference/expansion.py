@@ -161,7 +161,7 @@ def _weighted(
 
 
 def _solution(precision: Array, right: Array, total: float, noise: float, dof: int) -> Solution:
-    covariance = np.linalg.inv(precision)
+    covariance: Array = np.asarray(np.linalg.inv(precision), dtype=float)
     found = covariance @ right
     occam, chi2 = 0.5 * float(np.linalg.slogdet(precision)[1]), total - float(right @ found)
     return Solution(found, covariance, max(chi2, 0.0), occam, noise, dof)
