@@ -38,13 +38,12 @@ def test_an_exact_fit_explains_what_the_linearisation_leaves() -> None:
     assert estimate.high - estimate.low < 0.2 * effect.value
 
 
-def test_the_prior_of_the_sizes_hardly_matters() -> None:
+def test_a_wider_prior_of_the_sizes_changes_neither_names_nor_values() -> None:
     machine = hidden()
     narrow, wide = (belief_of(machine, size_sd=sd).posterior.best for sd in (1.3, 3.0))
 
     assert narrow.names == wide.names
     assert wide.effects[0].value == pytest.approx(narrow.effects[0].value, rel=0.02)
-    assert wide.probability == pytest.approx(narrow.probability, abs=0.1)
 
 
 def test_log_evidence_is_that_of_one_effect_alone() -> None:
