@@ -23,7 +23,7 @@ from loose_agents.execution.command import option
 from loose_agents.execution.study import Row, Study, StudyRun
 
 from loose_env.envs import ModelGapEnv
-from loose_env.gap import Belief, battery
+from loose_env.gap import Belief, BeliefSettings, battery
 from loose_env.io import Count
 from loose_env.typing import Array
 from scripts.model_gap.play import EVALUATION_SEED, made
@@ -72,10 +72,8 @@ def _env() -> ModelGapEnv:
 
 
 def ahead(belief: Belief, hidden: str, other: str) -> float:
-    """Log evidence of one effect alone over that of another [nats]."""
-    names = belief.posterior.names
-    evidence = belief.posterior.log_evidence
-    return float(evidence[names.index(hidden)] - evidence[names.index(other)])
+    """Log evidence of one effect alone over that of another, by exact fits [nats]."""
+    return belief.log_evidence(hidden) - belief.log_evidence(other)
 
 
 def gains(env: ModelGapEnv, hidden: str, other: str) -> Array:
@@ -83,15 +81,17 @@ def gains(env: ModelGapEnv, hidden: str, other: str) -> Array:
 
     Of the middle sizes of the hidden effect, with the other one fitted to its signature.
     """
-    bank, found = env.bank, np.zeros(len(env.bank.library))
+    bank, names, found = env.bank, env.bank.names, np.zeros(len(env.bank.library))
     rays = [k for k, ray in enumerate(bank.rays) if ray.name == hidden]
     for motion in range(len(found)):
         for ray in rays:
-            belief = Belief(env.models, env.settings.belief)
-            at = bank.point(ray, bank.settings.points // 2)
+            belief = Belief(env.models, BeliefSettings(simulations=0))
+            at = bank.point(ray)
             belief.sums[motion] = bank.signatures[motion].vectors[:, at].astype(float)
             belief.counts[motion], belief.rest[motion] = 1, 1.0
-            found[motion] += ahead(belief, hidden, other) / len(rays)
+            evidence = belief.posterior.log_evidence
+            gain = evidence[names.index(hidden)] - evidence[names.index(other)]
+            found[motion] += gain / len(rays)
     return found
 
 

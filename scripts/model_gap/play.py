@@ -13,7 +13,7 @@ from loose_env.registration import GAP_ID
 
 __all__ = ["COUNTS", "EVALUATION_SEED", "TUNING_SEED", "made", "played"]
 
-EVALUATION_SEED, TUNING_SEED = 20_260_070, 20_081_000
+EVALUATION_SEED, TUNING_SEED = 20_261_126, 20_081_000
 """Seeds of the judging episodes and of those on which stopping is tuned."""
 COUNTS = (1, 2, 1, 0, 1, 2, 1, 2, 1, 0)
 """Hidden effects of the episodes, in turn."""

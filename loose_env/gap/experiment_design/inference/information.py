@@ -6,14 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loose_env.gap.experiment_design.belief import Belief
-from loose_env.gap.experiment_design.posterior import NormalEquations
+from loose_env.gap.experiment_design.inference.belief import Belief
+from loose_env.gap.experiment_design.inference.expansion import linear_fit, nominal
 from loose_env.typing import Array
 
 __all__ = ["expected_information", "pair_gains"]
 
 _OPEN = 16
 """Sets of effects that count as open at most."""
+_LEAST = 1e-3
+"""Probability of an open set over that of the most probable one, at least."""
 
 
 def expected_information(
@@ -58,40 +60,22 @@ def _bound(weights: Array, distances: Array) -> float:
     return float(max(-np.sum(weights * np.log(np.maximum(mixed, 1e-300))), 0.0))
 
 
-Prediction = tuple[Array, Array, Array, tuple[int, ...]]
-"""Nuisances and coefficients (D,), their covariance (D, D), columns (D - P,) and mean columns."""
+Prediction = tuple[Array, Array, Array]
+"""Nominal parameters and coefficients (D,), their covariance (D, D), and the weights of the base
+vectors in mean and columns (S, 1 + D - P)."""
 
 
 def _predictions(belief: Belief, most: int) -> tuple[Array, list[Prediction]]:
     """Probabilities of the open sets and their fitted parameters."""
-    sets = belief.posterior.sets[:most]
+    best = belief.posterior.best.probability
+    sets = [s for s in belief.posterior.sets[:most] if s.probability > _LEAST * best]
     weights = np.array([each.probability for each in sets])
-    equations = belief.normal_equations()
-    found = [_fitted(belief, equations, each.models) for each in sets]
+    data, found = belief.data, []
+    about = nominal(belief.models, data)
+    for each in sets:
+        fit = linear_fit(belief.models, data, each.models, about, belief.settings.linearisation)
+        found.append((fit.parameters, fit.covariance, belief.models.columns(each.models)))
     return weights / weights.sum(), found
-
-
-def _fitted(belief: Belief, equations: NormalEquations, own: tuple[int, ...]) -> Prediction:
-    models = belief.models
-    p = belief.bank.nuisances
-    columns = (
-        np.concatenate([models.columns[h] for h in own]).astype(int) if own else np.empty(0, int)
-    )
-    weights = models.combinations[:, columns].toarray()
-    mean = np.zeros(weights.shape[0])
-    means = tuple(int(models.means[h]) for h in own)
-    for column in means:
-        mean += models.combinations[:, column].toarray()[:, 0]
-    gram, right = equations.gram, equations.right
-    across = gram[:p, p:] @ weights
-    inside = weights.T @ gram[p:, p:] @ weights
-    curvature = np.block([[gram[:p, :p], across], [across.T, inside]])
-    curvature += np.eye(len(curvature))
-    slope = np.concatenate(
-        [right[:p] - gram[:p, p:] @ mean, weights.T @ (right[p:] - gram[p:, p:] @ mean)]
-    )
-    covariance = np.linalg.inv(curvature)
-    return covariance @ slope, covariance, columns, means
 
 
 def _distances(
@@ -99,16 +83,17 @@ def _distances(
 ) -> Array:
     """Squared Mahalanobis distances between the predictions on a motion (sets, sets)."""
     p = belief.bank.nuisances
-    nominal = belief.bank.signatures[motion].vectors[:, :p]
-    columns = belief.models.by_motion[motion]
-    count = nominal.shape[0]
-    spread, expected = np.zeros((count, count)), []
-    for weight, (found, covariance, own, means) in zip(weights, predictions, strict=True):
-        rows = np.concatenate([nominal, columns[:, own]], axis=1)
-        mean = rows @ found + columns[:, list(means)].sum(axis=1)
+    vectors = belief.bank.signatures[motion].vectors
+    nominal, beyond = vectors[:, :p], vectors[:, p:]
+    count, eta = len(vectors), belief.settings.linearisation
+    spread, expected = np.eye(count), []
+    for weight, (found, covariance, own) in zip(weights, predictions, strict=True):
+        signature = beyond @ own.astype(np.float32)
+        rows = np.concatenate([nominal, signature[:, 1:]], axis=1).astype(float)
+        mean = rows @ found + signature[:, 0]
         expected.append(mean)
         spread += weight * (rows @ covariance @ rows.T)
-        spread[np.diag_indices(count)] += weight * (1.0 + belief.error(mean))
+        spread[np.diag_indices(count)] += weight * eta**2 * float(mean @ mean) / count
     root = np.linalg.cholesky(spread)
     white = np.linalg.solve(root, np.array(expected).T).T
     squares = np.sum(white**2, axis=1)

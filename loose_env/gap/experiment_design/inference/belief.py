@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from loose_env.errors import UnknownName
 from loose_env.gap.experiment_design.bank import SignatureBank
-from loose_env.gap.experiment_design.local_models import LocalModels
-from loose_env.gap.experiment_design.posterior import (
-    BeliefSettings,
-    NormalEquations,
-    Posterior,
-    posterior_of,
-)
+from loose_env.gap.experiment_design.inference.comparison import Comparison
+from loose_env.gap.experiment_design.inference.expansion import Data
+from loose_env.gap.experiment_design.inference.local_models import LocalModels
+from loose_env.gap.experiment_design.inference.posterior import BeliefSettings, Posterior
 from loose_env.typing import Array
 
 __all__ = ["Belief"]
@@ -37,6 +35,7 @@ class Belief:
         """Motion -> repetitions."""
         self.rest: dict[int, float] = {}
         """Motion -> rms of the latest residual beyond the bank's directions [noise sd]."""
+        self._comparison = Comparison(models, self.settings)
         self._posterior: Posterior | None = None
 
     def add(self, motion: int, readings: Array) -> None:
@@ -49,29 +48,27 @@ class Belief:
         self._posterior = None
 
     @property
+    def data(self) -> Data:
+        """Mean projected residuals of the motions (K,), and repetitions."""
+        return {k: (summed / self.counts[k], self.counts[k]) for k, summed in self.sums.items()}
+
+    @property
     def posterior(self) -> Posterior:
         """Posterior over sets of effects, given all motions so far."""
         if self._posterior is None:
-            self._posterior = posterior_of(self.normal_equations(), self.models, self.settings)
+            self._posterior = self._comparison.posterior(self.data)
         return self._posterior
 
-    def error(self, residual: Array) -> float:
-        """Variance of the linearisation error in each direction, for a residual (K,)."""
-        eta = self.settings.linearisation
-        return eta**2 * float(residual @ residual) / max(len(residual), 1)
+    def log_evidence(self, name: str) -> float:
+        """Log evidence of one effect alone, by an exact fit to all motions so far [nats].
 
-    def normal_equations(self) -> NormalEquations:
-        """Weighted products of base vectors and residuals, all motions together."""
-        count = self.bank.signatures[0].vectors.shape[1]
-        gram, right, total, dof = np.zeros((count, count)), np.zeros(count), 0.0, 0
-        for motion, summed in self.sums.items():
-            repeated = self.counts[motion]
-            mean = summed / repeated
-            weight = 1.0 / (1.0 / repeated + self.error(mean))
-            # in single precision the large signatures hide what tells the small ones apart
-            vectors = self.bank.signatures[motion].vectors.astype(float)
-            gram += weight * (vectors.T @ vectors)
-            right += weight * (vectors.T @ mean)
-            total += weight * float(mean @ mean)
-            dof += len(mean)
-        return NormalEquations(gram, right, total, dof, self.models)
+        Only differences between effects mean something.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such candidate.
+        """
+        if name not in self.models.names:
+            raise UnknownName(f"no candidate {name!r}; candidates are {list(self.models.names)}")
+        return self._comparison.log_evidence(self.data, self.models.names.index(name))
