@@ -108,7 +108,7 @@ class JointProblem:
         count = sum(own.shape[1] for own in columns)
         across, sizes = np.zeros((known.shape[1], count)), np.zeros((count, count))
         slope = np.zeros(count)
-        for start in range(0, len(residual), _ROWS):
+        for start in range(0, len(residual) if columns else 0, _ROWS):
             part = slice(start, start + _ROWS)
             rows = np.hstack([each[part] for each in columns]).astype(float)
             rows *= weights[part, None]
@@ -280,11 +280,11 @@ class JointProblem:
 
     def _gains(self, gram: Array, slope: Array, sets: NDArray[np.intp]) -> Array:
         """Fall of the sum of squares with each of some sets of candidates (S, K), free (S,)."""
-        widest = max(len(own) for own in self._own)
+        widest = max((len(own) for own in self._own), default=1)
         padded = np.full((len(self._own), widest), -1)
         for k, own in enumerate(self._own):
             padded[k, : len(own)] = own
-        columns = padded[sets].reshape(len(sets), -1)
+        columns = padded[sets].reshape(len(sets), widest * sets.shape[1])
         there = columns >= 0
         size = np.sqrt(np.maximum(np.diag(gram), 1e-12))
         scaled = gram / np.outer(size, size)

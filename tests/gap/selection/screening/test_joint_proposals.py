@@ -126,9 +126,12 @@ def test_no_more_of_a_signature_is_taken_than_is_believed(case: Case) -> None:
 
 
 def test_one_candidate_makes_no_set(case: Case) -> None:
-    problem = case.problem(case.screened[:1])
-    assert problem.pairs(4) == problem.kinds(4) == []
-    assert problem.greedy() == []
+    first = case.screened[0]
+    twins = [first, replace(first, predicted=0.5)]  # two starts of one effect
+    for chosen in ([], [first], twins):
+        problem = case.problem(chosen)
+        assert problem.pairs(4) == problem.kinds(4) == []
+        assert problem.greedy() == []
 
 
 def test_a_race_leaves_the_best_and_drops_what_is_far_behind(case: Case) -> None:
