@@ -10,15 +10,17 @@ from loose_env.gap.experiment_design.bank import (
     signature_bank,
 )
 from loose_env.gap.experiment_design.candidates import Ray, rays_of
-from loose_env.gap.experiment_design.inference import (
-    Belief,
+from loose_env.gap.experiment_design.inference.belief import Belief
+from loose_env.gap.experiment_design.inference.information import (
+    expected_information,
+    pair_gains,
+)
+from loose_env.gap.experiment_design.inference.local_models import LocalModels
+from loose_env.gap.experiment_design.inference.posterior import (
     BeliefSettings,
     EffectEstimate,
     HypothesisSet,
-    LocalModels,
     Posterior,
-    expected_information,
-    pair_gains,
 )
 from loose_env.gap.experiment_design.library import (
     MotionCheck,
