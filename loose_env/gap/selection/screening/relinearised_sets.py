@@ -55,54 +55,49 @@ def other_sets(
     most : int
         Most sets.
     """
-    removable = [effect for effect in fitted.effects if _none(effect) is not None]
-    kept = [effect for effect in fitted.effects if _none(effect) is None]
     stay = list(range(len(fitted.structure.nuisance.parameters)))
-    residual, own = fitted.residual, []
-    for effect in fitted.effects:
-        part = fitted.structure.slice_of(effect)
-        if any(effect is each for each in kept):
+    residual, own = fitted.residual, list[Screened]()
+    kept: dict[Effect, tuple[float, ...]] = {}
+    for effect, part in zip(fitted.effects, fitted.structure.slices, strict=True):
+        values = tuple(values_of(effect.parameters, fitted.free[part]))
+        none = _none(effect)
+        if none is None:  # it vanishes in a limit only, and stays
             stay += range(part.start, part.stop)
+            kept[effect] = values
             continue
-        columns, shares = _columns(effect, fitted.free[part], fitted.jacobian[:, part])
+        columns, shares = _columns(effect, none, fitted.free[part], fitted.jacobian[:, part])
         residual = residual - columns @ shares
+        most_of_it = _BELIEVED * max(shares.max(), 1.0)
         own.append(
             Screened(
                 effect=effect,
-                values=tuple(values_of(effect.parameters, fitted.free[part])),
+                values=values,
                 predicted=1.0,
                 z=0.0,
                 signature=columns.astype(np.float32),
-                shares=(-_BELIEVED * max(shares.max(), 1.0), _BELIEVED * max(shares.max(), 1.0)),
+                shares=(-most_of_it, most_of_it),
             )
         )
     prior = fitted.cost - float(fitted.residual @ fitted.residual)
     without = replace(
         fitted,
-        structure=fitted.structure.with_effects(kept),
+        structure=fitted.structure.with_effects(tuple(kept)),
         free=fitted.free[stay],
         jacobian=fitted.jacobian[:, stay],
         residual=residual,
         cost=prior + float(residual @ residual),
     )
     problem = JointProblem(comparison, without, [*own, *screened])
-    found = problem.better_than(tuple(range(len(own))))
-    fixed = tuple(
-        tuple(values_of(e.parameters, fitted.free[fitted.structure.slice_of(e)])) for e in kept
-    )
-    sets = [
-        OtherSet(
-            effects=(*kept, *(member.effect for member in each.members)),
-            values=(*fixed, *(member.values for member in each.members)),
-        )
-        for each in found
-    ]
-    known: dict[frozenset[tuple[str, str, str]], OtherSet] = {
-        frozenset(e.key for e in (*kept, *removable)): OtherSet(effects=(), values=())
-    }
-    for each in sets:
-        known.setdefault(frozenset(effect.key for effect in each.effects), each)
-    return [each for each in known.values() if each.effects][:most]
+    known = {frozenset(effect.key for effect in fitted.effects)}
+    found = []
+    for each in problem.better_than(tuple(range(len(own)))):
+        effects = (*kept, *(member.effect for member in each.members))
+        keys = frozenset(effect.key for effect in effects)
+        if keys not in known:
+            known.add(keys)
+            values_by_effect = (*kept.values(), *(member.values for member in each.members))
+            found.append(OtherSet(effects=effects, values=values_by_effect))
+    return found[:most]
 
 
 def _none(effect: Effect) -> tuple[float, ...] | None:
@@ -112,7 +107,9 @@ def _none(effect: Effect) -> tuple[float, ...] | None:
     return (0.0,) * len(effect.parameters)
 
 
-def _columns(effect: Effect, free: Array, jacobian: Array) -> tuple[Array, Array]:
+def _columns(
+    effect: Effect, none: tuple[float, ...], free: Array, jacobian: Array
+) -> tuple[Array, Array]:
     """Changes of the residual (N, K) with an effect, linearised where it is, and shares now (K,).
 
     Of an effect with `Effect.axes` one for each of them; else that from nothing to now.
@@ -129,5 +126,5 @@ def _columns(effect: Effect, free: Array, jacobian: Array) -> tuple[Array, Array
             for step in _STEP * np.eye(len(shares))
         ]
         return jacobian @ np.array(slopes).T, shares
-    none = along(effect, tuple(values), _none(effect) or (), 0.0)
-    return (jacobian @ (free - free_of(effect.parameters, np.array(none))))[:, None], np.ones(1)
+    without = np.array(along(effect, tuple(values), none, 0.0))
+    return (jacobian @ (free - free_of(effect.parameters, without)))[:, None], np.ones(1)
