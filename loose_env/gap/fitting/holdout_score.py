@@ -17,11 +17,22 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["Improvement", "ScoredFit", "Scorer", "explained_share", "improvement_of", "z_score"]
+__all__ = [
+    "Improvement",
+    "ScoredFit",
+    "Scorer",
+    "explained_share",
+    "improvement_of",
+    "residual_z",
+    "z_score",
+]
 
 
 _FAR_BELOW = 0.1
 """Mean square of residuals [noise variances] below which they are no readings'."""
+_NOISE_OF_GAIN = np.sqrt(1.5)
+"""Standard deviation of the difference of roots of two sums of squares, noise alone and noise with
+something large: that of the larger one is 1, of the smaller one the root of a half."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,15 +49,16 @@ class ScoredFit:
     (`loose_env.gap.residuals.residual_model.ResidualModel.levels`)."""
     training_blocks: Array
     """The same on the training runs (A,)."""
+    held_out_noise: Array
+    """Expectation of the blocks of held-out runs if nothing but noise is left (B,)."""
+    training_noise: Array
+    """The same of the training runs (A,)."""
     held_out_products: Array
     """Sums of lagged products of the residual, by lag and block (3, B)."""
     training_products: Array
     """The same on the training runs (3, A)."""
     channel_products: Array
     """Largest lagged product of all runs by channel, and number of products (2, C)."""
-    logs: tuple[float, float] = (0.0, 0.0)
-    """Part of the log-likelihoods, on training and held-out runs, that is due to the noise level
-    alone."""
 
     @property
     def bare(self) -> ScoredFit:
@@ -79,16 +91,16 @@ class ScoredFit:
     @property
     def excess(self) -> float:
         """Sum of squares over all runs beyond that of noise."""
-        squares = float(self.training_blocks.sum() + self.held_out_blocks.sum()) - sum(self.logs)
-        return max(squares - self._count, 0.0)
+        return max(self._training_excess + self._held_out_excess, 0.0)
 
     @property
     def above_noise(self) -> bool:
         """Return whether the residual on held-out or all runs exceeds the noise in size."""
-        held = float(self.held_out_blocks.sum()) - self.logs[1]
-        if held > NOISE_RMS**2 * len(self.held_out_residual):
-            return True
-        return self.excess > (NOISE_RMS**2 - 1) * self._count
+        largest_noise = NOISE_RMS**2 - 1
+        held, fitted = len(self.held_out_residual), len(self.fitted.residual)
+        return self._held_out_excess > largest_noise * held or self.excess > largest_noise * (
+            held + fitted
+        )
 
     @property
     def impact_dominated(self) -> bool:
@@ -96,8 +108,12 @@ class ScoredFit:
         return self.above_noise and self.autocorrelated < IMPACT_DOMINATED * self.excess
 
     @property
-    def _count(self) -> int:
-        return len(self.fitted.residual) + len(self.held_out_residual)
+    def _held_out_excess(self) -> float:
+        return float(self.held_out_blocks.sum() - self.held_out_noise.sum())
+
+    @property
+    def _training_excess(self) -> float:
+        return float(self.training_blocks.sum() - self.training_noise.sum())
 
     @property
     def autocorrelation_z(self) -> float:
@@ -109,18 +125,9 @@ class ScoredFit:
         Residuals far below the noise are rounding errors and count as no model error, however
         autocorrelated.
         """
-        squares = (
-            float(blocks.sum()) - logs
-            for blocks, logs in zip(
-                (self.training_blocks, self.held_out_blocks), self.logs, strict=True
-            )
-        )
-        fitted, held = zip(
-            (len(self.fitted.residual), len(self.held_out_residual)),
-            squares,
-            (self.training_products, self.held_out_products),
-            strict=True,
-        )
+        count, others = len(self.held_out_residual), len(self.fitted.residual)
+        held = (count, count + self._held_out_excess, self.held_out_products)
+        fitted = (others, others + self._training_excess, self.training_products)
         return max(_z(held), _z(held, fitted))
 
 
@@ -162,10 +169,11 @@ class Scorer:
             held_out_residual=residual,
             held_out_blocks=self.held_out.by_block(held**2 + held_logs),
             training_blocks=self.comparison.by_block(own**2 + logs),
+            held_out_noise=self.held_out.by_block(1 + held_logs),
+            training_noise=self.comparison.by_block(1 + logs),
             held_out_products=self._held.products(held),
             training_products=self._fitted.products(own),
             channel_products=_added(self._held.by_channel(held), self._fitted.by_channel(own)),
-            logs=(float(logs.sum()), float(held_logs.sum())),
         )
 
 
@@ -177,9 +185,11 @@ def improvement_of(ahead: ScoredFit, behind: ScoredFit, *, by_rank: bool = False
     """
     one, other = ({e.key: e for e in j.fitted.effects} for j in (ahead, behind))
     by_rank = by_rank or any((one | other)[key].has_stops for key in one.keys() ^ other.keys())
+    held_out = np.stack([behind.held_out_noise, ahead.held_out_noise])
+    training = np.stack([behind.training_noise, ahead.training_noise])
     return Improvement(
-        held_out=z_score(behind.held_out_blocks, ahead.held_out_blocks, by_rank=by_rank),
-        training=z_score(behind.training_blocks, ahead.training_blocks, by_rank=by_rank),
+        held_out=z_score(behind.held_out_blocks, ahead.held_out_blocks, held_out, by_rank=by_rank),
+        training=z_score(behind.training_blocks, ahead.training_blocks, training, by_rank=by_rank),
         share=explained_share(ahead, behind),
     )
 
@@ -195,34 +205,67 @@ def explained_share(ahead: ScoredFit, behind: ScoredFit) -> float:
     return 1.0 - ahead.autocorrelated / behind.autocorrelated if behind.autocorrelated > 0 else 0.0
 
 
-def z_score(behind: Array, ahead: Array, *, by_rank: bool = False) -> float:
+def residual_z(
+    comparison: ResidualModel, behind: Array, ahead: Array, *, by_rank: bool = False
+) -> float:
+    """Improvement (z) of one residual (N,) over another, in the same runs (`z_score`)."""
+    values = np.stack([behind**2, ahead**2, np.ones(len(comparison))])
+    return z_score(*comparison.by_block(values), by_rank=by_rank)
+
+
+def z_score(behind: Array, ahead: Array, noise: Array, *, by_rank: bool = False) -> float:
     """Improvement (z) of one fit over another, from sums by block (B,).
 
-    Blocks are taken as independent. Roots are compared, so that one block of impacts does not
-    outweigh all others. Where a part with stops makes the difference (``by_rank``), that is not
-    enough: a simulation with a slightly mistimed impact has twice the error of the impact there,
-    however accurate it is elsewhere. The gains are therefore also compared by rank (the signed
-    ranks of Wilcoxon, Biometrics Bull. 1, 1945, 80), and the larger of the two z-scores counts.
+    Blocks are taken as independent, and roots are compared, so that one block of impacts does not
+    outweigh all others. A gain is in doubt where the better model leaves something unexplained,
+    which the next law may explain instead: its standard error is taken as what that model leaves
+    above the noise in that block, noise at least, and the whole gain at most. So an effect that
+    acts in a few blocks and leaves noise there is as sure as it is large, while z over a model that
+    is wrong elsewhere counts the blocks that agree.
+
+    Where a part with stops makes the difference (``by_rank``), that is not enough: a simulation
+    with a slightly mistimed impact has twice the error of the impact there, however accurate it is
+    elsewhere. The gains are therefore also compared by rank (the signed ranks of Wilcoxon,
+    Biometrics Bull. 1, 1945, 80), and the larger of the two z-scores counts.
+
+    Parameters
+    ----------
+    behind, ahead : ndarray (B,)
+        Sums of squares, or twice negative log-likelihoods.
+    noise : ndarray (B,) or (2, B)
+        Their expectation if nothing but noise is left; of both, or of each.
+    by_rank : bool
+        Count blocks by rank, too.
 
     Examples
     --------
-    >>> before, after = np.full(40, 4.0), np.full(40, 1.0)
-    >>> after[0] = 900.0  # a blow that was missed
-    >>> round(z_score(before, after), 1), round(z_score(before, after, by_rank=True), 1)
-    (0.4, 5.6)
+    >>> before, after, noise = np.full(40, 400.0), np.full(40, 100.0), np.full(40, 50.0)
+    >>> after[0] = 90000.0  # a blow that was missed
+    >>> round(z_score(before, after, noise), 1)
+    0.4
+    >>> round(z_score(before, after, noise, by_rank=True), 1)
+    5.6
+    >>> before, after = np.full(40, 50.0), np.full(40, 50.0)
+    >>> before[:4] = 400.0  # an effect that acts in four blocks
+    >>> round(z_score(before, after, noise), 1)
+    21.1
     """
     # twice a negative log-likelihood may be below zero, where noise is small
-    least = min(0.0, float(behind.min(initial=0.0)), float(ahead.min(initial=0.0)))
-    gains = np.sqrt(behind - least) - np.sqrt(ahead - least)
-    sure = _self_normalized(gains)
+    least = min(0.0, *(float(sums.min(initial=0.0)) for sums in (behind, ahead, noise)))
+    roots = np.sqrt(np.stack([behind, ahead]) - least)
+    gains = roots[0] - roots[1]
+    left = (roots - np.sqrt(noise - least))[int(gains.sum() > 0)]
+    errors = np.minimum(np.maximum(left, _NOISE_OF_GAIN), np.abs(gains))
+    z = _ratio(gains, errors)
     if not by_rank:
-        return sure
-    return max(sure, _self_normalized(np.sign(gains) * stats.rankdata(np.abs(gains))))
+        return z
+    ranks = np.sign(gains) * stats.rankdata(np.abs(gains))
+    return max(z, _ratio(ranks, ranks))
 
 
-def _self_normalized(gains: Array) -> float:
-    """Self-normalised sum: sum of gains (B,) over the root of their sum of squares."""
-    return float(gains.sum()) / max(float(np.sqrt(np.sum(gains**2))), 1e-12)
+def _ratio(gains: Array, errors: Array) -> float:
+    """Sum of gains (B,) over the root of the sum of squares of their standard errors (B,)."""
+    return float(gains.sum()) / max(float(np.sqrt(np.sum(errors**2))), 1e-12)
 
 
 def _z(*parts: tuple[int, float, Array]) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 
 from loose_env.gap.fitting.confidence_intervals import Intervals
 from loose_env.gap.fitting.gauss_newton import Fit
-from loose_env.gap.fitting.holdout_score import z_score
+from loose_env.gap.fitting.holdout_score import residual_z
 from loose_env.gap.fitting.refit import fit_without
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.parameter import free_of, values_of
@@ -57,9 +57,9 @@ def short_of_limit(
         free[own] = here + share * (limit - here)
         tried.append(free)
     residuals = comparison.residuals([fitted.structure.hypothesis(free) for free in tried])
-    blocks = comparison.by_block(fitted.residual**2)
     leads = [
-        z_score(comparison.by_block(r**2), blocks, by_rank=effect.has_stops) for r in residuals
+        residual_z(comparison, residual, fitted.residual, by_rank=effect.has_stops)
+        for residual in residuals
     ]
     if not leads[-1] >= ACCEPTED_Z:
         return intervals
@@ -93,7 +93,7 @@ def short_of_nothing(
     if effect.nothing is None or not have_stops(fitted.effects):
         return intervals
     without = fit_without(comparison, fitted, effect).residual
-    improvement = z_score(comparison.by_block(without**2), comparison.by_block(fitted.residual**2))
+    improvement = residual_z(comparison, without, fitted.residual)
     if not improvement >= ACCEPTED_Z:
         return intervals
     own = fitted.structure.slice_of(effect)

@@ -33,12 +33,14 @@ def left(level: float, *, named: bool = False, quieter: float = 1.0) -> ScoredFi
     own = np.where(COMPARED.rows.block % 2 == 0, quieter, 1.0)
     residual, held = level * own * rng.normal(size=(2, len(COMPARED)))
     blocks = [COMPARED.by_block(r**2) for r in (held, residual)]
+    noise = COMPARED.by_block(np.ones(len(COMPARED)))
     return ScoredFit(
         fitted=Fit(
             structure=structure, free=free, residual=residual,
             jacobian=np.zeros((0, len(free))), cost=float(residual @ residual),
         ),
         held_out_residual=held, held_out_blocks=blocks[0], training_blocks=blocks[1],
+        held_out_noise=noise, training_noise=noise,
         held_out_products=np.tile(blocks[0], (3, 1)), training_products=np.tile(blocks[1], (3, 1)),
         channel_products=np.zeros((2, 1)),
     )  # fmt: skip
@@ -122,4 +124,18 @@ def test_a_blow_that_is_missed_does_not_outweigh_what_a_part_with_stops_explains
     # of what explains nothing ranks say nothing, however many blows it misses
     rng = np.random.default_rng(2)
     chance = rng.normal(size=40) ** 2
-    assert abs(z_score(chance, rng.permutation(chance), by_rank=True)) < ACCEPTED_Z
+    assert abs(z_score(chance, rng.permutation(chance), np.ones(40), by_rank=True)) < ACCEPTED_Z
+
+
+def test_an_effect_in_few_blocks_is_as_sure_as_it_is_large_where_noise_is_left() -> None:
+    rng = np.random.default_rng(3)
+    noise = np.full(40, 100.0)
+    without = rng.chisquare(100, size=40)
+    with_it = without.copy()
+    without[:3] += 300.0
+    assert z_score(without, with_it, noise) > 10 > -10 > z_score(with_it, without, noise)
+    # where as much is left above the noise, three blocks are three that agree
+    assert z_score(without + 900.0, with_it + 900.0, noise) < CONFIRMED_Z
+    # what chance alone explains is no surer than before
+    redrawn = np.array([z_score(*rng.chisquare(100, size=(2, 40)), noise) for _ in range(400)])
+    assert abs(redrawn.mean()) < 0.2 and redrawn.std() < 1.4

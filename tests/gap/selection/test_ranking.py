@@ -54,8 +54,10 @@ def scored(effects: list[Effect], level: float, seed: int) -> ScoredFit:
         jacobian=np.zeros((0, len(free))), cost=float(residual @ residual),
     )  # fmt: skip
     blocks = [COMPARED.by_block(r**2) for r in (held, residual)]
+    noise = COMPARED.by_block(np.ones(len(COMPARED)))
     return ScoredFit(
         fitted=fitted, held_out_residual=held, held_out_blocks=blocks[0], training_blocks=blocks[1],
+        held_out_noise=noise, training_noise=noise,
         held_out_products=np.tile(blocks[0] - blocks[0].min(), (3, 1)) + level**2,
         training_products=np.tile(blocks[1] - blocks[1].min(), (3, 1)) + level**2,
         channel_products=np.ones((2, 1)),

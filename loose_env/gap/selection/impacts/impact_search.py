@@ -14,7 +14,7 @@ import numpy as np
 
 from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
 from loose_env.gap.fitting.gauss_newton import Fit, FitSettings, fit, sensitivities
-from loose_env.gap.fitting.holdout_score import z_score
+from loose_env.gap.fitting.holdout_score import residual_z
 from loose_env.gap.fitting.model_structure import ModelStructure
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -195,7 +195,7 @@ class _Left:
     def improvement_of(self, behind: _Left) -> tuple[float, float]:
         """Return the improvement (z) on the training runs and on the held-out runs."""
         first, second = (
-            z_score(impact_power.by_block(more**2), impact_power.by_block(less**2))
+            residual_z(impact_power, more, less)
             for (impact_power, less), (_, more) in (
                 (self.fitted, behind.fitted),
                 (self.held, behind.held),

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from loose_env.gap.fitting.gauss_newton import BESIDE_STOPS, Fit, FitSettings, cost_of, fit
-from loose_env.gap.fitting.holdout_score import z_score
+from loose_env.gap.fitting.holdout_score import residual_z
 from loose_env.gap.fitting.model_structure import ModelStructure
 from loose_env.gap.fitting.refit import refined
 from loose_env.gap.model.effect import have_stops
@@ -111,19 +111,17 @@ class WindowFits:
             return [], best
         if best is None or found[0].cost <= best.cost:
             best = found[0]
-        blocks = self.short.by_block(best.residual**2)
         kept = [
             each
             for each in found
             if each.cost < ratio * best.cost
-            or z_score(self.short.by_block(each.residual**2), blocks) < ACCEPTED_Z
+            or residual_z(self.short, each.residual, best.residual) < ACCEPTED_Z
         ]
         return kept, best
 
     def z_of(self, each: Fit) -> float:
         """Return the improvement (z) of a fit over the current model."""
-        before, after = (self.short.by_block(fitted.residual**2) for fitted in (self.before, each))
-        return z_score(before, after)
+        return residual_z(self.short, self.before.residual, each.residual)
 
     def left_by(self, each: Fit) -> float:
         """Share of the autocorrelated residual that a fit leaves; 0 where it is white."""
