@@ -41,11 +41,7 @@ from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Healthy, StructuralLooseness
 from loose_env.report import (
-    INK,
-    MUTED,
-    pyplot,
     rounded,
-    save_figure,
     stored_rows,
     study_head,
     write_study,
@@ -58,6 +54,13 @@ from loose_env.statistics import (
     transmission_change,
 )
 from loose_env.typing import Array
+from scripts.study_parts.holding_tables import (
+    ESTIMATORS,
+    LINES,
+    STIFF,
+    draw_holding,
+    print_holding,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 ARMS: dict[str, Callable[[], Arm]] = {
@@ -65,27 +68,6 @@ ARMS: dict[str, Callable[[], Arm]] = {
     "planar3v": lambda: planar(3, vertical=True),
     "six_axis": six_axis,
 }
-TITLES = {
-    "planar3": "planar, 3 links, horizontal",
-    "planar3v": "planar, 3 links, vertical",
-    "six_axis": "six axes",
-}
-ESTIMATORS = {
-    "lowest": "lowest coherence",
-    "reference_encoder": "against healthy records, encoder",
-    "reference_command": "against healthy records, command",
-    "reference_played": "same, each less the model's answer",
-    "kinematic_encoder": "against kinematics, encoder",
-    "kinematic_command": "against kinematics, command",
-    "dynamic_encoder": "against dynamic model, encoder",
-    "dynamic_command": "against dynamic model, command",
-    "dynamic_played": "same, model fed with what was played",
-    "lines_healthy": "whole dynamic model, line by line, against healthy records",
-    "lines_nominal": "whole dynamic model, line by line, no healthy records",
-}
-DRAWN = ("lowest", "reference_command", "kinematic_command", "dynamic_command", "lines_healthy")
-LINES = {"lines_healthy": True, "lines_nominal": False}
-STIFF = "brake"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -334,128 +316,6 @@ def _with_gears(draw: Any, arm: Arm, geared: Any) -> Any:
     return dataclasses.replace(draw, stiffness=stiffness, damping=damping)
 
 
-# --- figures
-
-COLOURS = {
-    "lowest": "#4a8f5c",
-    "reference": "#0072b2",
-    "kinematic": "#d0451b",
-    "dynamic": "#8a5fbf",
-    "lines": "#1b2128",
-}
-
-
-def median_error(row: dict[str, Any], estimator: str) -> float:
-    """Median error of an estimator over all cases [deg]; nan where all are lost."""
-    values = row["errors"][estimator]
-    return float(np.median(values)) if values else float("nan")
-
-
-def draw_holding(rows: Sequence[dict[str, Any]], settings: Settings, path: Path) -> None:
-    """Draw the median error against the holding mode, a panel for each arm and holding."""
-    plt = pyplot()
-    kinds = {"servo": "joints on position servos", "gears": "brakes behind elastic gears"}
-    figure, axes = plt.subplots(
-        2,
-        len(settings.arms),
-        figsize=(1.0 + 3.5 * len(settings.arms), 6.6),
-        sharex=True,
-        sharey=True,
-        squeeze=False,
-    )
-    for i, (hold, label) in enumerate(kinds.items()):
-        for panel, name in zip(axes[i], settings.arms, strict=True):
-            stiff = [r for r in rows if r["arm"] == name and r["hold"] == STIFF]
-            own = [r for r in rows if r["arm"] == name and r["hold"] == hold]
-            own.sort(key=lambda r: -r["mode_hz"])
-            panel.axvspan(30, 150, color="#eef1f4", lw=0, zorder=0)
-            for e in DRAWN:
-                colour = COLOURS[e.partition("_")[0]]
-                x = [r["mode_hz"] for r in own]
-                y = [median_error(r, e) for r in own]
-                panel.plot(
-                    x,
-                    y,
-                    color=colour,
-                    lw=1.8,
-                    marker="o",
-                    ms=3.5,
-                    label=ESTIMATORS[e],
-                )
-                for r in stiff:
-                    height = median_error(r, e)
-                    panel.plot(600, height, "_", color=colour, ms=9, mew=2)
-            for r in own:
-                panel.text(
-                    r["mode_hz"],
-                    0.985,
-                    f"{np.median(r['change']):.1f}",
-                    transform=panel.get_xaxis_transform(),
-                    ha="center",
-                    va="top",
-                    fontsize=7,
-                    color=MUTED,
-                )
-            panel.set_xscale("log")
-            panel.set_xlim(750, 12)
-            panel.set_ylim(-2, 80)
-            panel.minorticks_off()
-            panel.set_xticks(
-                [600, 300, 150, 100, 70, 30, 15], ["brake", "300", "150", "100", "70", "30", "15"]
-            )
-            panel.set_title(f"{TITLES[name]}:\n{label}", fontsize=9.5, color=INK, loc="left")
-            if i == 1:
-                panel.set_xlabel("holding mode of each joint [Hz]")
-        axes[i, 0].set_ylabel("median error of the direction [deg]")
-    handles, names = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="upper left", ncols=3, frameon=False, fontsize=8)
-    figure.text(
-        0.008,
-        0.012,
-        "Along the top: median |ΔB|/|B| against healthy records. Shaded: band of the excitation. "
-        "Left: stiff brakes.",
-        fontsize=8,
-        color=MUTED,
-    )
-    figure.tight_layout(rect=(0, 0.03, 1, 0.915))
-    save_figure(plt, figure, path)
-
-
-# --- tables and files
-
-
-def print_holding(rows: Sequence[dict[str, Any]]) -> None:
-    """Print median errors, by arm, holding and mode."""
-    short = (
-        "lowest",
-        "ref.enc",
-        "ref.cmd",
-        "played",
-        "kin.enc",
-        "kin.cmd",
-        "dyn.enc",
-        "dyn.cmd",
-        "played",
-        "lines",
-        "l.nomin",
-    )
-    print(f"{'arm':<9} {'held by':<7} {'mode':>7} {'|dB|/|B|':>8} {'level':>6}", end=" ")
-    print(" ".join(f"{s:>8}" for s in short), end=" ")
-    print(" ".join(f"{'known':>8} {'link':>5}" for _ in LINES))
-    for r in rows:
-        change = np.median(r["change"])
-        errors = " ".join(f"{median_error(r, e):8.1f}" for e in ESTIMATORS)
-        named = " ".join(
-            f"{np.median(r['errors_link_known'][e]):8.1f} {100 * np.mean(r['link_right'][e]):4.0f}%"
-            for e in LINES
-        )
-        mode = "-" if r["hold"] == STIFF else f"{r['mode_hz']:.0f} Hz"
-        print(
-            f"{r['arm']:<9} {r['hold']:<7} {mode:>7} {change:6.2f} "
-            f"{100 * r['level_reached']:5.0f}% {errors} {named}"
-        )
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the study, print its tables, write its figures."""
     parser = argparse.ArgumentParser(
@@ -497,7 +357,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         report(f"{k + 1} of {len(plan)}: {key[0]}, {key[1]}, {key[2]:g} Hz")
         rows.append(rounded(holding_row(settings, *key, chosen.threads)))
         write_study(path, document, rows)
-    draw_holding(rows, settings, path.with_suffix(".png"))
+    draw_holding(rows, settings.arms, path.with_suffix(".png"))
     print_holding(rows)
     print(f"\npicture: {path.with_suffix('.png')}")
     report("done")

@@ -302,9 +302,8 @@ def draw(rows: list[Row], settings: Settings, path: Path) -> None:
         "direction": "#4a8f5c",
     }
     count = len(settings.arms)
-    figure, axes = plt.subplots(
-        1, count, figsize=(1.2 + 2.4 * count, 4.4), sharey=True, squeeze=False
-    )
+    size = (1.2 + 2.4 * count, 4.4)
+    figure, axes = plt.subplots(1, count, figsize=size, sharey=True, squeeze=False)
     for panel, name in zip(axes[0], settings.arms, strict=True):
         arm = arm_named(name)
         own = [r for r in rows if r["arm"] == name and r["step"] == r["candidate"]]

@@ -19,6 +19,7 @@ from loose_env.diagnosis import SensorFloor, predict
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import StructuralLooseness
 from loose_env.report import stored_rows, study_head, write_study
+from scripts.study_parts.holding_tables import median_error
 
 
 @pytest.fixture(scope="module")
@@ -60,10 +61,10 @@ def test_on_soft_gears_only_the_whole_dynamic_model_finds_the_direction(
     stiff = holding.holding_row(settings, "planar3", "brake", 800.0, 1)
     soft = holding.holding_row(settings, "planar3", "gears", 45.0, 1)
     assert stiff["lost"] == soft["lost"] == 0
-    assert holding.median_error(stiff, "reference_command") < 5
-    assert holding.median_error(soft, "kinematic_command") > 10
+    assert median_error(stiff, "reference_command") < 5
+    assert median_error(soft, "kinematic_command") > 10
     for estimator in ("lines_healthy", "lines_nominal"):
-        assert holding.median_error(soft, estimator) < 3
+        assert median_error(soft, estimator) < 3
         assert np.median(soft["errors_link_known"][estimator]) < 3
         assert np.mean(soft["link_right"][estimator]) > 0.6
         assert len(soft["evidence"][estimator]) == 6
