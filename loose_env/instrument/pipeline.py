@@ -132,7 +132,9 @@ class Workbench:
         clocks = clocks_of(self.uncertain, paired)
         lines = [clocks.corrected(one) for one in paired]
         say(f"weighing {len(self.arm.hypotheses)} hypotheses by {len(lines)} runs")
-        comparison = compare_hypotheses(self.uncertain, lines, healthy_prior=self.settings.sound)
+        comparison = compare_hypotheses(
+            self.uncertain, lines, healthy_prior=self.settings.healthy_prior
+        )
         best = comparison.best
         travel = None
         if best != HEALTHY and self.suspect:

@@ -15,7 +15,7 @@ __all__ = ["Comparison", "Condition", "Run"]
 
 
 Condition = Literal["suspect", "healthy"]
-"""Whether the arm was as it is judged, or is known to have been sound."""
+"""Whether the arm was as it is judged, or is known to have been healthy."""
 
 Comparison = Literal["forward", "inverse", "free"]
 """How a run is compared with a model.

@@ -57,7 +57,7 @@ EPISODES = 4000
 
 CLASSICAL = ("classical", "classical_literal", "images", "always_healthy", "always_unsure")
 """Reference first, then what every comparison shows beside it: the method's letter, its way by
-predicted directions, and the blind rows."""
+predicted directions, and the constant baselines."""
 
 NO_AGENTS = {"oracle": "knows the hidden direction and friction, which no agent is told"}
 """Rows that are no agents, and why; their names get a star."""

@@ -42,11 +42,14 @@ def threshold_table(source: str) -> str:
     | **Search** | | |
     | `LEAST_Z` | 3.0 | Smallest z-score |
     """
-    rows = ["| constant | value | meaning and reason |", "|---|---|---|"]
+    rows, part = ["| constant | value | meaning and reason |", "|---|---|---|"], ""
     for entry in _ENTRY.finditer(source):
         if entry["part"]:
-            rows.append(f"| **{entry['part']}** | | |")
+            part = f"| **{entry['part']}** | | |"
         else:
+            if part:  # sections without constants have no heading
+                rows.append(part)
+                part = ""
             meaning = " ".join(entry["meaning"].split()).rstrip(".")
             rows.append(f"| `{entry['name']}` | {entry['value']} | {meaning} |")
     return "\n".join(rows)

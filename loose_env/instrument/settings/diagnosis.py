@@ -20,19 +20,19 @@ class DiagnoseSettings(NextSettings):
 
     Examples
     --------
-    >>> DiagnoseSettings(sound=1.5)
+    >>> DiagnoseSettings(healthy_prior=1.5)
     Traceback (most recent call last):
     ...
-    loose_env.errors.InvalidSetting: sound is a probability between 0 and 1, got 1.5
+    loose_env.errors.InvalidSetting: healthy_prior is a probability between 0 and 1, got 1.5
     """
 
-    sound: float = 0.5
+    healthy_prior: float = 0.5
     """Probability, before any data, that nothing is loose."""
     sure: float = 0.98
     """Probability from which, after two runs, nothing more is to be measured; at most 0.995, for
     something else than all explanations stays possible."""
-    figures: float = Tolerances.figures
-    """Standard deviation of masses, inertias, rotors and drive gains of the model, relative."""
+    inertial_parameters: float = Tolerances.inertial_parameters
+    """Standard deviation of masses, inertias and rotor inertias of the model, relative."""
     damping: float = Tolerances.damping
     """Standard deviation of the joints' damping, relative."""
     length: float = Tolerances.length
@@ -62,7 +62,7 @@ class DiagnoseSettings(NextSettings):
             If a value is of another type or out of range.
         """
         super().__post_init__()
-        for name in ("sound", "sure"):
+        for name in ("healthy_prior", "sure"):
             value = getattr(self, name)
             if not (np.isfinite(value) and 0 < value < 1):
                 raise InvalidSetting(f"{name} is a probability between 0 and 1, got {value!r}")
@@ -91,7 +91,7 @@ class DiagnoseSettings(NextSettings):
     def tolerances(self) -> Tolerances:
         """Standard deviations of the errors of model and sensors."""
         return Tolerances(
-            figures=self.figures,
+            inertial_parameters=self.inertial_parameters,
             damping=self.damping,
             length=self.length,
             joint_zero=self.joint_zero,

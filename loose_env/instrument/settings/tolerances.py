@@ -16,13 +16,13 @@ class Tolerances:
 
     Examples
     --------
-    >>> Tolerances(figures=-1.0)
+    >>> Tolerances(inertial_parameters=-1.0)
     Traceback (most recent call last):
     ...
-    loose_env.errors.InvalidSetting: figures is a standard deviation above 0, got -1.0
+    loose_env.errors.InvalidSetting: inertial_parameters is a standard deviation above 0, got -1.0
     """
 
-    figures: float = 0.02
+    inertial_parameters: float = 0.02
     """Masses, inertias and rotor inertias, relative."""
     servo_gain: float = 0.1
     """Gains of servos and torque constants of motors, relative."""

@@ -97,7 +97,7 @@ def _runs(diagnosis: Diagnosis, hypothesis: str) -> str:
     steps = [r.probabilities for r in diagnosis.records if r.probabilities]
     if not steps:
         return "–"
-    before = float(diagnosis.settings.get("sound", 0.5))
+    before = float(diagnosis.settings.get("healthy_prior", 0.5))
     if hypothesis != HEALTHY:
         before = (1 - before) / max(len(diagnosis.posterior) - 1, 1)
     risen = 0

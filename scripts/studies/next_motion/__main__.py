@@ -189,8 +189,9 @@ def table(pair: Sequence[tuple[str, str]], steps: Sequence[Step]) -> list[str]:
         )
         lines.append(f"| {step.seconds:.0f} | {named(step.result)} | {told} | {gains} |")
     answer = {(e.kind, e.where) for e in steps[-1].result.effects}
-    right = "right" if answer == set(pair) else "not right"
-    lines += ["", f"The answer is {right}, after {len(steps) - 1} motions."]
+    right = "correctly" if answer == set(pair) else "incorrectly"
+    further = len(steps) - 1
+    lines += ["", f"Identified {right} after {further} further motion{'s' * (further != 1)}."]
     return lines
 
 

@@ -1,4 +1,4 @@
-"""The classical method and the blind rows."""
+"""The classical method and the constant baselines."""
 
 from __future__ import annotations
 

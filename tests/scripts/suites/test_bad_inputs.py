@@ -7,7 +7,7 @@ import pytest
 from scripts.suites.robustness.bad_inputs import INPUTS, row, table
 
 GOES_ON = (
-    "a sound recording of a model without actuators",
+    "a valid recording of a model without actuators",
     "1 % of a channel is 1e282",
     "a pause of 30 s",
 )

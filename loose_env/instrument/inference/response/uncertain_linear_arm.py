@@ -88,7 +88,11 @@ class UncertainArm:
         names: list[str] = []
         self._changed: list[LinearArm] = []
         t = tolerances
-        for field, size in (("length", t.length), ("mass", t.figures), ("inertia", t.figures)):
+        for field, size in (
+            ("length", t.length),
+            ("mass", t.inertial_parameters),
+            ("inertia", t.inertial_parameters),
+        ):
             for link in range(n):
                 factor = getattr(none, field).copy()
                 factor[_bodies_of(arm, link)] += size
@@ -192,7 +196,10 @@ class UncertainArm:
         jacobian = [m.jacobian - nominal.jacobian for m in moved]
         for j in range(n):
             rotor = np.zeros(size)
-            rotor[j, j] = self.tolerances.figures * linear.model.dof_armature[linear.joint_dofs[j]]
+            rotor[j, j] = (
+                self.tolerances.inertial_parameters
+                * linear.model.dof_armature[linear.joint_dofs[j]]
+            )
             inertia.append(rotor)
             jacobian.append(np.zeros_like(nominal.jacobian))
         for k in self.places:

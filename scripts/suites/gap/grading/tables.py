@@ -69,29 +69,29 @@ def summary(grades: Sequence[Grade]) -> list[tuple[str, str, str]]:
     found = sum(g.found for g in by["pair"])
     seconds = [g.seconds for g in grades if np.isfinite(g.seconds)]
     rows = [
-        ("single effects, kind and place right", "at least 97 %", _right(by["single"])),
-        ("pairs, both right", "at least 88 %", _right(by["pair"])),
+        ("single effects, kind and location correct", "at least 97 %", _right(by["single"])),
+        ("pairs, both correct", "at least 88 %", _right(by["pair"])),
         ("effects of pairs found", "at least 95 %", share(found, 2 * len(by["pair"]))),
-        ("triples, all three right", "at least 70 %", _right(by["triple"])),
+        ("triples, all three correct", "at least 70 %", _right(by["triple"])),
         ("effects of triples found", "at least 90 %", _found(by["triple"])),
         ("effects of whole machines found", "at least 85 %", _found(machines)),
-        ("effects named in whole machines that are there", "at least 95 %",
+        ("effects identified in whole machines that are there", "at least 95 %",
          share(sum(g.found for g in machines), sum(len(g.said) for g in machines))),
-        ("a further, false effect beside the right ones", "at most 3 %",
+        ("a further, false effect beside the true ones", "at most 3 %",
          share(sum(len(g.said) > len(g.truth) for g in whole), len(whole))),
         ("false alarms with nothing missing", "at most 2 %",
          share(sum(not g.right for g in by["none"]), len(by["none"]))),
-        ("outside the catalogue, said to be unexplained", "at least 90 %", _right(outside)),
-        ("held-out gap before, median [noise sd]", "", _median(before)),
-        ("held-out gap after, representable effects, median [noise sd]", "at most 1.25",
+        ("outside the catalogue, called unexplained", "at least 90 %", _right(outside)),
+        ("held-out RMS residual before, median [noise sd]", "", _median(before)),
+        ("held-out RMS residual after, representable effects, median [noise sd]", "at most 1.25",
          _median(after)),
         ("error of parameters, median", "at most 10 %",
          f"{100 * np.median(errors):.1f} %" if errors else "none"),
         ("parameters within 10 % of the truth", "",
          share(sum(error <= CLOSE for error in errors), len(errors))),
-        ("95 % intervals that hold the truth", "92 to 97 %", share(sum(covered), len(covered))),
+        ("95 % intervals that cover the true value", "92 to 97 %", share(sum(covered), len(covered))),
         ("the same of further parameters", "92 to 97 %", share(sum(others), len(others))),
-        ("gap of the written model in plain MuJoCo over the fit's, median and largest", "",
+        ("residual of the exported model in plain MuJoCo over the fit's, median and largest", "",
          f"{np.median(exported):.3f}, {max(exported):.3f} ({len(exported)} cases)"
          if exported else "none"),
         ("time of one run on one core, median and largest [s]", "",
@@ -120,9 +120,9 @@ def confusion(grades: Sequence[Grade]) -> tuple[list[str], list[str], np.ndarray
     Returns
     -------
     rows : list of str
-        What is true: kinds, and `no_gap`.
+        Truth: kinds, and `no_gap`.
     columns : list of str
-        What was said: kinds, `no_gap`, `unexplained`, `several`, `elsewhere`,
+        Result: kinds, `no_gap`, `unexplained`, `several`, `elsewhere`,
         `failed`.
     counts : ndarray
         Of shape (rows, columns).
@@ -159,7 +159,7 @@ def markdown(grades: Sequence[Grade]) -> str:
     used = [c for c in range(len(columns)) if counts[:, c].any()]
     legend = ["kinds by the numbers of their rows"]
     legend += [" ".join(SIGNS[columns[c]]) for c in used if columns[c] in SIGNS]
-    parts += ["", f"What was true (rows) and what was said (columns: {'; '.join(legend)}):"]
+    parts += ["", f"True effect (rows) and result (columns: {'; '.join(legend)}):"]
     parts += ["", "| | " + " | ".join(_short(columns, c) for c in used) + " |"]
     parts += ["| --- |" + " ---: |" * len(used)]
     for r, row in enumerate(rows):
@@ -167,7 +167,7 @@ def markdown(grades: Sequence[Grade]) -> str:
             cells = [_marked(counts[r, c], right=columns[c] == _expected(row)) for c in used]
             number = _short(columns, columns.index(_expected(row)))
             parts.append(f"| {number}\N{NO-BREAK SPACE}{row} | " + " | ".join(cells) + " |")
-    parts += ["", "| size over just visible | single effects right |", "| --- | --- |"]
+    parts += ["", "| size over just visible | single effects correct |", "| --- | --- |"]
     singles = [g for g in grades if g.role == "single"]
     for low, high in ((0.0, 2.0), (2.0, 5.0), (5.0, 12.0), (12.0, np.inf)):
         within = [g for g in singles if low <= g.ratio < high]
@@ -177,14 +177,14 @@ def markdown(grades: Sequence[Grade]) -> str:
 
 
 def lines_of_cases(cases: Sequence[tuple[int, Grade, str]]) -> str:
-    """What was true and what was said in cases, as markdown.
+    """Truth and result of cases, as markdown.
 
     Parameters
     ----------
     cases : sequence of (int, Grade, str)
         Number, marks, and what went wrong where a case failed.
     """
-    lines = ["| case | runs | true | over just visible | said | gap |"]
+    lines = ["| case | runs | true | over just visible | result | residual |"]
     lines += ["| ---: | --- | --- | ---: | --- | --- |"]
     for number, g, error in cases:
         size = f"{g.ratio:.1f}" if np.isfinite(g.ratio) else ""
@@ -231,7 +231,7 @@ def text(grades: Sequence[Grade]) -> str:
     lines = [f"{what:<{width}}  {target:<14} {got}" for what, target, got in rows_of_summary]
     rows, columns, counts = confusion(grades)
     used = [c for c in range(len(columns)) if counts[:, c].any()]
-    lines += ["", "confusion: rows true, columns said"]
+    lines += ["", "confusion: rows true, columns result"]
     lines += [f"  [{i + 1}] {columns[c]}" for i, c in enumerate(used)]
     lines.append(" " * 22 + "".join(f"{f'[{i + 1}]':>5}" for i in range(len(used))))
     for r, row in enumerate(rows):

@@ -38,9 +38,9 @@ LABELS: Mapping[str, str] = {
 }
 """Names in the table."""
 _HEAD = (
-    "method", "single effects right", "effects found", "named effects that are there",
+    "method", "single effects correct", "effects found", "named effects that are there",
     "false alarms, nothing missing", "outside the catalogue, nothing named",
-    "error of parameters, median", "held-out gap after, median [noise sd]", "time, median [s]",
+    "error of parameters, median", "held-out RMS residual after, median [noise sd]", "time, median [s]",
 )  # fmt: skip
 
 

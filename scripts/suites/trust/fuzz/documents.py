@@ -204,7 +204,7 @@ def diagnosis_result() -> bytes:
         model="model.xml",
         warnings=("one record",),
         records=(record,),
-        settings={"poses": 2, "seconds": 1.0, "sound": 0.5, "most_tool": 2.0},
+        settings={"poses": 2, "seconds": 1.0, "healthy_prior": 0.5, "most_tool": 2.0},
         directions={"lower": SlideDirection(axis=(0.0, 1.0, 0.0), half_angle_deg=9.0)},
     )
     return result.to_json().encode()

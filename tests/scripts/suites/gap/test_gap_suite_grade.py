@@ -132,9 +132,11 @@ def test_the_tables_count_every_case():
         assert counts[row, columns.index(column)] == 1
     assert counts.sum() == len(grades)
     measured = {what: got for what, _, got in summary(grades)}
-    assert measured["single effects, kind and place right"].startswith("1/4 = 25 %")
+    assert measured["single effects, kind and location correct"].startswith("1/4 = 25 %")
     assert measured["false alarms with nothing missing"].startswith("0/1")
-    assert measured["held-out gap after, representable effects, median [noise sd]"] == "1.10"
+    assert (
+        measured["held-out RMS residual after, representable effects, median [noise sd]"] == "1.10"
+    )
     assert "? unexplained" in markdown(grades) and "! failed" not in markdown(grades)
     assert "| ?\N{NO-BREAK SPACE}shaking_force |" in markdown(grades)
     number = CATALOGUE.index("coulomb_friction") + 1
