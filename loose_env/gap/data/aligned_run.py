@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.data.initial_rest import comes_to_rest, stays
-from loose_env.gap.data.noise_floor import noise_floor
+from loose_env.gap.data.noise_floor import noise_floor, resolution_of
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Run
 from loose_env.typing import Array
@@ -276,6 +276,8 @@ def _start(
     for name, values in run.sensors.items():
         sensor = model.sensor(name)
         if int(sensor.type[0]) == mujoco.mjtSensor.mjSENS_JOINTPOS:
+            if not np.isfinite(values).any():
+                continue  # never read: the noted pose stays
             number = int(sensor.objid[0])
             motion[machine.joints[number]] = values
             position[number], speed[number], still = _line(time, values)
@@ -285,7 +287,11 @@ def _start(
         if int(sensor.type[0]) == mujoco.mjtSensor.mjSENS_JOINTVEL:
             first = values[: max(3, int(np.searchsorted(time, 0.005)))]
             if np.isfinite(first).any():
-                speed[int(sensor.objid[0])] = float(np.nanmean(first))
+                number = int(sensor.objid[0])
+                speed[number] = float(np.nanmean(first))
+                moves = abs(speed[number]) > 4.0 * noise_floor(values)
+                encoder = motion.get(machine.joints[number])
+                resting &= not (moves and _allows(time, encoder, speed[number]))
     if resting:
         speed[:] = 0.0
     return position, speed, resting, motion
@@ -314,13 +320,26 @@ def _across(time: Array, values: Array) -> tuple[float, float, bool]:
     return float(v[after - 1] - slope * t[after - 1]), slope, False
 
 
+def _allows(time: Array, positions: Array | None, speed: float) -> bool:
+    """Return whether readings that look at rest are too coarse to contradict a speed."""
+    if positions is None:
+        return True
+    travel = abs(speed) * float(time[min(_count(time), len(time)) - 1] - time[0])
+    return travel <= resolution_of(positions) + 4.0 * noise_floor(positions)
+
+
+def _count(time: Array) -> int:
+    """Number of the first samples, from which the start is read."""
+    return int(np.clip(np.searchsorted(time, _REST), 8, len(time)))
+
+
 def _line(time: Array, values: Array, *, whole: bool = False) -> tuple[float, float, bool]:
     """Value and slope at time 0 by a parabola, and whether it is at rest there.
 
     Fitted to the first samples, or to all of them. At rest means a slope of less than three
     standard errors.
     """
-    count = len(time) if whole else int(np.clip(np.searchsorted(time, _REST), 8, len(time)))
+    count = len(time) if whole else _count(time)
     good = np.isfinite(values[:count])
     if good.sum() < 4:
         good = np.isfinite(values)

@@ -13,13 +13,15 @@ from loose_env.errors import InvalidData
 from loose_env.importing import median_step
 from loose_env.recording import FEWEST_SAMPLES, Run, set_aside
 
-__all__ = ["measured_runs", "pieces_of"]
+__all__ = ["file_of", "measured_runs", "pieces_of"]
 
 _PAUSE_S = 1.0
 """Shortest time without a row that is a pause [s]: what the machine does in a second without
 record is unknown, and a clock that jumps would be simulated through."""
 _PAUSE_STEPS = 20.0
 """The same in median steps [1]: a slow recorder does not pause between its rows."""
+_PIECE = ", from "
+"""Between the file and the start of a piece in its name."""
 
 
 def measured_runs(
@@ -63,6 +65,17 @@ def measured_runs(
     return found, tuple(words)
 
 
+def file_of(name: str) -> str:
+    """File of a run or of a piece of one.
+
+    Examples
+    --------
+    >>> file_of("run-3.csv, from 50 s"), file_of("run-4.csv")
+    ('run-3.csv', 'run-4.csv')
+    """
+    return name.rpartition(_PIECE)[0] or name
+
+
 def pieces_of(run: Run) -> list[Run]:
     """Cut a run where its recorder paused or its clock jumped.
 
@@ -86,7 +99,7 @@ def pieces_of(run: Run) -> list[Run]:
         return [run]
     edges = [0, *map(int, cuts), run.samples]
     pieces = [
-        replace(run.part(slice(first, last)), name=f"{run.name}, from {run.time[first]:.10g} s")
+        replace(run.part(slice(first, last)), name=f"{run.name}{_PIECE}{run.time[first]:.10g} s")
         for first, last in pairwise(edges)
         if last - first >= FEWEST_SAMPLES
     ]

@@ -41,8 +41,21 @@ def noise_floor(values: Array) -> float:
     if good.sum() < 10:
         return float("nan")
     filled = np.interp(np.arange(len(values)), np.flatnonzero(good), values[good])
-    white = float(np.median(_tops(filled))) / _MEDIAN
+    white = float(np.median(_tops(filled))) / _gain(good)
     return max(white, resolution_of(values) / float(np.sqrt(12)), 1e-12)
+
+
+def _gain(good: Array) -> float:
+    """Median of a window's figure over the standard deviation, where some samples are read (T,).
+
+    Interpolation across missing samples smooths the noise: white noise tells by how much.
+    """
+    if good.all():
+        return _MEDIAN
+    unit = np.random.default_rng(0).standard_normal(len(good))
+    return float(
+        np.median(_tops(np.interp(np.arange(len(good)), np.flatnonzero(good), unit[good])))
+    )
 
 
 def channel_floor(values: Array) -> float:

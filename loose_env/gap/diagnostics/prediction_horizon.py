@@ -16,6 +16,7 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 from loose_env.arms import quiet
+from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -26,7 +27,9 @@ from loose_env.gap.simulation.sensor_timing import (
     STATES,
     changes_within,
     commands_at,
+    late_sensors,
     readings_at,
+    states_before,
 )
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.gap.simulation.time_step import stepped
@@ -184,6 +187,9 @@ def _whole(simulator: Simulator, hypothesis: Hypothesis, trial: Trial) -> _Whole
     )
     batch.qvel[0] = 0.0
     batch.qvel[0, dofs] = trial.speed + (0.0 if hypothesis.speed is None else hypothesis.speed[0])
+    held_filters = activations(model, controls[0, :1], trial.step)
+    if held_filters is not None:
+        batch.act[0] = held_filters[0]
     moved = with_terms(batch, machine, [hypothesis])
     if trial.resting:
         held = np.repeat(controls[:, :1], round(SETTLE / trial.step), axis=1)
@@ -227,7 +233,9 @@ def _restarted(
     batch.qvel[:, dofs] += drift
     batch.time[:] = trial.time[starts]
     moved = with_terms(batch, machine, [hypothesis] * len(starts))
-    shown = _shown(simulator, hypothesis, trial, model, passed, *_followed(moved, batch, controls))
+    states, record = _followed(moved, batch, controls)
+    earlier_states = [{n: v[:first] for n, v in whole.states.items()} for first in at]
+    shown = _shown(simulator, hypothesis, trial, model, passed, states, record, earlier_states)
     found = []
     for k, first in enumerate(starts):
         until = trial.time[first] + longest * (1 + 1e-9)
@@ -316,21 +324,36 @@ def _shown(
     steps: NDArray[np.intp],
     states: dict[str, Array],
     found: dict[str, Array],
+    earlier: Sequence[dict[str, Array]] | None = None,
 ) -> Array:
     """Sensor values (sims, steps, sensors).
 
-    `steps` are those of the run which each simulation passes (sims, steps).
+    `steps` are those of the run which each simulation passes (sims, steps), `earlier` the states
+    before the first of them, which delayed sensors show.
     """
-    shown = found["sensordata"]
-    if not changes_within(simulator.machine, hypothesis, simulator.channels):
+    machine, threads, shown = simulator.machine, simulator.threads, found["sensordata"]
+    within = changes_within(machine, hypothesis, simulator.channels)
+    late = late_sensors(hypothesis, simulator.channels)
+    if not (within or late):
         return shown
     clock = np.arange(trial.steps, dtype=float) * trial.step
     commands = commands_at(hypothesis, clock, trial.controls)
     for k in np.flatnonzero(np.isfinite(shown).all(axis=(1, 2))):
         own = {name: values[k] for name, values in states.items()}
-        shown[k] = readings_at(
-            simulator.machine, hypothesis, model, own, commands[steps[k]], simulator.threads
-        )
+        if within:
+            shown[k] = readings_at(machine, hypothesis, model, own, commands[steps[k]], threads)
+        first = 0
+        if late and earlier is not None:
+            first = len(earlier[k]["qpos"])
+            own = {name: np.concatenate([earlier[k][name], values]) for name, values in own.items()}
+        for name, delay in late.items():
+            then = (first + np.arange(len(steps[k]))) * trial.step - delay
+            held = np.clip(np.floor(then / trial.step + 1e-9).astype(int), 0, trial.steps - 1)
+            before = states_before(own, then, trial.step)
+            read = readings_at(machine, hypothesis, model, before, commands[held], threads)
+            sensor = model.sensor(name)
+            columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
+            shown[k][:, columns] = read[:, columns]
     return shown
 
 

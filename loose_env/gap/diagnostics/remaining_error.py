@@ -10,6 +10,7 @@ import numpy as np
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
 from loose_env.gap.diagnostics.localisation import location_words
 from loose_env.gap.fitting.holdout_score import ScoredFit
+from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
@@ -82,11 +83,12 @@ def remaining_motions(
     Returns
     -------
     tuple of JointMotion or None
-        None where that torque is not known: an effect adds motion that nothing measures, or says
-        that the readings are not what they seem.
+        None where that torque is not known: an effect adds motion that nothing measures, says that
+        the readings are not what they seem, or has a torque that depends on the drive's.
     """
     pairs = hypothesis.pairs
-    if any(effect.adds_motion or type(effect).read is not Effect.read for effect, _ in pairs):
+    inverse = any(trial.form == "inverse" for trial in comparison.trials)
+    if any(_torque_unknown(effect, inverse=inverse) for effect, _ in pairs):
         return None
     spec = machine.spec.copy()
     hypothesis.edit(spec)
@@ -103,6 +105,18 @@ def remaining_motions(
         )
         found.append(_with_torques(motion, pairs))
     return tuple(found)
+
+
+def _torque_unknown(effect: Effect, *, inverse: bool) -> bool:
+    """Return whether a model with the effect does not tell the joint torque of a motion."""
+    own = type(effect)
+    if effect.adds_motion or own.read is not Effect.read or isinstance(effect, DrivenEffect):
+        return True
+    # of torques compared with motion these are parts that no MJCF has
+    return inverse and (
+        own.unseen_torque is not Effect.unseen_torque
+        or own.sensed_torque is not Effect.sensed_torque
+    )
 
 
 def _with_torques(motion: JointMotion, pairs: Sequence[tuple[Effect, Array]]) -> JointMotion:

@@ -41,7 +41,7 @@ __all__ = ["MotionSignatures", "SignatureBank", "signature_bank"]
 
 _FORMAT = "gap signatures 2"
 """Version of what is stored; a change of the computation changes it."""
-_CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "loose_env" / "gap"
+_CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored banks."""
 
 _ALIKE = 2.0

@@ -75,8 +75,7 @@ def check_motion(motion: Motion, arm: ServoArm) -> MotionCheck:
     commands = motion.commands(arm)
     model: mujoco.MjModel = arm.model
     data = mujoco.MjData(model)
-    if model.nkey:
-        data.qpos[:] = model.key_qpos[0]
+    data.qpos[:] = arm.rest_position
     data.qpos[arm.driven] = arm.home
     parts = round(1.0 / (arm.sensing.rate * model.opt.timestep))
     controls = arm.controls(commands)
@@ -157,8 +156,7 @@ def loaded_poses(arm: ServoArm, *, poses: int = 400, seed: int = 0) -> tuple[Arr
     for _ in range(poses):
         pose = np.clip(arm.home + rng.uniform(-1, 1, len(half)) * half, low + 0.2, high - 0.2)
         pose = np.where(high - low > 0.8, pose, middle)
-        if model.nkey:
-            data.qpos[:] = model.key_qpos[0]
+        data.qpos[:] = arm.rest_position
         data.qpos[arm.driven] = pose
         data.qvel[:] = 0.0
         mujoco.mj_forward(model, data)

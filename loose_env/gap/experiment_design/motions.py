@@ -82,6 +82,10 @@ class Motion:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise InvalidSetting(f"{name} is above 0 {unit}, got {value!r}")
+        if self.highest <= _LOWEST:
+            raise InvalidSetting(
+                f"highest is above {_LOWEST:g} Hz, the lowest frequency, got {self.highest!r}"
+            )
 
     @property
     def words(self) -> str:

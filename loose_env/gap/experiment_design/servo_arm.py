@@ -10,6 +10,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.arms import load_spec
 from loose_env.errors import InvalidData, InvalidSetting
@@ -32,8 +33,8 @@ class Sensing:
 
     Examples
     --------
-    >>> Sensing(encoder_steps=4096).encoder_sd > Sensing().encoder_sd
-    True
+    >>> Sensing(encoder_steps=1000).quantum(np.array([True, False])).round(5).tolist()
+    [0.00628, 0.001]
     """
 
     rate: float = 250.0
@@ -58,15 +59,13 @@ class Sensing:
                 f"{self.torque_noise!r}"
             )
 
-    @property
-    def quantum(self) -> float:
-        """Step of an encoder [rad, m]."""
-        return 2 * np.pi / self.encoder_steps
+    def quantum(self, turning: NDArray[np.bool_]) -> Array:
+        """Step of each encoder, of hinges and of slides [rad, m] (J,)."""
+        return np.where(turning, 2 * np.pi, 1.0) / self.encoder_steps
 
-    @property
-    def encoder_sd(self) -> float:
-        """Standard deviation of a reading, quantisation as white noise [rad, m]."""
-        return float(np.hypot(self.encoder_noise, self.quantum / np.sqrt(12)))
+    def encoder_sd(self, turning: NDArray[np.bool_]) -> Array:
+        """Standard deviation of readings, quantisation as white noise [rad, m] (J,)."""
+        return np.asarray(np.hypot(self.encoder_noise, self.quantum(turning) / np.sqrt(12)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +169,7 @@ class ServoArm:
         return tuple(self.model.joint(int(k)).name for k in self.driven)
 
     @cached_property
-    def turning(self) -> Array:
+    def turning(self) -> NDArray[np.bool_]:
         """Whether each driven joint is a hinge (J,)."""
         return np.asarray(self.model.jnt_type[self.driven] == _HINGE)
 
@@ -178,14 +177,22 @@ class ServoArm:
     def home(self) -> Array:
         """Home pose: key "home", else the first key, else the middle of each range (J,)."""
         model = self.model
-        if model.nkey:
-            names = [model.key(k).name for k in range(model.nkey)]
-            key = names.index("home") if "home" in names else 0
-            pose = model.key_qpos[key]
-        else:
-            middle = model.jnt_range.mean(axis=1)
-            pose = np.where(model.jnt_limited, middle, model.qpos0)
-        return np.asarray(pose[self.driven], dtype=float)
+        if self._key is not None:
+            return np.asarray(self.rest_position[self.driven], dtype=float)
+        middle = model.jnt_range.mean(axis=1)
+        return np.asarray(np.where(model.jnt_limited, middle, model.qpos0)[self.driven])
+
+    @cached_property
+    def _key(self) -> int | None:
+        """Number of the key of the home pose; None without keys."""
+        names = [self.model.key(k).name for k in range(self.model.nkey)]
+        return (names.index("home") if "home" in names else 0) if names else None
+
+    @property
+    def rest_position(self) -> Array:
+        """Positions of all joints with the driven ones anywhere: of the home pose's key (nq,)."""
+        pose = self.model.qpos0 if self._key is None else self.model.key_qpos[self._key]
+        return np.array(pose, dtype=float)
 
     @cached_property
     def ranges(self) -> tuple[Array, Array]:
@@ -235,7 +242,7 @@ class ServoArm:
     @cached_property
     def noise(self) -> Array:
         """Noise standard deviation of each channel (2 J,)."""
-        positions = np.full(len(self.joints), self.sensing.encoder_sd)
+        positions = self.sensing.encoder_sd(self.turning)
         return np.concatenate([positions, self.sensing.torque_noise * self.torque_limits])
 
     @cached_property
@@ -248,8 +255,8 @@ class ServoArm:
     def controls(self, commands: Array) -> Array:
         """Inputs of all actuators (n, nu) for desired positions of the driven joints (n, J)."""
         given = np.zeros((len(commands), self.model.nu))
-        if self.model.nkey:
-            given[:] = self.model.key_ctrl[0]
+        if self._key is not None:
+            given[:] = self.model.key_ctrl[self._key]
         given[:, self.actuators] = commands
         return given
 
@@ -295,7 +302,7 @@ class ServoArm:
         step = float(self.machine.model.opt.timestep)
         parts = round(1.0 / (self.sensing.rate * step))
         controls = np.repeat(self.controls(commands), parts, axis=0)[: (count - 1) * parts + 1]
-        position = self.model.qpos0.copy() if not self.model.nkey else self.model.key_qpos[0].copy()
+        position = self.rest_position
         position[self.driven] = self.home
         return Trial(
             name="motion",
@@ -317,7 +324,8 @@ class ServoArm:
         found = readings + rng.normal(size=readings.shape) * np.concatenate(
             [np.full(count, self.sensing.encoder_noise), self.noise[count:]]
         )
-        found[:, :count] = self.sensing.quantum * np.round(found[:, :count] / self.sensing.quantum)
+        quantum = self.sensing.quantum(self.turning)
+        found[:, :count] = quantum * np.round(found[:, :count] / quantum)
         return np.asarray(found)
 
 

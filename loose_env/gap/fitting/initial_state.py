@@ -276,6 +276,8 @@ def _spread(machine: NominalModel, trial: Trial, channels: tuple[Channel, ...]) 
         sensor = machine.model.sensor(name)
         kind, joint = int(sensor.type[0]), int(sensor.objid[0])
         floor = noise_floor(values)
+        if not np.isfinite(floor):
+            continue  # too few readings
         if kind == mujoco.mjtSensor.mjSENS_JOINTPOS:
             line = np.polyfit(time[good], values[:count][good], 1)[::-1]
             bent = np.polyfit(time[good], values[:count][good], 2)[::-1]
@@ -286,7 +288,7 @@ def _spread(machine: NominalModel, trial: Trial, channels: tuple[Channel, ...]) 
         elif kind == mujoco.mjtSensor.mjSENS_JOINTVEL:
             first = max(3, int(np.searchsorted(trial.time, 0.005)))
             known = int(good[:first].sum())
-            if not known or not np.isfinite(floor):
+            if not known:
                 continue  # not read at the start of the run: the speed is not from this sensor
             short = np.ptp(values[:count][good][: 2 * first])
             found[1, joint] = np.hypot(floor / np.sqrt(known), short)

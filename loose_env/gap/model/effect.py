@@ -31,7 +31,7 @@ How an effect finds starts in data is in `loose_env.gap.model.data_starts`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import ClassVar
 
 import mujoco
@@ -271,6 +271,15 @@ class Effect(StartsFromData):
             if parameter.name in ends:
                 found[k] = parameter.low if ends[parameter.name] == "low" else parameter.high
         return found
+
+    @classmethod
+    def null_value(cls, parameters: Sequence[str], parameter: str) -> float:
+        """Value of a parameter without the effect; NaN if it vanishes only in a limit."""
+        if cls.adds_up:
+            return 0.0
+        if cls.nothing is None or len(cls.nothing) != len(parameters):
+            return float("nan")
+        return cls.nothing[list(parameters).index(parameter)]
 
     def vanishes(self, low: Array, high: Array) -> bool:
         """Return whether the parameter intervals (P,) include zero effect.

@@ -9,6 +9,7 @@ import numpy as np
 
 from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Trial
+from loose_env.gap.data.smoothing import filled
 from loose_env.gap.residuals.random_excitation.features import RandomFeatures
 from loose_env.gap.residuals.random_excitation.frequency_response import FEWEST
 from loose_env.gap.residuals.residual_model import ResidualModel
@@ -72,7 +73,7 @@ def _shortened(comparison: ResidualModel, trial: Trial, length: float) -> Trial:
     The command may not vary in a window, or its channels may not have been read.
     """
     if trial.form == "inverse":
-        return _window(trial, length, improvement=0.0)
+        return _window(trial, length, lead=0.0)
     if not (trial.excited and trial.name in comparison.chaotic):
         return _window(trial, length)
     window = _window(trial, length, fewest=FEWEST)
@@ -83,21 +84,24 @@ def _shortened(comparison: ResidualModel, trial: Trial, length: float) -> Trial:
     return window
 
 
-def _window(trial: Trial, length: float, *, fewest: int = 1, improvement: float = LEAD) -> Trial:
+def _window(trial: Trial, length: float, *, fewest: int = 1, lead: float = LEAD) -> Trial:
     """Window of maximum motion, of a length [s] and minimum number of samples."""
     size = max(round(min(length * trial.rate, len(trial.time))), fewest)
     if size >= len(trial.time):
         return trial
     activity = np.zeros(len(trial.time))
     for values in trial.motion.values():
-        change = np.abs(np.diff(np.nan_to_num(values), prepend=np.nan_to_num(values[:1])))
+        if np.isfinite(values).sum() < 2:
+            continue
+        read = filled(trial.time, values, trial.time)  # a dropout is no motion
+        change = np.abs(np.diff(read, prepend=read[:1]))
         # Square roots: a window in which several joints move is more informative than one fast
         # swing.
         activity += np.sqrt(change / max(float(np.mean(change)), 1e-12))
     summed = np.concatenate([[0.0], np.cumsum(activity)])
     starts = np.arange(0, len(trial.time) - size, max(size // 8, 1))
     first = int(starts[np.argmax(summed[starts + size] - summed[starts])])
-    before = min(first, round(improvement * trial.rate))
+    before = min(first, round(lead * trial.rate))
     window = trial.between(first - before, first + size)
     measured = window.measured.copy()
     measured[:before] = np.nan

@@ -215,6 +215,9 @@ class InverseDynamics:
 
     def _needed(self, hypothesis: Hypothesis, motions: list[Motion]) -> list[Array]:
         """Drive torques (E, joints) in each run."""
+        # a drive's limit is an actuator's damping in MJCF, which a measured torque includes
+        shown = [(effect, own) for effect, own in hypothesis.pairs if self.shows(effect)]
+        hypothesis = hypothesis.with_effects(shown)
         model = hypothesis.model(self.machine, self.machine.step or self.machine.model.opt.timestep)
         self.simulated += sum(len(m.chosen) for m in motions)
         if model.nv > self.machine.model.nv:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
+from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.effect import Readings
@@ -161,6 +162,9 @@ class Simulator:
                 values = effect.command(clock[:count], values, own)
             controls[k, :count, : values.shape[1]] = values
             controls[k, count:] = controls[k, count - 1]  # a shorter run ends there
+            held = activations(slot.model, controls[k, :1], slot.trial.step / parts)
+            if held is not None:
+                batch.act[k] = held[0]
         diverged = np.zeros(len(slots), dtype=bool)
         resting = np.array([slot.trial.resting for slot in slots])
         if resting.any() and settle:  # the clock runs on, since delayed commands are stored by time

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from loose_env.errors import InvalidData
+from loose_env.gap.data.measured_runs import file_of
 from loose_env.gap.diagnostics.experiment_advice import identifiability_words
 from loose_env.gap.diagnostics.localisation import location_words
 from loose_env.gap.diagnostics.remaining_error import remaining_words
@@ -79,7 +80,7 @@ def result_of(
             for e in solution.effects
         ),
         doubtful=tuple(with_probability(e, gap) for e in solution.doubtful),
-        held_out_runs=tuple(trial.name for trial in held.trials),
+        held_out_runs=tuple(dict.fromkeys(file_of(trial.name) for trial in held.trials)),
         ranking=solution.ranking,
         code=correction_code(solution.corrected),
         nominal_parameters=solution.corrected.nominal_factors,

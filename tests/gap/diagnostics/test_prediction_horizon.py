@@ -87,6 +87,15 @@ def test_the_truth_restarted_from_exact_readings_stays_on_them(kind: str) -> Non
     assert wrong[-1].rms > 3 * max(right[-1].rms, 0.1)
 
 
+def test_a_delayed_accelerometer_is_no_error_of_the_truth() -> None:
+    own = machine()
+    effect = next(e for e in candidates(own, ["sensor_delay"]) if e.where == "shake")
+    truth = hypothesis_of(effect, np.array([0.0024]))
+    trial = measured(own, truth)
+    assert all(e.rms < 0.1 for e in errors(own, trial, truth))
+    assert errors(own, trial, hypothesis_of(None))[0].rms > 1.0
+
+
 def test_with_noise_the_truth_is_at_the_floor_and_a_wrong_model_is_not() -> None:
     own = machine()
     effect = candidates(own, ["viscous_friction"])[0]

@@ -82,6 +82,8 @@ def test_bad_motions_and_arms_are_told_what_is_allowed(tmp_path: Path, arm: Serv
     good = Motion(kind="chirp", joints=(0,), amplitude=0.1, speed=1.0)
     with pytest.raises(UnknownName, match="kind is one of"):
         Motion(kind="waltz", joints=(0,), amplitude=0.1, speed=1.0)  # type: ignore[arg-type]
+    with pytest.raises(InvalidSetting, match=r"highest is above 0\.5 Hz"):
+        Motion(kind="chirp", joints=(0,), amplitude=0.1, speed=1.0, highest=0.5)
     with pytest.raises(InvalidSetting, match="amplitude is above 0 rad"):
         dataclasses.replace(good, amplitude=0.0)
     with pytest.raises(InvalidSetting, match="the arm drives 3 joints"):

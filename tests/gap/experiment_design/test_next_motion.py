@@ -292,3 +292,16 @@ def test_runs_without_commands_are_compared_by_the_torque_of_the_motion() -> Non
     assert np.corrcoef(other - own, other)[0, 1] > 0.5
     run = runs.run("next.csv", played)
     assert set(run.torques) == {"shoulder", "elbow"} and run.comparison == "inverse"
+
+
+def test_a_speed_limit_of_the_model_is_one_for_all_joints_or_one_for_each(
+    comparison: ResidualModel,
+) -> None:
+    for given, expected in (("1.2", (1.2, 1.2)), ("1.2 0.7", (1.2, 0.7))):
+        xml = MODEL.replace('data="1.2"', f'data="{given}"')
+        machine = NominalModel(mujoco.MjSpec.from_string(xml))
+        limits = limits_of(machine, comparison.trials, NextMotionSettings())
+        assert tuple(limits.speed) == pytest.approx(expected)
+    machine = NominalModel(mujoco.MjSpec.from_string(MODEL.replace('data="1.2"', 'data="1 2 3"')))
+    with pytest.raises(InvalidData, match="has 3 values; it must have one"):
+        limits_of(machine, comparison.trials, NextMotionSettings())

@@ -316,3 +316,20 @@ def test_a_new_effect_joins_the_catalogue_once() -> None:
 
     with pytest.raises(InvalidSetting, match="kind"):
         register(Nameless)
+
+
+@pytest.mark.parametrize(
+    ("kind", "parameters", "expected"),
+    [
+        ("payload", ("mass", "x", "y", "z"), (0.0, 0.0, 0.0, 0.0)),
+        ("load_friction", ("share", "load_share"), (0.0, 0.0)),
+        ("load_friction", ("share", "static_ratio", "speed"), (np.nan,) * 3),
+        ("actuator_gain", ("gain",), (1.0,)),
+        ("joint_compliance", ("stiffness", "damping"), (np.nan, np.nan)),
+    ],
+)
+def test_the_value_of_a_parameter_without_its_effect(
+    kind: str, parameters: tuple[str, ...], expected: tuple[float, ...]
+) -> None:
+    values = [CATALOGUE[kind].null_value(parameters, name) for name in parameters]
+    np.testing.assert_array_equal(values, expected)

@@ -253,3 +253,13 @@ def test_the_command_explains_a_resonant_response() -> None:
     assert (quiet < 1e-4 * true.var(axis=0)).all()
     loud = split.incoherent(true + noise(rng)).density.mean(axis=0)
     np.testing.assert_allclose(loud, FLOORS**2, rtol=0.1)
+
+
+def test_a_channel_on_one_value_is_left_out() -> None:
+    rng = np.random.default_rng(9)
+    commands = command(rng)
+    values = response(commands) + impacts(rng) + noise(rng)
+    values[:, 0] = 0.25  # the encoder of a braked joint
+    assert list(features(values, commands).used) == [1, 2]
+    with pytest.raises(InvalidData, match="no channel varies"):
+        features(np.full((COUNT, 3), 0.25), commands)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.experiment_design.next_motion.motion_trials import Played
 from loose_env.gap.experiment_design.next_motion.settings import NextMotionSettings
@@ -132,14 +133,21 @@ def limits_of(
         speed, of_speed = _fastest(machine, trials), "the fastest of the recorded runs"
         for k in range(model.nnumeric):
             if model.numeric(k).name == "max_speed_rad_s":
-                speed = np.broadcast_to(np.asarray(model.numeric(k).data), unit.shape).astype(float)
+                told = np.asarray(model.numeric(k).data, dtype=float)
+                if told.size not in (1, len(unit)):
+                    raise InvalidData(
+                        f"max_speed_rad_s of the model has {told.size} values; it must have one, "
+                        f"or one for each of the {len(unit)} joints (of a slide in m/s)"
+                    )
+                speed = told * unit if told.size == 1 else told
                 of_speed = "max_speed_rad_s of the model"
     torque = np.full(len(unit), np.inf)
     for k, joint in enumerate(machine.joints):
         gears = np.abs(machine.gears(joint))
         for a in np.flatnonzero(gears > 0):
             if model.actuator_forcelimited[a]:
-                torque[k] = gears[a] * float(np.min(np.abs(model.actuator_forcerange[a])))
+                own = gears[a] * float(np.min(np.abs(model.actuator_forcerange[a])))
+                torque[k] = own if np.isinf(torque[k]) else torque[k] + own
         if model.jnt_actfrclimited[k]:
             torque[k] = min(torque[k], float(np.min(np.abs(model.jnt_actfrcrange[k]))))
     return MotionLimits(

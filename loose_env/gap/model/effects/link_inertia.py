@@ -5,6 +5,7 @@ A tilted base changes the direction of gravity. A balancer or the drives carry t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -158,6 +159,11 @@ class Payload(Effect):
         self.nothing = (0.0,) * len(self.parameters)  # type: ignore[misc]
         if self.variant:
             self.proportional = 0  # type: ignore[misc]
+
+    @classmethod
+    def null_value(cls, parameters: Sequence[str], parameter: str) -> float:
+        """Without it mass and centre are zero."""
+        return 0.0
 
     @classmethod
     def places(cls, machine: NominalModel) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from loose_env.gap.output.result import NamedEffect
-from loose_env.gap.output.targets.drives import JointValues, joint_values
+from loose_env.gap.output.targets.drives import Drive, JointValues, joint_values
 from loose_env.gap.output.targets.source import (
     ALL,
     Export,
@@ -74,7 +74,11 @@ def mjlab_export(source: ExportSource, timestep: float | None = None) -> Export:
         left += _remarks(joint)
         drive = joint.drive
         own = {"target_names_expr": f"({re.escape(joint.name)!r},)"}
-        if drive.mode == "effort":
+        motor = _motor(source.result.effects, joint)
+        if drive.mode == "effort" and motor:
+            left += _effort_scale(drive)
+            kind, own = "DcMotorActuatorCfg", own | {"stiffness": "0.0", "damping": "0.0"} | motor
+        elif drive.mode == "effort":
             limit = drive.effort_limit
             kind, gear = "BuiltinMotorActuatorCfg", drive.effort_gain
             own["effort_limit"] = 'float("inf")' if limit is None else number(limit / abs(gear))
@@ -87,7 +91,7 @@ def mjlab_export(source: ExportSource, timestep: float | None = None) -> Export:
             own["damping"] = number(drive.damping)
             if drive.effort_limit is not None:
                 own["effort_limit"] = number(drive.effort_limit)
-            if motor := _motor(source.result.effects, joint):
+            if motor:
                 kind = "DcMotorActuatorCfg"
                 own = {"stiffness": number(drive.stiffness)} | own | motor
         own |= {
@@ -137,11 +141,7 @@ def isaaclab_export(source: ExportSource, timestep: float | None = None) -> Expo
             own |= {"stiffness": "0.0", "damping": "0.0"}
         else:
             left += _remarks(joint)
-            if drive.mode == "effort" and abs(drive.effort_gain - 1.0) > 1e-9:
-                left.append(
-                    f"the torque of {drive.name} per command, {drive.effort_gain:.4g}; multiply "
-                    "the effort targets by it"
-                )
+            left += _effort_scale(drive)
             own |= {"stiffness": number(drive.stiffness), "damping": number(drive.damping)}
             if drive.effort_limit is not None:
                 own["effort_limit"] = number(drive.effort_limit)
@@ -221,6 +221,16 @@ def _undriven(effects: Sequence[NamedEffect], joint: JointValues) -> list[str]:
 
 def _remarks(joint: JointValues) -> list[str]:
     return [] if joint.drive is None else list(joint.drive.remarks)
+
+
+def _effort_scale(drive: Drive) -> list[str]:
+    """Remark on the torque per command of a motor, where that is not one."""
+    if drive.mode != "effort" or abs(drive.effort_gain - 1.0) <= 1e-9:
+        return []
+    return [
+        f"the torque of {drive.name} per command, {drive.effort_gain:.4g}; multiply the effort "
+        "targets by it"
+    ]
 
 
 def _motor(effects: Sequence[NamedEffect], joint: JointValues) -> dict[str, str]:

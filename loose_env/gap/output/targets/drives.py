@@ -126,7 +126,8 @@ def _drive(model: mujoco.MjModel, joint: int) -> tuple[Drive | None, str]:
     remarks = []
     if bias:
         remarks.append(f"the constant force of {names}")
-    mode: Mode = "position" if stiff else "velocity" if damped else "effort"
+    # a motor with a voltage limit loses torque with speed, the reverse of a velocity servo's sign
+    mode: Mode = "position" if stiff else "velocity" if damped < 0 else "effort"
     expected = {"position": -stiff, "velocity": -damped, "effort": gain}[mode]
     if abs(gain - expected) > _SAME * abs(expected):
         remarks.append(f"the factor {gain / expected:.4g} on the command of {names}")

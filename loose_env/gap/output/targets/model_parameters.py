@@ -114,11 +114,7 @@ def _plain(effect: NamedEffect, name: str, where: str = "") -> ModelParameter:
 def _without(effect: NamedEffect, name: str) -> float:
     """Value of a parameter without the effect; NaN where it vanishes only in a limit."""
     known = CATALOGUE.get(effect.kind)
-    if known is not None and known.adds_up:
-        return 0.0
-    if known is None or known.nothing is None or len(known.nothing) != len(effect.parameters):
-        return float("nan")
-    return float(known.nothing[list(effect.parameters).index(name)])
+    return float("nan") if known is None else known.null_value(list(effect.parameters), name)
 
 
 def _of_attribute(source: ExportSource, effect: NamedEffect, name: str) -> list[ModelParameter]:

@@ -25,7 +25,7 @@ from loose_env.gap.settings import (
     OWN_STEP_ERROR,
     STEP_ERROR,
 )
-from loose_env.gap.simulation.time_step import step_with
+from loose_env.gap.simulation.time_step import stepped
 from loose_env.recording import Run
 
 __all__ = ["Integration", "choose_integration", "corrected_step_words"]
@@ -121,7 +121,7 @@ def choose_integration(
     parts = _parts(runs)
     interval = float(np.median(np.diff(parts[0].time)))
     own = float(machine.model.opt.timestep)
-    longest = min(interval, 4 * own) if interval > 4 * own else interval
+    longest = min(interval, 4 * own)
     floors = _floors(runs, channels)
 
     def laid_out(on: NominalModel, step: float) -> ResidualModel:
@@ -129,8 +129,8 @@ def choose_integration(
         return ResidualModel(on, trials, channels, floors, threads=threads)
 
     def residual(step: float, integrator: int) -> np.ndarray:
-        stepped = NominalModel(machine.spec, step=step, integrator=integrator)
-        found = laid_out(stepped, step).residuals([Hypothesis(effects=(), values=())])[0]
+        model = NominalModel(machine.spec, step=step, integrator=integrator)
+        found = laid_out(model, step).residuals([Hypothesis(effects=(), values=())])[0]
         return np.asarray(found)
 
     rows = laid_out(machine, own).rows
@@ -187,16 +187,16 @@ def corrected_step_words(held_out: ResidualModel, hypothesis: Hypothesis) -> lis
     if have_stops(hypothesis.effects):
         return []  # after an impact no two simulations agree, however fine their steps
     machine, chosen = held_out.machine, windowed(held_out, _CHECKED)
-    step = step_with(machine, hypothesis.effects)
     trials = [t for t in chosen.trials if t.form != "inverse" and t.name not in chosen.chaotic]
     if not trials:
         return []
+    step = stepped(trials[0], machine, hypothesis.effects).step
     found = []
     for parts in (1, _FINER):
-        stepped = replace(machine, step=machine.step / parts)
+        finer = replace(machine, step=machine.step / parts)
         own = [trial.finer(parts) for trial in trials]
         compared = ResidualModel(
-            stepped, own, chosen.channels, chosen.floors, threads=chosen.threads
+            finer, own, chosen.channels, chosen.floors, threads=chosen.threads
         )
         found.append(compared.residuals([hypothesis])[0])
     channel = compared.rows.channel

@@ -288,8 +288,13 @@ def _scaled(
             for t in trials
             if joint in t.motion
         ]
+        moved = [speed for speed in moved if np.isfinite(speed)]
         speeds[k] = float(np.median(moved)) if moved else 0.0
-        torques = [np.nanstd(run.torques[joint]) for run in runs if joint in run.torques]
+        torques = [
+            np.nanstd(run.torques[joint])
+            for run in runs
+            if joint in run.torques and np.isfinite(run.torques[joint]).any()
+        ]
         loads[k] = float(np.median(torques)) if torques else 0.0
     driven = [t for t in trials if t.form == "forward"][:2]
     if driven and machine.actuators and not loads.any():

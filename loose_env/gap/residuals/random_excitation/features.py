@@ -115,10 +115,15 @@ class RandomFeatures:
             )
         if channels is None:
             channels = [Channel(f"channel{c}") for c in range(values.shape[1])]
-        read = np.isfinite(values).mean(axis=0) >= 0.5
+        varies = np.nanmax(values, axis=0, initial=-np.inf) > np.nanmin(
+            values, axis=0, initial=np.inf
+        )  # a braked joint's encoder may stay on one of its steps
+        read = varies & (np.isfinite(values).mean(axis=0) >= 0.5)
         self.used = np.flatnonzero(read & np.isfinite(floors) & (floors > 0))
         if not len(self.used):
-            raise InvalidData("no channel was read in half of the samples; nothing can be compared")
+            raise InvalidData(
+                "no channel varies and was read in half of the samples; nothing can be compared"
+            )
         self._missing = ~np.isfinite(values[:, self.used])
         self._channels = [channels[int(c)] for c in self.used]
         self._floors = floors[self.used]

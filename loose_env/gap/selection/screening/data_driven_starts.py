@@ -92,10 +92,14 @@ def proposals(
 
 
 def _from_readings(comparison: ResidualModel, effect: Effect) -> tuple[tuple[float, ...], ...]:
-    """Starts from the coarsest resolution of a sensor's readings; none if some run has none."""
+    """Starts from the coarsest resolution of a sensor's readings; none if some run has none.
+
+    Runs in which the channel stays on one step do not tell.
+    """
     column = column_of(effect.where)
     numbers = [k for k, channel in enumerate(comparison.channels) if channel.column == column]
-    steps = [resolution_of(run.measured[:, k]) for run in comparison.trials for k in numbers]
+    columns = [run.measured[:, k] for run in comparison.trials for k in numbers]
+    steps = [resolution_of(each) for each in columns if len(np.unique(each[np.isfinite(each)])) > 1]
     return effect.propose_from(max(steps)) if steps and all(steps) else ()
 
 
@@ -126,7 +130,7 @@ def missing_torque(
             continue
         found = _missing(model, known, trial, motion, max(1, _DYNAMICS_SAMPLES // len(runs)))
         if found is None:
-            return None
+            break  # an activation that nothing tells: of inverse runs the torques are known
         parts.append(found)
     if not parts:
         return None
@@ -259,7 +263,8 @@ def residual_accelerations(
         for j, joint in enumerate(trial.joints):
             at[:, j] = trial.motion.get(joint, at[:, j])
         for site, own in triads:
-            good = np.flatnonzero(np.isfinite(apart[:, own]).all(axis=1))
+            read = np.isfinite(apart[:, own]).all(axis=1) & np.isfinite(at).all(axis=1)
+            good = np.flatnonzero(read)
             taken = good[:: max(1, len(good) * len(runs) * len(triads) // _ACCELEROMETER_SAMPLES)]
             poses.append(at[taken])
             found.append(apart[taken][:, own])

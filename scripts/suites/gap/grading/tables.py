@@ -89,7 +89,8 @@ def summary(grades: Sequence[Grade]) -> list[tuple[str, str, str]]:
          f"{100 * np.median(errors):.1f} %" if errors else "none"),
         ("parameters within 10 % of the truth", "",
          share(sum(error <= CLOSE for error in errors), len(errors))),
-        ("95 % intervals that cover the true value", "92 to 97 %", share(sum(covered), len(covered))),
+        ("95 % intervals that cover the true value", "92 to 97 %",
+         share(sum(covered), len(covered))),
         ("the same of further parameters", "92 to 97 %", share(sum(others), len(others))),
         ("residual of the exported model in plain MuJoCo over the fit's, median and largest", "",
          f"{np.median(exported):.3f}, {max(exported):.3f} ({len(exported)} cases)"

@@ -40,7 +40,8 @@ LABELS: Mapping[str, str] = {
 _HEAD = (
     "method", "single effects correct", "effects found", "named effects that are there",
     "false alarms, nothing missing", "outside the catalogue, nothing named",
-    "error of parameters, median", "held-out RMS residual after, median [noise sd]", "time, median [s]",
+    "error of parameters, median", "held-out RMS residual after, median [noise sd]",
+    "time, median [s]",
 )  # fmt: skip
 
 

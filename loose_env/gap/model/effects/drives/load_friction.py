@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import mujoco
@@ -50,6 +51,11 @@ class LoadFriction(DrivenEffect, JointEffect):
             self.limit = (("share", "low"),)  # type: ignore[misc]
         else:
             self.nothing = (0.0, 0.0) if self.variant else (0.0,)  # type: ignore[misc]
+
+    @classmethod
+    def null_value(cls, parameters: Sequence[str], parameter: str) -> float:
+        """Without it the shares are zero; with a peak it vanishes in a limit."""
+        return float("nan") if "speed" in parameters else 0.0
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
