@@ -112,9 +112,10 @@ def test_the_store_keeps_the_latest_episodes_and_cuts_them_after_first_records()
         episode = np.zeros(10, dtype=np.float32)
         episode[:2] = k
         episode[2 : 2 + 2 * 3] = k + 1.0  # three records of two elements
-        store.add(episode, k)
+        store.add(episode[None], [k])
     rng = np.random.default_rng(0)
     found, truths = store.sample(200, rng, start=2, slot_size=2)
+    found, truths = found.numpy(), truths.numpy()
     assert set(truths) == {2, 3, 4}
     assert (found[:, 0] == truths).all()
     slots = found[:, 2:].reshape(200, 4, 2)

@@ -109,7 +109,7 @@ class PosteriorPolicy(ActorCriticPolicy):
 
 
 class EpisodeStore:
-    """Last observations and truths of the latest episodes.
+    """Last observations and truths of the latest episodes, on the device that learns from them.
 
     Parameters
     ----------
@@ -117,33 +117,40 @@ class EpisodeStore:
         Episodes that are kept.
     elements : int
         Elements of an observation.
+    device : torch.device or str
+        Where they lie.
     """
 
-    def __init__(self, size: int, elements: int) -> None:
-        self.observations = np.zeros((size, elements), dtype=np.float32)
-        self.truths = np.zeros(size, dtype=np.int64)
+    def __init__(self, size: int, elements: int, device: torch.device | str = "cpu") -> None:
+        self.observations = torch.empty((size, elements), dtype=torch.float32, device=device)
+        self.truths = torch.empty(size, dtype=torch.int64, device=device)
         self.count = 0
 
-    def add(self, observation: NDArray[np.float32], truth: int) -> None:
-        """Keep an episode, in place of the oldest one if the store is full."""
-        place = self.count % len(self.truths)
-        self.observations[place], self.truths[place] = observation, truth
-        self.count += 1
+    def add(self, observations: NDArray[np.float32], truths: Sequence[int]) -> None:
+        """Keep episodes (num, elements), each in place of the oldest one if the store is full."""
+        size, device = len(self.truths), self.truths.device
+        places = (self.count + np.arange(len(truths))) % size
+        where = torch.from_numpy(places).to(device)
+        self.observations[where] = torch.from_numpy(observations).to(device)
+        self.truths[where] = torch.tensor(truths, dtype=torch.int64, device=device)
+        self.count += len(truths)
 
     def sample(
         self, size: int, rng: np.random.Generator, *, start: int, slot_size: int
-    ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Episodes cut after a number of records, uniform from 1 to all of theirs.
 
         Only the first records: which ones the policy took later depends on them.
         """
-        chosen = rng.integers(min(self.count, len(self.truths)), size=size)
+        device = self.truths.device
+        places = rng.integers(min(self.count, len(self.truths)), size=size)
+        chosen = torch.from_numpy(places).to(device)
         observations = self.observations[chosen]
-        slots = observations[:, start:].reshape(size, -1, slot_size)  # a view
-        taken = (slots != 0.0).any(2)
-        last = np.where(taken.any(1), slots.shape[1] - np.argmax(taken[:, ::-1], 1), 0)
-        kept = 1 + np.floor(rng.random(size) * last)
-        slots[np.arange(slots.shape[1]) >= kept[:, None]] = 0.0
+        slots = observations[:, start:].view(size, -1, slot_size)
+        order = torch.arange(1, slots.shape[1] + 1, device=device)
+        last = ((slots != 0.0).any(2) * order).amax(1)
+        kept = 1 + torch.floor(torch.from_numpy(rng.random(size)).to(device) * last)
+        slots[order > kept[:, None]] = 0.0
         return observations, self.truths[chosen]
 
 
@@ -158,10 +165,11 @@ class InferenceCallback(BaseCallback):
         Learning rate, given the share of the budget that is left.
     left : callable
         Share of the budget that is left.
-    episodes : int
-        Episodes that are kept to learn from.
-    batches, batch_size : int
-        Gradient steps after each rollout, and episodes of each.
+    batches : int
+        Gradient steps after each rollout.
+    rollouts : int
+        The episodes that are kept are as many as so many rollouts have steps. With that and the
+        minibatches of the policy's update the work grows with the rollouts.
     """
 
     model: Any
@@ -172,45 +180,45 @@ class InferenceCallback(BaseCallback):
         *,
         rate: Callable[[float], float],
         seed: int,
-        episodes: int = 20_000,
         batches: int = 48,
-        batch_size: int = 256,
+        rollouts: int = 20,
     ) -> None:
         super().__init__()
         self.names = {name: k for k, name in enumerate(hypotheses)}
         self.rate, self.rng = rate, np.random.default_rng(seed)
-        self.episodes, self.batches, self.batch_size = episodes, batches, batch_size
+        self.batches, self.rollouts = batches, rollouts
 
     def _on_training_start(self) -> None:
         self.network = self.model.policy.features_extractor
-        size = int(np.prod(self.model.observation_space.shape))
-        self.store = EpisodeStore(self.episodes, size)
+        elements = int(np.prod(self.model.observation_space.shape))
+        steps = self.model.n_steps * self.model.n_envs
+        self.store = EpisodeStore(self.rollouts * steps, elements, self.model.device)
         own = [*self.network.embedding.parameters(), *self.network.posterior.parameters()]
         self.optimiser = torch.optim.Adam(own, lr=1e-3)
 
     def _on_step(self) -> bool:
-        for done, info in zip(self.locals["dones"], self.locals["infos"], strict=True):
-            # What fits no hypothesis teaches none.
-            if done and info["fault"] in self.names:
-                self.store.add(info["terminal_observation"], self.names[info["fault"]])
+        # What fits no hypothesis teaches none.
+        known = [
+            (info["terminal_observation"], self.names[info["fault"]])
+            for info in self.locals["infos"]
+            if info.get("fault") in self.names
+        ]
+        if known:
+            observations, truths = zip(*known, strict=True)
+            self.store.add(np.stack(observations), truths)
         return True
 
     def _on_rollout_start(self) -> None:
-        if self.store.count < self.batch_size:
+        size = self.model.batch_size
+        if self.store.count < size:
             return
         for group in self.optimiser.param_groups:
             group["lr"] = self.rate(self.model._current_progress_remaining)
         for _ in range(self.batches):
             observations, truths = self.store.sample(
-                self.batch_size,
-                self.rng,
-                start=self.network.start,
-                slot_size=self.network.slot_size,
+                size, self.rng, start=self.network.start, slot_size=self.network.slot_size
             )
-            loss = self.network.loss(
-                torch.as_tensor(observations, device=self.model.device),
-                torch.as_tensor(truths, device=self.model.device),
-            )
+            loss = self.network.loss(observations, truths)
             self.optimiser.zero_grad()
             loss.backward()
             self.optimiser.step()
