@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import nn
 
+from loose_agents.rl.end_to_end.minimum_records import MinimumRecords
 from loose_agents.rl.end_to_end.record_set import RecordSetExtractor
 from loose_agents.rl.set_network import LOG_FLOOR, LOG_SCALE
 
@@ -155,27 +157,33 @@ class EpisodeStore:
 
 
 class InferenceCallback(BaseCallback):
-    """Trains the posterior of a `PosteriorSetExtractor` between the updates of the policy.
+    """Trains the posterior of a `PosteriorSetExtractor` while the arms of a rollout are simulated.
+
+    What learns is a copy; the policy takes its weights over before each rollout, so that it acts
+    and is updated on the same features.
 
     Parameters
     ----------
+    env : MinimumRecords
+        The environments.
     hypotheses : sequence of str
         Names of the hypotheses, in the posterior's order.
     rate : callable
         Learning rate, given the share of the budget that is left.
-    left : callable
-        Share of the budget that is left.
+    seed : int
+        Seed of the episodes that are drawn.
     batches : int
-        Gradient steps after each rollout.
+        Gradient steps a rollout, of as many episodes as a minibatch of the policy's update has
+        steps.
     rollouts : int
-        The episodes that are kept are as many as so many rollouts have steps. With that and the
-        minibatches of the policy's update the work grows with the rollouts.
+        The episodes that are kept are as many as so many rollouts have steps.
     """
 
     model: Any
 
     def __init__(
         self,
+        env: MinimumRecords,
         hypotheses: Sequence[str],
         *,
         rate: Callable[[float], float],
@@ -184,17 +192,19 @@ class InferenceCallback(BaseCallback):
         rollouts: int = 20,
     ) -> None:
         super().__init__()
-        self.names = {name: k for k, name in enumerate(hypotheses)}
+        self.env, self.names = env, {name: k for k, name in enumerate(hypotheses)}
         self.rate, self.rng = rate, np.random.default_rng(seed)
         self.batches, self.rollouts = batches, rollouts
 
     def _on_training_start(self) -> None:
         self.network = self.model.policy.features_extractor
+        self.learning = copy.deepcopy(self.network)
         elements = int(np.prod(self.model.observation_space.shape))
         steps = self.model.n_steps * self.model.n_envs
         self.store = EpisodeStore(self.rollouts * steps, elements, self.model.device)
-        own = [*self.network.embedding.parameters(), *self.network.posterior.parameters()]
+        own = [*self.learning.embedding.parameters(), *self.learning.posterior.parameters()]
         self.optimiser = torch.optim.Adam(own, lr=1e-3)
+        self.env.meanwhile = self._learn
 
     def _on_step(self) -> bool:
         # What fits no hypothesis teaches none.
@@ -209,16 +219,26 @@ class InferenceCallback(BaseCallback):
         return True
 
     def _on_rollout_start(self) -> None:
-        size = self.model.batch_size
+        self.network.load_state_dict(self.learning.state_dict())
+        self.steps = 0
+
+    def _on_training_end(self) -> None:
+        self.network.load_state_dict(self.learning.state_dict())
+        self.env.meanwhile = None
+
+    def _learn(self) -> None:
+        """Take this step's share of the rollout's gradient steps."""
+        before, self.steps = self.steps, self.steps + 1
+        size, share = self.model.batch_size, self.batches / self.model.n_steps
         if self.store.count < size:
             return
         for group in self.optimiser.param_groups:
             group["lr"] = self.rate(self.model._current_progress_remaining)
-        for _ in range(self.batches):
+        for _ in range(int(self.steps * share) - int(before * share)):
             observations, truths = self.store.sample(
                 size, self.rng, start=self.network.start, slot_size=self.network.slot_size
             )
-            loss = self.network.loss(observations, truths)
+            loss = self.learning.loss(observations, truths)
             self.optimiser.zero_grad()
             loss.backward()
             self.optimiser.step()

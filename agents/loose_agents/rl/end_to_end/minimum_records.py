@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,9 @@ class MinimumRecords(VecEnvWrapper):
     def __init__(self, venv: VecEnv) -> None:
         super().__init__(venv)
         self.least = 1
+        """Records before which a verdict is ignored."""
+        self.meanwhile: Callable[[], None] | None = None
+        """Called in each step while the arms are simulated."""
         self._records = np.zeros(venv.num_envs, dtype=np.int64)
 
     def reset(self) -> Any:
@@ -42,6 +46,8 @@ class MinimumRecords(VecEnvWrapper):
 
     def step_wait(self) -> Any:
         """Step all environments."""
+        if self.meanwhile is not None:
+            self.meanwhile()
         observation, reward, done, infos = self.venv.step_wait()
         self._records = np.where(done, 0, self._records + 1)
         return observation, reward, done, infos

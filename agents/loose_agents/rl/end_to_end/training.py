@@ -210,7 +210,7 @@ def _learn(
         from loose_agents.rl.end_to_end.joint_inference import InferenceCallback
 
         rate = BudgetSchedule(LinearSchedule(_INFERENCE_RATE), budget)
-        callbacks.append(InferenceCallback(problem.hypotheses, rate=rate, seed=job.seed))
+        callbacks.append(InferenceCallback(vec, problem.hypotheses, rate=rate, seed=job.seed))
     curve = CurveCallback(
         folder,
         budget,
