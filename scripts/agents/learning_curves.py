@@ -43,8 +43,6 @@ class Options(Checked):
     hyperparams: tuple[str, ...] = option(
         (), "hyperparameters, key:value", "--hyperparams", "-params"
     )
-    forced_records: Count = option(1, "records before a verdict is taken, at the start")
-    forced_share: float = option(0.5, "share of a run with forced records")
     evaluations: Count = option(12, "evaluations of a run")
     eval_episodes: Count = option(200, "episodes of an evaluation, the same in all")
     last_episodes: Count = option(1000, "episodes of the last evaluation")
@@ -56,8 +54,6 @@ def jobs_of(options: Options) -> list[Job]:
     """One job for each environment, learner and seed, seeds innermost."""
     if options.seconds < 0:
         raise InvalidSetting(f"--seconds must be 0 or more, got {options.seconds}")
-    if not 0.0 <= options.forced_share <= 1.0:
-        raise InvalidSetting(f"--forced-share must be 0 to 1, got {options.forced_share}")
     unknown = sorted(set(options.learners) - set(LEARNERS))
     if unknown:
         raise InvalidSetting(f"unknown learners {unknown}; learners are {list(LEARNERS)}")
@@ -74,8 +70,6 @@ def jobs_of(options: Options) -> list[Job]:
             device=options.device,
             threads=options.threads,
             workers=options.workers,
-            forced_records=options.forced_records,
-            forced_share=options.forced_share,
             evaluations=options.evaluations,
             eval_episodes=options.eval_episodes,
             last_episodes=options.last_episodes,

@@ -3,7 +3,6 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Iterator
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("sb3_contrib")
 
-from loose_agents.rl.end_to_end.minimum_records import MinimumRecords
 from loose_agents.rl.end_to_end.parallel_env import ParallelVecEnv
 
 from loose_env.envs.sb3 import Sb3VecEnv
@@ -101,31 +99,3 @@ def test_a_worker_that_dies_is_named_and_none_is_left() -> None:
             env.step(np.zeros((2, 6), dtype=int))
     env.close()
     assert not any(process.is_alive() for process in processes)
-
-
-class Recorded(Sb3VecEnv):
-    taken: Any
-
-    def step_async(self, actions: Any) -> None:
-        self.taken = actions
-        super().step_async(actions)
-
-
-def test_verdicts_before_the_minimum_number_of_records_are_ignored() -> None:
-    inner = Recorded(gymnasium.make_vec(ENV, num_envs=2, **ARGUMENTS))
-    env = MinimumRecords(inner)
-    env.seed(0)
-    env.reset()
-    env.least = 2
-    action = np.array([[0, 0, 3, 3, 0, 1], [0, 0, 3, 3, 0, 0]])
-    given = action.copy()
-    for _ in range(2):
-        _, _, done, _ = env.step(action)
-        assert not done.any()
-        assert (inner.taken[:, -1] == 0).all()
-    _, _, done, infos = env.step(action)
-    assert done.tolist() == [True, False]
-    assert infos[0]["records"] == 2
-    np.testing.assert_array_equal(action, given)
-    env.step(action)  # the first environment has a new episode, the second ends its third record
-    assert inner.taken[:, -1].tolist() == [0, 0]

@@ -14,12 +14,14 @@ pytest.importorskip("stable_baselines3")
 
 from loose_agents.rl.end_to_end.joint_inference import (  # noqa: E402
     EpisodeStore,
+    PosteriorPolicy,
     PosteriorSetExtractor,
 )
 from loose_agents.rl.end_to_end.record_set import (  # noqa: E402
     RecordSetExtractor,
     record_set_arguments,
 )
+from loose_agents.rl.set_network import LOG_SCALE  # noqa: E402
 
 Env = gymnasium.Env[Any, Any]
 
@@ -126,3 +128,38 @@ def test_the_store_keeps_the_latest_episodes_and_cuts_them_after_first_records()
         for slot, n, truth in zip(slots, lengths, truths, strict=True)
     )
     assert (store.observations[:, 2:8] != 0.0).all()  # the store itself stays as it was
+
+
+def test_verdicts_follow_from_the_posterior_and_stay_so(env: Any) -> None:
+    torch.manual_seed(0)
+    nvec = env.actions.nvec
+    names = env.hypotheses
+    rewards = [[1.0 if a == b else -1.0 for b in names] for a in names] + [[-0.25] * len(names)]
+    policy = PosteriorPolicy(
+        env.observation_space,
+        env.action_space,
+        lambda _: 1e-2,
+        net_arch=[8],
+        features_extractor_class=PosteriorSetExtractor,
+        features_extractor_kwargs={**record_set_arguments(env.layout), "hypotheses": len(names)},
+        verdict_rewards=rewards,
+    )
+    seen = observations(env.layout, records=2)
+
+    def logits() -> Any:
+        features = policy.extract_features(seen)
+        return policy.action_net(policy.mlp_extractor.forward_actor(features))[:, -nvec[-1] :]
+
+    with torch.no_grad():
+        before = logits()
+        logs = policy.extract_features(seen)[:, -len(names) :] / LOG_SCALE
+    wanted = torch.exp(logs) @ torch.tensor(rewards).T / 0.2
+    torch.testing.assert_close(before[:, 1:], wanted)
+    actions = torch.from_numpy(np.random.default_rng(0).integers(0, nvec, size=(5, len(nvec))))
+    _, log_prob, _ = policy.evaluate_actions(seen, actions)
+    log_prob.sum().backward()
+    policy.optimizer.step()
+    with torch.no_grad():
+        after = logits()
+    torch.testing.assert_close(after[:, 1:], before[:, 1:])
+    assert (after[:, 0] != before[:, 0]).all()

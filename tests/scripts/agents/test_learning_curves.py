@@ -102,7 +102,7 @@ def test_same_seed_same_curve_and_weights_for_any_number_of_workers(tmp_path: Pa
             "--workers",
             workers,
         ]
-        main([*given, *SMALL, "--forced-records", "3", "--out", str(tmp_path / workers)])
+        main([*given, *SMALL, "--out", str(tmp_path / workers)])
         runs = sorted((tmp_path / workers).glob("*/*/seed_5"))
         found = [row for run in runs for row in rows(run / "curve.csv")]
         curves.append([{k: v for k, v in row.items() if k != "seconds"} for row in found])

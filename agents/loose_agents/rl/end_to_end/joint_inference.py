@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,18 +14,24 @@ from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import MlpExtractor
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from torch import nn
 
-from loose_agents.rl.end_to_end.minimum_records import MinimumRecords
 from loose_agents.rl.end_to_end.record_set import RecordSetExtractor
 from loose_agents.rl.set_network import LOG_FLOOR, LOG_SCALE
 
-__all__ = ["EpisodeStore", "InferenceCallback", "PosteriorPolicy", "PosteriorSetExtractor"]
+__all__ = [
+    "ConcurrentVecEnv",
+    "EpisodeStore",
+    "InferenceCallback",
+    "PosteriorPolicy",
+    "PosteriorSetExtractor",
+]
 
-_VERDICT_POWER = 2.0
-"""Power of the posterior in the odds of naming a hypothesis, at the start."""
-_UNSURE_BIAS = -2.0
-"""Logit of "unsure" at the start."""
+_TEMPERATURE = 0.2
+"""Temperature of the verdicts [reward]: how much worse one is that falls 1/e as often."""
+_FIRST_VALUE = 0.2
+"""Value of going on that the policy starts with [reward]; naming a probability of 0.6 has it."""
 
 
 class PosteriorSetExtractor(RecordSetExtractor):
@@ -67,7 +74,7 @@ class PosteriorSetExtractor(RecordSetExtractor):
 
 
 class _WithPosterior(MlpExtractor):
-    """Layers of policy and value; the policy's last layer sees the log-posterior beside them."""
+    """Layers of policy and value; the policy's last layer sees the posterior beside them."""
 
     def __init__(self, hypotheses: int, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -76,18 +83,36 @@ class _WithPosterior(MlpExtractor):
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
         """Latent of the policy (batch, latent_dim_pi)."""
-        return torch.cat([self.policy_net(features), features[:, -self.hypotheses :]], 1)
+        posterior = torch.exp(features[:, -self.hypotheses :] / LOG_SCALE)
+        return torch.cat([self.policy_net(features), posterior], 1)
 
 
 class PosteriorPolicy(ActorCriticPolicy):
-    """Policy whose verdicts start from the posterior of a `PosteriorSetExtractor`.
+    """Policy whose verdicts follow from the posterior of a `PosteriorSetExtractor`.
 
-    At the start, the odds of naming hypothesis h against going on are p_h squared: the verdict is
-    mostly the most probable one, and the surer the posterior, the sooner it falls. Everything after
-    that is learned.
+    The logit of a verdict is its expected reward under the posterior, over a temperature: the most
+    probable verdict is Bayes' decision, and nothing of it is left to learn from rewards. What is
+    learned is the logit of going on, in the same unit: to stop is to find that another record is
+    worth less than it costs. Going on starts as worth trying, so that the first episodes are long
+    and the posterior learns from many records, and a policy that cannot use a second record yet
+    does not settle on stopping after the first.
+
+    Parameters
+    ----------
+    *args, **arguments
+        Those of stable-baselines3's policy.
+    verdict_rewards : sequence of sequences of float
+        Reward of each verdict under each hypothesis (hypotheses + 1, hypotheses); the last verdict
+        is "unsure".
     """
 
     features_extractor: PosteriorSetExtractor
+
+    def __init__(
+        self, *args: Any, verdict_rewards: Sequence[Sequence[float]], **arguments: Any
+    ) -> None:
+        self.verdict_rewards = verdict_rewards
+        super().__init__(*args, **arguments)
 
     def _build_mlp_extractor(self) -> None:
         hypotheses = self.features_extractor.hypotheses
@@ -101,13 +126,24 @@ class PosteriorPolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
-        hypotheses = self.features_extractor.hypotheses
         head: Any = self.action_net
+        rewards = torch.tensor(self.verdict_rewards, dtype=torch.float32)
+        verdicts, hypotheses = rewards.shape
         with torch.no_grad():
             # The last entry of the action: go on, the hypotheses, unsure.
-            named = head.weight[-1 - hypotheses : -1, -hypotheses:]
-            named += _VERDICT_POWER / LOG_SCALE * torch.eye(hypotheses, device=named.device)
-            head.bias[-1] += _UNSURE_BIAS
+            head.weight[-verdicts:] = 0.0
+            head.weight[-verdicts:, -hypotheses:] = rewards / _TEMPERATURE
+            head.bias[-verdicts:] = 0.0
+            head.bias[-verdicts - 1] += _FIRST_VALUE / _TEMPERATURE
+        for parameter in (head.weight, head.bias):
+            parameter.register_hook(functools.partial(_without_last, verdicts))
+
+
+def _without_last(rows: int, gradient: torch.Tensor) -> torch.Tensor:
+    """Gradient that leaves the last rows as they are."""
+    kept = gradient.clone()
+    kept[-rows:] = 0.0
+    return kept
 
 
 class EpisodeStore:
@@ -156,6 +192,25 @@ class EpisodeStore:
         return observations, self.truths[chosen]
 
 
+class ConcurrentVecEnv(VecEnvWrapper):
+    """Environments that do other work in each step while the arms are simulated."""
+
+    def __init__(self, venv: VecEnv) -> None:
+        super().__init__(venv)
+        self.work: Callable[[], None] | None = None
+        """Called between the actions and the wait for what they bring."""
+
+    def reset(self) -> Any:
+        """Begin an episode in every environment."""
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        """Do the other work, then wait for the step."""
+        if self.work is not None:
+            self.work()
+        return self.venv.step_wait()
+
+
 class InferenceCallback(BaseCallback):
     """Trains the posterior of a `PosteriorSetExtractor` while the arms of a rollout are simulated.
 
@@ -164,7 +219,7 @@ class InferenceCallback(BaseCallback):
 
     Parameters
     ----------
-    env : MinimumRecords
+    env : ConcurrentVecEnv
         The environments.
     hypotheses : sequence of str
         Names of the hypotheses, in the posterior's order.
@@ -183,7 +238,7 @@ class InferenceCallback(BaseCallback):
 
     def __init__(
         self,
-        env: MinimumRecords,
+        env: ConcurrentVecEnv,
         hypotheses: Sequence[str],
         *,
         rate: Callable[[float], float],
@@ -204,7 +259,7 @@ class InferenceCallback(BaseCallback):
         self.store = EpisodeStore(self.rollouts * steps, elements, self.model.device)
         own = [*self.learning.embedding.parameters(), *self.learning.posterior.parameters()]
         self.optimiser = torch.optim.Adam(own, lr=1e-3)
-        self.env.meanwhile = self._learn
+        self.env.work = self._learn
 
     def _on_step(self) -> bool:
         # What fits no hypothesis teaches none.
@@ -224,7 +279,7 @@ class InferenceCallback(BaseCallback):
 
     def _on_training_end(self) -> None:
         self.network.load_state_dict(self.learning.state_dict())
-        self.env.meanwhile = None
+        self.env.work = None
 
     def _learn(self) -> None:
         """Take this step's share of the rollout's gradient steps."""

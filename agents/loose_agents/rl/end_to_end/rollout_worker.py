@@ -143,7 +143,6 @@ def serve(task: WorkerTask, arrays: RolloutArrays, connection: Connection) -> No
 
     while True:
         try:
-            order = connection.recv()
-        except EOFError:
+            connection.send(guarded(answer, connection.recv()))
+        except (EOFError, OSError):  # closed while waiting, or during the work
             return
-        connection.send(guarded(answer, order))

@@ -21,6 +21,7 @@ from loose_agents.rl.hyperparameters import (
     read_hyperparameters,
 )
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.faults import UNSURE
 
 __all__ = ["LEARNERS", "Job", "Learner", "run_folder", "train_end_to_end"]
 
@@ -81,10 +82,6 @@ class Job:
     """Threads of torch, and of the simulation in this process."""
     workers: int = 1
     """Processes that simulate the arms; 1 for this process alone."""
-    forced_records: int = 1
-    """Records before a verdict is taken, at the start."""
-    forced_share: float = 0.5
-    """Share of the training from which on one record will do."""
     evaluations: int = 12
     """Evaluations, the last one at the end."""
     eval_episodes: int = 200
@@ -134,7 +131,6 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
 
     from loose_agents.rl.checkpoint import TRAINED_ON
     from loose_agents.rl.end_to_end.learning_curve import Budget, BudgetSchedule
-    from loose_agents.rl.end_to_end.minimum_records import MinimumRecords
 
     torch.set_num_threads(job.threads)
     if job.env not in gymnasium.registry:
@@ -156,7 +152,7 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
     if learner.network != "flat":
         model_kwargs |= _set_network(learner, env.layout, problem, model_kwargs)
     model_kwargs |= _rollout_buffer(learner)
-    vec = MinimumRecords(_environments(job, env, arguments, num_envs))
+    vec = _environments(job, learner, env, arguments, num_envs)
     try:
         model = model_class(env=vec, seed=job.seed, device=job.device, **model_kwargs)
         setattr(model, TRAINED_ON, problem.fingerprint)
@@ -180,7 +176,6 @@ def _learn(
     """Train a model, from its checkpoint if there is one, until the budget is spent."""
     from loose_agents.rl.end_to_end.evaluation import evaluate_policy
     from loose_agents.rl.end_to_end.learning_curve import BudgetSchedule, CurveCallback, CurveState
-    from loose_agents.rl.end_to_end.minimum_records import MinimumRecordsCallback
     from loose_agents.rl.training_env import training_seed
     from loose_agents.rl.training_run import write_json
 
@@ -203,9 +198,7 @@ def _learn(
     if learner.network != "flat" and not resumed:
         state.records += _standardise(model, vec, job.seed, problem.settings.max_records)
     state.restore_generators()
-    callbacks: list[Any] = [
-        MinimumRecordsCallback(vec, budget, first=job.forced_records, until=job.forced_share)
-    ]
+    callbacks: list[Any] = []
     if learner.network == "posterior":
         from loose_agents.rl.end_to_end.joint_inference import InferenceCallback
 
@@ -231,14 +224,20 @@ def _learn(
     )
 
 
-def _environments(job: Job, env: Any, arguments: dict[str, Any], num_envs: int) -> Any:
+def _environments(
+    job: Job, learner: Learner, env: Any, arguments: dict[str, Any], num_envs: int
+) -> Any:
     """Environments of the rollouts, simulated here or by workers."""
+    from loose_agents.rl.end_to_end.joint_inference import ConcurrentVecEnv
     from loose_agents.rl.end_to_end.parallel_env import ParallelVecEnv
     from loose_env.envs.sb3 import Sb3VecEnv
 
-    if job.workers == 1:
-        return Sb3VecEnv(env)
-    return ParallelVecEnv(env, job.env, arguments, num_envs=num_envs, workers=job.workers)
+    vec = (
+        Sb3VecEnv(env)
+        if job.workers == 1
+        else ParallelVecEnv(env, job.env, arguments, num_envs=num_envs, workers=job.workers)
+    )
+    return ConcurrentVecEnv(vec) if learner.network == "posterior" else vec
 
 
 def _rollout_buffer(learner: Learner) -> dict[str, Any]:
@@ -267,6 +266,10 @@ def _set_network(
     if learner.network == "posterior":
         kind, given = PosteriorSetExtractor, {**given, "hypotheses": len(problem.hypotheses)}
         changed["policy"] = PosteriorPolicy
+        prices, names = problem.settings.prices, problem.hypotheses
+        own["verdict_rewards"] = [
+            [prices.verdict(named, truth) for truth in names] for named in (*names, UNSURE)
+        ]
     changed["policy_kwargs"] = {
         **own,
         "features_extractor_class": kind,
@@ -303,7 +306,6 @@ def _configuration(
         "seed": job.seed,
         "hyperparameters": {k: v for k, v in hyperparameters.items() if k != "n_timesteps"},
         "settings": asdict(problem.settings),
-        "curriculum": {"records": job.forced_records, "share": job.forced_share},
         "evaluation": {"seed": CURVE_SEED, "episodes": job.eval_episodes},
         "n_timesteps": steps,
         "options": asdict(job),
