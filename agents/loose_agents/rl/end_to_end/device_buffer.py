@@ -29,11 +29,12 @@ class _OnDevice(RolloutBuffer):
             self.rows = torch.empty(shape, dtype=torch.float32, device=self.device)
         self.observations = np.zeros((self.buffer_size, self.n_envs), dtype=np.int64)
 
-    def add(self, obs: NDArray[np.float32], *args: Any, **kwargs: Any) -> None:
-        """Add a step of all environments."""
+    def add(self, *args: Any, **kwargs: Any) -> None:
+        """Add a step of all environments, its observations (num_envs, size) first."""
+        obs, *rest = args
         first = self.pos * self.n_envs
         self.rows[first : first + self.n_envs].copy_(torch.from_numpy(np.asarray(obs)))
-        super().add(np.arange(first, first + self.n_envs), *args, **kwargs)
+        super().add(np.arange(first, first + self.n_envs), *rest, **kwargs)
 
     def _get_samples(self, batch_inds: NDArray[np.int64], env: Any = None) -> Any:
         samples = super()._get_samples(batch_inds, env)

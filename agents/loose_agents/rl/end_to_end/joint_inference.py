@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -32,6 +31,8 @@ _TEMPERATURE = 0.2
 """Temperature of the verdicts [reward]: how much worse one is that falls 1/e as often."""
 _FIRST_VALUE = 0.2
 """Value of going on that the policy starts with [reward]; naming a probability of 0.6 has it."""
+_WEIGHT_DECAY = 0.3
+"""Of the posterior: every episode is seen many times before it leaves the store."""
 
 
 class PosteriorSetExtractor(RecordSetExtractor):
@@ -88,14 +89,13 @@ class _WithPosterior(MlpExtractor):
 
 
 class PosteriorPolicy(ActorCriticPolicy):
-    """Policy whose verdicts follow from the posterior of a `PosteriorSetExtractor`.
+    """Policy whose verdicts start from the posterior of a `PosteriorSetExtractor`.
 
-    The logit of a verdict is its expected reward under the posterior, over a temperature: the most
-    probable verdict is Bayes' decision, and nothing of it is left to learn from rewards. What is
-    learned is the logit of going on, in the same unit: to stop is to find that another record is
-    worth less than it costs. Going on starts as worth trying, so that the first episodes are long
-    and the posterior learns from many records, and a policy that cannot use a second record yet
-    does not settle on stopping after the first.
+    At the start the logit of a verdict is its expected reward under the posterior, over a
+    temperature: the most probable verdict is Bayes' decision. Going on starts as worth trying, so
+    that the first episodes are long and the posterior learns from many records, and a policy that
+    cannot use a second record yet does not settle on stopping after the first. Everything after
+    that is learned from rewards, so that a posterior surer than it is right is not trusted.
 
     Parameters
     ----------
@@ -135,15 +135,6 @@ class PosteriorPolicy(ActorCriticPolicy):
             head.weight[-verdicts:, -hypotheses:] = rewards / _TEMPERATURE
             head.bias[-verdicts:] = 0.0
             head.bias[-verdicts - 1] += _FIRST_VALUE / _TEMPERATURE
-        for parameter in (head.weight, head.bias):
-            parameter.register_hook(functools.partial(_without_last, verdicts))
-
-
-def _without_last(rows: int, gradient: torch.Tensor) -> torch.Tensor:
-    """Gradient that leaves the last rows as they are."""
-    kept = gradient.clone()
-    kept[-rows:] = 0.0
-    return kept
 
 
 class EpisodeStore:
@@ -243,7 +234,7 @@ class InferenceCallback(BaseCallback):
         *,
         rate: Callable[[float], float],
         seed: int,
-        batches: int = 48,
+        batches: int = 24,
         rollouts: int = 20,
     ) -> None:
         super().__init__()
@@ -258,7 +249,7 @@ class InferenceCallback(BaseCallback):
         steps = self.model.n_steps * self.model.n_envs
         self.store = EpisodeStore(self.rollouts * steps, elements, self.model.device)
         own = [*self.learning.embedding.parameters(), *self.learning.posterior.parameters()]
-        self.optimiser = torch.optim.Adam(own, lr=1e-3)
+        self.optimiser = torch.optim.AdamW(own, lr=1e-3, weight_decay=_WEIGHT_DECAY)
         self.env.work = self._learn
 
     def _on_step(self) -> bool:

@@ -218,13 +218,14 @@ class ParallelVecEnv(VecEnv):
 
     def _answers(self) -> list[dict[int, dict[str, Any]]]:
         """Answers of all workers, in their order."""
-        waiting = {connection: k for k, (_, connection) in enumerate(self._workers)}
+        waiting: dict[Any, int] = {each[1]: k for k, each in enumerate(self._workers)}
         found: list[Any] = [None] * len(waiting)
         while waiting:
-            for connection in wait([*waiting]):  # a dead worker's connection is at its end
-                k = waiting.pop(connection)  # type: ignore[call-overload]
+            ready: list[Any] = wait([*waiting])
+            for connection in ready:  # a dead worker's connection is at its end
+                k = waiting.pop(connection)
                 try:
-                    found[k] = connection.recv()  # type: ignore[union-attr]
+                    found[k] = connection.recv()
                 except (EOFError, OSError) as error:
                     raise self._died(k) from error
                 if isinstance(found[k], Raised):
