@@ -35,7 +35,8 @@ class Options(Checked):
     learners: tuple[str, ...] = option(("ppo", "ppo_set"), f"of {list(LEARNERS)}")
     seeds: tuple[NonNegativeCount, ...] = option((0, 1, 2, 3, 4), "training seeds")
     processes: Count = option(1, "runs side by side, a process each")
-    threads: Count = option(1, "threads of a run")
+    threads: Count = option(1, "threads of a run's own process")
+    workers: Count = option(1, "processes that simulate the arms of a run; 1: its own alone")
     device: str = option("cpu", "device of torch, such as cuda")
     steps: NonNegativeCount = option(0, "steps of a run; 0: those of its hyperparameter file")
     seconds: float = option(0.0, "time of a run in all [s], last evaluation aside; 0: no limit")
@@ -68,6 +69,7 @@ def jobs_of(options: Options) -> list[Job]:
             out=options.out,
             device=options.device,
             threads=options.threads,
+            workers=options.workers,
             evaluations=options.evaluations,
             eval_episodes=options.eval_episodes,
             last_episodes=options.last_episodes,

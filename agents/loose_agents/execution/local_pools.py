@@ -31,6 +31,7 @@ __all__ = [
     "ThreadPool",
     "WorkerDied",
     "cores",
+    "follow_parent",
     "guarded",
     "load_extra",
 ]
@@ -219,7 +220,7 @@ class LokyPool:
 
     def _new(self) -> Any:
         return self._loky.process_executor.ProcessPoolExecutor(
-            1, env=ONE_THREAD, initializer=_follow, initargs=(os.getpid(),)
+            1, env=ONE_THREAD, initializer=follow_parent, initargs=(os.getpid(),)
         )
 
 
@@ -227,8 +228,8 @@ def _import_loky() -> ModuleType:
     return importlib.import_module("joblib.externals.loky")
 
 
-def _follow(parent: int) -> None:
-    """Tie this worker's lifetime to its parent's."""
+def follow_parent(parent: int) -> None:
+    """Tie this worker's lifetime to its parent's, and leave Ctrl-C to the parent."""
     # Ctrl-C reaches every process of the terminal; the parent ends its workers itself.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()

@@ -37,6 +37,8 @@ TRAINED_ON = "loose_problem"
 """Attribute of a model, and so entry of its settings: fingerprint of the problem it learnt."""
 FORMAT = "loose-run/1"
 _COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
+_NOT_KEPT = ("_last_obs", "_last_original_obs", "_last_episode_starts", "_last_lstm_states")
+"""State of the environments: a resumed run begins new episodes."""
 _MOST_BYTES = 2**31
 _ACTIVATIONS = ("Tanh", "ReLU")
 _NETWORK = (
@@ -70,7 +72,7 @@ def zipped(model: Any, state: Any) -> bytes:
         Plain values, lists and dictionaries of them, and the states of generators.
     """
     buffer = io.BytesIO()
-    model.save(buffer)
+    model.save(buffer, exclude=_NOT_KEPT)
     remembered = {
         "format": FORMAT,
         "counters": {name: int(getattr(model, name, 0)) for name in _COUNTERS},

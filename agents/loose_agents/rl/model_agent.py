@@ -121,7 +121,9 @@ def _set_network(
 ) -> SetNetwork:
     given = stored.described.get("policy_kwargs")
     plain = given if isinstance(given, dict) else {}
-    described = {k: v for k, v in plain.items() if not k.startswith("features_extractor")}
+    # Both are in the tensors: the extractor's layers, and the rewards of the verdicts.
+    inside = ("features_extractor", "verdict_rewards")
+    described = {k: v for k, v in plain.items() if not k.startswith(inside)}
     rest = replace(stored, described={**stored.described, "policy_kwargs": described})
     activation, masked = _kind(rest)
     nvec = problem.actions.nvec

@@ -45,7 +45,7 @@ class SetNetwork:
     hidden: tuple[Layer, ...]
     """Layers of the policy, each followed by the activation."""
     head: PolicyNetwork
-    """Its last layer, which sees the log-posterior besides."""
+    """Its last layer, which sees the posterior besides."""
 
     def begin(self) -> Any:
         """Return the initial state of an episode."""
@@ -63,18 +63,19 @@ class SetNetwork:
             y = np.maximum(np.einsum("oi,bi->bo", layer.weight, y) + layer.bias, 0.0)
         total = y.sum(0)
         seen = [features[: len(self.layout.global_elements)], total]
-        logs = []
+        logs, posterior = [], []
         if self.posterior:
             first, last = self.posterior
             logits = last(np.maximum(first(total), 0.0))
             logits = logits - logits.max()
             found = logits - np.log(np.exp(logits).sum())
             logs = [np.maximum(found, LOG_FLOOR) * LOG_SCALE]
+            posterior = [np.exp(logs[0] / LOG_SCALE)]
         y = np.concatenate([*seen, *logs])
         for layer in self.hidden:
             y = layer(y)
             y = np.tanh(y) if self.head.activation == "tanh" else np.maximum(y, 0.0)
-        return self.head.choose(np.concatenate([y, *logs]), state, mask)
+        return self.head.choose(np.concatenate([y, *posterior]), state, mask)
 
 
 def is_set_network(state: dict[str, NDArray[Any]]) -> bool:

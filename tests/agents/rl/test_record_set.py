@@ -14,12 +14,14 @@ pytest.importorskip("stable_baselines3")
 
 from loose_agents.rl.end_to_end.joint_inference import (  # noqa: E402
     EpisodeStore,
+    PosteriorPolicy,
     PosteriorSetExtractor,
 )
 from loose_agents.rl.end_to_end.record_set import (  # noqa: E402
     RecordSetExtractor,
     record_set_arguments,
 )
+from loose_agents.rl.set_network import LOG_SCALE  # noqa: E402
 
 Env = gymnasium.Env[Any, Any]
 
@@ -112,9 +114,10 @@ def test_the_store_keeps_the_latest_episodes_and_cuts_them_after_first_records()
         episode = np.zeros(10, dtype=np.float32)
         episode[:2] = k
         episode[2 : 2 + 2 * 3] = k + 1.0  # three records of two elements
-        store.add(episode, k)
+        store.add(episode[None], [k])
     rng = np.random.default_rng(0)
     found, truths = store.sample(200, rng, start=2, slot_size=2)
+    found, truths = found.numpy(), truths.numpy()
     assert set(truths) == {2, 3, 4}
     assert (found[:, 0] == truths).all()
     slots = found[:, 2:].reshape(200, 4, 2)
@@ -125,3 +128,31 @@ def test_the_store_keeps_the_latest_episodes_and_cuts_them_after_first_records()
         for slot, n, truth in zip(slots, lengths, truths, strict=True)
     )
     assert (store.observations[:, 2:8] != 0.0).all()  # the store itself stays as it was
+
+
+def test_verdicts_start_as_the_expected_rewards_under_the_posterior(env: Any) -> None:
+    torch.manual_seed(0)
+    nvec = env.actions.nvec
+    names = env.hypotheses
+    rewards = [[1.0 if a == b else -1.0 for b in names] for a in names] + [[-0.25] * len(names)]
+    policy = PosteriorPolicy(
+        env.observation_space,
+        env.action_space,
+        lambda _: 1e-2,
+        net_arch=[8],
+        features_extractor_class=PosteriorSetExtractor,
+        features_extractor_kwargs={**record_set_arguments(env.layout), "hypotheses": len(names)},
+        verdict_rewards=rewards,
+    )
+    seen = observations(env.layout, records=2)
+
+    def logits() -> Any:
+        features = policy.extract_features(seen)
+        return policy.action_net(policy.mlp_extractor.forward_actor(features))[:, -nvec[-1] :]
+
+    with torch.no_grad():
+        before = logits()
+        logs = policy.extract_features(seen)[:, -len(names) :] / LOG_SCALE
+    wanted = torch.exp(logs) @ torch.tensor(rewards).T / 0.2
+    torch.testing.assert_close(before[:, 1:], wanted)
+    torch.testing.assert_close(before[:, 0], torch.ones(5), atol=0.3, rtol=0.0)  # 0.2 / 0.2

@@ -14,6 +14,7 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("yaml")
 
 from loose_agents.core.base import Problem
+from loose_agents.rl.checkpoint import read_model
 from loose_agents.rl.end_to_end.learning_curve import (
     Budget,
     BudgetSchedule,
@@ -89,13 +90,27 @@ def test_the_checkpoints_play_in_numpy_as_in_torch(tmp_path: Path) -> None:
         model_agent(path, Problem.of(six.arm, six.settings))
 
 
-def test_same_seed_same_curve(tmp_path: Path) -> None:
-    curves = []
-    for name in ("a", "b"):
-        main(["--learners", "ppo_set", "--seeds", "5", *SMALL, "--out", str(tmp_path / name)])
-        found = rows(next((tmp_path / name).glob("*/*/seed_5/curve.csv")))
+def test_same_seed_same_curve_and_weights_for_any_number_of_workers(tmp_path: Path) -> None:
+    curves, weights = [], []
+    for workers in ("1", "2"):
+        given = [
+            "--learners",
+            "ppo_joint",
+            "maskable_ppo_set",
+            "--seeds",
+            "5",
+            "--workers",
+            workers,
+        ]
+        main([*given, *SMALL, "--out", str(tmp_path / workers)])
+        runs = sorted((tmp_path / workers).glob("*/*/seed_5"))
+        found = [row for run in runs for row in rows(run / "curve.csv")]
         curves.append([{k: v for k, v in row.items() if k != "seconds"} for row in found])
+        stored = [read_model(run / "checkpoint.zip").parameters["policy"] for run in runs]
+        weights.append({(k, n): v for k, each in enumerate(stored) for n, v in each.items()})
     assert curves[0] == curves[1]
+    assert weights[0].keys() == weights[1].keys()
+    assert all((weights[0][key] == weights[1][key]).all() for key in weights[0])
 
 
 def test_unknown_learners_are_refused_in_one_line() -> None:

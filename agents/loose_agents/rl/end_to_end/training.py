@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import records_taken
 from loose_agents.core.seeds import CURVE_SEED, check_training_seed
 from loose_agents.evaluation.env_arguments import refused_in_words
-from loose_agents.evaluation.evaluate import EpisodeRow, evaluate
 from loose_agents.rl.hyperparameters import (
     HYPERPARAMETERS,
     LinearSchedule,
@@ -24,6 +21,7 @@ from loose_agents.rl.hyperparameters import (
     read_hyperparameters,
 )
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.faults import UNSURE
 
 __all__ = ["LEARNERS", "Job", "Learner", "run_folder", "train_end_to_end"]
 
@@ -81,7 +79,9 @@ class Job:
     device: str = "cpu"
     """Device of torch."""
     threads: int = 1
-    """Threads of torch and of the simulation."""
+    """Threads of torch, and of the simulation in this process."""
+    workers: int = 1
+    """Processes that simulate the arms; 1 for this process alone."""
     evaluations: int = 12
     """Evaluations, the last one at the end."""
     eval_episodes: int = 200
@@ -102,8 +102,8 @@ def run_folder(job: Job) -> Path:
 def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
     """Train or resume a run until its budget is spent; return its folder.
 
-    The same job goes on from its last checkpoint. With a limit of steps alone, same seed, same
-    curve; a limit of time depends on the machine.
+    The same job goes on from its last checkpoint. With a limit of steps alone and a CPU as device,
+    same seed, same curve, for any number of workers; a limit of time depends on the machine.
 
     Raises
     ------
@@ -113,6 +113,8 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
         If the checkpoint cannot be read.
     UnknownName
         If there is no such learner, environment or hyperparameter.
+    ChildProcessError
+        If a worker dies.
     """
     learner = _learner(job.learner)
     given = read_hyperparameters(HYPERPARAMETERS / f"{learner.file}.yml", job.env)
@@ -128,40 +130,58 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
     from stable_baselines3.common.logger import Logger
 
     from loose_agents.rl.checkpoint import TRAINED_ON
-    from loose_agents.rl.end_to_end.learning_curve import (
-        Budget,
-        BudgetSchedule,
-        CurveCallback,
-        CurveState,
-    )
-    from loose_agents.rl.training_env import training_seed
-    from loose_agents.rl.training_run import write_json
-    from loose_env.envs.sb3 import Sb3VecEnv
+    from loose_agents.rl.end_to_end.learning_curve import Budget, BudgetSchedule
 
     torch.set_num_threads(job.threads)
     if job.env not in gymnasium.registry:
         raise UnknownName(f"unknown environment {job.env!r}")
+    num_envs = int(given.get("n_envs", 1))
     with refused_in_words(job.env, arguments):
-        env: Any = gymnasium.make_vec(job.env, num_envs=int(given.get("n_envs", 1)), **arguments)
+        here = num_envs if job.workers == 1 else 1
+        env: Any = gymnasium.make_vec(job.env, num_envs=here, **arguments)
     if env.settings.raw:
         raise InvalidSetting("the policy learns on the flat observation: leave raw out")
     problem = Problem.of(env.arm, env.settings)
     configuration = _configuration(job, learner, given, arguments, problem, steps)
     folder = run_folder(job)
     folder.mkdir(parents=True, exist_ok=True)
-    vec = Sb3VecEnv(env)
     budget = Budget(steps=steps, seconds=job.seconds)
     for name in ("learning_rate", "clip_range"):
         if isinstance(model_kwargs.get(name), LinearSchedule):
             model_kwargs[name] = BudgetSchedule(model_kwargs[name], budget)
     if learner.network != "flat":
         model_kwargs |= _set_network(learner, env.layout, problem, model_kwargs)
-    model = model_class(env=vec, seed=job.seed, device=job.device, **model_kwargs)
-    setattr(model, TRAINED_ON, problem.fingerprint)
-    model.set_logger(Logger(None, []))
-    checkpoint = folder / "checkpoint.zip"
+    model_kwargs |= _rollout_buffer(learner)
+    vec = _environments(job, learner, env, arguments, num_envs)
+    try:
+        model = model_class(env=vec, seed=job.seed, device=job.device, **model_kwargs)
+        setattr(model, TRAINED_ON, problem.fingerprint)
+        model.set_logger(Logger(None, []))
+        _learn(job, learner, model, vec, budget, problem, configuration, say)
+    finally:
+        vec.close()
+    return folder
+
+
+def _learn(
+    job: Job,
+    learner: Learner,
+    model: Any,
+    vec: Any,
+    budget: Any,
+    problem: Problem,
+    configuration: dict[str, Any],
+    say: Callable[[str], None],
+) -> None:
+    """Train a model, from its checkpoint if there is one, until the budget is spent."""
+    from loose_agents.rl.end_to_end.evaluation import evaluate_policy
+    from loose_agents.rl.end_to_end.learning_curve import BudgetSchedule, CurveCallback, CurveState
+    from loose_agents.rl.training_env import training_seed
+    from loose_agents.rl.training_run import write_json
+
+    folder = run_folder(job)
     name = f"{job.env} {job.learner} seed {job.seed}"
-    resumed = checkpoint.is_file() and not job.restart
+    resumed = (folder / "checkpoint.zip").is_file() and not job.restart
     if resumed:
         model.run_state = _restored(folder, model, configuration, CurveState)
         say(f"{name}: resumed at {model.num_timesteps} steps")
@@ -169,41 +189,67 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
         model.run_state = CurveState()
     state = model.run_state
     over = job.seconds is not None and state.seconds >= job.seconds
-    if not (over or model.num_timesteps >= steps):
-        write_json(folder / "configuration.json", configuration)
-        budget.begin(state.seconds)
-        vec.seed(check_training_seed(training_seed(job.seed, model.num_timesteps)))
-        if learner.network != "flat" and not resumed:
-            state.records += _standardise(model, vec, job.seed)
-        state.restore_generators()
-        callbacks: list[Any] = []
-        if learner.network == "posterior":
-            from loose_agents.rl.end_to_end.joint_inference import InferenceCallback
-
-            rate = BudgetSchedule(LinearSchedule(_INFERENCE_RATE), budget)
-            callbacks.append(InferenceCallback(problem.hypotheses, rate=rate, seed=job.seed))
-        curve = CurveCallback(
-            folder,
-            budget,
-            lambda episodes: _evaluate(model, problem, episodes, job.threads),
-            evaluations=job.evaluations,
-            episodes=job.eval_episodes,
-            last_episodes=job.last_episodes,
-            show=lambda point: say(
-                f"{name}: {point.steps} steps, {point.records} records, {point.seconds:.0f} s: "
-                f"return {point.mean_return:+.3f}, right {point.right:.3f}, unsure "
-                f"{point.unsure:.3f}, {point.records_per_episode:.2f} records an episode"
-            ),
-        )
-        model.learn(
-            steps - model.num_timesteps,
-            callback=[*callbacks, curve],
-            reset_num_timesteps=not resumed,
-        )
-    else:
+    if over or model.num_timesteps >= budget.steps:
         say(f"{name}: trained already, {model.num_timesteps} steps in {state.seconds:.0f} s")
-    vec.close()
-    return folder
+        return
+    write_json(folder / "configuration.json", configuration)
+    budget.begin(state.seconds)
+    vec.seed(check_training_seed(training_seed(job.seed, model.num_timesteps)))
+    if learner.network != "flat" and not resumed:
+        state.records += _standardise(model, vec, job.seed, problem.settings.max_records)
+    state.restore_generators()
+    callbacks: list[Any] = []
+    if learner.network == "posterior":
+        from loose_agents.rl.end_to_end.joint_inference import InferenceCallback
+
+        rate = BudgetSchedule(LinearSchedule(_INFERENCE_RATE), budget)
+        callbacks.append(InferenceCallback(vec, problem.hypotheses, rate=rate, seed=job.seed))
+    curve = CurveCallback(
+        folder,
+        budget,
+        lambda episodes: evaluate_policy(model, problem, episodes, job.threads),
+        evaluations=job.evaluations,
+        episodes=job.eval_episodes,
+        last_episodes=job.last_episodes,
+        show=lambda point: say(
+            f"{name}: {point.steps} steps, {point.records} records, {point.seconds:.0f} s: "
+            f"return {point.mean_return:+.3f}, right {point.right:.3f}, unsure "
+            f"{point.unsure:.3f}, {point.records_per_episode:.2f} records an episode"
+        ),
+    )
+    model.learn(
+        budget.steps - model.num_timesteps,
+        callback=[*callbacks, curve],
+        reset_num_timesteps=not resumed,
+    )
+
+
+def _environments(
+    job: Job, learner: Learner, env: Any, arguments: dict[str, Any], num_envs: int
+) -> Any:
+    """Environments of the rollouts, simulated here or by workers."""
+    from loose_agents.rl.end_to_end.joint_inference import ConcurrentVecEnv
+    from loose_agents.rl.end_to_end.parallel_env import ParallelVecEnv
+    from loose_env.envs.sb3 import Sb3VecEnv
+
+    vec = (
+        Sb3VecEnv(env)
+        if job.workers == 1
+        else ParallelVecEnv(env, job.env, arguments, num_envs=num_envs, workers=job.workers)
+    )
+    return ConcurrentVecEnv(vec) if learner.network == "posterior" else vec
+
+
+def _rollout_buffer(learner: Learner) -> dict[str, Any]:
+    """Argument of an algorithm whose rollouts lie on its device; that of RecurrentPPO is fixed."""
+    from loose_agents.rl.end_to_end.device_buffer import (
+        DeviceMaskableRolloutBuffer,
+        DeviceRolloutBuffer,
+    )
+
+    kinds = {"ppo": DeviceRolloutBuffer, "maskable_ppo": DeviceMaskableRolloutBuffer}
+    kind = kinds.get(learner.algorithm)
+    return {} if kind is None else {"rollout_buffer_class": kind}
 
 
 def _set_network(
@@ -220,6 +266,10 @@ def _set_network(
     if learner.network == "posterior":
         kind, given = PosteriorSetExtractor, {**given, "hypotheses": len(problem.hypotheses)}
         changed["policy"] = PosteriorPolicy
+        prices, names = problem.settings.prices, problem.hypotheses
+        own["verdict_rewards"] = [
+            [prices.verdict(named, truth) for truth in names] for named in (*names, UNSURE)
+        ]
     changed["policy_kwargs"] = {
         **own,
         "features_extractor_class": kind,
@@ -284,69 +334,16 @@ def _restored(folder: Path, model: Any, configuration: dict[str, Any], kind: typ
         ) from error
 
 
-def _standardise(model: Any, vec: Any, seed: int) -> int:
+def _standardise(model: Any, vec: Any, seed: int, max_records: int) -> int:
     """Standardise the set network's input on the records of random actions; return their number."""
     rng = np.random.default_rng(seed)
     choices = vec.action_space.nvec
     observation = vec.reset()
     taken = 0
-    for _ in range(min(_STANDARDISING_STEPS, vec.env.settings.max_records)):
+    for _ in range(min(_STANDARDISING_STEPS, max_records)):
         actions = rng.integers(0, choices, size=(vec.num_envs, len(choices)))
         actions[:, -1] = 0  # no verdict
         observation, _, _, _ = vec.step(actions)
         taken += vec.num_envs
     model.policy.features_extractor.standardise(observation)
     return taken
-
-
-def _evaluate(model: Any, problem: Problem, episodes: int, threads: int) -> list[EpisodeRow]:
-    """Play the first held-out episodes with the most probable actions."""
-    agent: Any = _BatchPolicy(model, problem)
-    if hasattr(model.policy, "lstm_actor"):
-        from loose_agents.rl.model_agent import ModelAgent
-        from loose_agents.rl.network import network_of
-
-        agent = ModelAgent(problem, network_of(model))
-    return evaluate(
-        agent,
-        "learner",
-        problem.arm,
-        problem.settings,
-        episodes=episodes,
-        seed=CURVE_SEED,
-        width=min(episodes, 128),
-        threads=threads,
-    )
-
-
-class _BatchPolicy:
-    """A policy without memory as an agent: all observations at once, masks where it has them."""
-
-    def __init__(self, model: Any, problem: Problem) -> None:
-        self.model, self.problem = model, problem
-        self.masked = type(model).__name__ == "MaskablePPO"
-
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: Sequence[Any] | None = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.int64], None]:
-        """Choose actions (num, choices) for observations (num, size)."""
-        further = {"action_masks": self._masks(observation)} if self.masked else {}
-        actions, _ = self.model.predict(observation, deterministic=deterministic, **further)
-        return actions, None
-
-    def _masks(self, observations: NDArray[np.float32]) -> NDArray[np.bool_]:
-        layout, actions = self.problem.layout, self.problem.actions
-        return np.stack(
-            [
-                actions.mask(
-                    layout.pose_of(row),
-                    records_taken(self.problem, row),
-                    int(np.count_nonzero(layout.slots_of(row)[:, 0])),
-                )
-                for row in observations
-            ]
-        )
