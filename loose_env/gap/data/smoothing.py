@@ -37,7 +37,7 @@ __all__ = [
 
 
 _EVALUATED = 1.8
-"""Compared samples per period of the band's end; the errors of neighbours hang together little."""
+"""Compared samples per period of the band's end; errors of neighbours are little autocorrelated."""
 _KERNEL = 4096
 """Samples over which the filters' gains are measured, at most."""
 _POSITION, _SPEED = int(mujoco.mjtSensor.mjSENS_JOINTPOS), int(mujoco.mjtSensor.mjSENS_JOINTVEL)

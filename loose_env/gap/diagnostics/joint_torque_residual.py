@@ -75,7 +75,7 @@ class JointMotion:
     """Residual torque (T, J): applied torque less that of the nominal model. NaN where it is not
     known."""
     residual_noise: Array
-    """Standard deviation of ``missing`` due to the noise of the readings (J,)."""
+    """Standard deviation of `residual_torque` due to the noise of the readings (J,)."""
 
     def regressor(self, name: str, joint: int) -> Array:
         """Values (T,) of one regressor of `diagnostics.regressors` at a joint."""

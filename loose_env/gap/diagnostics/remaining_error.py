@@ -27,7 +27,7 @@ __all__ = ["NOISE_RMS", "remaining_motions", "remaining_words"]
 
 
 def remaining_words(
-    base: ScoredFit, best: ScoredFit, location: Location, *, most: int = 3, impact_fit: bool = False
+    base: ScoredFit, best: ScoredFit, location: Location, *, impact_fit: bool = False
 ) -> list[str]:
     """Describe the residual of the corrected model in sentences; none if it is noise.
 
@@ -37,9 +37,7 @@ def remaining_words(
         The nominal model, and the corrected one.
     location : Location
         Localised residual of the corrected model.
-    most : int
-        Maximum number of channels, and of joints.
-    struck : bool
+    impact_fit : bool
         Whether a part with chaotic impacts against its stops was identified.
     """
     before, after = base.held_out_rms, best.held_out_rms
@@ -63,7 +61,7 @@ def remaining_words(
             f"The residual is no larger than the noise ({after:.2f} of its standard deviations), "
             "but autocorrelated: a small effect is missing that was not identified."
         )
-    return [first, *location_words(location, most=most, always=True)]
+    return [first, *location_words(location, most=3, always=True)]
 
 
 def remaining_motions(

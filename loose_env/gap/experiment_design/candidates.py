@@ -90,7 +90,7 @@ class Ray:
         return tuple(name in ends for name in names)
 
     def values(self, size: float, shape: Array | None = None) -> Array:
-        """Parameter values at a size, shape parameters off by some numbers of free units.
+        """Parameter values at a size, shape parameters off by some standard deviations.
 
         Parameters
         ----------

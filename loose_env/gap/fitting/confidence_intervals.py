@@ -23,6 +23,8 @@ __all__ = ["Intervals", "bootstrap", "joined", "widened"]
 _ANSWER = 1.0
 """Rise of the sum of squares [noise variances] with a step of one free number, about the least size
 that matters, below which the data do not answer to it."""
+_DRAWS = 500
+"""Draws of the bootstrap."""
 _ANYWHERE = 1e6
 """Factor on the squared range of such a number, for its variance."""
 
@@ -57,9 +59,7 @@ class Intervals:
         return bool(distance < stats.chi2.ppf(0.95, len(off)))
 
 
-def bootstrap(
-    comparison: ResidualModel, fitted: Fit, rng: np.random.Generator, *, draws: int = 500
-) -> Intervals:
+def bootstrap(comparison: ResidualModel, fitted: Fit, rng: np.random.Generator) -> Intervals:
     """Bootstrap blocks of time, with one Gauss-Newton step for each draw.
 
     The residual is nearly linear in the parameters, so that no draw needs a simulation. Blocks
@@ -75,8 +75,6 @@ def bootstrap(
         The fit, with fresh sensitivities.
     rng : numpy.random.Generator
         Draws the blocks.
-    draws : int
-        Number of draws.
     """
     parameters = fitted.structure.parameters
     _, weights = prior_of(parameters)
@@ -92,7 +90,7 @@ def bootstrap(
     curvatures, slopes = curvatures / misfit, slopes / misfit
     known = np.diag(weights**2 + 1e-9)
     inverse = np.linalg.inv(curvatures.sum(axis=0) + known)
-    drawn = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=draws)
+    drawn = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=_DRAWS)
     curvature = np.tensordot(drawn, curvatures, 1) + known
     # Deviations from the whole sample's gradient, so that a fit at a bound is not pushed further.
     slope = (drawn - 1) @ slopes

@@ -69,8 +69,8 @@ class FitSettings:
 BESIDE_STOPS = FitSettings(iterations=8, enough=3e-3, difference=0.02, stale=0.0)
 """How parts with stops, and what stands beside them, are fitted: a simulation takes three times as
 long, and the law of stops is never that of the machine to the last per mille. Sensitivities are
-taken over longer steps, for a blow that is just missed makes short ones jump; for the same reason
-fresh ones are no better at the end than those from afar."""
+taken over longer steps, for an impact that is just missed makes short ones jump; for the same
+reason fresh ones are no better at the end than those from afar."""
 
 
 def fit_settings_for(structure: ModelStructure) -> FitSettings:
@@ -102,11 +102,6 @@ class Fit:
     def effects(self) -> tuple[Effect, ...]:
         """Effects of the hypothesis, without the nuisance parameters."""
         return self.structure.effects
-
-    @property
-    def own_free(self) -> tuple[Array, ...]:
-        """Free numbers of each effect."""
-        return tuple(self.free[own] for own in self.structure.slices)
 
     @property
     def bare(self) -> Fit:

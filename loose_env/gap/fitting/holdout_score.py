@@ -240,7 +240,7 @@ def z_score(behind: Array, ahead: Array, noise: Array, *, by_rank: bool = False)
     Examples
     --------
     >>> before, after, noise = np.full(40, 400.0), np.full(40, 100.0), np.full(40, 50.0)
-    >>> after[0] = 90000.0  # a blow that was missed
+    >>> after[0] = 90000.0  # an impact that was missed
     >>> round(z_score(before, after, noise), 1)
     0.4
     >>> round(z_score(before, after, noise, by_rank=True), 1)

@@ -39,6 +39,8 @@ _PERSISTS = (3.0, 12.0)
 shows at the end."""
 _END = 0.75
 """Share of the beginning after which nothing of it may show."""
+_ITERATIONS = 3
+"""Gauss-Newton iterations of initial states alone."""
 _FORGOTTEN = 0.01
 """Change by a standard deviation of the initial state that does not show [noise standard
 deviations]."""
@@ -129,7 +131,7 @@ class InitialStates:
         residual : ndarray (N,)
             Residual of that hypothesis.
         difference : float
-            SelectionStep, in free units.
+            Step of the finite difference, in free units.
         """
         joints = len(self.machine.joints)
         found = np.zeros((len(residual), len(self.parameters)))
@@ -176,9 +178,7 @@ class InitialStates:
                 yield t, rows[: own.sum()], changes
             left = persistent
 
-    def fitted(
-        self, comparison: ResidualModel, hypothesis: Hypothesis, *, iterations: int = 3
-    ) -> tuple[Hypothesis, Array]:
+    def fitted(self, comparison: ResidualModel, hypothesis: Hypothesis) -> tuple[Hypothesis, Array]:
         """Fit the initial states alone, for runs outside the training data.
 
         Returns
@@ -192,7 +192,7 @@ class InitialStates:
         moving = tuple(k for k, run in enumerate(comparison.runs) if int(run) in self.moving)
         for seconds in self._lengths if moving else ():
             part = comparison.beginnings(moving, seconds)
-            free, persistent = self._fitted_on(part, hypothesis, free, iterations)
+            free, persistent = self._fitted_on(part, hypothesis, free)
             whole = all(
                 len(trial.time) == len(comparison.trials[k].time)
                 for k, trial in zip(moving, part.trials, strict=True)
@@ -203,12 +203,12 @@ class InitialStates:
         return now, comparison.residuals([now])[0]
 
     def _fitted_on(
-        self, part: ResidualModel, hypothesis: Hypothesis, free: Array, iterations: int
+        self, part: ResidualModel, hypothesis: Hypothesis, free: Array
     ) -> tuple[Array, bool]:
         """Free numbers fitted to the beginnings of runs, and whether they show at the end."""
         now = self._at(hypothesis, free)
         residual, jacobian = part.residuals([now])[0], None
-        for _ in range(iterations):
+        for _ in range(_ITERATIONS):
             jacobian = self.sensitivities(part, now, residual)
             curvature = jacobian.T @ jacobian + np.eye(len(free))
             step = -np.linalg.solve(curvature, jacobian.T @ residual + free)

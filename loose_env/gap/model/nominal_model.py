@@ -39,12 +39,12 @@ class NominalModel:
         Typical torque [N·m] or force [N] of each joint in the recording; by default from the model.
     speeds : ndarray (joints,), optional
         Typical speed of each joint [rad/s, m/s] in the recording; 1 by default.
-    joined : int
+    merged_steps : int
         Maximum number of steps merged into one, where no stiff effect needs each: the step is
         that much finer than the recording needs.
-    cut : int
+    substeps : int
         Number of substeps per step for stiff effects, where no steps are merged.
-    even : bool
+    uniform_steps : bool
         Whether every hypothesis takes the same steps, so that a difference between two is not that
         of their steps.
 

@@ -261,7 +261,7 @@ def model_notes(
     ----------
     named : sequence of NamedEffect
         Identified effects.
-    nameless : sequence of (Effect, ndarray)
+    unnamed : sequence of (Effect, ndarray)
         Effects that are not identified, with their values.
     figures : mapping
         Factors on nominal parameters.

@@ -114,7 +114,7 @@ class Structure:
 
 
 def largest(sums: Array) -> Array:
-    """Largest absolute value of sums by lag (3, ...), with its sign (...)."""
+    """Largest absolute value of sums by lag (3, ...)."""
     return np.asarray(np.max(np.abs(sums), axis=0))
 
 

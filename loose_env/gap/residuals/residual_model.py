@@ -36,7 +36,7 @@ _IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 BURN_IN = 0.1
 """What an unknown start may disturb, at the beginning of a run [s]."""
 BLOCKS = 100
-"""How many blocks, within which residuals hang together, the runs are cut into."""
+"""Number of blocks that the runs are cut into; residuals may be autocorrelated within a block."""
 SHORTEST, LONGEST = 0.1, 0.5
 """Lengths of a block, however short or long the runs are [s]."""
 
@@ -84,7 +84,7 @@ class ResidualModel:
         Threads of the simulation; 0: all processors.
     inverse : InverseDynamics, optional
         Inverse dynamics of the inverse runs, if already computed.
-    parting : frozenset of str
+    chaotic : frozenset of str
         Names of the random runs that are compared by features
         (`loose_env.gap.residuals.preparation.chaotic_runs.chaotic_runs`).
     read : ndarray (C,), optional
@@ -277,7 +277,7 @@ class ResidualModel:
         ----------
         stiff : bool
             Whether either has a stiff spring: then both take every step, else several as
-            one where the machine allows it (`NominalModel.joined`).
+            one where the machine allows it (`NominalModel.merged_steps`).
         """
         cheaper = self.machine.integrator == _RUNGE_KUTTA
         if self.inverse is None and not cheaper:

@@ -64,7 +64,7 @@ class Acceptance:
     ----------
     comparison : ResidualModel
         The training runs.
-    judge : Scorer
+    scorer : Scorer
         Scores fits on the held-out runs.
     base, before : ScoredFit
         The nominal model, and the current model.

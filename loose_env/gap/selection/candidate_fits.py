@@ -43,7 +43,7 @@ class CandidateFits:
     ----------
     comparison, short : ResidualModel
         The training runs, and the windows of them that rank candidates.
-    judge : Scorer
+    scorer : Scorer
         Scores fits to all data.
     before : ScoredFit
         The current model.
@@ -129,7 +129,7 @@ class CandidateFits:
 
         Parameters
         ----------
-        judged : ScoredFit
+        scored : ScoredFit
             The hypothesis.
         base : Fit
             The nominal model.

@@ -64,7 +64,7 @@ class SwapStep:
     ----------
     comparison, short : ResidualModel
         The training runs, and the windows of them that rank candidates.
-    judge : Scorer
+    scorer : Scorer
         Scores fits to all data.
     candidates : sequence of Effect
         The catalogue at every location.
@@ -320,9 +320,9 @@ def drop_insignificant(
     ----------
     best : ScoredFit
         The hypothesis to improve.
-    prepared : GapProblem
+    problem : GapProblem
         The runs.
-    judge : Scorer
+    scorer : Scorer
         Scores fits to ``problem.fit``.
     seed : int
         Of the bootstrap.

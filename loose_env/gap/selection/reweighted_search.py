@@ -107,7 +107,7 @@ def search(
 
     Parameters
     ----------
-    prepared : GapProblem
+    problem : GapProblem
         The runs.
     nuisance, sought, settings, say, earlier
         As of `loose_env.gap.selection.forward_selection.select_effects`, ``sought`` being its

@@ -42,7 +42,7 @@ class QuickCandidate:
     units: tuple[Mapping[str, str], ...]
     """Units of these."""
     explained: float
-    """Share of what hangs together in the residual that it explains, held-out windows included."""
+    """Share of the autocorrelated residual that it explains, held-out windows included."""
     held_out_z: float
     """Improvement (z) on the held-out windows."""
     held_out: float

@@ -63,8 +63,8 @@ class TriedEffect:
     """Improvement (z) over the model without it, and the explained share."""
     accepted: bool
     """Whether the search would name it: surely ahead, by enough, and not by a limit or by noise.
-    Beside a part that strikes its stops the search takes what these leave as noise, and may name
-    what is hidden by that here."""
+    Beside a part with impacts against its stops the search takes what these leave as noise, and
+    may name what is hidden by that here."""
     scored: ScoredFit = field(repr=False)
     """The scored fit."""
 
@@ -123,7 +123,7 @@ class GapSession:
 
     Attributes
     ----------
-    prepared : GapProblem
+    problem : GapProblem
         Aligned and split runs, the chosen step, the noise.
     nominal : ScoredFit
         The nominal model, fitted within the tolerance.

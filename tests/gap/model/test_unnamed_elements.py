@@ -9,7 +9,6 @@ import pytest
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.link_inertia import Payload, payload_words
 from loose_env.gap.model.effects.mjcf.geometry import link_ends
-from loose_env.gap.model.effects.mjcf.inertia import make_explicit
 from loose_env.gap.model.element_names import naming_words
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
@@ -162,13 +161,6 @@ def test_the_model_that_is_written_carries_the_names() -> None:
     text.compile()
     model = mujoco.MjModel.from_xml_string(text.to_xml())
     assert model.body("lift_link").mass[0] == pytest.approx(1.7)
-
-
-def test_explicit_figures_are_those_of_each_body() -> None:
-    unnamed = machine(bare())
-    spec = unnamed.fresh()
-    make_explicit(unnamed, spec)
-    assert np.allclose(spec.compile().body_mass, unnamed.model.body_mass)
 
 
 @pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass' is deprecated")

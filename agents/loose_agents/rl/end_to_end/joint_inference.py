@@ -156,8 +156,8 @@ class InferenceCallback(BaseCallback):
         Names of the hypotheses, in the posterior's order.
     rate : callable
         Learning rate, given the share of the budget that is left.
-    left : callable
-        Share of the budget that is left.
+    seed : int
+        Of the drawn batches.
     episodes : int
         Episodes that are kept to learn from.
     batches, batch_size : int

@@ -128,7 +128,7 @@ class MotionRuns:
         saturated: dict[str, None] = {}
         position, torque = np.zeros((2, len(desired), self._joints))
         given = np.zeros((len(desired), len(self.machine.actuators) * (self.form == "forward")))
-        tracking = _Tracking(self.machine, model, dofs)
+        tracking = _Tracking(self.machine, dofs)
         gears = np.stack([self.machine.gears(j) for j in self.machine.joints])
         last = 0
         for row in range(len(desired)):
@@ -252,7 +252,7 @@ class MotionRuns:
 class _Tracking:
     """Computed-torque controller that follows a motion where the model has no servo."""
 
-    def __init__(self, machine: NominalModel, model: mujoco.MjModel, dofs: Sequence[int]) -> None:
+    def __init__(self, machine: NominalModel, dofs: Sequence[int]) -> None:
         rate = 2 * np.pi * _TRACKING_HZ
         self._stiffness = machine.inertias * rate**2
         self._damping = 2 * machine.inertias * rate

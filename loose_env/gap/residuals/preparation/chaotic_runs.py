@@ -34,7 +34,7 @@ NUDGE = 1e-5
 _OF_STOPS = {"stiffness": 1.3, "damping_ratio": 1.5}
 """Factors on figures of stops that do not matter: no law of contact is that exact."""
 LOOKED_AT = 2.0
-"""How much of a run is simulated to see whether trajectories part, where it is least like the
+"""How much of a run is simulated to see whether trajectories diverge, where it is least like the
 nominal model [s]; at least as much as features need."""
 _NOMINAL = Hypothesis(effects=(), values=())
 

@@ -195,9 +195,7 @@ def corrected_step_words(held_out: ResidualModel, hypothesis: Hypothesis) -> lis
     for parts in (1, _FINER):
         finer = replace(machine, step=machine.step / parts)
         own = [trial.finer(parts) for trial in trials]
-        compared = ResidualModel(
-            finer, own, chosen.channels, chosen.floors, threads=chosen.threads
-        )
+        compared = ResidualModel(finer, own, chosen.channels, chosen.floors, threads=chosen.threads)
         found.append(compared.residuals([hypothesis])[0])
     channel = compared.rows.channel
     counts = np.maximum(np.bincount(channel), 1)

@@ -136,7 +136,7 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
         names = ", ".join(c.name for c, left_out in zip(channels, said, strict=True) if left_out)
         warnings.append(f"{names}: constant, so that its noise is unknown; not compared")
     trials = [_without(trial, still) for trial in trials]
-    kept = _scaled(kept, runs, trials, channels, floors, settings.threads)
+    kept = _scaled(kept, runs, trials, settings.threads)
     chaotic = chaotic_runs(
         kept,
         trials,
@@ -276,8 +276,6 @@ def _scaled(
     machine: NominalModel,
     runs: list[Run],
     trials: list[Trial],
-    channels: tuple[Channel, ...],
-    floors: Array,
     threads: int,
 ) -> NominalModel:
     """Set the machine's typical speeds and torques to those of the recording."""

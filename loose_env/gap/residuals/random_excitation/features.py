@@ -42,7 +42,7 @@ class FeatureSettings:
     """Standard deviation of a noise floor, as a share of it."""
     chaos: float = 1.0
     """Share of the incoherent part, less the noise, that a right simulation draws anew: 1 where
-    stops are struck wildly, 0 where it repeats all of it. `RandomFeatures.redrawn` measures it."""
+    impacts are chaotic, 0 where it repeats all of it. `RandomFeatures.redrawn` measures it."""
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -153,8 +153,6 @@ class RandomFeatures:
         machine: NominalModel,
         channels: Sequence[Channel],
         floors: Array,
-        *,
-        settings: FeatureSettings | None = None,
     ) -> RandomFeatures:
         """Features of a measured run whose recording lists excited joints.
 
@@ -180,7 +178,6 @@ class RandomFeatures:
             commands=trial.controls[at][:, driven],
             floors=floors,
             channels=channels,
-            settings=settings,
         )
 
     @cached_property

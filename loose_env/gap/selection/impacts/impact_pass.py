@@ -56,9 +56,9 @@ def impact_pass(
 
     Parameters
     ----------
-    prepared : GapProblem
+    problem : GapProblem
         The runs.
-    judge : Scorer
+    scorer : Scorer
         Scores fits to ``problem.fit``.
     base, best : ScoredFit
         The nominal model, and the best hypothesis, which does not explain enough.

@@ -33,9 +33,9 @@ _READ = 0.5
 _SMOOTHED = 8
 """Samples of the moving mean that parts the lower band from the upper."""
 _CHANCE = 0.7
-"""Standard deviation of the logarithm of a power that blows make, in a stretch, by chance."""
+"""Standard deviation of the logarithm of the power of impacts in a stretch, by chance."""
 _BLOCK = 0.1
-"""What hangs together [s]."""
+"""Block length [s]; residuals may be autocorrelated within a block."""
 
 
 class ImpactPower(ResidualModel):

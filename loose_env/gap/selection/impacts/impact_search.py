@@ -46,7 +46,7 @@ _FROM = 3
 _TITLE = "parts with stops"
 _STEP = 0.05
 _ROUGH, _FINE = (FitSettings(difference=step, iterations=n) for step, n in ((0.2, 8), (_STEP, 4)))
-"""Powers scatter with the moments of blows: sensitivities are taken over long steps first."""
+"""Powers scatter with the times of impacts: sensitivities are taken over long steps first."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,7 +94,7 @@ def find_impacts(
 
     Parameters
     ----------
-    prepared : GapProblem
+    problem : GapProblem
         The runs.
     known : Hypothesis
         The hypothesis found sample by sample, nominal parameters included.

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-__all__ = ["Inertial", "inertial_of", "make_explicit", "set_inertial", "steiner"]
+__all__ = ["Inertial", "inertial_of", "set_inertial", "steiner"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,16 +89,3 @@ def steiner(mass: float, lever: Array) -> Array:
     array([18., 18.,  0.])
     """
     return mass * (lever @ lever * np.eye(3) - np.outer(lever, lever))
-
-
-def make_explicit(machine: NominalModel, spec: mujoco.MjSpec) -> None:
-    """Write explicit mass, centre and principal inertia to every named body.
-
-    A factor on a body's ``mass`` or ``inertia`` is then effective, whether the model was written
-    with geoms or with ``fullinertia``.
-    """
-    for body in spec.bodies:
-        if body.name and body.name != "world":
-            figures = inertial_of(machine, spec, body.name)
-            if figures.mass > 0:
-                set_inertial(machine, spec, body.name, figures)
