@@ -28,7 +28,7 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 __all__ = [
-    "Motion",
+    "SmoothedMotion",
     "even_grid",
     "filled",
     "smooth_motion",
@@ -44,7 +44,7 @@ _POSITION, _SPEED = int(mujoco.mjtSensor.mjSENS_JOINTPOS), int(mujoco.mjtSensor.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class SmoothedMotion:
     """Smoothed motion of all joints on a uniform grid, with the compared points."""
 
     band: Band
@@ -96,7 +96,7 @@ def smooth_motion(
     channels: Sequence[Channel],
     readings: dict[str, Array] | None = None,
     band: Band | None = None,
-) -> Motion:
+) -> SmoothedMotion:
     """Smooth the motion of a run.
 
     Parameters
@@ -137,24 +137,24 @@ def smooth_motion(
         found[:, :, joint] = _smoothed(values, speed, band, crossing[joint])
         noise[:, joint] = _noise_left(values, speed, band, crossing[joint])
     every = max(1, int(rate / (_EVALUATED * band.end)))
-    return Motion(
+    return SmoothedMotion(
         band=band, time=grid, position=found[0], speed=found[1], acceleration=found[2],
         noise=noise, crossing=crossing, chosen=np.arange(0, len(grid), every),
     )  # fmt: skip
 
 
 def with_readings(
-    motion: Motion,
+    motion: SmoothedMotion,
     trial: Trial,
     machine: NominalModel,
     channels: Sequence[Channel],
     readings: Mapping[str, Array],
-) -> Motion:
+) -> SmoothedMotion:
     """Motion with other readings of some sensors, through the same filters.
 
     Parameters
     ----------
-    motion : Motion
+    motion : SmoothedMotion
         The smoothed motion of a run. Joints without other readings keep theirs.
     trial, machine, channels
         What it was smoothed from.

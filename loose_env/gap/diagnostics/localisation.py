@@ -23,7 +23,7 @@ from loose_env.gap.output.evidence_schema import (
     JointResidual,
     Location,
 )
-from loose_env.gap.residuals.autocorrelation import Structure, largest
+from loose_env.gap.residuals.autocorrelation import LaggedProducts, largest
 from loose_env.gap.residuals.residual_model import LONGEST, Rows
 from loose_env.gap.settings import (
     DEPENDENCE_SHARE,
@@ -68,7 +68,7 @@ def locate(
     sums = np.zeros((len(trials), len(channels)))
     if many:
         group = rows.trial * len(channels) + rows.channel
-        found = largest(Structure(rows).by_group(residual, group))
+        found = largest(LaggedProducts(rows).by_group(residual, group))
         sums.flat[: len(found)] = found
     number = {channel.name: c for c, channel in enumerate(channels)}
     return Location(

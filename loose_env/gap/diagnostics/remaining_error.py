@@ -112,7 +112,7 @@ def _torque_unknown(effect: Effect, *, inverse: bool) -> bool:
         return True
     # of torques compared with motion these are parts that no MJCF has
     return inverse and (
-        own.unseen_torque is not Effect.unseen_torque
+        own.passive_actuator_torque is not Effect.passive_actuator_torque
         or own.sensed_torque is not Effect.sensed_torque
     )
 

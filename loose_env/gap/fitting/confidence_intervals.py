@@ -50,11 +50,15 @@ class Intervals:
         `own` are the indices of its parameters. Components of a correlated vector may each be zero,
         but not all of them: the joint confidence ellipse decides.
         """
-        if not effect.vanishes(self.low[own], self.high[own]):
+        if not effect.interval_includes_null(self.low[own], self.high[own]):
             return False
-        if effect.nothing is None or effect.proportional is not None or own.stop == own.start + 1:
+        if (
+            effect.null_values is None
+            or effect.proportional is not None
+            or own.stop == own.start + 1
+        ):
             return True
-        off = self.free[own] - free_of(effect.parameters, np.array(effect.nothing))
+        off = self.free[own] - free_of(effect.parameters, np.array(effect.null_values))
         distance = off @ np.linalg.pinv(self.covariance[own, own]) @ off
         return bool(distance < stats.chi2.ppf(0.95, len(off)))
 
@@ -141,7 +145,7 @@ def widened(comparison: ResidualModel, fitted: Fit, intervals: Intervals) -> Int
     intervals : Intervals
         Intervals to widen.
     """
-    intervals = _no_surer(fitted, intervals)
+    intervals = _at_least_law_error(fitted, intervals)
     runs = np.unique(comparison.rows.trial)
     if len(runs) < 2:
         return intervals
@@ -163,8 +167,10 @@ def widened(comparison: ResidualModel, fitted: Fit, intervals: Intervals) -> Int
     ]
     low, high = np.minimum(intervals.low, ends[0]), np.maximum(intervals.high, ends[1])
     for effect, own in zip(fitted.effects, fitted.structure.slices, strict=True):
-        if effect.vanishes(low[own], high[own]):
-            low[own], high[own] = _short_of_nothing(effect, intervals, own, low[own], high[own])
+        if effect.interval_includes_null(low[own], high[own]):
+            low[own], high[own] = _widened_excluding_zero(
+                effect, intervals, own, low[own], high[own]
+            )
     return replace(intervals, low=low, high=high)
 
 
@@ -183,21 +189,23 @@ def joined(first: Intervals, second: Intervals) -> Intervals:
     )
 
 
-def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
+def _at_least_law_error(fitted: Fit, intervals: Intervals) -> Intervals:
     """Limit the precision of intervals to `NARROWEST_INTERVAL`, of a value or its size."""
     parameters = fitted.structure.parameters
     values = values_of(parameters, fitted.free)
-    nothing = np.concatenate(
+    null = np.concatenate(
         [
             np.zeros(len(fitted.structure.nuisance.parameters)),
             *(
-                np.zeros(len(effect.parameters)) if effect.nothing is None else effect.nothing
+                np.zeros(len(effect.parameters))
+                if effect.null_values is None
+                else effect.null_values
                 for effect in fitted.effects
             ),
         ]
     )
     room = NARROWEST_INTERVAL * np.minimum(
-        np.abs(values - nothing), np.where(nothing == 0, np.inf, abs(values))
+        np.abs(values - null), np.where(null == 0, np.inf, abs(values))
     )
     low = np.maximum(values - room, [p.low for p in parameters])
     high = np.minimum(values + room, [p.high for p in parameters])
@@ -206,16 +214,16 @@ def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
     )
 
 
-def _short_of_nothing(
+def _widened_excluding_zero(
     effect: Effect, intervals: Intervals, own: slice, low: Array, high: Array
 ) -> tuple[Array, Array]:
     """Widen interval ends (P,), except those that would newly include zero."""
     before = intervals.low[own], intervals.high[own]
-    if effect.nothing is None:
+    if effect.null_values is None:
         ends = [dict(effect.limit).get(p.name) for p in effect.parameters]
         to_low = np.array([end == "low" for end in ends])
         to_high = np.array([end == "high" for end in ends])
     else:
-        nothing = np.array(effect.nothing)
-        to_low, to_high = nothing < before[0], nothing > before[1]
+        null = np.array(effect.null_values)
+        to_low, to_high = null < before[0], null > before[1]
     return np.where(to_low, before[0], low), np.where(to_high, before[1], high)

@@ -9,7 +9,7 @@ from scipy import stats
 
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.initial_state import InitialStates
-from loose_env.gap.residuals.autocorrelation import Structure, largest
+from loose_env.gap.residuals.autocorrelation import LaggedProducts, largest
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import (
     IMPACT_DOMINATED,
@@ -156,7 +156,7 @@ class Scorer:
         self.comparison, self.held_out = comparison, held_out
         # Initial states of held-out runs are fitted separately, and credited to no hypothesis.
         self._start = InitialStates(held_out.machine, held_out.trials, held_out.channels)
-        self._fitted, self._held = Structure(comparison.rows), Structure(held_out.rows)
+        self._fitted, self._held = LaggedProducts(comparison.rows), LaggedProducts(held_out.rows)
 
     def score(self, fitted: Fit) -> ScoredFit:
         """Simulate the held-out runs and score the fit."""

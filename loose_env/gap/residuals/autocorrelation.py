@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from loose_env.gap.residuals.residual_model import Rows
 from loose_env.typing import Array, IndexArray
 
-__all__ = ["Structure", "independent_rows", "largest"]
+__all__ = ["LaggedProducts", "independent_rows", "largest"]
 
 
 LAGS, SHAKEN_LAGS = ((2,), (3,), (4,)), ((1,), (2,), (3,))
@@ -31,7 +31,7 @@ INVERSE_LAGS = ((3, 4), (5, 6), (7, 8))
 """The same in inverse runs, the mean of two each."""
 
 
-class Structure:
+class LaggedProducts:
     """Lagged products of a residual, by channel and for each of three lags.
 
     Parameters

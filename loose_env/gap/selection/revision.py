@@ -19,14 +19,14 @@ import numpy as np
 from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, improvement_of
-from loose_env.gap.fitting.profile_bounds import short_of_limit, short_of_nothing
+from loose_env.gap.fitting.profile_bounds import tightened_at_limit, tightened_at_zero
 from loose_env.gap.fitting.refit import (
     fit_in_form,
     fit_without,
     needed_least,
-    polished,
-    refined,
+    refit_with_new_jacobian,
     with_last,
+    with_new_jacobian,
 )
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.parameter import free_of
@@ -36,7 +36,7 @@ from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits
 from loose_env.gap.selection.screening.data_driven_starts import proposals
 from loose_env.gap.selection.screening.grouping import confusable, joint_of
-from loose_env.gap.selection.screening.relinearised_sets import other_sets
+from loose_env.gap.selection.screening.relinearised_sets import alternative_sets
 from loose_env.gap.selection.screening.screening import screen
 from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import (
@@ -234,7 +234,7 @@ class SwapStep:
         starts = proposals(self.comparison, best.fitted.hypothesis, others)
         screened = screen(runs, windows.before, others, proposed=starts)
         nuisances = len(best.fitted.structure.nuisance.parameters)
-        for each in other_sets(runs, windows.before, screened, FURTHER):
+        for each in alternative_sets(runs, windows.before, screened, FURTHER):
             if _keys(each.effects) in self._left:
                 continue
             structure = best.fitted.structure.with_effects(each.effects)
@@ -288,7 +288,7 @@ class SwapStep:
             if acceptance.ranked([best, simpler])[0] is not simpler:
                 continue
             if not acceptance.objection(scored):
-                return self.scorer.score(polished(self.comparison, simpler.fitted))
+                return self.scorer.score(refit_with_new_jacobian(self.comparison, simpler.fitted))
         return None
 
     def _without_insignificant(
@@ -341,9 +341,9 @@ def drop_insignificant(
         named = [(effect, fitted.structure.slice_of(effect)) for effect in fitted.effects]
         for effect, own in named:
             if found.include_zero(effect, own):
-                found = short_of_limit(problem.fit, fitted, found, effect)
+                found = tightened_at_limit(problem.fit, fitted, found, effect)
             if found.include_zero(effect, own):
-                found = short_of_nothing(problem.fit, fitted, found, effect)
+                found = tightened_at_zero(problem.fit, fitted, found, effect)
         doubtful = [effect for effect, own in named if found.include_zero(effect, own)]
         if not doubtful:
             return best, widened(problem.fit, fitted, found)
@@ -355,7 +355,9 @@ def refit_without(
     effect: Effect, scored: ScoredFit, problem: GapProblem, scorer: Scorer
 ) -> ScoredFit:
     """Refit to ``problem.fit`` without one effect, with fresh sensitivities."""
-    return scorer.score(refined(fit_without(problem.fit, scored.fitted, effect), problem.fit))
+    return scorer.score(
+        with_new_jacobian(fit_without(problem.fit, scored.fitted, effect), problem.fit)
+    )
 
 
 def _among(some: Sequence[Effect], effects: Sequence[Effect]) -> bool:

@@ -9,7 +9,7 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.data.smoothing import Motion
+from loose_env.gap.data.smoothing import SmoothedMotion
 from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -99,7 +99,7 @@ def indices(mask: Sequence[bool]) -> Places:
     return slice(None) if all(mask) else np.flatnonzero(mask)
 
 
-def rubbing(hypothesis: Hypothesis, motion: Motion, torque: Array, load: Array) -> Array:
+def rubbing(hypothesis: Hypothesis, motion: SmoothedMotion, torque: Array, load: Array) -> Array:
     """Dry friction that depends on the torques of a measured motion (E, joints) [N·m, N].
 
     A drive gives what the rest of the model needs, ``torque`` (E, joints) at the compared points,

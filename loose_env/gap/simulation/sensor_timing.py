@@ -59,7 +59,7 @@ def late_sensors(hypothesis: Hypothesis, channels: Sequence[Channel]) -> dict[st
     shown = {channel.column for channel in channels}
     found: dict[str, float] = {}
     for effect, own in hypothesis.pairs:
-        late = effect.lateness(own)
+        late = effect.sensor_delay(own)
         if late is not None and late[1] > 0 and column_of(late[0]) in shown:
             found[late[0]] = found.get(late[0], 0.0) + late[1]
     return found

@@ -140,7 +140,7 @@ class Simulator:
             *(
                 (id(effect), values.tobytes())
                 for effect, values in hypothesis.pairs
-                if effect.moves or effect.lateness(values) is not None
+                if effect.moves or effect.sensor_delay(values) is not None
             ),
             *(None if start is None else start.tobytes() for start in starts),
         )

@@ -14,7 +14,7 @@ from loose_env.gap.fitting.confidence_intervals import Intervals
 from loose_env.gap.fitting.gauss_newton import Fit, fit
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, explained_share
 from loose_env.gap.fitting.model_structure import Nuisance, initial_states_of, nuisance_of
-from loose_env.gap.fitting.refit import settled
+from loose_env.gap.fitting.refit import converged_with_short_steps
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import Parameter
@@ -161,7 +161,10 @@ def _solved(problem: GapProblem, say: Say, stages: Stage, earlier: GapResult | N
             best = base
     if have_stops(best.fitted.effects):
         stops, kept = best, keep("", best.fitted.structure.nuisance)
-        best = kept.scored("settled", lambda: scorer.score(settled(reweighted.fit, stops.fitted)))
+        best = kept.scored(
+            "settled",
+            lambda: scorer.score(converged_with_short_steps(reweighted.fit, stops.fitted)),
+        )
     best, intervals = drop_insignificant(best, reweighted, scorer, settings.seed, say=say)
     fitted, alike = best, found.reweighted_base(base)
 

@@ -111,7 +111,7 @@ def test_bending_is_about_the_joint_or_across_it() -> None:
     assert np.allclose(axes[0], [0, 1, 0])
     assert np.allclose([axes[1] @ along, axes[1] @ axes[0]], 0, atol=1e-9)
     planar = CATALOGUE["link_flexibility"](machine_of("planar"), "link2")
-    assert planar.forms(planar.machine, "link2") == ("",)
+    assert planar.variants_at(planar.machine, "link2") == ("",)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.7])

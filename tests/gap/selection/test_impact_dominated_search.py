@@ -15,7 +15,7 @@ import pytest
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.holdout_score import Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure, nuisance_of
-from loose_env.gap.fitting.refit import refined
+from loose_env.gap.fitting.refit import with_new_jacobian
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -217,7 +217,7 @@ def test_what_play_beside_it_does_alone_is_no_second_effect(problem: GapProblem)
             jacobian=np.zeros((len(runs), len(free))), cost=0.0,
         )  # fmt: skip
         residual = runs.residuals([fitted.hypothesis])[0]
-        return scorer.score(refined(replace(fitted, residual=residual), runs))
+        return scorer.score(with_new_jacobian(replace(fitted, residual=residual), runs))
 
     before, later = scored(off, beside=False), scored(right, beside=True)
     acceptance = Acceptance(runs, scorer, before, before, SearchSettings())

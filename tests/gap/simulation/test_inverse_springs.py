@@ -95,7 +95,7 @@ def test_the_stiffness_of_a_joint_is_read_from_its_torque(mode: float) -> None:
     found = joint_stiffness(comparison, NOTHING)
     assert found["joint2"] == pytest.approx(stiffness, rel=0.1)
     starts = proposals(comparison, NOTHING, [SPRING])[SPRING.key]
-    assert starts[0][0] == found["joint2"] and set(SPRING.close_starts) <= set(starts)
+    assert starts[0][0] == found["joint2"] and set(SPRING.inverse_starts) <= set(starts)
 
 
 def test_longer_steps_change_little_of_what_a_spring_does() -> None:

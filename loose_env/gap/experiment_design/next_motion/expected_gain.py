@@ -277,9 +277,9 @@ class _Own:
             low=bounds[:, 0],
             high=bounds[:, 1],
             keys=tuple(keys),
-            difference=fit_settings_for(structure).difference
+            difference=fit_settings_for(structure).finite_difference_step
             if structure.effects
-            else FitSettings().difference,
+            else FitSettings().finite_difference_step,
         )
 
     @property

@@ -90,7 +90,7 @@ class Backlash(SplitJoint):
         return self._starts(_STARTS)
 
     @property
-    def close_starts(self) -> tuple[tuple[float, ...], ...]:
+    def inverse_starts(self) -> tuple[tuple[float, ...], ...]:
         """The same range in smaller steps."""
         return self._starts(_CLOSE_STARTS)
 

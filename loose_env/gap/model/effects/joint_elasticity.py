@@ -64,10 +64,10 @@ class SplitJoint(JointEffect):
     """
 
     adds_motion = True
-    sharp = True
+    needs_fine_steps = True
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return joints that are the last of their body."""
         return last_joints(machine)
 
@@ -120,7 +120,7 @@ class JointCompliance(SplitJoint):
 
     def propose_stiffness(self, stiffness: float) -> tuple[tuple[float, ...], ...]:
         """Start there with a likely damping, beside the other starts."""
-        return ((self.parameters[0].clipped(stiffness), _LIKELY_DAMPING), *self.close_starts)
+        return ((self.parameters[0].clipped(stiffness), _LIKELY_DAMPING), *self.inverse_starts)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add the spring behind the joint."""
@@ -157,10 +157,10 @@ class JointSpring(JointEffect):
 
     kind = "joint_spring"
     proportional: ClassVar[int | None] = 0
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return joints without a nonlinear spring."""
         bent = np.any(machine.model.jnt_stiffnesspoly != 0, axis=1)
         return tuple(name for name, b in zip(machine.joints, bent, strict=True) if not b)
@@ -210,7 +210,7 @@ class JointSpring(JointEffect):
         half = pi / 2 if self.machine.turns(self.where) else 0.5
         return -half, half
 
-    def vanishes(self, low: Array, high: Array) -> bool:
+    def interval_includes_null(self, low: Array, high: Array) -> bool:
         """Return whether the stiffness interval includes zero."""
         return bool(low[0] <= 0 <= high[0])
 
@@ -259,12 +259,12 @@ class BaseCompliance(Effect):
     kind = "base_compliance"
     acts_on: ClassVar[str] = "arm"
     adds_motion: ClassVar[bool] = True
-    sharp: ClassVar[bool] = True
+    needs_fine_steps: ClassVar[bool] = True
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("stiffness", "high"),)
     variants: ClassVar[tuple[str, ...]] = ("x", "y", "z")
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return the base, if its first link has room for another joint and is not the only one.
 
         Under a single joint a base that gives way is not told from a compliant drive.
@@ -274,7 +274,7 @@ class BaseCompliance(Effect):
         return ("base",) if room and cls._axes(machine) else ()
 
     @classmethod
-    def forms(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
+    def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
         """Return all axes in space, one in a plane, without that of the first joint."""
         return cls._axes(machine)
 

@@ -56,11 +56,11 @@ class LinkFlexibility(Effect):
     acts_on: ClassVar[str] = "link"
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("stiffness", "high"),)
     adds_motion: ClassVar[bool] = True
-    sharp: ClassVar[bool] = True
+    needs_fine_steps: ClassVar[bool] = True
     variants: ClassVar[tuple[str, ...]] = ("", "across")
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links with mass that are not too short."""
         shortest = _SHORTEST * reach_of(machine)
         lengths = {
@@ -70,7 +70,7 @@ class LinkFlexibility(Effect):
         return tuple(link for link, length in lengths.items() if length > shortest)
 
     @classmethod
-    def forms(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
+    def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
         """Return both variants in space, one in a plane."""
         return cls.variants if normal_of(machine) is None else cls.variants[:1]
 
@@ -110,7 +110,7 @@ class LinkFlexibility(Effect):
         return tuple((*spring, _MIDDLE) for spring in springs)
 
     @property
-    def doubtful_mass(self) -> float:
+    def uncertain_mass(self) -> float:
         """Mass of the link: no real link is a uniform bar that bends at one location."""
         return float(self.machine.model.body(self.where).mass[0])
 

@@ -55,11 +55,11 @@ class StructuralLooseness(Effect):
     acts_on: ClassVar[str] = "link"
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("friction", "high"),)
     adds_motion: ClassVar[bool] = True
-    sharp: ClassVar[bool] = True
+    needs_fine_steps: ClassVar[bool] = True
     has_stops: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links with room for another joint."""
         count = machine.model.body_jntnum
         return tuple(n for n in machine.links if count[machine.model.body(n).id] <= _MOST_JOINTS)

@@ -13,7 +13,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-__all__ = ["Drive", "JointValues", "joint_values"]
+__all__ = ["JointDrive", "JointValues", "joint_values"]
 
 Mode = Literal["position", "velocity", "effort"]
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
@@ -25,7 +25,7 @@ _SAME = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drive:
+class JointDrive:
     """One actuator at a joint."""
 
     name: str
@@ -62,7 +62,7 @@ class JointValues:
     """Dry friction at rest [N·m, N]."""
     damping: float
     """Viscous friction [N·m·s/rad, N·s/m]."""
-    drive: Drive | None = None
+    drive: JointDrive | None = None
     """Its drive; None without one, or where it is no PD law."""
     reason: str = ""
     """Reason why a driven joint has no `drive`; "" otherwise."""
@@ -106,7 +106,7 @@ def joint_values(model: mujoco.MjModel) -> tuple[JointValues, ...]:
     return tuple(found)
 
 
-def _drive(model: mujoco.MjModel, joint: int) -> tuple[Drive | None, str]:
+def _drive(model: mujoco.MjModel, joint: int) -> tuple[JointDrive | None, str]:
     """Return the drive of a joint, or the reason why it has none that is a PD law."""
     at_joint = np.isin(model.actuator_trntype, _AT_JOINT)
     there = np.flatnonzero(at_joint & (model.actuator_trnid[:, 0] == joint))
@@ -137,7 +137,7 @@ def _drive(model: mujoco.MjModel, joint: int) -> tuple[Drive | None, str]:
             f"the effort limits of {names} by direction ({limit[0]:.4g} and {limit[1]:.4g}): the "
             "smaller one is exported"
         )
-    return Drive(
+    return JointDrive(
         name=names,
         mode=mode,
         stiffness=-(gear**2) * stiff + 0.0,

@@ -16,7 +16,7 @@ import numpy as np
 from loose_env.gap.fitting.confidence_intervals import Intervals, joined
 from loose_env.gap.fitting.gauss_newton import Fit, cost_of, fit
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
-from loose_env.gap.fitting.refit import refined
+from loose_env.gap.fitting.refit import with_new_jacobian
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.residuals.physical_units import noise_ratio
 from loose_env.gap.residuals.preparation.prepare import GapProblem
@@ -88,7 +88,7 @@ def impact_pass(
     impact_fit = find_impacts(problem, known, sought, rng, say=say)
     if impact_fit is None:
         return None
-    rigid = own.score(refined(rigid.fitted, weighed.fit))
+    rigid = own.score(with_new_jacobian(rigid.fitted, weighed.fit))
     for effect in impact_fit.insignificant:
         say(f"  dropped {effect!r}: a proxy for the part with stops")
         rigid = refit_without(effect, rigid, weighed, own)

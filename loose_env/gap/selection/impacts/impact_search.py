@@ -45,7 +45,9 @@ _FROM = 3
 """Starts from which each of them is fitted."""
 _TITLE = "parts with stops"
 _STEP = 0.05
-_ROUGH, _FINE = (FitSettings(difference=step, iterations=n) for step, n in ((0.2, 8), (_STEP, 4)))
+_ROUGH, _FINE = (
+    FitSettings(finite_difference_step=step, iterations=n) for step, n in ((0.2, 8), (_STEP, 4))
+)
 """Powers scatter with the times of impacts: sensitivities are taken over long steps first."""
 
 

@@ -29,7 +29,7 @@ from loose_env.gap.selection.screening.signatures import Signatures
 from loose_env.gap.settings import SECOND_START
 from loose_env.typing import Array
 
-__all__ = ["Screened", "along", "screen"]
+__all__ = ["ScreenedCandidate", "along", "screen"]
 
 
 _SMALLEST_SHARE, _LARGEST_SHARE = 1e-6, 4.0
@@ -41,7 +41,7 @@ _MANY = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Screened:
+class ScreenedCandidate:
     """Predicted gain of one candidate from one start."""
 
     effect: Effect
@@ -62,7 +62,7 @@ class Screened:
 
     def at(self, shares: Array) -> tuple[float, ...]:
         """Values at which the effect has multiples of its signature (1,) or (K,)."""
-        effect, none = self.effect, self.effect.nothing
+        effect, none = self.effect, self.effect.null_values
         if len(shares) > 1:
             return effect.combined(shares)
         if none is None and effect.proportional is None:
@@ -77,7 +77,7 @@ def screen(
     *,
     proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]] = MappingProxyType({}),
     signatures: Signatures | None = None,
-) -> list[Screened]:
+) -> list[ScreenedCandidate]:
     """Screen candidates; highest predicted gain first, each with one or two starts.
 
     Parameters
@@ -102,7 +102,7 @@ def screen(
     proposed = dict(proposed) | _best_starts(
         comparison, fitted, known, candidates, proposed, signatures
     )
-    seen: dict[int, list[Screened]] = {}
+    seen: dict[int, list[ScreenedCandidate]] = {}
     for springs in (True, False):
         compared, base = comparison.lightly(
             fitted.hypothesis, fitted.residual, stiff=stiff, springs=springs
@@ -125,7 +125,7 @@ def screen(
             _keep(seen, _weigh(comparison, known, effect, start, signature))
             if id(effect) in axes:
                 apart.setdefault(id(effect), {})[start] = signature
-            if lens is not None and effect.shifts:
+            if lens is not None and effect.is_time_shift:
                 found = _proposed(lens, slow, effect, start, signature)
                 if found is not None and found[0] > again.get(id(effect), (0.0,))[0]:
                     again[id(effect)] = (found[0], effect, found[1])
@@ -183,7 +183,7 @@ def _best_starts(
 
 def _starts(comparison: ResidualModel, effect: Effect) -> tuple[tuple[float, ...], ...]:
     """Starts of an effect for the forms of run in the recording."""
-    return effect.close_starts if comparison.rows.inverse.all() else effect.starts
+    return effect.inverse_starts if comparison.rows.inverse.all() else effect.starts
 
 
 def _without_nuisances(effect: Effect, values: Sequence[float]) -> tuple[float, ...]:
@@ -191,7 +191,7 @@ def _without_nuisances(effect: Effect, values: Sequence[float]) -> tuple[float, 
     return tuple(v for p, v in zip(effect.parameters, values, strict=True) if p.centre is None)
 
 
-def _keep(seen: dict[int, list[Screened]], found: Screened | None) -> None:
+def _keep(seen: dict[int, list[ScreenedCandidate]], found: ScreenedCandidate | None) -> None:
     """Store the predicted gain of a start with the others of its candidate, the best one first.
 
     The signature of the best one alone is kept: all of them would fill the memory.
@@ -205,7 +205,7 @@ def _keep(seen: dict[int, list[Screened]], found: Screened | None) -> None:
     others[:] = [found, *(replace(each, signature=None) for each in others)]
 
 
-def _best(found: list[Screened]) -> Screened:
+def _best(found: list[ScreenedCandidate]) -> ScreenedCandidate:
     """Best start of a candidate, with another that lies far from it."""
     first, *others = sorted(found, key=lambda s: -s.predicted)
     at = free_of(first.effect.parameters, np.array(first.values))
@@ -231,16 +231,16 @@ def _weigh(
     effect: Effect,
     start: tuple[float, ...],
     signature: Array,
-) -> Screened | None:
+) -> ScreenedCandidate | None:
     """Predicted gain of a signature after refitting the current parameters."""
-    linear = effect.nothing is not None
+    linear = effect.null_values is not None
     most = _LARGEST_SHARE if linear or effect.proportional is not None else 1.0
-    taken = known.taken_up(signature[:, None], -_LARGEST_SHARE if linear else 0.0, most)
+    taken = known.best_coefficients(signature[:, None], -_LARGEST_SHARE if linear else 0.0, most)
     if taken is None or abs(taken[0][0]) < _SMALLEST_SHARE:
         return None
     share, values = float(taken[0][0]), start
-    if effect.nothing is not None:
-        values = along(effect, start, effect.nothing, share)
+    if effect.null_values is not None:
+        values = along(effect, start, effect.null_values, share)
     elif effect.proportional is not None:
         values = along(effect, start, (0.0,) * len(start), share)
     found = _screened(comparison, known, effect, values, taken[1])
@@ -255,10 +255,10 @@ def _weigh_together(
     known: CurrentFit,
     effect: Effect,
     signatures: Array,
-) -> Screened | None:
+) -> ScreenedCandidate | None:
     """Predicted gain of the signatures of an effect's axes (N, K), jointly fitted."""
-    taken = known.taken_up(signatures, -_LARGEST_SHARE, _LARGEST_SHARE)
-    if taken is None or (values := effect.combined(taken[0])) == effect.nothing:
+    taken = known.best_coefficients(signatures, -_LARGEST_SHARE, _LARGEST_SHARE)
+    if taken is None or (values := effect.combined(taken[0])) == effect.null_values:
         return None
     found = _screened(comparison, known, effect, values, taken[1])
     columns = signatures.astype(np.float32)
@@ -272,13 +272,13 @@ def _screened(
     effect: Effect,
     values: tuple[float, ...],
     change: Array,
-) -> Screened | None:
+) -> ScreenedCandidate | None:
     """Predicted gain of a change of the residual (N,); None if it is no better."""
     residual = known.residual
     gains = comparison.by_block(-change * (2 * residual + change))
     if gains.sum() <= 0:
         return None
-    return Screened(
+    return ScreenedCandidate(
         effect=effect,
         values=values,
         predicted=float(gains.sum() / (residual @ residual)),
@@ -294,18 +294,20 @@ def _proposed(
     signature: Array,
 ) -> tuple[float, tuple[float, ...]] | None:
     """Predicted explained share from some of the rows, and the values that give it."""
-    taken = lens.taken_up(signature[rows, None], 0.0, _LARGEST_SHARE)
-    if taken is None or effect.nothing is None:
+    taken = lens.best_coefficients(signature[rows, None], 0.0, _LARGEST_SHARE)
+    if taken is None or effect.null_values is None:
         return None
     share, change = float(taken[0][0]), taken[1]
     gain = -float(change @ (2 * lens.residual + change))
     if gain <= 0 or share < _SMALLEST_SHARE:
         return None
-    return gain / float(lens.residual @ lens.residual), along(effect, start, effect.nothing, share)
+    return gain / float(lens.residual @ lens.residual), along(
+        effect, start, effect.null_values, share
+    )
 
 
 def along(
-    effect: Effect, start: Sequence[float], nothing: Sequence[float], share: float
+    effect: Effect, start: Sequence[float], null_values: Sequence[float], share: float
 ) -> tuple[float, ...]:
     """Interpolate values between the null effect and the start, within the bounds.
 
@@ -314,7 +316,9 @@ def along(
     """
     return tuple(
         p.clipped(_between(p, none, value, share)) if effect.proportional in (None, k) else value
-        for k, (p, none, value) in enumerate(zip(effect.parameters, nothing, start, strict=True))
+        for k, (p, none, value) in enumerate(
+            zip(effect.parameters, null_values, start, strict=True)
+        )
     )
 
 

@@ -40,10 +40,10 @@ class ActuatorGain(Effect):
     kind = "actuator_gain"
     acts_on: ClassVar[str] = "actuator"
     variants: ClassVar[tuple[str, ...]] = ("", "command", "servo")
-    nothing: ClassVar[tuple[float, ...] | None] = (1.0,)
+    null_values: ClassVar[tuple[float, ...] | None] = (1.0,)
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return actuators whose force is linear in command, position and speed."""
         model = machine.model
         linear = np.isin(model.actuator_gaintype, [int(g) for g in GAINS])
@@ -51,7 +51,7 @@ class ActuatorGain(Effect):
         return tuple(n for k, n in enumerate(machine.actuators) if n and linear[k])
 
     @classmethod
-    def forms(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
+    def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
         """Return all variants where there is feedback and a limit."""
         number = machine.model.actuator(where).id
         if not np.any(machine.model.actuator_biasprm[number] != 0):
@@ -112,11 +112,11 @@ class ActuatorLag(Effect):
 
     kind = "actuator_lag"
     acts_on: ClassVar[str] = "actuator"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
-    shifts: ClassVar[bool] = True
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
+    is_time_shift: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return actuators without dynamics of their own."""
         plain = machine.model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
         return tuple(n for k, n in enumerate(machine.actuators) if n and plain[k])
@@ -202,11 +202,11 @@ class CommandDelay(Effect):
 
     kind = "command_delay"
     acts_on: ClassVar[str] = "actuator"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
-    shifts: ClassVar[bool] = True
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
+    is_time_shift: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return every actuator, and "all" if there are several."""
         named = tuple(name for name in machine.actuators if name)
         return (*named, "all") if len(machine.actuators) > 1 else named

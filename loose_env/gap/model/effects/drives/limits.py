@@ -38,7 +38,7 @@ class _Limit(Effect):
     acts_on: ClassVar[str] = "actuator"
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return drives of a joint without states of their own."""
         model = machine.model
         linear = np.isin(model.actuator_gaintype, [int(g) for g in GAINS])
