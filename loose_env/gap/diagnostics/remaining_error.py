@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
-from loose_env.gap.diagnostics.localisation import location_words
+from loose_env.gap.diagnostics.localisation import location_notes
 from loose_env.gap.fitting.holdout_score import ScoredFit
 from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
@@ -23,10 +23,10 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["NOISE_RMS", "remaining_motions", "remaining_words"]
+__all__ = ["NOISE_RMS", "remaining_motions", "remaining_notes"]
 
 
-def remaining_words(
+def remaining_notes(
     base: ScoredFit, best: ScoredFit, location: Location, *, impact_fit: bool = False
 ) -> list[str]:
     """Describe the residual of the corrected model in sentences; none if it is noise.
@@ -61,7 +61,7 @@ def remaining_words(
             f"The residual is no larger than the noise ({after:.2f} of its standard deviations), "
             "but autocorrelated: a small effect is missing that was not identified."
         )
-    return [first, *location_words(location, most=3, always=True)]
+    return [first, *location_notes(location, most=3, always=True)]
 
 
 def remaining_motions(

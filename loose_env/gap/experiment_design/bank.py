@@ -126,7 +126,7 @@ class SignatureBank:
             If it is not in it.
         """
         if motion not in self.library:
-            raise InvalidData(f"{motion.words} is not in the library of this bank")
+            raise InvalidData(f"{motion.description} is not in the library of this bank")
         return self.library.index(motion)
 
 
@@ -301,7 +301,7 @@ def _computed(
         raise InvalidData("no candidate effect can be seen on the battery of this arm")
     signatures, seconds, wear = [], [], []
     for k, motion in enumerate(library):
-        say(f"signatures, motion {k + 1} of {len(library)}: {motion.words}")
+        say(f"signatures, motion {k + 1} of {len(library)}: {motion.description}")
         checked = check_motion(motion, arm)
         seconds.append(checked.seconds)
         wear.append(checked.wear)

@@ -138,7 +138,9 @@ def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, MotionCheck]:
             reason = str(error)
         slower = motion.speed if "touch" in reason or "range" in reason else _SHRINK * motion.speed
         motion = replace(motion, amplitude=_SHRINK * motion.amplitude, speed=slower)
-    raise InvalidSetting(f"{motion.words} does not fit the arm: {reason}; give another centre pose")
+    raise InvalidSetting(
+        f"{motion.description} does not fit the arm: {reason}; give another centre pose"
+    )
 
 
 def loaded_poses(arm: ServoArm) -> tuple[Array, Array]:

@@ -57,13 +57,13 @@ def tightened_at_limit(
         free[own] = here + share * (limit - here)
         tried.append(free)
     residuals = comparison.residuals([fitted.structure.hypothesis(free) for free in tried])
-    leads = [
+    z_scores = [
         residual_z(comparison, residual, fitted.residual, by_rank=effect.has_stops)
         for residual in residuals
     ]
-    if not leads[-1] >= ACCEPTED_Z:
+    if not z_scores[-1] >= ACCEPTED_Z:
         return intervals
-    first = next(k for k, improvement in enumerate(leads) if improvement >= REFUTED_Z)
+    first = next(k for k, improvement in enumerate(z_scores) if improvement >= REFUTED_Z)
     ends = values_of(effect.parameters, tried[first][own])
     low, high = intervals.low.copy(), intervals.high.copy()
     to_low = [dict(effect.limit).get(p.name) == "low" for p in effect.parameters]

@@ -77,7 +77,7 @@ class Exported:
     matters: bool = False
     """Whether the deviation is too large."""
 
-    def words(self) -> list[str]:
+    def notes(self) -> list[str]:
         """Notes for the reader."""
         found = []
         if self.parts > 1:

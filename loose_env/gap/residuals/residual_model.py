@@ -51,14 +51,14 @@ class Rows:
     """Index of the channel."""
     sample: NDArray[np.intp]
     """Sample in the run."""
-    place: NDArray[np.intp]
+    index: NDArray[np.intp]
     """Index of the sample among those compared: neighbours differ by one."""
     block: NDArray[np.intp]
     """Block of time, or of features, numbered through all runs."""
-    white: NDArray[np.bool_]
+    is_feature: NDArray[np.bool_]
     """Whether it is a feature: independent of the others, of unit variance if the model is right.
     Its channel is one of those that it is made of, its sample stands for none."""
-    shaken: NDArray[np.bool_]
+    random_excitation: NDArray[np.bool_]
     """Whether the run is one of random excitation."""
     inverse: NDArray[np.bool_]
     """Whether the run is compared by inverse dynamics."""
@@ -161,27 +161,27 @@ class ResidualModel:
         for t, trial in enumerate(self.trials):
             if t in self._random:
                 channels = self._random[t].channel
-                place = np.arange(len(channels))
-                samples = place * (len(trial.time) - 1) // len(channels)
-                block = blocks + place // GROUP
+                index = np.arange(len(channels))
+                samples = index * (len(trial.time) - 1) // len(channels)
+                block = blocks + index // GROUP
                 values = np.zeros(len(channels))
             else:
                 compared = self._compared(t)
                 samples, channels = np.nonzero(np.isfinite(compared))
-                place = samples // self._spacing(t)
+                index = samples // self._spacing(t)
                 block = blocks + (trial.time[samples] // length).astype(int)
                 values = compared[samples, channels] / self.scales[t, channels]
             blocks = int(block.max()) + 1 if len(block) else blocks
-            run, white = np.full(len(samples), t), np.full(len(samples), t in self._random)
-            found = (run, channels, samples, place, block, white, values)
+            run, is_feature = np.full(len(samples), t), np.full(len(samples), t in self._random)
+            found = (run, channels, samples, index, block, is_feature, values)
             for part, new in zip(parts, found, strict=True):
                 part.append(new)
         *where, measured = (np.concatenate(part) for part in parts)
-        runs, channel, sample, places, block, white = (part.astype(np.intp) for part in where)
+        runs, channel, sample, indices, block, is_feature = (part.astype(np.intp) for part in where)
         excited = np.array([bool(trial.excited) for trial in self.trials])
         rows = Rows(
-            trial=runs, channel=channel, sample=sample, place=places, block=block,
-            white=white.astype(bool), shaken=excited[runs],
+            trial=runs, channel=channel, sample=sample, index=indices, block=block,
+            is_feature=is_feature.astype(bool), random_excitation=excited[runs],
             inverse=np.isin(runs, self._backwards),
         )  # fmt: skip
         return rows, measured
@@ -261,7 +261,7 @@ class ResidualModel:
 
         Of the runs compared sample by sample; 0 where a channel has no such readings.
         """
-        own = ~(self.rows.white | self.rows.inverse)
+        own = ~(self.rows.is_feature | self.rows.inverse)
         channel, most = self.rows.channel[own], len(self.channels)
         count = np.bincount(channel, minlength=most)
         squares = np.bincount(channel, residual[own] ** 2, minlength=most)

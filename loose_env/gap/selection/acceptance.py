@@ -253,9 +253,11 @@ class Acceptance:
         while new > 1:
             weak = self._weakest(scored, scored.fitted.effects[-new:])
             without = [self._without(scored, effect) for effect in weak]
-            leads = [improvement_of(scored, each) for each in without]
-            weakest = min(range(len(weak)), key=lambda k: leads[k].training + leads[k].held_out)
-            if self.significant(leads[weakest]):
+            improvements = [improvement_of(scored, each) for each in without]
+            weakest = min(
+                range(len(weak)), key=lambda k: improvements[k].training + improvements[k].held_out
+            )
+            if self.significant(improvements[weakest]):
                 break
             scored, new = without[weakest], new - 1
         return scored

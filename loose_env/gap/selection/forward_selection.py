@@ -186,8 +186,8 @@ def select_effects(
     white = found.best.autocorrelation_z < SEARCH_Z and not found.best.above_noise
     if len(found.best.fitted.effects) >= 2:
         say("swap step: confusable effects in place of the identified ones")
-        exchange = SwapStep(comparison, short, scorer, candidates, found.base, settings)
-        better = keep.scored("exchanged", lambda: exchange.improved(found.best, say, white=white))
+        swap_step = SwapStep(comparison, short, scorer, candidates, found.base, settings)
+        better = keep.scored("exchanged", lambda: swap_step.improved(found.best, say, white=white))
         if _keys(better) != _keys(found.best):
             found.steps.append(better)
     return found

@@ -187,7 +187,7 @@ class SwapStep:
         acceptance = Acceptance(self.comparison, self.scorer, self.base, before(), self.settings)
         fits = (fit_in_form(self.comparison, best.fitted, effect, form) for form in forms)
         tried = sorted(map(self.scorer.score, fits), key=lambda scored: scored.total)
-        return self._better(tried, before(), best, acceptance, lead=EQUAL_LOG_LIKELIHOOD)
+        return self._better(tried, before(), best, acceptance, min_gain=EQUAL_LOG_LIKELIHOOD)
 
     def _in_place_of(
         self, effects: Sequence[Effect], best: ScoredFit, without: Callable[[], ScoredFit]
@@ -274,16 +274,16 @@ class SwapStep:
         best: ScoredFit,
         acceptance: Acceptance,
         *,
-        lead: float = -np.inf,
+        min_gain: float = -np.inf,
     ) -> ScoredFit | None:
         """Return the first of some replacements that is better than what it replaces.
 
-        One that leaves as many effects is also ahead by ``lead`` in twice the log-likelihood.
+        One that leaves as many effects is also ahead by ``min_gain`` in twice the log-likelihood.
         """
         for scored in tried:
             simpler = self._without_insignificant(scored, before, best, acceptance)
             fewer = len(simpler.fitted.effects) < len(best.fitted.effects)
-            if not fewer and best.total - simpler.total < lead:
+            if not fewer and best.total - simpler.total < min_gain:
                 continue
             if acceptance.ranked([best, simpler])[0] is not simpler:
                 continue

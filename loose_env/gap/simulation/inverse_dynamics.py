@@ -29,7 +29,7 @@ from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.compared_torques import ComparedTorques, compared_torques
-from loose_env.gap.simulation.driven_effects import has_friction, rubbing
+from loose_env.gap.simulation.driven_effects import has_friction, load_dependent_friction
 from loose_env.gap.simulation.simulator import _layout
 from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
 from loose_env.gap.simulation.unmeasured_dofs import PrescribedMotionSimulator
@@ -232,7 +232,10 @@ class InverseDynamics:
             found = [r + e for r, e in zip(rigid, extra, strict=True)]
         if any(map(has_friction, hypothesis.effects)):
             each = zip(found, self.motions, self._loads, strict=True)
-            found = [torque + rubbing(hypothesis, m, torque, load) for torque, m, load in each]
+            found = [
+                torque + load_dependent_friction(hypothesis, m, torque, load)
+                for torque, m, load in each
+            ]
         for effect, own in hypothesis.pairs:
             if type(effect).sensed_torque is Effect.sensed_torque:
                 continue

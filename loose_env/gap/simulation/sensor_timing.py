@@ -15,7 +15,7 @@ from mujoco.batch import Batch
 
 from loose_env.gap.data.aligned_run import Channel
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.mjcf.sensor_columns import column_of, of_place_or_speed
+from loose_env.gap.model.effects.mjcf.sensor_columns import column_of, is_position_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.driven_effects import Driven
@@ -49,7 +49,7 @@ def changes_within(
 
     Positions and speeds follow the mean of a command.
     """
-    if all(of_place_or_speed(machine, channel.column) for channel in channels):
+    if all(is_position_or_speed(machine, channel.column) for channel in channels):
         return False
     return any(type(effect).command_at is not Effect.command_at for effect in hypothesis.stepping)
 

@@ -27,7 +27,7 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.driven_effects import (
     Driven,
     Places,
-    driven_alike,
+    grouped_driven_effects,
     has_feedback,
     has_friction,
     indices,
@@ -190,7 +190,7 @@ class BatchWithTerms:
         every = len(ids) == batch.nsim
         own, called = (slice(None), None) if every else (ids, ids)
         acting = (own, self._dofs) if every else (ids[:, None], self._dofs)
-        terms, driven = self._rows(ids), driven_alike([self.hypotheses[i] for i in ids])
+        terms, driven = self._rows(ids), grouped_driven_effects([self.hypotheses[i] for i in ids])
         warned = np.array(batch.warning[ids])
         models = batch.models if isinstance(batch.models, tuple) else (batch.model,)
         step = float(models[0].opt.timestep)

@@ -21,7 +21,7 @@ from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.evidence_schema import Identifiability, Location, ResidualTest
 from loose_env.gap.output.export_check import Exported, exported
-from loose_env.gap.residuals.preparation.integrator_choice import corrected_step_words
+from loose_env.gap.residuals.preparation.integrator_choice import corrected_step_notes
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.workflow.pipeline import GapSolution
 from loose_env.typing import Array
@@ -131,8 +131,8 @@ def diagnose_residuals(solution: GapSolution, *, say: Say = lambda _: None) -> R
         identifiability=shown,
         exported=own,
         warnings=(
-            *corrected_step_words(held, corrected),
-            *own.words(),
+            *corrected_step_notes(held, corrected),
+            *own.notes(),
         ),
     )
 

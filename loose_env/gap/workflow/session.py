@@ -182,8 +182,8 @@ class GapSession:
             search = self.problem.search
             tolerance = self.settings.tolerance
             nominal = ModelStructure(nuisance=nuisance_of(search, tolerance=tolerance))
-            self._judge = Scorer(search, self.problem.held_out_whole)
-            self.nominal = self._judge.score(fit(search, nominal, nominal.nominal_start))
+            self._scorer = Scorer(search, self.problem.held_out_whole)
+            self.nominal = self._scorer.score(fit(search, nominal, nominal.nominal_start))
         self.best = self.nominal
         say(f"nominal model: {self.nominal.held_out_rms:.2f} noise standard deviations held out")
 
@@ -229,7 +229,7 @@ class GapSession:
         found, search = self._not_added(self._effects(effect, where)), self.problem.search
         with quiet():
             short = windowed(search, SCREENING_S)
-            candidate_fits = CandidateFits(search, short, self._judge, self.best)
+            candidate_fits = CandidateFits(search, short, self._scorer, self.best)
             screened: list[ScreenedCandidate]
             if start is not None:
                 values = tuple(float(v) for v in start)
@@ -242,7 +242,7 @@ class GapSession:
             fits = candidate_fits.fit_candidates(screened)
             if not fits:
                 raise InvalidData(f"{found[0]!r} changes nothing that was measured, from any start")
-            tried = self._tried(self._judge.score(refit_with_new_jacobian(search, fits[0].fitted)))
+            tried = self._tried(self._scorer.score(refit_with_new_jacobian(search, fits[0].fitted)))
         self.say(str(tried))
         return tried
 
@@ -316,7 +316,7 @@ class GapSession:
         """
         corrected = self.best.fitted.hypothesis.of_model
         own = exported(self.problem.held_out_whole, corrected, self.best.held_out_residual)
-        for words in own.words():
+        for words in own.notes():
             self.say(f"warning: {words}")
         return write_model(
             Path(path),
@@ -356,7 +356,7 @@ class GapSession:
 
     def _tried(self, scored: ScoredFit) -> TriedEffect:
         fitted, search = scored.fitted, self.problem.search
-        acceptance = Acceptance(search, self._judge, self.nominal, self.best, SearchSettings())
+        acceptance = Acceptance(search, self._scorer, self.nominal, self.best, SearchSettings())
         effect, values = fitted.hypothesis.pairs[-1]
         return TriedEffect(
             effect=effect,

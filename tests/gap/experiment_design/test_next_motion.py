@@ -114,7 +114,7 @@ def chosen(comparison: ResidualModel, hypotheses: Hypotheses) -> NextMotion:
 
 def test_the_pair_is_open_before_the_motion(hypotheses: Hypotheses) -> None:
     (pair,) = hypotheses.pairs
-    assert pair.words == "viscous_friction at elbow from coulomb_friction at elbow"
+    assert pair.description == "viscous_friction at elbow from coulomb_friction at elbow"
     assert pair.nats < 5
 
 

@@ -86,8 +86,8 @@ def test_what_rings_is_structure_and_noise_is_not(frequency: float, *, shaken: b
     count, rng = 20000, np.random.default_rng(5)
     place, alone = np.arange(count), np.zeros(count, dtype=np.intp)
     rows = Rows(
-        trial=alone, channel=alone, sample=place, place=place, block=place // 500,
-        shaken=np.full(count, shaken), white=np.zeros(count, dtype=bool),
+        trial=alone, channel=alone, sample=place, index=place, block=place // 500,
+        random_excitation=np.full(count, shaken), is_feature=np.zeros(count, dtype=bool),
         inverse=np.zeros(count, dtype=bool),
     )  # fmt: skip
     structure = LaggedProducts(rows)

@@ -59,7 +59,7 @@ class OpenPair:
     """Log evidence of the answer over the rival so far."""
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Both with their locations."""
         return f"{words_of(self.effect)} from {words_of(self.rival)}"
 
@@ -134,7 +134,7 @@ def open_hypotheses(
                 known=there,
                 nats=known.log_evidence - there.log_evidence,
             )
-            say(f"  {pair.words}: {pair.nats:.1f} nats so far")
+            say(f"  {pair.description}: {pair.nats:.1f} nats so far")
             pairs.append(pair)
     pairs.sort(key=lambda pair: pair.nats)
     pairs += [_unseen(answer, known, effect, values) for effect, values in unseen]

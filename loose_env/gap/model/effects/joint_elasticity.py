@@ -17,7 +17,7 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.extra_joint import (
     FASTEST,
     add_extra_joint,
-    joint_figures,
+    joint_inertia,
     keep_motor_side,
     last_joints,
 )
@@ -299,19 +299,19 @@ class BaseCompliance(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness, and the damping ratio of the arm on it with its joints locked."""
-        carried, weight = self._figures
+        carried, weight = self._hinge_inertia
         step = self.machine.step or float(self.machine.model.opt.timestep)
         return (stiffness_between(carried, weight, step, "N·m/rad"), damping_ratio())
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: modes from slow to fast."""
-        return stiffness_starts(self._figures[0], self.parameters[0])
+        return stiffness_starts(self._hinge_inertia[0], self.parameters[0])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Insert the hinge before the first joint."""
         stiffness, ratio = float(values[0]), float(values[1])
-        self._rock(spec, stiffness, 2 * ratio * sqrt(stiffness * self._figures[0]))
+        self._rock(spec, stiffness, 2 * ratio * sqrt(stiffness * self._hinge_inertia[0]))
 
     def _rock(self, spec: mujoco.MjSpec, stiffness: float, damping: float) -> str:
         """Insert the hinge; return its name."""
@@ -335,11 +335,11 @@ class BaseCompliance(Effect):
         return name
 
     @cached_property
-    def _figures(self) -> tuple[float, float]:
+    def _hinge_inertia(self) -> tuple[float, float]:
         """Inertia on the hinge [kg·m²], and its inverse weight with all joints free."""
         spec = self.machine.fresh()
         name = self._rock(spec, 0.0, 0.0)
-        return joint_figures(spec, name)
+        return joint_inertia(spec, name)
 
 
 def _foot(machine: NominalModel, data: mujoco.MjData) -> Array:

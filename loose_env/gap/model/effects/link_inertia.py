@@ -28,7 +28,7 @@ __all__ = [
     "LinkMass",
     "Payload",
     "links_with_mass",
-    "payload_words",
+    "payload_notes",
 ]
 
 
@@ -247,7 +247,7 @@ class Payload(Effect):
         body.explicitinertial = True
 
 
-def payload_words(machine: NominalModel) -> list[str]:
+def payload_notes(machine: NominalModel) -> list[str]:
     """Describe the payload's location in a model without a tool site; else none."""
     model = machine.model
     if machine.tool:

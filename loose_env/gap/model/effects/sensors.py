@@ -16,7 +16,7 @@ from loose_env.gap.model.effects.drives.actuators import held_delay
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, angle_unit
 from loose_env.gap.model.effects.mjcf.sensor_columns import (
     column_of,
-    of_place_or_speed,
+    is_position_or_speed,
     reading_scale,
     vectors,
 )
@@ -217,7 +217,7 @@ class SensorDelay(Effect):
     def _jumps(self) -> bool:
         """True if the reading is no position or speed and has no delay in the model."""
         spec_sensor = self.machine.spec.sensor(self.where)
-        smooth = of_place_or_speed(self.machine, column_of(self.where))
+        smooth = is_position_or_speed(self.machine, column_of(self.where))
         return not smooth and float(spec_sensor.delay) == 0.0
 
     def sensor_delay(self, values: Array) -> tuple[str, float] | None:

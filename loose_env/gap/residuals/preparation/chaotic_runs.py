@@ -94,7 +94,7 @@ def chaotic_runs(
         for first, second in zip(predicted[::2], predicted[1::2], strict=True):
             for (_, features), one, two in zip(loud, first, second, strict=True):
                 finite = np.isfinite(one).all() and np.isfinite(two).all()
-                if finite and features.redrawn(one, two) > CHAOTIC_SHARE:
+                if finite and features.chaotic_share(one, two) > CHAOTIC_SHARE:
                     return frozenset(run.name for run, _ in loud)
     return frozenset()
 

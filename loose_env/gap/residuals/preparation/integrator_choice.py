@@ -28,7 +28,7 @@ from loose_env.gap.settings import (
 from loose_env.gap.simulation.time_step import stepped
 from loose_env.recording import Run
 
-__all__ = ["Integration", "choose_integration", "corrected_step_words"]
+__all__ = ["Integration", "choose_integration", "corrected_step_notes"]
 
 _FAR, _SHARE = 50.0, 0.5
 """How far the nominal model is off [noise standard deviations] where the noise is no measure any
@@ -84,7 +84,7 @@ class Integration:
         """
         return 2 if self.integrator == _RK4 and self.relative_error < _UNSEEN else 1
 
-    def words(self, *, own: float) -> list[str]:
+    def notes(self, *, own: float) -> list[str]:
         """Notes on a changed step, and on one that is still too coarse.
 
         Parameters
@@ -174,7 +174,7 @@ def choose_integration(
     )
 
 
-def corrected_step_words(held_out: ResidualModel, hypothesis: Hypothesis) -> list[str]:
+def corrected_step_notes(held_out: ResidualModel, hypothesis: Hypothesis) -> list[str]:
     """Report whether the corrected model needs a finer step; none where it does not.
 
     An added effect may be stiffer than the nominal model by which the step was chosen. Runs that

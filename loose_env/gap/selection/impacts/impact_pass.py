@@ -93,7 +93,7 @@ def impact_pass(
         say(f"  dropped {effect!r}: a proxy for the part with stops")
         rigid = refit_without(effect, rigid, weighed, own)
     rigid, intervals = drop_insignificant(rigid, weighed, own, settings.seed, say=say)
-    found = scorer.score(_with_struck(problem.fit, rigid.fitted, impact_fit))
+    found = scorer.score(_with_impact_part(problem.fit, rigid.fitted, impact_fit))
     bounded = at_bound(found.fitted.structure, found.fitted.free)
     worse = worse_quantity(scorer.held_out, found, base)
     if bounded or worse:
@@ -127,7 +127,7 @@ def _without_slides(
     return scorer.score(fit(weighed.fit, rigid, fitted.free[kept], known=known))
 
 
-def _with_struck(comparison: ResidualModel, rigid: Fit, impact_fit: ImpactFit) -> Fit:
+def _with_impact_part(comparison: ResidualModel, rigid: Fit, impact_fit: ImpactFit) -> Fit:
     """Add a part fitted by its impact power to a fit, without refitting."""
     whole = Fit(
         structure=rigid.structure.plus(impact_fit.effect),

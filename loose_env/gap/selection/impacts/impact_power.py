@@ -120,10 +120,10 @@ class ImpactPower(ResidualModel):
             trial=run[read],
             channel=np.array(self._own, dtype=np.intp)[channel[read]],
             sample=(stretch * size[run])[read],
-            place=stretch[read],
+            index=stretch[read],
             block=(run * longest + stretch // together[run])[read],
-            white=np.ones(int(read.sum()), dtype=bool),
-            shaken=np.zeros(int(read.sum()), dtype=bool),
+            is_feature=np.ones(int(read.sum()), dtype=bool),
+            random_excitation=np.zeros(int(read.sum()), dtype=bool),
             inverse=np.zeros(int(read.sum()), dtype=bool),
         )
         # an encoder at rest shows a constant value, with variation far below its noise

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
+from loose_env.gap.model.effects.mjcf.sensor_columns import is_position_or_speed
 from loose_env.gap.model.parameter import Parameter, free_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.linear_problem import CurrentFit
@@ -171,10 +171,10 @@ def _best_starts(
     found: dict[tuple[str, str, str], dict[tuple[float, ...], tuple[float, tuple[float, ...]]]] = {}
     for effect, start, signature in signatures.of(lighter, fitted, entries, base):
         weighed = _weigh(part, known, effect, start, signature)
-        promise = 0.0 if weighed is None else weighed.predicted
+        predicted = 0.0 if weighed is None else weighed.predicted
         own, alike = found.setdefault(effect.key, {}), _without_nuisances(effect, start)
-        if alike not in own or promise > own[alike][0]:
-            own[alike] = promise, start
+        if alike not in own or predicted > own[alike][0]:
+            own[alike] = predicted, start
     return {
         key: [start for _, start in sorted(own.values(), key=lambda each: -each[0])[:_MANY]]
         for key, own in found.items()
@@ -221,8 +221,10 @@ def _best(found: list[ScreenedCandidate]) -> ScreenedCandidate:
 
 def _slow_rows(comparison: ResidualModel) -> NDArray[np.bool_]:
     """Mask of the rows whose readings vary smoothly with a shift in time (N,)."""
-    slow = np.array([of_place_or_speed(comparison.machine, c.column) for c in comparison.channels])
-    return slow[comparison.rows.channel] & ~comparison.rows.white
+    slow = np.array(
+        [is_position_or_speed(comparison.machine, c.column) for c in comparison.channels]
+    )
+    return slow[comparison.rows.channel] & ~comparison.rows.is_feature
 
 
 def _weigh(

@@ -17,7 +17,7 @@ from loose_env.gap.fitting.holdout_score import residual_z
 from loose_env.gap.fitting.model_structure import ModelStructure
 from loose_env.gap.fitting.refit import with_new_jacobian
 from loose_env.gap.model.effect import have_stops
-from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
+from loose_env.gap.model.effects.mjcf.sensor_columns import is_position_or_speed
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.autocorrelation import LaggedProducts, largest
 from loose_env.gap.residuals.progress import counted
@@ -212,7 +212,7 @@ class WindowFits:
         belong to no single channel.
         """
         short = self.short
-        kept = np.array([of_place_or_speed(short.machine, c.column) for c in short.channels])
+        kept = np.array([is_position_or_speed(short.machine, c.column) for c in short.channels])
         counted = kept[short.rows.channel]
         if short.chaotic or counted.all() or not counted.any():
             return None

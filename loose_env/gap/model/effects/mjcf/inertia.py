@@ -60,9 +60,9 @@ def set_inertial(machine: NominalModel, spec: mujoco.MjSpec, body: str, inertial
         every = [b.name for b in spec.bodies if b.name and b.name != "world"]
         kept = {name: inertial_of(machine, spec, name) for name in every if name != body}
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
-        for name, figures in kept.items():
-            if figures.mass > 0:
-                _write(spec.body(name), figures)
+        for name, own in kept.items():
+            if own.mass > 0:
+                _write(spec.body(name), own)
     _write(spec.body(body), inertial)
 
 
