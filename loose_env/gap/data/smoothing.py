@@ -110,7 +110,7 @@ def smooth_motion(
     readings : dict, optional
         Column -> readings (T,) in place of those measured.
     band : Band, optional
-        What passes; by default what holds the motion, as far as the torque's noise is the louder.
+        What passes; by default what holds the motion, as far as the torque's noise is the larger.
 
     Raises
     ------

@@ -227,7 +227,7 @@ def _changes(
         own = [k for k, (effect, _) in enumerate(entries) if effect.adds_motion == springs]
         if not own:
             continue
-        compared, alike = short.lightly(
+        compared, alike = short.cheaper_residual(
             base.hypothesis, base.residual, stiff=stiff, springs=springs
         )
         changes = Signatures().of(compared, base, [entries[k] for k in own], alike)

@@ -44,7 +44,7 @@ _FORMAT = "gap signatures 2"
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored banks."""
 
-_ALIKE = 2.0
+_INDISTINGUISHABLE_Z = 2.0
 """Length of a signature beside that of another candidate below which both are one candidate [noise
 standard deviations]."""
 
@@ -206,7 +206,7 @@ def _distinct(bank: SignatureBank) -> SignatureBank:
     for number, name in enumerate(bank.names):
         for earlier in bank.names[:number]:
             own = left[np.ix_(of[name], of[earlier])].min(axis=1)
-            if earlier not in dropped and np.all(own < _ALIKE**2):
+            if earlier not in dropped and np.all(own < _INDISTINGUISHABLE_Z**2):
                 dropped.add(name)
     if not dropped:
         return bank

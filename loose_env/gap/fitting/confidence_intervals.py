@@ -20,12 +20,12 @@ from loose_env.typing import Array
 __all__ = ["Intervals", "bootstrap", "joined", "widened"]
 
 
-_ANSWER = 1.0
+_MIN_CURVATURE = 1.0
 """Rise of the sum of squares [noise variances] with a step of one free number, about the least size
 that matters, below which the data do not answer to it."""
 _DRAWS = 500
 """Draws of the bootstrap."""
-_ANYWHERE = 1e6
+_UNINFORMED_VARIANCE = 1e6
 """Factor on the squared range of such a number, for its variance."""
 
 
@@ -105,11 +105,11 @@ def bootstrap(comparison: ResidualModel, fitted: Fit, rng: np.random.Generator) 
     low, high = np.quantile(free, (0.025, 0.975), axis=0)
     covariance = inverse @ (slopes.T @ slopes + np.diag(weights**2)) @ inverse
     # Data that are insensitive to a parameter show no scatter in it: it may take any value.
-    blind = (np.einsum("bpp->p", curvatures) < _ANSWER) & (weights == 0)
+    blind = (np.einsum("bpp->p", curvatures) < _MIN_CURVATURE) & (weights == 0)
     ends = np.array([p.bounds for p in parameters])
     low[blind], high[blind] = ends[blind].T
     covariance[blind], covariance[:, blind] = 0.0, 0.0
-    covariance[blind, blind] = np.ptp(ends[blind], axis=1) ** 2 * _ANYWHERE
+    covariance[blind, blind] = np.ptp(ends[blind], axis=1) ** 2 * _UNINFORMED_VARIANCE
     return Intervals(
         low=np.array([p.value(v) for p, v in zip(parameters, low, strict=True)]),
         high=np.array([p.value(v) for p, v in zip(parameters, high, strict=True)]),

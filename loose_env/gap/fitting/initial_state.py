@@ -34,14 +34,14 @@ _LINE = 0.05
 """How much of a run the first state is taken from [s]."""
 _FURTHEST = 30.0
 """How far a start may be off, in standard deviations."""
-_PERSISTS = (3.0, 12.0)
+_MEMORY_S = (3.0, 12.0)
 """How much of a run is simulated for what its initial state changes [s]; all of it where that still
 shows at the end."""
-_END = 0.75
+_TAIL_SHARE = 0.75
 """Share of the beginning after which nothing of it may show."""
 _ITERATIONS = 3
 """Gauss-Newton iterations of initial states alone."""
-_FORGOTTEN = 0.01
+_MEMORY_TOLERANCE = 0.01
 """Change by a standard deviation of the initial state that does not show [noise standard
 deviations]."""
 
@@ -79,7 +79,7 @@ class InitialStates:
     def _lengths(self) -> tuple[float, ...]:
         """Lengths of beginnings that are tried [s]; a free response seldom forgets its own."""
         driven = any(self.trials[t].form != "free" for t in self.moving)
-        return (*_PERSISTS, np.inf) if driven else (np.inf,)
+        return (*_MEMORY_S, np.inf) if driven else (np.inf,)
 
     @cached_property
     def spreads(self) -> Array:
@@ -170,7 +170,7 @@ class InitialStates:
             for k, t in enumerate(left):
                 own = part.rows.trial == k
                 changes = np.array([residual[own] - before[own] for residual in after])
-                shown = np.abs(changes[:, late[own]]).max(initial=0.0) > _FORGOTTEN
+                shown = np.abs(changes[:, late[own]]).max(initial=0.0) > _MEMORY_TOLERANCE
                 if shown and len(part.trials[k].time) < len(comparison.trials[places[t]].time):
                     persistent.append(t)
                     continue
@@ -224,7 +224,7 @@ class InitialStates:
             if before - costs[best] < 1e-3 * before:
                 break
         late = _at_the_end(part)
-        shown = jacobian is not None and np.abs(jacobian[late]).max(initial=0.0) > _FORGOTTEN
+        shown = jacobian is not None and np.abs(jacobian[late]).max(initial=0.0) > _MEMORY_TOLERANCE
         return free, bool(shown)
 
     def _at(self, hypothesis: Hypothesis, free: Array) -> Hypothesis:
@@ -244,7 +244,7 @@ def _at_the_end(part: ResidualModel) -> NDArray[np.bool_]:
     found = np.zeros(len(part), dtype=bool)
     for k, trial in enumerate(part.trials):
         own = part.rows.trial == k
-        found[own] = trial.time[part.rows.sample[own]] > _END * trial.time[-1]
+        found[own] = trial.time[part.rows.sample[own]] > _TAIL_SHARE * trial.time[-1]
     return found
 
 

@@ -58,10 +58,8 @@ def fit_without(
     others, kept = _without(fitted, effect)
     settings, reference = fit_settings_for(others), np.inf
     if roughly:
-        settings, reference = (
-            replace(settings, cost_tolerance=max(settings.cost_tolerance, _ROUGHLY)),
-            fitted.cost,
-        )
+        tolerance = max(settings.cost_tolerance, _ROUGHLY)
+        settings, reference = replace(settings, cost_tolerance=tolerance), fitted.cost
     known = fitted.jacobian[:, kept]
     return fit(
         comparison,

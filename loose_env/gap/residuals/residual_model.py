@@ -19,14 +19,14 @@ from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.typing import Array
 
-__all__ = ["ResidualModel", "Rows"]
+__all__ = ["DIVERGED_RESIDUAL", "ResidualModel", "Rows"]
 
 
-_ASTRAY = 100.0
+_MAX_INTEGRATOR_ERROR = 100.0
 """Error of a cheaper integrator above which its differences are not taken [noise standard
 deviations], where it is larger than what is to be explained."""
-_WILD = 1e4
-"""Residual where a simulation went wild, and the largest that counts [standard deviations]."""
+DIVERGED_RESIDUAL = 1e4
+"""Residual where a simulation diverged, and the largest that counts [noise standard deviations]."""
 _PREDICTED_AT_ONCE = 4_000_000
 """Numbers of predictions that are held at a time: 32 MB, and their sensors as much."""
 _FEWEST_AT_ONCE = 16
@@ -108,7 +108,7 @@ class ResidualModel:
         self.runs = np.arange(len(self.trials))
         """Indices of the runs in the initial states of hypotheses; -1 for one that begins later."""
         self.channels, self.floors, self.threads = channels, floors, threads
-        self._lighter: dict[int, ResidualModel] = {}
+        self._cheaper: dict[int, ResidualModel] = {}
         self._beginnings: dict[tuple[tuple[int, ...], float], ResidualModel] = {}
         backwards = [t for t, trial in enumerate(self.trials) if trial.form == "inverse"]
         self._backwards = np.array(backwards, dtype=np.intp)
@@ -228,7 +228,7 @@ class ResidualModel:
             found.runs = self.runs
         return found
 
-    def loudest(self, residual: Array) -> NDArray[np.bool_] | None:
+    def run_with_largest_residual(self, residual: Array) -> NDArray[np.bool_] | None:
         """Mask of the rows (N,) of the run with the largest residual, a simulated one if any is.
 
         None where there are no two.
@@ -267,7 +267,7 @@ class ResidualModel:
         squares = np.bincount(channel, residual[own] ** 2, minlength=most)
         return np.asarray(np.sqrt(squares / np.maximum(count, 1)))
 
-    def lighter(self, *, stiff: bool = False) -> ResidualModel:
+    def with_cheaper_integrator(self, *, stiff: bool = False) -> ResidualModel:
         """Copy with a cheaper integrator: one evaluation a step instead of four.
 
         The difference that an effect makes is nearly the same, since the step error is in both.
@@ -283,17 +283,17 @@ class ResidualModel:
         if self.inverse is None and not cheaper:
             return self
         joined = 1 if stiff or not cheaper else self.machine.merged_steps
-        if joined not in self._lighter:
+        if joined not in self._cheaper:
             machine = self.machine
             if cheaper:
                 machine = replace(
                     machine, integrator=_IMPLICIT, merged_steps=joined, uniform_steps=True
                 )
-            inverse = self.inverse and self.inverse.lighter()
-            self._lighter[joined] = self.like(machine=machine, inverse=inverse)
-        return self._lighter[joined]
+            inverse = self.inverse and self.inverse.with_longer_steps()
+            self._cheaper[joined] = self.like(machine=machine, inverse=inverse)
+        return self._cheaper[joined]
 
-    def lightly(
+    def cheaper_residual(
         self,
         hypothesis: Hypothesis,
         residual: Array,
@@ -308,13 +308,13 @@ class ResidualModel:
         """
         if springs and not self.rows.inverse.all():
             return self, residual
-        lighter = self.lighter(stiff=stiff)
-        if lighter is self:
+        cheaper = self.with_cheaper_integrator(stiff=stiff)
+        if cheaper is self:
             return self, residual
-        found = np.asarray(lighter.residuals([hypothesis])[0])
+        found = np.asarray(cheaper.residuals([hypothesis])[0])
         off = float(np.mean((found - residual) ** 2))
-        astray = off > max(_ASTRAY**2, float(np.mean(residual**2)))
-        return (self, residual) if astray else (lighter, found)
+        astray = off > max(_MAX_INTEGRATOR_ERROR**2, float(np.mean(residual**2)))
+        return (self, residual) if astray else (cheaper, found)
 
     def __len__(self) -> int:
         """Number of residuals."""
@@ -357,8 +357,8 @@ class ResidualModel:
             for h, predicted in enumerate(self.predict(hypotheses[first : first + size]), first):
                 found[h] = self.measured - self.flatten(predicted)
             tick()
-        found[~np.isfinite(found)] = _WILD
-        return np.clip(found, -_WILD, _WILD, out=found)
+        found[~np.isfinite(found)] = DIVERGED_RESIDUAL
+        return np.clip(found, -DIVERGED_RESIDUAL, DIVERGED_RESIDUAL, out=found)
 
     def levels(self, hypothesis: Hypothesis) -> Array:
         """Noise under a hypothesis, relative to that of the rigid arm (N,).

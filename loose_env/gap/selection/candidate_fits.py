@@ -32,7 +32,7 @@ from loose_env.gap.settings import (
 __all__ = ["CandidateFits"]
 
 
-_NEAR = 1.5
+_MAX_COST_RATIO = 1.5
 """Sum of squares over that of a larger hypothesis from which on it is not tried on all data."""
 
 
@@ -143,7 +143,7 @@ class CandidateFits:
         start = np.concatenate([base.free, fitted.free[len(self.before.free) :]])
         together = self.windows.short.residuals([fitted.hypothesis])[0]
         quick = fit(self.windows.short, structure, start)
-        if quick.residual @ quick.residual > _NEAR * float(together @ together):
+        if quick.residual @ quick.residual > _MAX_COST_RATIO * float(together @ together):
             return None
         start = np.concatenate([base.free, quick.free[nominal:]])
         return self.scorer.score(fit(self.comparison, structure, start, known=base.jacobian))
@@ -164,7 +164,8 @@ class CandidateFits:
         incumbent = replace(rival, residual=together, cost=cost)
         sets = [[each] for each in screened]
         fits, _ = windows.staged_fits(sets, twice=len(screened), best=incumbent)
-        near = [f for f in fits if f.residual @ f.residual < _NEAR * float(together @ together)]
+        most = _MAX_COST_RATIO * float(together @ together)
+        near = [each for each in fits if each.residual @ each.residual < most]
         found = [self._to_all(each) for each in near[:FURTHER]]
         return sorted(found, key=lambda scored: scored.total)
 

@@ -53,7 +53,7 @@ __all__ = ["SwapStep", "drop_insignificant", "refit_without"]
 _Key = tuple[str, str, str]
 _ROUNDS = 3
 """Rounds of swaps at most; what is swapped in may have a better form itself."""
-_MOSTLY = 0.9
+_MIN_GAIN_RATIO = 0.9
 """Predicted gain of one effect over that of two it may replace, from which it is fitted: cost."""
 
 
@@ -214,7 +214,7 @@ class SwapStep:
             taken += [s for s in there if s not in taken][:FURTHER]
         else:
             together = 1.0 - best.fitted.cost / before.fitted.cost
-            taken = [s for s in taken if s.predicted > _MOSTLY * together]
+            taken = [s for s in taken if s.predicted > _MIN_GAIN_RATIO * together]
         tried = candidate_fits.replacements(taken, best.fitted)
         return self._better(tried, before, best, acceptance)
 

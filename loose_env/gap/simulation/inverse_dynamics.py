@@ -43,7 +43,7 @@ _REPEATS = 12
 _SEED = 20
 """Of the noise that is added to see what becomes of it."""
 _LONG_STEP = 2e-3
-"""Step of the lighter copy [s]: a fourteenth of the period of the stiffest spring from which fits
+"""Step of the cheaper copy [s]: a fourteenth of the period of the stiffest spring from which fits
 start."""
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
@@ -85,7 +85,7 @@ class InverseDynamics:
         self._drive = PrescribedMotionSimulator(machine, threads=threads)
         self._exact = True
 
-    def lighter(self) -> InverseDynamics:
+    def with_longer_steps(self) -> InverseDynamics:
         """Copy that takes longer steps where there are unmeasured degrees of freedom.
 
         Their torques are corrected by what the steps change in the nominal model.

@@ -24,7 +24,6 @@ from loose_env.typing import Array
 
 __all__ = [
     "PARTS",
-    "STATES",
     "changes_within",
     "commands_at",
     "late_sensors",
@@ -36,8 +35,6 @@ __all__ = [
 PARTS = 2
 """Parts of a step where commands change within it: a mean moves the speed rightly, and the place
 only as far as the change lies in the middle."""
-STATES = ("qpos", "qvel", "act")
-"""What the state of a simulation consists of."""
 _AT_A_TIME = 1024
 """States at which sensors are worked out at a time."""
 

@@ -39,6 +39,6 @@ def stepped(trial: Trial, machine: NominalModel, effects: Iterable[Effect]) -> T
 
 def step_with(machine: NominalModel, effects: Iterable[Effect]) -> float:
     """Time step for a model with these effects, at most that of the machine [s]."""
-    step = machine.step or float(machine.model.opt.timestep)
+    step = machine.time_step
     needs_fine_steps = any(effect.needs_fine_steps for effect in effects)
     return step / machine.substeps if needs_fine_steps and machine.merged_steps == 1 else step

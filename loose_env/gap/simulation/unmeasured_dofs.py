@@ -52,7 +52,7 @@ class PrescribedMotionSimulator:
 
     def __init__(self, machine: NominalModel, *, threads: int = 0, step: float = 0.0) -> None:
         self.machine, self.threads = machine, threads
-        self.step = step or machine.step or float(machine.model.opt.timestep)
+        self.step = step or machine.time_step
 
     def torque(self, hypothesis: Hypothesis, motion: SmoothedMotion) -> Array:
         """Drive torques of the measured joints, on the motion's grid (G, joints) [N·m, N].

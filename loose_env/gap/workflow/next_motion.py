@@ -26,7 +26,7 @@ from loose_env.typing import Array
 
 __all__ = ["choose_next", "separating"]
 
-_NEAR = 2
+_RANKED_RIVALS = 2
 """Candidates of a step of the ranking that are looked at beside its winner."""
 
 
@@ -145,5 +145,5 @@ def _near(solution: GapSolution) -> list[tuple[Place, Place]]:
         if winner is None:
             continue
         near = [e for e in own if e is not winner and e.held_out <= WORSE * winner.held_out]
-        found += [((winner.kind, winner.where), (e.kind, e.where)) for e in near[:_NEAR]]
+        found += [((winner.kind, winner.where), (e.kind, e.where)) for e in near[:_RANKED_RIVALS]]
     return found

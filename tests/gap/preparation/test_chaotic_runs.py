@@ -130,9 +130,9 @@ def test_features_are_weighed_by_the_noise_there_is_whatever_counts_as_noise(
 ) -> None:
     runs = problem.search
     assert runs.rows.is_feature.all()
-    louder = problem.louder(np.full(len(runs.channels), 30.0)).search
+    scaled = problem.with_noise_scaled(np.full(len(runs.channels), 30.0)).search
     nothing = Hypothesis()
-    assert np.array_equal(runs.residuals([nothing]), louder.residuals([nothing]))
+    assert np.array_equal(runs.residuals([nothing]), scaled.residuals([nothing]))
     assert not runs.channel_rms(np.ones(len(runs))).any()
 
 

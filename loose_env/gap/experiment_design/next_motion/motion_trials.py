@@ -197,11 +197,7 @@ class MotionRuns:
 
     def _trial(self, number: int, motion: Played) -> Trial:
         run = self.run(f"motion-{number}", motion, noise=self.form == "inverse")
-        return align_run(run, self.machine, self.comparison.channels, step=self._longest)
-
-    @property
-    def _longest(self) -> float:
-        return self.machine.step or float(self.machine.model.opt.timestep)
+        return align_run(run, self.machine, self.comparison.channels, step=self.machine.time_step)
 
     def run(self, name: str, motion: Played, *, noise: bool = False) -> Run:
         """Motion in the recording's columns: commands, and what position and torque will be.

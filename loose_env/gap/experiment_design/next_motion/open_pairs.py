@@ -32,7 +32,7 @@ NOTHING = "nothing"
 """Name of what an effect is told from that the runs would not show."""
 _UNSEEN = 0.2
 """Weight of an effect that the runs would not show, beside one that competes with the answer."""
-_FAR = 0.3
+_RELINEARISE_STEP = 0.3
 """Change of a free number from which sensitivities are taken anew."""
 
 _CLOSE = FitSettings(iterations=8, cost_tolerance=1e-4)
@@ -208,7 +208,7 @@ def _replaced(
 
 
 def _moved(found: Fit, start: Array) -> bool:
-    return bool(np.any(np.abs(found.free - start) > _FAR))
+    return bool(np.any(np.abs(found.free - start) > _RELINEARISE_STEP))
 
 
 def _without(comparison: ResidualModel, answer: Fit, effect: Effect) -> Fit:

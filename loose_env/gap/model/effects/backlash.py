@@ -81,7 +81,7 @@ class Backlash(SplitJoint):
                 scale=0.01 * length,
                 log=True,
             ),
-            *stops(self.weight, self.step, f"{self.torque_unit}/{self.angle_unit}"),
+            *stops(self.weight, self.machine.time_step, f"{self.torque_unit}/{self.angle_unit}"),
         )
 
     @property

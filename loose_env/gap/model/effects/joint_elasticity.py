@@ -95,11 +95,6 @@ class SplitJoint(JointEffect):
         model = spec.compile()
         return float(model.dof_invweight0[model.joint(name).dofadr[0]])
 
-    @property
-    def step(self) -> float:
-        """Simulation step [s]."""
-        return self.machine.step or float(self.machine.model.opt.timestep)
-
 
 class JointCompliance(SplitJoint):
     """Joint compliance: spring and damper; the limit of a stiff spring is rigid."""
@@ -111,7 +106,10 @@ class JointCompliance(SplitJoint):
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness, and the damping ratio of the link on the spring, motor locked."""
         unit = f"{self.torque_unit}/{self.angle_unit}"
-        return (stiffness_between(self.carried, self.weight, self.step, unit), damping_ratio())
+        return (
+            stiffness_between(self.carried, self.weight, self.machine.time_step, unit),
+            damping_ratio(),
+        )
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
@@ -300,7 +298,7 @@ class BaseCompliance(Effect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness, and the damping ratio of the arm on it with its joints locked."""
         carried, weight = self._hinge_inertia
-        step = self.machine.step or float(self.machine.model.opt.timestep)
+        step = self.machine.time_step
         return (stiffness_between(carried, weight, step, "N·m/rad"), damping_ratio())
 
     @property

@@ -96,7 +96,7 @@ class LinkFlexibility(Effect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness, damping ratio with the near part locked, and location of the hinge."""
         carried, weight = self._hinge_inertia
-        step = self.machine.step or float(self.machine.model.opt.timestep)
+        step = self.machine.time_step
         place = Parameter(
             name="position", unit="", low=_NEAREST, high=1 - _NEAREST, scale=_SCATTER,
             centre=_MIDDLE, spread=1.0,

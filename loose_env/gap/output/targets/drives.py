@@ -13,13 +13,13 @@ from typing import Literal
 import mujoco
 import numpy as np
 
+from loose_env.gap.model.nominal_model import affine_actuators
+
 __all__ = ["JointDrive", "JointValues", "joint_values"]
 
 Mode = Literal["position", "velocity", "effort"]
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
-_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _SAME = 1e-6
 """Relative difference of two gains that are the same."""
 
@@ -118,8 +118,7 @@ def _drive(model: mujoco.MjModel, joint: int) -> tuple[JointDrive | None, str]:
     if len(own) > 1:
         return None, f"several actuators drive it ({names})"
     k = own[0]
-    affine = model.actuator_gaintype[k] in _GAINS and not model.actuator_gainprm[k][1:3].any()
-    if not affine or model.actuator_biastype[k] not in _BIASES:
+    if not affine_actuators(model)[k] or model.actuator_gainprm[k][1:3].any():
         return None, f"the force of {names} is not linear in command, position and speed"
     gain, gear = float(model.actuator_gainprm[k, 0]), float(model.actuator_gear[k, 0])
     bias, stiff, damped = (float(v) for v in model.actuator_biasprm[k][:3])

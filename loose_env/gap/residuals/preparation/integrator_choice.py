@@ -30,7 +30,7 @@ from loose_env.recording import Run
 
 __all__ = ["Integration", "choose_integration", "corrected_step_notes"]
 
-_FAR, _SHARE = 50.0, 0.5
+_POOR_FIT_RMS, _SHARE = 50.0, 0.5
 """How far the nominal model is off [noise standard deviations] where the noise is no measure any
 more, and the share of that which is one in its place."""
 _LEFT = 0.3
@@ -145,7 +145,7 @@ def choose_integration(
     integrator = int(machine.model.opt.integrator)
     as_given = residual(own, integrator)
     off = float(np.sqrt(np.mean(as_given**2)))
-    scale = _SHARE * off if off > _FAR else 1.0
+    scale = _SHARE * off if off > _POOR_FIT_RMS else 1.0
 
     def worst(difference: np.ndarray) -> float:
         return float(np.max(by_channel(difference)) / scale)

@@ -69,7 +69,7 @@ class GapProblem:
         kinds = self.settings.kinds or None
         return [each for each in candidates(self.machine, kinds) if self.search.shows(each)]
 
-    def louder(self, factors: Array) -> GapProblem:
+    def with_noise_scaled(self, factors: Array) -> GapProblem:
         """Copy with the noise of every channel scaled by a factor (C,)."""
         known: dict[int, ResidualModel] = {}
 

@@ -39,9 +39,9 @@ __all__ = ["ImpactFit", "find_impacts"]
 
 _FITTED = 2
 """Candidates that are fitted."""
-_BY_CHANCE = 0.5
+_NOISE_MEAN_SQUARE = 0.5
 """Mean square of what noise alone leaves: half of it, for less than noise counts as noise."""
-_FROM = 3
+_MULTISTARTS = 3
 """Starts from which each of them is fitted."""
 _TITLE = "parts with stops"
 _STEP = 0.05
@@ -231,7 +231,7 @@ def _roughly(impact_power: ImpactPower, effect: Effect, starts: Sequence[tuple[f
     structure = ModelStructure(effects=(effect,))
     found = [
         fit(impact_power, structure, free_of(effect.parameters, np.array(start)), settings=_ROUGH)
-        for start in starts[:_FROM]
+        for start in starts[:_MULTISTARTS]
     ]
     return min(found, key=lambda each: each.cost)
 
@@ -272,5 +272,5 @@ def _insignificant(problem: GapProblem, known: Hypothesis, part: Hypothesis) -> 
 
 def _explained(before: Array, after: Array) -> float:
     """Share of the power beyond sampling error that is explained, 1 at most."""
-    more, left = (float(np.sum(each**2 - _BY_CHANCE)) for each in (before, after))
+    more, left = (float(np.sum(each**2 - _NOISE_MEAN_SQUARE)) for each in (before, after))
     return 1.0 - max(left, 0.0) / more if more > 0 else 0.0

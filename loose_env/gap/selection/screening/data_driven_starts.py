@@ -118,7 +118,7 @@ def residual_torque(
     machine = comparison.machine
     rigid = [(effect, values) for effect, values in hypothesis.pairs if not effect.adds_motion]
     known = hypothesis.of_model.with_effects(rigid)
-    step = machine.step or float(machine.model.opt.timestep)
+    step = machine.time_step
     model = known.model(machine, step)
     model.opt.disableflags |= _OFF
     runs = [trial for trial in comparison.trials if trial.form == "forward"]

@@ -25,7 +25,7 @@ __all__ = ["AlternativeSet", "alternative_sets"]
 
 _STEP = 1e-4
 """Difference of a share over which free numbers are differentiated."""
-_BELIEVED = 4.0
+_MAX_EXTRAPOLATION = 4.0
 """Largest multiple of what an effect does now that is believed."""
 
 
@@ -67,7 +67,7 @@ def alternative_sets(
             continue
         columns, shares = _columns(effect, none, fitted.free[part], fitted.jacobian[:, part])
         residual = residual - columns @ shares
-        most_of_it = _BELIEVED * max(shares.max(), 1.0)
+        most_of_it = _MAX_EXTRAPOLATION * max(shares.max(), 1.0)
         own.append(
             ScreenedCandidate(
                 effect=effect,

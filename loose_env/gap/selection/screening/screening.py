@@ -34,10 +34,11 @@ __all__ = ["ScreenedCandidate", "along", "screen"]
 
 _SMALLEST_SHARE, _LARGEST_SHARE = 1e-6, 4.0
 """Smallest and largest multiple of a signature that is believed."""
-_FAR = 0.5
+_DISTINCT_START = 0.5
 """Distance of a start that is another, in free numbers: some one of them is so far off."""
 _MANY = 4
-"""Starts of one candidate above which only the best on the loudest run are simulated on all."""
+"""Starts of one candidate above which only the best on the run with the largest residual are
+simulated on all."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,14 +98,14 @@ def screen(
     signatures.about(comparison, fitted)
     known = CurrentFit.of(fitted)
     slow = _slow_rows(comparison)
-    lens = CurrentFit.of(fitted, slow) if 0 < slow.sum() < len(slow) else None
+    smooth_channels_problem = CurrentFit.of(fitted, slow) if 0 < slow.sum() < len(slow) else None
     stiff = any(e.adds_motion for e in fitted.effects)
     proposed = dict(proposed) | _best_starts(
         comparison, fitted, known, candidates, proposed, signatures
     )
     seen: dict[int, list[ScreenedCandidate]] = {}
     for springs in (True, False):
-        compared, base = comparison.lightly(
+        compared, base = comparison.cheaper_residual(
             fitted.hypothesis, fitted.residual, stiff=stiff, springs=springs
         )
         own = [effect for effect in candidates if effect.adds_motion == springs]
@@ -122,19 +123,19 @@ def screen(
         apart: dict[int, dict[tuple[float, ...], Array]] = {}
         again: dict[int, tuple[float, Effect, tuple[float, ...]]] = {}
         for effect, start, signature in signatures.of(compared, fitted, entries, base):
-            _keep(seen, _weigh(comparison, known, effect, start, signature))
+            _keep(seen, _predicted_gain(comparison, known, effect, start, signature))
             if id(effect) in axes:
                 apart.setdefault(id(effect), {})[start] = signature
-            if lens is not None and effect.is_time_shift:
-                found = _proposed(lens, slow, effect, start, signature)
+            if smooth_channels_problem is not None and effect.is_time_shift:
+                found = _proposed(smooth_channels_problem, slow, effect, start, signature)
                 if found is not None and found[0] > again.get(id(effect), (0.0,))[0]:
                     again[id(effect)] = (found[0], effect, found[1])
         for key, (effect, starts) in axes.items():
             together = np.stack([apart[key][start] for start in starts], axis=1)
-            _keep(seen, _weigh_together(comparison, known, effect, together))
+            _keep(seen, _joint_predicted_gain(comparison, known, effect, together))
         entries = [(effect, start) for _, effect, start in again.values()]
         for effect, start, signature in signatures.of(compared, fitted, entries, base):
-            _keep(seen, _weigh(comparison, known, effect, start, signature))
+            _keep(seen, _predicted_gain(comparison, known, effect, start, signature))
     return sorted((_best(each) for each in seen.values()), key=lambda s: -s.predicted)
 
 
@@ -160,18 +161,18 @@ def _best_starts(
     ]
     if not entries:
         return {}
-    rows = comparison.loudest(signatures.reference(comparison, fitted))
+    rows = comparison.run_with_largest_residual(signatures.reference(comparison, fitted))
     part, residual = comparison, fitted.residual
     if rows is not None:
         part, residual = comparison.of_run(rows), residual[rows]
         known = CurrentFit.of(fitted, rows)
-    lighter, base = part.lightly(fitted.hypothesis, residual, stiff=True)
-    if lighter is comparison:
+    cheaper, base = part.cheaper_residual(fitted.hypothesis, residual, stiff=True)
+    if cheaper is comparison:
         return {}
     found: dict[tuple[str, str, str], dict[tuple[float, ...], tuple[float, tuple[float, ...]]]] = {}
-    for effect, start, signature in signatures.of(lighter, fitted, entries, base):
-        weighed = _weigh(part, known, effect, start, signature)
-        predicted = 0.0 if weighed is None else weighed.predicted
+    for effect, start, signature in signatures.of(cheaper, fitted, entries, base):
+        candidate = _predicted_gain(part, known, effect, start, signature)
+        predicted = 0.0 if candidate is None else candidate.predicted
         own, alike = found.setdefault(effect.key, {}), _without_nuisances(effect, start)
         if alike not in own or predicted > own[alike][0]:
             own[alike] = predicted, start
@@ -214,7 +215,7 @@ def _best(found: list[ScreenedCandidate]) -> ScreenedCandidate:
         if each.predicted < SECOND_START * first.predicted:
             break
         off = np.abs(free_of(each.effect.parameters, np.array(each.values)) - at)
-        if np.any(off[matter] > _FAR):
+        if np.any(off[matter] > _DISTINCT_START):
             return replace(first, second=each.values)
     return first
 
@@ -227,7 +228,7 @@ def _slow_rows(comparison: ResidualModel) -> NDArray[np.bool_]:
     return slow[comparison.rows.channel] & ~comparison.rows.is_feature
 
 
-def _weigh(
+def _predicted_gain(
     comparison: ResidualModel,
     known: CurrentFit,
     effect: Effect,
@@ -252,7 +253,7 @@ def _weigh(
     )
 
 
-def _weigh_together(
+def _joint_predicted_gain(
     comparison: ResidualModel,
     known: CurrentFit,
     effect: Effect,
@@ -289,21 +290,21 @@ def _screened(
 
 
 def _proposed(
-    lens: CurrentFit,
+    smooth_channels_problem: CurrentFit,
     rows: NDArray[np.bool_],
     effect: Effect,
     start: tuple[float, ...],
     signature: Array,
 ) -> tuple[float, tuple[float, ...]] | None:
     """Predicted explained share from some of the rows, and the values that give it."""
-    taken = lens.best_coefficients(signature[rows, None], 0.0, _LARGEST_SHARE)
+    taken = smooth_channels_problem.best_coefficients(signature[rows, None], 0.0, _LARGEST_SHARE)
     if taken is None or effect.null_values is None:
         return None
     share, change = float(taken[0][0]), taken[1]
-    gain = -float(change @ (2 * lens.residual + change))
+    gain = -float(change @ (2 * smooth_channels_problem.residual + change))
     if gain <= 0 or share < _SMALLEST_SHARE:
         return None
-    return gain / float(lens.residual @ lens.residual), along(
+    return gain / float(smooth_channels_problem.residual @ smooth_channels_problem.residual), along(
         effect, start, effect.null_values, share
     )
 

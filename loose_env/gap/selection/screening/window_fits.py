@@ -1,4 +1,4 @@
-"""Fits of candidates to windows of the runs, as a race: those far behind are left out early.
+"""Fits of candidates to windows of the runs, in stages: those far behind are left out early.
 
 Such a fit ranks a candidate among others and gives the fit to all data a start; it need not
 converge.
@@ -30,17 +30,17 @@ __all__ = ["WindowFits"]
 
 
 _ENOUGH = 0.01
-"""Share of the cost below which a further step is not worth its simulations in a race."""
+"""Share of the cost below which a further step is not worth its simulations."""
 _ROUNDS = ((2, HOPELESS_COST**2), (8, HOPELESS_COST))
 """Most steps of each round, and cost over that of the best from which on one is left out."""
-_SHIFTS = (
+_DELAY_STEPS = (
     *(-4.0, -3.0, -2.0, -1.0, -0.75, -0.5, -0.25, -0.1),
     *(0.1, 0.25, 0.5, 0.75, 1.0, 2.0, 3.0, 4.0),
 )
 """Samples by which a delay is moved to see whether that is better."""
-_NEARER = (1.0, 0.5, 0.25)
+_START_SHARES = (1.0, 0.5, 0.25)
 """Shares of the way from nothing to where screening says that are tried as starts."""
-_DEAF = 1e6
+_IGNORED_CHANNEL_NOISE = 1e6
 """Factor on the noise of what shall not count."""
 
 
@@ -81,7 +81,7 @@ class WindowFits:
         twice : int
             Sets, from the first, that are also fitted from a second start where there is one.
         best : Fit, optional
-            Best fit of earlier races, with which all are compared.
+            Best fit of earlier sets, with which all are compared.
 
         Returns
         -------
@@ -186,7 +186,7 @@ class WindowFits:
             np.concatenate(
                 [self.before.free, *(a + share * (b - a) for a, b in zip(none, at, strict=True))]
             )
-            for share in _NEARER
+            for share in _START_SHARES
         ]
         residuals = self.short.residuals([structure.hypothesis(free) for free in tried])
         fits = [self._at(structure, *each) for each in zip(tried, residuals, strict=True)]
@@ -216,8 +216,8 @@ class WindowFits:
         counted = kept[short.rows.channel]
         if short.chaotic or counted.all() or not counted.any():
             return None
-        floors = np.where(kept, short.floors, short.floors * _DEAF)
-        return short.like(floors=floors), np.where(counted, 1.0, 1.0 / _DEAF)
+        floors = np.where(kept, short.floors, short.floors * _IGNORED_CHANNEL_NOISE)
+        return short.like(floors=floors), np.where(counted, 1.0, 1.0 / _IGNORED_CHANNEL_NOISE)
 
     def _shifted(self, fitted: Fit) -> Fit:
         """Shift the last effect, if a delay, by samples and fractions; refit where better.
@@ -230,7 +230,7 @@ class WindowFits:
             return fitted
         (parameter,) = fitted.effects[-1].parameters
         value, tried = values_of((parameter,), fitted.free[-1:])[0], []
-        for shift in _SHIFTS:
+        for shift in _DELAY_STEPS:
             moved = parameter.clipped(value + shift / self.short.trials[0].rate)
             tried.append(np.append(fitted.free[:-1], free_of((parameter,), np.array([moved]))))
         residuals = self.short.residuals([fitted.structure.hypothesis(free) for free in tried])

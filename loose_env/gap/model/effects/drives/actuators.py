@@ -15,18 +15,12 @@ from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
 __all__ = [
-    "BIASES",
-    "GAINS",
     "ActuatorGain",
     "ActuatorLag",
     "CommandDelay",
     "clamped",
     "held_delay",
 ]
-
-
-GAINS = (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_AFFINE)
-BIASES = (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 class ActuatorGain(Effect):
@@ -45,10 +39,8 @@ class ActuatorGain(Effect):
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return actuators whose force is linear in command, position and speed."""
-        model = machine.model
-        linear = np.isin(model.actuator_gaintype, [int(g) for g in GAINS])
-        linear &= np.isin(model.actuator_biastype, [int(b) for b in BIASES])
-        return tuple(n for k, n in enumerate(machine.actuators) if n and linear[k])
+        affine = machine.affine_actuators
+        return tuple(n for k, n in enumerate(machine.actuators) if n and affine[k])
 
     @classmethod
     def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:

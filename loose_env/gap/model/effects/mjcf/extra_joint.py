@@ -146,7 +146,7 @@ def _stable_servo_inertia(machine: NominalModel, joint: str) -> float:
     own = int(model.opt.integrator) if machine.integrator is None else machine.integrator
     if own not in _EXPLICIT:
         return 0.0
-    step = machine.step or float(model.opt.timestep)
+    step = machine.time_step
     turn = step * max(machine.merged_steps // 2, 1) / FASTEST  # longest step allowed for a spring
     squares = machine.gears(joint) ** 2
     affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
