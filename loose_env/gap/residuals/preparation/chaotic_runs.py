@@ -32,7 +32,7 @@ __all__ = ["chaotic_runs"]
 NUDGE = 1e-5
 """Change of where a run begins that does not matter [rad, m]."""
 _OF_STOPS = {"stiffness": 1.3, "damping_ratio": 1.5}
-"""Factors on figures of stops that do not matter: no law of contact is that exact."""
+"""Factors on parameters of stops that do not matter: no law of contact is that exact."""
 LOOKED_AT = 2.0
 """How much of a run is simulated to see whether trajectories diverge, where it is least like the
 nominal model [s]; at least as much as features need."""
