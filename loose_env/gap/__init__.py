@@ -116,7 +116,7 @@ from loose_env.gap.output.targets.source import (
     Export,
 )
 from loose_env.gap.residuals.physical_units import (
-    quantity_words,
+    quantity_notes,
 )
 from loose_env.gap.settings import (
     ACCEPTED_Z,
@@ -212,7 +212,7 @@ __all__ = [
     "pair_gains",
     "prediction_error",
     "probability_features",
-    "quantity_words",
+    "quantity_notes",
     "quick_look",
     "rays_of",
     "read_effects",

@@ -134,7 +134,7 @@ def play(case: Case, *, settings: Settings, run: Run, say: Callable[[str], None]
     return [
         {
             **row,
-            "motion": env.motions[chosen[0]].words,
+            "motion": env.motions[chosen[0]].description,
             "gain": float(expected[chosen[0]]),
             "chosen": -1.0 if np.isnan(times[0]) else times[0],
             "battery": -1.0 if np.isnan(times[1]) else times[1],

@@ -194,8 +194,8 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         for estimate in named.effects:
             if estimate.name in hidden:
                 effect = hidden[estimate.name]
-                nothing = effect.ray.effect.nothing
-                none = 0.0 if nothing is None else nothing[effect.ray.main]
+                null_values = effect.ray.effect.null_values
+                none = 0.0 if null_values is None else null_values[effect.ray.main]
                 off = abs(estimate.value - effect.value) / max(abs(effect.value - none), 1e-12)
                 errors.append(min(off, 1.0))
         return float(np.mean(errors)) if errors else float(bool(hidden))

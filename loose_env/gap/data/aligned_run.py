@@ -21,7 +21,7 @@ _REGULAR = 0.02
 """Largest deviation from an even rate, as a share of the sample interval, that counts as even."""
 _REST = 0.01
 """How much of the beginning tells whether the arm rests there [s]; an arm may set off at once."""
-_NEAR = 0.05
+_PARABOLA_S = 0.05
 """How far about the start of a window lines are drawn [s]."""
 _BEYOND = 0.25
 """How far beyond readings a parabola through them is followed, as a share of what they span."""
@@ -141,7 +141,7 @@ class Trial:
         for joint, values in self.motion.items():
             number = self.joints.index(joint)
             away = self.time - self.time[first]
-            near = np.abs(away) <= max(_NEAR, 4.1 / self.rate)
+            near = np.abs(away) <= max(_PARABOLA_S, 4.1 / self.rate)
             if _tells(away[near], values[near]):
                 position[number], speed[number], still = _line(away[near], values[near], whole=True)
             elif np.isfinite(values).any():

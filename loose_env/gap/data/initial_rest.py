@@ -20,15 +20,15 @@ __all__ = ["SETTLE", "comes_to_rest", "stays"]
 
 SETTLE = 0.4
 """How long an arm at rest is held before the start, so that springs take their load [s]."""
-_LOOK = 0.3
+_REST_WINDOW_S = 0.3
 """How much of a command that is held tells whether the arm stays under it [s]."""
 _LEAST = 9
 """Samples below which it is not told."""
-_LONGER = 4
+_LATE_RATIO = 4
 """Times `SETTLE` after which a model that comes to rest is about where it was after `SETTLE`."""
-_CREEPS = 1.5
+_DRIFT_RATIO = 1.5
 """How many times as far away it is then, if it does not."""
-_NO_MATTER = 1e-3
+_NEGLIGIBLE_DRIFT = 1e-3
 """Way that is no matter [rad, m]."""
 
 
@@ -57,7 +57,9 @@ def stays(time: Array, values: Array, controls: Array) -> bool:
     (True, False)
     """
     changed = np.flatnonzero((controls != controls[0]).any(axis=1))
-    count = min(len(time) if not len(changed) else int(changed[0]), np.searchsorted(time, _LOOK))
+    count = min(
+        len(time) if not len(changed) else int(changed[0]), np.searchsorted(time, _REST_WINDOW_S)
+    )
     good = values[:count][np.isfinite(values[:count])]
     if len(good) < _LEAST:
         return True
@@ -91,11 +93,11 @@ def comes_to_rest(machine: NominalModel, position: Array, commands: Array) -> bo
         data.act[:] = filters[0]
     start = data.qpos.copy()
     count = round(SETTLE / model.opt.timestep)
-    way = np.empty((_LONGER * count, len(start)))
+    way = np.empty((_LATE_RATIO * count, len(start)))
     for k in range(len(way)):
         mujoco.mj_step(model, data)
         way[k] = data.qpos - start
     last = max(count // 4, 1)  # mean over an interval, as a servo may oscillate
     soon = np.abs(np.mean(way[count - last : count], axis=0))
     later = np.abs(np.mean(way[-last:], axis=0))
-    return bool(np.all((later <= _CREEPS * soon) | (later < _NO_MATTER)))
+    return bool(np.all((later <= _DRIFT_RATIO * soon) | (later < _NEGLIGIBLE_DRIFT)))

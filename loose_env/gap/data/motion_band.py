@@ -109,6 +109,9 @@ def band_end(
 ) -> float:
     """End of the band of a run [Hz].
 
+    The end of the motion; or lower, where noise of the acceleration exceeds that of the torque, but
+    not so low that it cuts most of the motion: the model is not linear in that.
+
     Parameters
     ----------
     trial : Trial
@@ -119,9 +122,6 @@ def band_end(
         The run's columns.
     positions, speeds : dict
         Readings on the run's grid (G,), by joint index.
-
-    The end of the motion; or lower, where noise of the acceleration exceeds that of the torque, but
-    not so low that it cuts most of the motion: the model is not linear in that.
     """
     rate = trial.rate
     ends = [_ends(values, rate) for values in positions.values()]

@@ -28,7 +28,7 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 __all__ = [
-    "Motion",
+    "SmoothedMotion",
     "even_grid",
     "filled",
     "smooth_motion",
@@ -37,14 +37,14 @@ __all__ = [
 
 
 _EVALUATED = 1.8
-"""Compared samples per period of the band's end; the errors of neighbours hang together little."""
+"""Compared samples per period of the band's end; errors of neighbours are little autocorrelated."""
 _KERNEL = 4096
 """Samples over which the filters' gains are measured, at most."""
 _POSITION, _SPEED = int(mujoco.mjtSensor.mjSENS_JOINTPOS), int(mujoco.mjtSensor.mjSENS_JOINTVEL)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class SmoothedMotion:
     """Smoothed motion of all joints on a uniform grid, with the compared points."""
 
     band: Band
@@ -96,7 +96,7 @@ def smooth_motion(
     channels: Sequence[Channel],
     readings: dict[str, Array] | None = None,
     band: Band | None = None,
-) -> Motion:
+) -> SmoothedMotion:
     """Smooth the motion of a run.
 
     Parameters
@@ -110,7 +110,7 @@ def smooth_motion(
     readings : dict, optional
         Column -> readings (T,) in place of those measured.
     band : Band, optional
-        What passes; by default what holds the motion, as far as the torque's noise is the louder.
+        What passes; by default what holds the motion, as far as the torque's noise is the larger.
 
     Raises
     ------
@@ -137,24 +137,24 @@ def smooth_motion(
         found[:, :, joint] = _smoothed(values, speed, band, crossing[joint])
         noise[:, joint] = _noise_left(values, speed, band, crossing[joint])
     every = max(1, int(rate / (_EVALUATED * band.end)))
-    return Motion(
+    return SmoothedMotion(
         band=band, time=grid, position=found[0], speed=found[1], acceleration=found[2],
         noise=noise, crossing=crossing, chosen=np.arange(0, len(grid), every),
     )  # fmt: skip
 
 
 def with_readings(
-    motion: Motion,
+    motion: SmoothedMotion,
     trial: Trial,
     machine: NominalModel,
     channels: Sequence[Channel],
     readings: Mapping[str, Array],
-) -> Motion:
+) -> SmoothedMotion:
     """Motion with other readings of some sensors, through the same filters.
 
     Parameters
     ----------
-    motion : Motion
+    motion : SmoothedMotion
         The smoothed motion of a run. Joints without other readings keep theirs.
     trial, machine, channels
         What it was smoothed from.

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from loose_env.gap.output.evidence_schema import Identifiability, UnidentifiableEffect
 from loose_env.io import duration_words
 
-__all__ = ["how_to_see", "how_to_separate", "identifiability_words"]
+__all__ = ["how_to_see", "how_to_separate", "identifiability_notes"]
 
 _LISTED = 3
 """Effects, and pairs, that are told of one by one."""
 
 
-def identifiability_words(
+def identifiability_notes(
     found: Identifiability, separating: Callable[[str, str], str | None] = lambda *_: None
 ) -> list[str]:
     """Report effects that cannot be seen or distinguished, and experiments that help.

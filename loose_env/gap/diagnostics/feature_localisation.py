@@ -20,14 +20,12 @@ from loose_env.gap.diagnostics.localisation import depends_on
 from loose_env.gap.diagnostics.residual_spectra import Series, band_edges, density
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.evidence_schema import Band, ChannelResidual, Dependence, ResidualTest
-from loose_env.gap.residuals.residual_model import LONGEST, ResidualModel
+from loose_env.gap.residuals.residual_model import DIVERGED_RESIDUAL, LONGEST, ResidualModel
 from loose_env.typing import Array
 
 __all__ = ["FeatureChannel", "feature_channels", "feature_tests"]
 
 
-_WILD = 1e4
-"""What a feature counts where a simulation went wild [standard deviations]."""
 _SCATTER = 2.0
 """By how many of its standard deviations a difference of powers has to exceed chance."""
 _SEGMENT = 2.0
@@ -103,7 +101,9 @@ def _channel(
     features, trial = comparison.features[number], comparison.trials[number]
     channel = int(features.used[used])
     apart = features.differences(predicted)
-    apart = np.where(np.isfinite(apart), np.clip(apart, -_WILD, _WILD), _WILD)
+    apart = np.where(
+        np.isfinite(apart), np.clip(apart, -DIVERGED_RESIDUAL, DIVERGED_RESIDUAL), DIVERGED_RESIDUAL
+    )
     own = apart[features.about[:, used]]
     mean = apart[features.names.index(f"mean of {comparison.channels[channel].name}")]
     rms = float(np.sqrt(np.mean(own**2)))

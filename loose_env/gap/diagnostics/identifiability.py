@@ -20,7 +20,7 @@ from loose_env.gap.fitting.gauss_newton import (
     cost_of,
 )
 from loose_env.gap.fitting.model_structure import prior_of
-from loose_env.gap.fitting.refit import refined
+from loose_env.gap.fitting.refit import with_new_jacobian
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.output.evidence_schema import (
     ConfusablePair,
@@ -115,14 +115,14 @@ def identifiability(
 def _on(comparison: ResidualModel, short: ResidualModel, best: Fit) -> Fit:
     """The best fit on some windows, with sensitivities of its own."""
     if short is comparison:
-        return refined(best, comparison)
+        return with_new_jacobian(best, comparison)
     nuisance = best.structure.nuisance  # windows have other initial states
     structure = replace(best.structure, nuisance=replace(nuisance, initial=None))
     free = best.free[nuisance.initial_slice.stop :]
     residual = short.residuals([structure.hypothesis(free)])[0]
     cost = cost_of(residual, free, structure.parameters)
     fitted = replace(best, structure=structure, free=free, residual=residual, cost=cost)
-    return refined(fitted, short)
+    return with_new_jacobian(fitted, short)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +227,7 @@ def _changes(
         own = [k for k, (effect, _) in enumerate(entries) if effect.adds_motion == springs]
         if not own:
             continue
-        compared, alike = short.lightly(
+        compared, alike = short.cheaper_residual(
             base.hypothesis, base.residual, stiff=stiff, springs=springs
         )
         changes = Signatures().of(compared, base, [entries[k] for k in own], alike)
@@ -263,8 +263,8 @@ def _with_named(
 def _resized(seen: _Signature, share: float) -> tuple[Effect, tuple[float, ...]]:
     """An effect at a multiple of its size."""
     effect, values = seen.effect, seen.values
-    if effect.nothing is not None:
-        return effect, along(effect, values, effect.nothing, share)
+    if effect.null_values is not None:
+        return effect, along(effect, values, effect.null_values, share)
     if effect.proportional is not None:
         return effect, along(effect, values, (0.0,) * len(values), share)
     return effect, values

@@ -17,7 +17,7 @@ from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.motion_band import Band
 from loose_env.gap.data.noise_floor import noise_floor
-from loose_env.gap.data.smoothing import Motion, filled, smooth_motion
+from loose_env.gap.data.smoothing import SmoothedMotion, filled, smooth_motion
 from loose_env.gap.diagnostics.regressors import direction_of
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
@@ -75,7 +75,7 @@ class JointMotion:
     """Residual torque (T, J): applied torque less that of the nominal model. NaN where it is not
     known."""
     residual_noise: Array
-    """Standard deviation of ``missing`` due to the noise of the readings (J,)."""
+    """Standard deviation of `residual_torque` due to the noise of the readings (J,)."""
 
     def regressor(self, name: str, joint: int) -> Array:
         """Values (T,) of one regressor of `diagnostics.regressors` at a joint."""
@@ -195,8 +195,8 @@ def _quiet(
     trial: Trial,
     channels: Sequence[Channel],
     readings: dict[str, Array],
-    widest: Motion,
-) -> tuple[Motion, Array]:
+    widest: SmoothedMotion,
+) -> tuple[SmoothedMotion, Array]:
     """Motion in the widest band in which the residual torque does not grow as noise does.
 
     With it the largest power of noise in the residual torque (J,), which the growth to the next
@@ -211,7 +211,7 @@ def _quiet(
     end = max(_LOWEST_HZ, _MOTION_ROOM * max(_power_end(v, trial.rate) for v in widest.position.T))
     at = np.unique(np.linspace(0, len(grid) - 1, _TRIED_POINTS).astype(int))
     at = at[len(at) // 20 : -max(1, len(at) // 20)]
-    before: tuple[Motion, Array] | None = None
+    before: tuple[SmoothedMotion, Array] | None = None
     while True:
         band = Band(rate=widest.band.rate, end=end)
         last = end >= widest.band.end
@@ -258,7 +258,7 @@ def _unknown(joints: tuple[str, ...], units: tuple[str, ...], trial: Trial) -> J
 
 
 def _torques(
-    machine: NominalModel, trial: Trial, motion: Motion, at: NDArray[np.intp] | None = None
+    machine: NominalModel, trial: Trial, motion: SmoothedMotion, at: NDArray[np.intp] | None = None
 ) -> tuple[Array, Array]:
     """Inverse dynamics torque of the nominal model, and its actuator torque (T, J).
 
@@ -310,7 +310,7 @@ def _held(values: Array, step: float, time: Array) -> Array:
     return found
 
 
-def _needed_noise(machine: NominalModel, trial: Trial, motion: Motion) -> Array:
+def _needed_noise(machine: NominalModel, trial: Trial, motion: SmoothedMotion) -> Array:
     """Noise of the inverse dynamics torque less the applied torque (J,)."""
     model = machine.model
     data = mujoco.MjData(model)

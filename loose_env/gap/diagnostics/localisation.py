@@ -23,7 +23,7 @@ from loose_env.gap.output.evidence_schema import (
     JointResidual,
     Location,
 )
-from loose_env.gap.residuals.autocorrelation import Structure, largest
+from loose_env.gap.residuals.autocorrelation import LaggedProducts, largest
 from loose_env.gap.residuals.residual_model import LONGEST, Rows
 from loose_env.gap.settings import (
     DEPENDENCE_SHARE,
@@ -34,7 +34,7 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["depends_on", "locate", "location_words", "main_band", "strongest"]
+__all__ = ["depends_on", "locate", "location_notes", "main_band", "strongest"]
 
 
 _SAMPLES = 2500
@@ -68,7 +68,7 @@ def locate(
     sums = np.zeros((len(trials), len(channels)))
     if many:
         group = rows.trial * len(channels) + rows.channel
-        found = largest(Structure(rows).by_group(residual, group))
+        found = largest(LaggedProducts(rows).by_group(residual, group))
         sums.flat[: len(found)] = found
     number = {channel.name: c for c, channel in enumerate(channels)}
     return Location(
@@ -216,7 +216,7 @@ def _shows(gap: ChannelResidual) -> bool:
     return gap.rms >= VISIBLE_RMS or gap.autocorrelation_z >= UNEXPLAINED_Z
 
 
-def location_words(location: Location, *, most: int = 3, always: bool = False) -> list[str]:
+def location_notes(location: Location, *, most: int = 3, always: bool = False) -> list[str]:
     """Describe the location of a model error in sentences, worst channels first.
 
     Parameters
@@ -239,22 +239,22 @@ def location_words(location: Location, *, most: int = 3, always: bool = False) -
     ...     dependences=(),
     ...     bands=(Band(low=0, high=1, rms=9.0, share=0.9),),
     ... )
-    >>> location_words(Location(channels=(gap,)))[0].split(", ")  # doctest: +NORMALIZE_WHITESPACE
+    >>> location_notes(Location(channels=(gap,)))[0].split(", ")  # doctest: +NORMALIZE_WHITESPACE
     ['sensor.q has a residual of up to 8.0 noise standard deviations (a.csv)',
     'most of it between 0 and 1 Hz.']
     """
-    torques = _torque_words(location.joints, most)
+    torques = _torque_notes(location.joints, most)
     large = _worst([g for g in location.channels if g.rms >= VISIBLE_RMS], faint=False)
     told = {gap.channel for gap in large}
     faint = [g for g in location.channels if _shows(g) and g.channel not in told]
     told_of = [*large, *_worst(faint, faint=True)][:most]
     if always and not told_of and not torques:
         told_of = _worst(location.channels, faint=True)[:1]
-    said = [_channel_words(gap, whole=always) for gap in told_of]
+    said = [_channel_note(gap, whole=always) for gap in told_of]
     return said + torques
 
 
-def _channel_words(gap: ChannelResidual, *, whole: bool) -> str:
+def _channel_note(gap: ChannelResidual, *, whole: bool) -> str:
     """Describe one channel; with ``whole``, also that no regressor explains it."""
     faint = gap.rms < VISIBLE_RMS
     # The autocorrelated part: of a small residual most of the power is noise.
@@ -296,7 +296,7 @@ def _worst(gaps: Sequence[ChannelResidual], *, faint: bool) -> list[ChannelResid
     return sorted(worst.values(), key=lambda gap: -size(gap))
 
 
-def _torque_words(joints: Sequence[JointResidual], most: int) -> list[str]:
+def _torque_notes(joints: Sequence[JointResidual], most: int) -> list[str]:
     """Describe the residual torque by joint."""
     shares: dict[str, list[JointResidual]] = {}
     for gap in joints:

@@ -21,10 +21,9 @@ from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.residuals.residual_model import BURN_IN
+from loose_env.gap.residuals.residual_model import BURN_IN, DIVERGED_RESIDUAL
 from loose_env.gap.simulation.sensor_timing import (
     PARTS,
-    STATES,
     changes_within,
     commands_at,
     late_sensors,
@@ -33,7 +32,7 @@ from loose_env.gap.simulation.sensor_timing import (
 )
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.gap.simulation.time_step import stepped
-from loose_env.gap.simulation.torque_terms import BatchWithTerms, with_terms
+from loose_env.gap.simulation.torque_terms import STATES, BatchWithTerms, with_terms
 from loose_env.typing import Array
 
 __all__ = ["HORIZONS", "HorizonError", "horizon_errors"]
@@ -48,8 +47,6 @@ _AROUND = 0.03
 _LEAST = 5
 _BEFORE = 0.3
 """Simulated readings before a restart that late sensors still show [s]."""
-_WILD = 1e4
-"""Error where a simulation went wild, and the largest that counts [noise standard deviations]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,8 +244,8 @@ def _restarted(
         beside = replace(trial, time=trial.time[earlier:last])
         read = simulator._columns(hypothesis, model, seen, beside)[first - earlier :]
         measured = trial.measured[first:last]
-        error = np.clip((measured - read) / floors, -_WILD, _WILD)
-        error[~np.isfinite(read) & np.isfinite(measured)] = _WILD
+        error = np.clip((measured - read) / floors, -DIVERGED_RESIDUAL, DIVERGED_RESIDUAL)
+        error[~np.isfinite(read) & np.isfinite(measured)] = DIVERGED_RESIDUAL
         found.append(error)
     return found
 
@@ -338,7 +335,7 @@ def _shown(
         return shown
     clock = np.arange(trial.steps, dtype=float) * trial.step
     commands = commands_at(hypothesis, clock, trial.controls)
-    for k in np.flatnonzero(np.isfinite(shown).all(axis=(1, 2))):
+    for k in np.flatnonzero(np.isfinite(shown).all(axis=(1, 2))).tolist():
         own = {name: values[k] for name, values in states.items()}
         if within:
             shown[k] = readings_at(machine, hypothesis, model, own, commands[steps[k]], threads)
@@ -347,7 +344,7 @@ def _shown(
             first = len(earlier[k]["qpos"])
             own = {name: np.concatenate([earlier[k][name], values]) for name, values in own.items()}
         for name, delay in late.items():
-            then = (first + np.arange(len(steps[k]))) * trial.step - delay
+            then: Array = np.arange(first, first + len(steps[k]), dtype=float) * trial.step - delay
             held = np.clip(np.floor(then / trial.step + 1e-9).astype(int), 0, trial.steps - 1)
             before = states_before(own, then, trial.step)
             read = readings_at(machine, hypothesis, model, before, commands[held], threads)

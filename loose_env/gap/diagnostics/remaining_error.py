@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
-from loose_env.gap.diagnostics.localisation import location_words
+from loose_env.gap.diagnostics.localisation import location_notes
 from loose_env.gap.fitting.holdout_score import ScoredFit
 from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
@@ -23,11 +23,11 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["NOISE_RMS", "remaining_motions", "remaining_words"]
+__all__ = ["NOISE_RMS", "remaining_motions", "remaining_notes"]
 
 
-def remaining_words(
-    base: ScoredFit, best: ScoredFit, location: Location, *, most: int = 3, impact_fit: bool = False
+def remaining_notes(
+    base: ScoredFit, best: ScoredFit, location: Location, *, impact_fit: bool = False
 ) -> list[str]:
     """Describe the residual of the corrected model in sentences; none if it is noise.
 
@@ -37,9 +37,7 @@ def remaining_words(
         The nominal model, and the corrected one.
     location : Location
         Localised residual of the corrected model.
-    most : int
-        Maximum number of channels, and of joints.
-    struck : bool
+    impact_fit : bool
         Whether a part with chaotic impacts against its stops was identified.
     """
     before, after = base.held_out_rms, best.held_out_rms
@@ -63,7 +61,7 @@ def remaining_words(
             f"The residual is no larger than the noise ({after:.2f} of its standard deviations), "
             "but autocorrelated: a small effect is missing that was not identified."
         )
-    return [first, *location_words(location, most=most, always=True)]
+    return [first, *location_notes(location, most=3, always=True)]
 
 
 def remaining_motions(
@@ -114,7 +112,7 @@ def _torque_unknown(effect: Effect, *, inverse: bool) -> bool:
         return True
     # of torques compared with motion these are parts that no MJCF has
     return inverse and (
-        own.unseen_torque is not Effect.unseen_torque
+        own.passive_actuator_torque is not Effect.passive_actuator_torque
         or own.sensed_torque is not Effect.sensed_torque
     )
 

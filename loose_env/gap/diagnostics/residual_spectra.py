@@ -56,7 +56,7 @@ def series_of(
     """
     found = []
     for t, trial in enumerate(trials):
-        own = np.flatnonzero((rows.trial == t) & ~rows.white)
+        own = np.flatnonzero((rows.trial == t) & ~rows.is_feature)
         for c, channel in enumerate(channels):
             here = own[rows.channel[own] == c]
             if not len(here):

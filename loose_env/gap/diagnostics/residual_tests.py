@@ -82,7 +82,7 @@ def _test(name: str, many: Sequence[Series], motions: Sequence[JointMotion]) -> 
     intervals = [float(np.median(np.diff(s.time))) for s in usable if len(s.time) > 1]
     interval = float(np.median(intervals)) if intervals else 0.0
     positive = mean[: int(np.argmax(mean <= limit))] if (mean <= limit).any() else mean
-    trend, sureness = _trend(many)
+    trend, trend_z = _trend(many)
     power = np.concatenate([s.residual for s in many])
     return ResidualTest(
         channel=name,
@@ -92,7 +92,7 @@ def _test(name: str, many: Sequence[Series], motions: Sequence[JointMotion]) -> 
         largest_autocorrelation=float(np.abs(mean).max()) if lags else 0.0,
         correlation_time=interval * (1 + 2 * float(positive.sum())),
         trend=trend,
-        trend_z=sureness,
+        trend_z=trend_z,
         dependences=tuple(
             d
             for d in depends_on(many, motions)

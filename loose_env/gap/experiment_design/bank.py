@@ -44,7 +44,7 @@ _FORMAT = "gap signatures 2"
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored banks."""
 
-_ALIKE = 2.0
+_INDISTINGUISHABLE_Z = 2.0
 """Length of a signature beside that of another candidate below which both are one candidate [noise
 standard deviations]."""
 
@@ -126,7 +126,7 @@ class SignatureBank:
             If it is not in it.
         """
         if motion not in self.library:
-            raise InvalidData(f"{motion.words} is not in the library of this bank")
+            raise InvalidData(f"{motion.description} is not in the library of this bank")
         return self.library.index(motion)
 
 
@@ -206,7 +206,7 @@ def _distinct(bank: SignatureBank) -> SignatureBank:
     for number, name in enumerate(bank.names):
         for earlier in bank.names[:number]:
             own = left[np.ix_(of[name], of[earlier])].min(axis=1)
-            if earlier not in dropped and np.all(own < _ALIKE**2):
+            if earlier not in dropped and np.all(own < _INDISTINGUISHABLE_Z**2):
                 dropped.add(name)
     if not dropped:
         return bank
@@ -301,7 +301,7 @@ def _computed(
         raise InvalidData("no candidate effect can be seen on the battery of this arm")
     signatures, seconds, wear = [], [], []
     for k, motion in enumerate(library):
-        say(f"signatures, motion {k + 1} of {len(library)}: {motion.words}")
+        say(f"signatures, motion {k + 1} of {len(library)}: {motion.description}")
         checked = check_motion(motion, arm)
         seconds.append(checked.seconds)
         wear.append(checked.wear)

@@ -82,7 +82,7 @@ class Ray:
         names = [p.name for p in effect.parameters]
         if effect.proportional is not None:
             return tuple(k == effect.proportional for k in range(count))
-        if effect.nothing is not None:
+        if effect.null_values is not None:
             return (True,) * count
         ends = dict(effect.limit)
         if effect.has_stops and "gap" in ends:
@@ -90,7 +90,7 @@ class Ray:
         return tuple(name in ends for name in names)
 
     def values(self, size: float, shape: Array | None = None) -> Array:
-        """Parameter values at a size, shape parameters off by some numbers of free units.
+        """Parameter values at a size, shape parameters off by some standard deviations.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class Ray:
         """
         effect, ends = self.effect, dict(self.effect.limit)
         found = np.array(self.start, dtype=float)
-        none = None if effect.nothing is None else np.array(effect.nothing)
+        none = None if effect.null_values is None else np.array(effect.null_values)
         for k, parameter in enumerate(effect.parameters):
             if not self.sized[k]:
                 continue
@@ -124,8 +124,8 @@ class Ray:
             if not self.sized[k]:
                 which.append(k)
                 sds.append(_LOG_SD if parameter.log else _LINEAR_SD * parameter.scale)
-            elif effect.nothing is not None and len(self.start) > 1 and effect.adds_up:
-                along = np.abs(self.start - np.array(effect.nothing))
+            elif effect.null_values is not None and len(self.start) > 1 and effect.is_additive:
+                along = np.abs(self.start - np.array(effect.null_values))
                 if along[k] < _SAME * along.max():
                     which.append(k)
                     sds.append(_ACROSS_SD * size * float(along.max()))
@@ -146,7 +146,7 @@ class Ray:
     @cached_property
     def largest(self) -> float:
         """Size at which the first parameter reaches its bound."""
-        effect, none = self.effect, self.effect.nothing
+        effect, none = self.effect, self.effect.null_values
         ends, reached = dict(effect.limit), []
         for k, parameter in enumerate(effect.parameters):
             start = float(self.start[k])
@@ -172,7 +172,11 @@ class Ray:
         """
         if self.effect.kind in _TIMES:
             return _LEAST_S / float(np.max(self.start))
-        if not self.effect.sharp or self.effect.nothing is not None or self.effect.adds_up:
+        if (
+            not self.effect.needs_fine_steps
+            or self.effect.null_values is not None
+            or self.effect.is_additive
+        ):
             return 0.0
         if self.effect.kind not in _SPRINGS:
             return 0.0
@@ -206,7 +210,7 @@ def rays_of(arm: ServoArm, kinds: Iterable[str] | None = None) -> tuple[Ray, ...
     wanted = [k for k in CATALOGUE if k not in EXCLUDED] if kinds is None else list(kinds)
     found: list[Ray] = []
     for effect in candidates(arm.machine, wanted):
-        first = type(effect).forms(arm.machine, effect.where)[0]
+        first = type(effect).variants_at(arm.machine, effect.where)[0]
         if effect.variant != first and effect.kind not in _AXES:
             continue
         if effect.part == "actuator" and effect.where not in ("all", *_driven(arm)):
@@ -229,11 +233,11 @@ def _driven(arm: ServoArm) -> set[str]:
 def _starts(effect: Effect) -> list[Array]:
     """Starting values, with those mirrored about no effect where the bounds let them be."""
     found = [np.array(start, dtype=float) for start in effect.starts]
-    if effect.adds_up and effect.nothing is not None:  # small steps along axes
-        none = np.array(effect.nothing)
+    if effect.is_additive and effect.null_values is not None:  # small steps along axes
+        none = np.array(effect.null_values)
         found = [none + row for row in np.diag(np.max(np.abs(np.array(found) - none), axis=0))]
-    if effect.nothing is not None:
-        none = np.array(effect.nothing)
+    if effect.null_values is not None:
+        none = np.array(effect.null_values)
         low = np.array([p.low for p in effect.parameters])
         index = effect.proportional
         for start in list(found):
@@ -251,11 +255,11 @@ def _same_direction(one: Ray, other: Ray) -> bool:
     if not np.allclose(one.start[fixed], other.start[fixed], rtol=1e-6, atol=1e-12):
         return False
     effect = one.effect
-    if effect.nothing is None:
+    if effect.null_values is None:
         ends = [k for k, sized in enumerate(one.sized) if sized]
         ratios = np.log(one.start[ends] / other.start[ends])
         return bool(np.ptp(ratios) < _SAME)
-    none = np.array(effect.nothing)
+    none = np.array(effect.null_values)
     a = np.where(one.sized, one.start - none, 0.0)
     b = np.where(one.sized, other.start - none, 0.0)
     return bool(a @ b > (1 - _SAME) * np.linalg.norm(a) * np.linalg.norm(b))

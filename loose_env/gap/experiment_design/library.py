@@ -20,8 +20,8 @@ _SPEED_SHARE = 1.25
 """Speed of the nominal arm over the limit of its commands: a servo overshoots after a step."""
 _SHRINK, _TRIES = 0.7, 8
 """Factor on amplitude and speed of a motion that does not fit, and how often it is tried."""
-_SHORT = 6
-"""Joints from which the library moves neighbouring pairs only, besides single joints and all."""
+_POSES = 400
+"""Random poses among which those of small and of large load are chosen."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,22 +138,24 @@ def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, MotionCheck]:
             reason = str(error)
         slower = motion.speed if "touch" in reason or "range" in reason else _SHRINK * motion.speed
         motion = replace(motion, amplitude=_SHRINK * motion.amplitude, speed=slower)
-    raise InvalidSetting(f"{motion.words} does not fit the arm: {reason}; give another centre pose")
+    raise InvalidSetting(
+        f"{motion.description} does not fit the arm: {reason}; give another centre pose"
+    )
 
 
-def loaded_poses(arm: ServoArm, *, poses: int = 400, seed: int = 0) -> tuple[Array, Array]:
+def loaded_poses(arm: ServoArm) -> tuple[Array, Array]:
     """Poses of small and of large load by gravity on the joints, free of contact (J,) each.
 
     Of random poses in the middle 70 % of the ranges.
     """
     model: mujoco.MjModel = arm.model
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     low, high = arm.ranges
     middle, half = (low + high) / 2, 0.35 * (high - low)
     half = np.minimum(half, 1.2 * np.where(arm.turning, 1.0, 0.2))
     data = mujoco.MjData(model)
     found, loads = [], []
-    for _ in range(poses):
+    for _ in range(_POSES):
         pose = np.clip(arm.home + rng.uniform(-1, 1, len(half)) * half, low + 0.2, high - 0.2)
         pose = np.where(high - low > 0.8, pose, middle)
         data.qpos[:] = arm.rest_position
@@ -168,7 +170,7 @@ def loaded_poses(arm: ServoArm, *, poses: int = 400, seed: int = 0) -> tuple[Arr
     return found[int(np.argmin(loads))], found[int(np.argmax(loads))]
 
 
-def motion_library(arm: ServoArm, *, short: bool = False) -> tuple[Motion, ...]:
+def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
     """Motions of an arm that fit its limits.
 
     For each joint: slow triangles under small and large load, several constant speeds, a chirp
@@ -179,8 +181,6 @@ def motion_library(arm: ServoArm, *, short: bool = False) -> tuple[Motion, ...]:
     ----------
     arm : ServoArm
         The arm.
-    short : bool
-        Triangles, multisine and steps of all joints only: the smallest set that is worth anything.
 
     Returns
     -------
@@ -189,32 +189,29 @@ def motion_library(arm: ServoArm, *, short: bool = False) -> tuple[Motion, ...]:
     """
     every = tuple(range(len(arm.joints)))
     small, large = (tuple(map(float, pose)) for pose in loaded_poses(arm))
-    if short:
-        wanted = list(battery(arm))
-    else:
-        wanted = []
-        for j in every:
-            wanted += [
-                Motion(kind="slow_triangle", joints=(j,), amplitude=0.25, speed=0.25, centre=small),
-                Motion(kind="slow_triangle", joints=(j,), amplitude=0.25, speed=0.25, centre=large),
-                Motion(kind="constant_speed", joints=(j,), amplitude=0.8, speed=1.6, seconds=5.0),
-                Motion(kind="chirp", joints=(j,), amplitude=0.2, speed=0.8, highest=20.0),
-                Motion(kind="steps", joints=(j,), amplitude=0.06, speed=1.5, seconds=2.5),
-            ]
-        for centre in (small, large):
-            wanted += [
-                Motion(kind="holds", joints=every, amplitude=0.5, speed=1.2, centre=centre),
-                Motion(kind="multisine", joints=every, amplitude=0.4, speed=1.2, centre=centre),
-                Motion(kind="steps", joints=every, amplitude=0.06, speed=1.5, seconds=2.5,
-                       centre=centre),
-            ]  # fmt: skip
+    wanted = []
+    for j in every:
         wanted += [
-            *battery(arm),
-            Motion(kind="holds", joints=every, amplitude=0.7, speed=1.2, seconds=8.0, seed=1),
-            Motion(kind="chirp", joints=every, amplitude=0.2, speed=0.8, highest=20.0),
-            Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=9),
-            Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=3, seconds=1.5),
+            Motion(kind="slow_triangle", joints=(j,), amplitude=0.25, speed=0.25, centre=small),
+            Motion(kind="slow_triangle", joints=(j,), amplitude=0.25, speed=0.25, centre=large),
+            Motion(kind="constant_speed", joints=(j,), amplitude=0.8, speed=1.6, seconds=5.0),
+            Motion(kind="chirp", joints=(j,), amplitude=0.2, speed=0.8, highest=20.0),
+            Motion(kind="steps", joints=(j,), amplitude=0.06, speed=1.5, seconds=2.5),
+        ]
+    for centre in (small, large):
+        wanted += [
+            Motion(kind="holds", joints=every, amplitude=0.5, speed=1.2, centre=centre),
+            Motion(kind="multisine", joints=every, amplitude=0.4, speed=1.2, centre=centre),
+            Motion(kind="steps", joints=every, amplitude=0.06, speed=1.5, seconds=2.5,
+                   centre=centre),
         ]  # fmt: skip
+    wanted += [
+        *battery(arm),
+        Motion(kind="holds", joints=every, amplitude=0.7, speed=1.2, seconds=8.0, seed=1),
+        Motion(kind="chirp", joints=every, amplitude=0.2, speed=0.8, highest=20.0),
+        Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=9),
+        Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=3, seconds=1.5),
+    ]  # fmt: skip
     fitting = []
     for motion in wanted:
         try:

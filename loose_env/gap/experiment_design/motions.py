@@ -38,7 +38,7 @@ class Motion:
 
     Examples
     --------
-    >>> Motion(kind="slow_triangle", joints=(1,), amplitude=0.2, speed=0.1).words
+    >>> Motion(kind="slow_triangle", joints=(1,), amplitude=0.2, speed=0.1).description
     'slow triangle of joint 2, 0.20 rad at 0.10 rad/s'
     """
 
@@ -88,8 +88,8 @@ class Motion:
             )
 
     @property
-    def words(self) -> str:
-        """The motion in words."""
+    def description(self) -> str:
+        """Kind, joints and size of the motion."""
         which = ", ".join(str(j + 1) for j in self.joints)
         plural = "s" if len(self.joints) > 1 else ""
         size = f"{self.amplitude:.2f} rad at {self.speed:.2f} rad/s"
@@ -136,7 +136,7 @@ class Motion:
         for k, name in enumerate(arm.joints):
             if found[:, k].min() < low[k] or found[:, k].max() > high[k]:
                 raise InvalidSetting(
-                    f"{self.words} takes {name} to {found[:, k].min():.2f} and "
+                    f"{self.description} takes {name} to {found[:, k].min():.2f} and "
                     f"{found[:, k].max():.2f}; its range is {low[k]:.2f} to {high[k]:.2f}"
                 )
         return found

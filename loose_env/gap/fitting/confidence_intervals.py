@@ -20,10 +20,12 @@ from loose_env.typing import Array
 __all__ = ["Intervals", "bootstrap", "joined", "widened"]
 
 
-_ANSWER = 1.0
+_MIN_CURVATURE = 1.0
 """Rise of the sum of squares [noise variances] with a step of one free number, about the least size
 that matters, below which the data do not answer to it."""
-_ANYWHERE = 1e6
+_DRAWS = 500
+"""Draws of the bootstrap."""
+_UNINFORMED_VARIANCE = 1e6
 """Factor on the squared range of such a number, for its variance."""
 
 
@@ -48,18 +50,20 @@ class Intervals:
         `own` are the indices of its parameters. Components of a correlated vector may each be zero,
         but not all of them: the joint confidence ellipse decides.
         """
-        if not effect.vanishes(self.low[own], self.high[own]):
+        if not effect.interval_includes_null(self.low[own], self.high[own]):
             return False
-        if effect.nothing is None or effect.proportional is not None or own.stop == own.start + 1:
+        if (
+            effect.null_values is None
+            or effect.proportional is not None
+            or own.stop == own.start + 1
+        ):
             return True
-        off = self.free[own] - free_of(effect.parameters, np.array(effect.nothing))
+        off = self.free[own] - free_of(effect.parameters, np.array(effect.null_values))
         distance = off @ np.linalg.pinv(self.covariance[own, own]) @ off
         return bool(distance < stats.chi2.ppf(0.95, len(off)))
 
 
-def bootstrap(
-    comparison: ResidualModel, fitted: Fit, rng: np.random.Generator, *, draws: int = 500
-) -> Intervals:
+def bootstrap(comparison: ResidualModel, fitted: Fit, rng: np.random.Generator) -> Intervals:
     """Bootstrap blocks of time, with one Gauss-Newton step for each draw.
 
     The residual is nearly linear in the parameters, so that no draw needs a simulation. Blocks
@@ -75,8 +79,6 @@ def bootstrap(
         The fit, with fresh sensitivities.
     rng : numpy.random.Generator
         Draws the blocks.
-    draws : int
-        Number of draws.
     """
     parameters = fitted.structure.parameters
     _, weights = prior_of(parameters)
@@ -92,7 +94,7 @@ def bootstrap(
     curvatures, slopes = curvatures / misfit, slopes / misfit
     known = np.diag(weights**2 + 1e-9)
     inverse = np.linalg.inv(curvatures.sum(axis=0) + known)
-    drawn = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=draws)
+    drawn = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=_DRAWS)
     curvature = np.tensordot(drawn, curvatures, 1) + known
     # Deviations from the whole sample's gradient, so that a fit at a bound is not pushed further.
     slope = (drawn - 1) @ slopes
@@ -103,11 +105,11 @@ def bootstrap(
     low, high = np.quantile(free, (0.025, 0.975), axis=0)
     covariance = inverse @ (slopes.T @ slopes + np.diag(weights**2)) @ inverse
     # Data that are insensitive to a parameter show no scatter in it: it may take any value.
-    blind = (np.einsum("bpp->p", curvatures) < _ANSWER) & (weights == 0)
+    blind = (np.einsum("bpp->p", curvatures) < _MIN_CURVATURE) & (weights == 0)
     ends = np.array([p.bounds for p in parameters])
     low[blind], high[blind] = ends[blind].T
     covariance[blind], covariance[:, blind] = 0.0, 0.0
-    covariance[blind, blind] = np.ptp(ends[blind], axis=1) ** 2 * _ANYWHERE
+    covariance[blind, blind] = np.ptp(ends[blind], axis=1) ** 2 * _UNINFORMED_VARIANCE
     return Intervals(
         low=np.array([p.value(v) for p, v in zip(parameters, low, strict=True)]),
         high=np.array([p.value(v) for p, v in zip(parameters, high, strict=True)]),
@@ -143,7 +145,7 @@ def widened(comparison: ResidualModel, fitted: Fit, intervals: Intervals) -> Int
     intervals : Intervals
         Intervals to widen.
     """
-    intervals = _no_surer(fitted, intervals)
+    intervals = _at_least_law_error(fitted, intervals)
     runs = np.unique(comparison.rows.trial)
     if len(runs) < 2:
         return intervals
@@ -165,8 +167,10 @@ def widened(comparison: ResidualModel, fitted: Fit, intervals: Intervals) -> Int
     ]
     low, high = np.minimum(intervals.low, ends[0]), np.maximum(intervals.high, ends[1])
     for effect, own in zip(fitted.effects, fitted.structure.slices, strict=True):
-        if effect.vanishes(low[own], high[own]):
-            low[own], high[own] = _short_of_nothing(effect, intervals, own, low[own], high[own])
+        if effect.interval_includes_null(low[own], high[own]):
+            low[own], high[own] = _widened_excluding_zero(
+                effect, intervals, own, low[own], high[own]
+            )
     return replace(intervals, low=low, high=high)
 
 
@@ -185,21 +189,23 @@ def joined(first: Intervals, second: Intervals) -> Intervals:
     )
 
 
-def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
+def _at_least_law_error(fitted: Fit, intervals: Intervals) -> Intervals:
     """Limit the precision of intervals to `NARROWEST_INTERVAL`, of a value or its size."""
     parameters = fitted.structure.parameters
     values = values_of(parameters, fitted.free)
-    nothing = np.concatenate(
+    null = np.concatenate(
         [
             np.zeros(len(fitted.structure.nuisance.parameters)),
             *(
-                np.zeros(len(effect.parameters)) if effect.nothing is None else effect.nothing
+                np.zeros(len(effect.parameters))
+                if effect.null_values is None
+                else effect.null_values
                 for effect in fitted.effects
             ),
         ]
     )
     room = NARROWEST_INTERVAL * np.minimum(
-        np.abs(values - nothing), np.where(nothing == 0, np.inf, abs(values))
+        np.abs(values - null), np.where(null == 0, np.inf, abs(values))
     )
     low = np.maximum(values - room, [p.low for p in parameters])
     high = np.minimum(values + room, [p.high for p in parameters])
@@ -208,16 +214,16 @@ def _no_surer(fitted: Fit, intervals: Intervals) -> Intervals:
     )
 
 
-def _short_of_nothing(
+def _widened_excluding_zero(
     effect: Effect, intervals: Intervals, own: slice, low: Array, high: Array
 ) -> tuple[Array, Array]:
     """Widen interval ends (P,), except those that would newly include zero."""
     before = intervals.low[own], intervals.high[own]
-    if effect.nothing is None:
+    if effect.null_values is None:
         ends = [dict(effect.limit).get(p.name) for p in effect.parameters]
         to_low = np.array([end == "low" for end in ends])
         to_high = np.array([end == "high" for end in ends])
     else:
-        nothing = np.array(effect.nothing)
-        to_low, to_high = nothing < before[0], nothing > before[1]
+        null = np.array(effect.null_values)
+        to_low, to_high = null < before[0], null > before[1]
     return np.where(to_low, before[0], low), np.where(to_high, before[1], high)

@@ -22,7 +22,7 @@ from loose_env.gap.simulation.torque_terms import has_terms
 from loose_env.typing import Array
 
 __all__ = [
-    "BESIDE_STOPS",
+    "STOP_FIT_SETTINGS",
     "Fit",
     "FitSettings",
     "cost_of",
@@ -46,36 +46,38 @@ class FitSettings:
 
     iterations: int = 16
     """Most Gauss-Newton steps."""
-    enough: float = 1e-3
+    cost_tolerance: float = 1e-3
     """Share of the cost below which a further step is not worth its simulations."""
-    difference: float = 0.002
+    finite_difference_step: float = 0.002
     """Step of the sensitivities, in free units. Figures that nearly cancel one another leave a
     valley, which differences over longer steps bar: what bends in each of them does not cancel."""
-    trusted: float = 0.7
+    min_gain_ratio: float = 0.7
     """Share of the promised gain below which sensitivities are worked out anew."""
-    stale: float = 0.5
+    relinearise_below: float = 0.5
     """Share of the cost at which sensitivities were worked out below which a fit does not end by
     them: from far off they see no valley."""
-    dampings: tuple[float, ...] = (0.0, 0.1, 3.0)
+    levenberg_dampings: tuple[float, ...] = (0.0, 0.1, 3.0)
     """Levenberg's dampings, as shares of the curvature; those after the first are tried where its
     step does not bring what it promises."""
-    compared: float = 0.05
+    comparison_tolerance: float = 0.05
     """Share of the cost beyond that of a better fit, below which a further step is not worth its
     simulations where the two are only compared."""
-    shorter: tuple[float, ...] = (0.3, 0.1, 0.03)
+    backtracking: tuple[float, ...] = (0.3, 0.1, 0.03)
     """Shares of the damped steps that are tried where none of the whole steps is any good."""
 
 
-BESIDE_STOPS = FitSettings(iterations=8, enough=3e-3, difference=0.02, stale=0.0)
+STOP_FIT_SETTINGS = FitSettings(
+    iterations=8, cost_tolerance=3e-3, finite_difference_step=0.02, relinearise_below=0.0
+)
 """How parts with stops, and what stands beside them, are fitted: a simulation takes three times as
 long, and the law of stops is never that of the machine to the last per mille. Sensitivities are
-taken over longer steps, for a blow that is just missed makes short ones jump; for the same reason
-fresh ones are no better at the end than those from afar."""
+taken over longer steps, for an impact that is just missed makes short ones jump; for the same
+reason fresh ones are no better at the end than those from afar."""
 
 
 def fit_settings_for(structure: ModelStructure) -> FitSettings:
     """Return the fit settings for a model structure."""
-    return BESIDE_STOPS if have_stops(structure.effects) else FitSettings()
+    return STOP_FIT_SETTINGS if have_stops(structure.effects) else FitSettings()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,11 +106,6 @@ class Fit:
         return self.structure.effects
 
     @property
-    def own_free(self) -> tuple[Array, ...]:
-        """Free numbers of each effect."""
-        return tuple(self.free[own] for own in self.structure.slices)
-
-    @property
     def bare(self) -> Fit:
         """The same without its sensitivities, which take most of the memory."""
         return replace(self, jacobian=np.zeros((0, len(self.free))))
@@ -126,7 +123,7 @@ def sensitivities(
     residual: Array,
     which: Sequence[int],
     *,
-    difference: float = FitSettings.difference,
+    difference: float = FitSettings.finite_difference_step,
 ) -> Array:
     """Jacobian of the residual in some free numbers (N, len(which)); inward at bounds."""
     known = _of_initial_states(comparison, structure, free, residual, which)
@@ -211,7 +208,8 @@ def fit(
     residual : ndarray (N,), optional
         Residual at the start.
     reference : float
-        Cost of a better fit, where this one is only compared with it: see `FitSettings.compared`.
+        Cost of a better fit, where this one is only compared with it: see
+        `FitSettings.comparison_tolerance`.
     """
     settings = settings or fit_settings_for(structure)
     parameters = structure.parameters
@@ -238,34 +236,44 @@ def fit(
             seen_at = cost
         if which:
             jacobian[:, which] = sensitivities(
-                comparison, structure, free, residual, which, difference=settings.difference
+                comparison,
+                structure,
+                free,
+                residual,
+                which,
+                difference=settings.finite_difference_step,
             )
-        steps = [step_of(jacobian, residual, free, parameters, d) for d in settings.dampings]
+        steps = [
+            step_of(jacobian, residual, free, parameters, d) for d in settings.levenberg_dampings
+        ]
         # far from the optimum the gradient gives the direction and not the distance
-        short = [share * long for long in steps[1:] for share in settings.shorter if which]
+        short = [share * long for long in steps[1:] for share in settings.backtracking if which]
         best_of = _tries(comparison, structure, free, (steps[:1], steps[1:], short))
         step, left, after = best_of(0)
         hoped = cost - cost_of(residual + jacobian @ step, free + step, parameters)
-        if cost - after < settings.trusted * hoped and hoped >= settings.enough * cost:
+        if (
+            cost - after < settings.min_gain_ratio * hoped
+            and hoped >= settings.cost_tolerance * cost
+        ):
             damped = best_of(1)
             step, left, after = min((step, left, after), damped, key=lambda found: found[2])
             hoped = cost - cost_of(residual + jacobian @ step, free + step, parameters)
-        if which and cost - after < settings.enough * cost <= hoped:
+        if which and cost - after < settings.cost_tolerance * cost <= hoped:
             shortened = best_of(2)
             step, left, after = min((step, left, after), shortened, key=lambda found: found[2])
         gained = cost - after
         if gained > 0:
             free, residual, cost = free + step, left, after
-        if max(gained, hoped) < settings.compared * (cost - reference):
+        if max(gained, hoped) < settings.comparison_tolerance * (cost - reference):
             break
-        if gained < settings.enough * cost:
-            if cost < settings.stale * seen_at:
+        if gained < settings.cost_tolerance * cost:
+            if cost < settings.relinearise_below * seen_at:
                 renew = _ALL
-            elif which or hoped < settings.enough * cost:
+            elif which or hoped < settings.cost_tolerance * cost:
                 break
             else:
                 renew = first or _ALL
-        elif gained < settings.trusted * hoped:
+        elif gained < settings.min_gain_ratio * hoped:
             renew = _ALL if which else first or _ALL  # the old sensitivities are inaccurate
         else:
             renew = _NONE

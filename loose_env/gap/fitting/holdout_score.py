@@ -9,7 +9,7 @@ from scipy import stats
 
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.initial_state import InitialStates
-from loose_env.gap.residuals.autocorrelation import Structure, largest
+from loose_env.gap.residuals.autocorrelation import LaggedProducts, largest
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import (
     IMPACT_DOMINATED,
@@ -156,7 +156,7 @@ class Scorer:
         self.comparison, self.held_out = comparison, held_out
         # Initial states of held-out runs are fitted separately, and credited to no hypothesis.
         self._start = InitialStates(held_out.machine, held_out.trials, held_out.channels)
-        self._fitted, self._held = Structure(comparison.rows), Structure(held_out.rows)
+        self._fitted, self._held = LaggedProducts(comparison.rows), LaggedProducts(held_out.rows)
 
     def score(self, fitted: Fit) -> ScoredFit:
         """Simulate the held-out runs and score the fit."""
@@ -240,7 +240,7 @@ def z_score(behind: Array, ahead: Array, noise: Array, *, by_rank: bool = False)
     Examples
     --------
     >>> before, after, noise = np.full(40, 400.0), np.full(40, 100.0), np.full(40, 50.0)
-    >>> after[0] = 90000.0  # a blow that was missed
+    >>> after[0] = 90000.0  # an impact that was missed
     >>> round(z_score(before, after, noise), 1)
     0.4
     >>> round(z_score(before, after, noise, by_rank=True), 1)

@@ -34,12 +34,14 @@ _LINE = 0.05
 """How much of a run the first state is taken from [s]."""
 _FURTHEST = 30.0
 """How far a start may be off, in standard deviations."""
-_PERSISTS = (3.0, 12.0)
+_MEMORY_S = (3.0, 12.0)
 """How much of a run is simulated for what its initial state changes [s]; all of it where that still
 shows at the end."""
-_END = 0.75
+_TAIL_SHARE = 0.75
 """Share of the beginning after which nothing of it may show."""
-_FORGOTTEN = 0.01
+_ITERATIONS = 3
+"""Gauss-Newton iterations of initial states alone."""
+_MEMORY_TOLERANCE = 0.01
 """Change by a standard deviation of the initial state that does not show [noise standard
 deviations]."""
 
@@ -77,7 +79,7 @@ class InitialStates:
     def _lengths(self) -> tuple[float, ...]:
         """Lengths of beginnings that are tried [s]; a free response seldom forgets its own."""
         driven = any(self.trials[t].form != "free" for t in self.moving)
-        return (*_PERSISTS, np.inf) if driven else (np.inf,)
+        return (*_MEMORY_S, np.inf) if driven else (np.inf,)
 
     @cached_property
     def spreads(self) -> Array:
@@ -129,7 +131,7 @@ class InitialStates:
         residual : ndarray (N,)
             Residual of that hypothesis.
         difference : float
-            SelectionStep, in free units.
+            Step of the finite difference, in free units.
         """
         joints = len(self.machine.joints)
         found = np.zeros((len(residual), len(self.parameters)))
@@ -168,7 +170,7 @@ class InitialStates:
             for k, t in enumerate(left):
                 own = part.rows.trial == k
                 changes = np.array([residual[own] - before[own] for residual in after])
-                shown = np.abs(changes[:, late[own]]).max(initial=0.0) > _FORGOTTEN
+                shown = np.abs(changes[:, late[own]]).max(initial=0.0) > _MEMORY_TOLERANCE
                 if shown and len(part.trials[k].time) < len(comparison.trials[places[t]].time):
                     persistent.append(t)
                     continue
@@ -176,9 +178,7 @@ class InitialStates:
                 yield t, rows[: own.sum()], changes
             left = persistent
 
-    def fitted(
-        self, comparison: ResidualModel, hypothesis: Hypothesis, *, iterations: int = 3
-    ) -> tuple[Hypothesis, Array]:
+    def fitted(self, comparison: ResidualModel, hypothesis: Hypothesis) -> tuple[Hypothesis, Array]:
         """Fit the initial states alone, for runs outside the training data.
 
         Returns
@@ -192,7 +192,7 @@ class InitialStates:
         moving = tuple(k for k, run in enumerate(comparison.runs) if int(run) in self.moving)
         for seconds in self._lengths if moving else ():
             part = comparison.beginnings(moving, seconds)
-            free, persistent = self._fitted_on(part, hypothesis, free, iterations)
+            free, persistent = self._fitted_on(part, hypothesis, free)
             whole = all(
                 len(trial.time) == len(comparison.trials[k].time)
                 for k, trial in zip(moving, part.trials, strict=True)
@@ -203,12 +203,12 @@ class InitialStates:
         return now, comparison.residuals([now])[0]
 
     def _fitted_on(
-        self, part: ResidualModel, hypothesis: Hypothesis, free: Array, iterations: int
+        self, part: ResidualModel, hypothesis: Hypothesis, free: Array
     ) -> tuple[Array, bool]:
         """Free numbers fitted to the beginnings of runs, and whether they show at the end."""
         now = self._at(hypothesis, free)
         residual, jacobian = part.residuals([now])[0], None
-        for _ in range(iterations):
+        for _ in range(_ITERATIONS):
             jacobian = self.sensitivities(part, now, residual)
             curvature = jacobian.T @ jacobian + np.eye(len(free))
             step = -np.linalg.solve(curvature, jacobian.T @ residual + free)
@@ -224,7 +224,7 @@ class InitialStates:
             if before - costs[best] < 1e-3 * before:
                 break
         late = _at_the_end(part)
-        shown = jacobian is not None and np.abs(jacobian[late]).max(initial=0.0) > _FORGOTTEN
+        shown = jacobian is not None and np.abs(jacobian[late]).max(initial=0.0) > _MEMORY_TOLERANCE
         return free, bool(shown)
 
     def _at(self, hypothesis: Hypothesis, free: Array) -> Hypothesis:
@@ -244,7 +244,7 @@ def _at_the_end(part: ResidualModel) -> NDArray[np.bool_]:
     found = np.zeros(len(part), dtype=bool)
     for k, trial in enumerate(part.trials):
         own = part.rows.trial == k
-        found[own] = trial.time[part.rows.sample[own]] > _END * trial.time[-1]
+        found[own] = trial.time[part.rows.sample[own]] > _TAIL_SHARE * trial.time[-1]
     return found
 
 

@@ -23,14 +23,14 @@ from loose_env.gap.settings import (
     REFUTED_Z,
 )
 
-__all__ = ["short_of_limit", "short_of_nothing"]
+__all__ = ["tightened_at_limit", "tightened_at_zero"]
 
 
 _SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)
 """Values that are looked at: shares of the way to the limit, in free numbers."""
 
 
-def short_of_limit(
+def tightened_at_limit(
     comparison: ResidualModel, fitted: Fit, intervals: Intervals, effect: Effect
 ) -> Intervals:
     """Tighten interval ends that lie beyond values which the runs refute.
@@ -57,13 +57,13 @@ def short_of_limit(
         free[own] = here + share * (limit - here)
         tried.append(free)
     residuals = comparison.residuals([fitted.structure.hypothesis(free) for free in tried])
-    leads = [
+    z_scores = [
         residual_z(comparison, residual, fitted.residual, by_rank=effect.has_stops)
         for residual in residuals
     ]
-    if not leads[-1] >= ACCEPTED_Z:
+    if not z_scores[-1] >= ACCEPTED_Z:
         return intervals
-    first = next(k for k, improvement in enumerate(leads) if improvement >= REFUTED_Z)
+    first = next(k for k, improvement in enumerate(z_scores) if improvement >= REFUTED_Z)
     ends = values_of(effect.parameters, tried[first][own])
     low, high = intervals.low.copy(), intervals.high.copy()
     to_low = [dict(effect.limit).get(p.name) == "low" for p in effect.parameters]
@@ -73,7 +73,7 @@ def short_of_limit(
     return replace(intervals, low=low, high=high)
 
 
-def short_of_nothing(
+def tightened_at_zero(
     comparison: ResidualModel, fitted: Fit, intervals: Intervals, effect: Effect
 ) -> Intervals:
     """Tighten the interval end of an effect beside stops to what the runs refute.
@@ -85,25 +85,25 @@ def short_of_nothing(
     Parameters
     ----------
     comparison, fitted, intervals
-        As of `short_of_limit`.
+        As of `tightened_at_limit`.
     effect : Effect
         One of its effects; nothing is changed if no part with stops is there, if it is zero only
         in a limit, or if that is not refuted.
     """
-    if effect.nothing is None or not have_stops(fitted.effects):
+    if effect.null_values is None or not have_stops(fitted.effects):
         return intervals
     without = fit_without(comparison, fitted, effect).residual
     improvement = residual_z(comparison, without, fitted.residual)
     if not improvement >= ACCEPTED_Z:
         return intervals
     own = fitted.structure.slice_of(effect)
-    here, nothing = fitted.free[own], free_of(effect.parameters, np.array(effect.nothing))
+    here, null = fitted.free[own], free_of(effect.parameters, np.array(effect.null_values))
     scatter = np.sqrt(np.maximum(np.diag(intervals.covariance)[own], 1e-30))
-    furthest = int(np.argmax(np.abs(here - nothing) / scatter))
-    ends = values_of(effect.parameters, here + REFUTED_Z / improvement * (nothing - here))
+    furthest = int(np.argmax(np.abs(here - null) / scatter))
+    ends = values_of(effect.parameters, here + REFUTED_Z / improvement * (null - here))
     number, end = own.start + furthest, float(ends[furthest])
     low, high = intervals.low.copy(), intervals.high.copy()
-    if nothing[furthest] < here[furthest]:
+    if null[furthest] < here[furthest]:
         low[number] = max(low[number], end)
     else:
         high[number] = min(high[number], end)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from loose_env.gap.fitting.gauss_newton import (
-    BESIDE_STOPS,
+    STOP_FIT_SETTINGS,
     Fit,
     FitSettings,
     cost_of,
@@ -23,14 +23,14 @@ from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 
 __all__ = [
+    "converged_with_short_steps",
     "fit_in_form",
     "fit_without",
     "fitted_on",
     "needed_least",
-    "polished",
-    "refined",
-    "settled",
+    "refit_with_new_jacobian",
     "with_last",
+    "with_new_jacobian",
 ]
 
 
@@ -58,7 +58,8 @@ def fit_without(
     others, kept = _without(fitted, effect)
     settings, reference = fit_settings_for(others), np.inf
     if roughly:
-        settings, reference = replace(settings, enough=max(settings.enough, _ROUGHLY)), fitted.cost
+        tolerance = max(settings.cost_tolerance, _ROUGHLY)
+        settings, reference = replace(settings, cost_tolerance=tolerance), fitted.cost
     known = fitted.jacobian[:, kept]
     return fit(
         comparison,
@@ -154,7 +155,7 @@ def fit_in_form(comparison: ResidualModel, fitted: Fit, effect: Effect, form: Ef
             strict=True,
         )
     )
-    otherwise = form.starts[0] if form.nothing is None else form.nothing
+    otherwise = form.starts[0] if form.null_values is None else form.null_values
     values = [
         float(known.get(p.name, value)) for p, value in zip(form.parameters, otherwise, strict=True)
     ]
@@ -180,12 +181,12 @@ def fitted_on(comparison: ResidualModel, fitted: Fit) -> Fit:
     )
 
 
-def polished(comparison: ResidualModel, fitted: Fit) -> Fit:
+def refit_with_new_jacobian(comparison: ResidualModel, fitted: Fit) -> Fit:
     """Continue a fit with sensitivities recomputed once."""
-    return fitted_on(comparison, refined(fitted, comparison))
+    return fitted_on(comparison, with_new_jacobian(fitted, comparison))
 
 
-def refined(fitted: Fit, comparison: ResidualModel) -> Fit:
+def with_new_jacobian(fitted: Fit, comparison: ResidualModel) -> Fit:
     """Recompute all sensitivities of a fit."""
     jacobian = sensitivities(
         comparison,
@@ -193,17 +194,17 @@ def refined(fitted: Fit, comparison: ResidualModel) -> Fit:
         fitted.free,
         fitted.residual,
         range(len(fitted.free)),
-        difference=fit_settings_for(fitted.structure).difference,
+        difference=fit_settings_for(fitted.structure).finite_difference_step,
     )
     return replace(fitted, jacobian=jacobian)
 
 
-def settled(comparison: ResidualModel, fitted: Fit) -> Fit:
+def converged_with_short_steps(comparison: ResidualModel, fitted: Fit) -> Fit:
     """Converge a hypothesis with stops by short differences, where that is better.
 
     Long differences bridge the discontinuity between a missed and an actual impact; near
     convergence short ones are more accurate.
     """
-    short = replace(BESIDE_STOPS, difference=FitSettings.difference)
+    short = replace(STOP_FIT_SETTINGS, finite_difference_step=FitSettings.finite_difference_step)
     found = fit(comparison, fitted.structure, fitted.free, settings=short, residual=fitted.residual)
-    return refined(found, comparison) if found.cost < fitted.cost else fitted
+    return with_new_jacobian(found, comparison) if found.cost < fitted.cost else fitted

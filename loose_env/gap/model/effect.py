@@ -10,7 +10,7 @@ A new effect is one small class in one file:
         acts_on = "actuator"
 
         @classmethod
-        def places(cls, machine):
+        def locations(cls, machine):
             return machine.actuators
 
         @property
@@ -21,7 +21,7 @@ A new effect is one small class in one file:
         def starts(self):
             return ((0.8,), (1.25,))
 
-        nothing = (1.0,)
+        null_values = (1.0,)
 
         def edit(self, spec, values):
             ...
@@ -61,7 +61,7 @@ class Effect(StartsFromData):
     machine : NominalModel
         The nominal model and its parameters.
     where : str
-        One of `places`.
+        One of `locations`.
 
     Raises
     ------
@@ -72,31 +72,32 @@ class Effect(StartsFromData):
     kind: ClassVar[str] = ""
     """Identifier, as in the result file."""
     acts_on: ClassVar[str] = ""
-    """What its places name: "joint", "link", "actuator" or "sensor"; "arm" where they stand for all
-    of it. A name alone does not tell, for a joint and its motor may share it. "": see `part`."""
+    """What its locations name: "joint", "link", "actuator" or "sensor"; "arm" where they stand for
+    all of it. A name alone does not tell, for a joint and its motor may share it. "": see `part`.
+    """
     in_model: ClassVar[bool] = True
     """Whether plain MJCF expresses it; otherwise `code` and `torque_code` say how it is applied."""
-    nothing: ClassVar[tuple[float, ...] | None] = None
+    null_values: ClassVar[tuple[float, ...] | None] = None
     """Values at which the effect vanishes; None where it does so only in a limit."""
     proportional: ClassVar[int | None] = None
     """Index of the only parameter that its change is about proportional to; None if all of them
     scale it, or none does."""
-    adds_up: ClassVar[bool] = False
+    is_additive: ClassVar[bool] = False
     """Whether its parameters are small steps along axes, whose changes add up: then screening
     evaluates each by itself and computes the best coefficient of every one."""
-    searches: ClassVar[bool] = False
+    needs_data_starts: ClassVar[bool] = False
     """Whether `starts` cannot cover its range, so that `propose` has to find starts in data."""
     limit: ClassVar[tuple[tuple[str, str], ...]] = ()
     """Parameters, and their bounds, "low" or "high", that together define the limit of no
-    effect, where `nothing` is None."""
+    effect, where `null_values` is None."""
     adds_motion: ClassVar[bool] = False
     """Whether the edit adds a degree of freedom, which is invisible in an inverse comparison."""
-    sharp: ClassVar[bool] = False
+    needs_fine_steps: ClassVar[bool] = False
     """Whether it needs finer steps than a smooth model: a stiff spring, a joint with stiction."""
     has_stops: ClassVar[bool] = False
     """Whether it has parts with stops: after an impact no simulation is reproducible. Parameters
     named `gap`, `stiffness` and `damping_ratio`, if any, are those of the stops."""
-    shifts: ClassVar[bool] = False
+    is_time_shift: ClassVar[bool] = False
     """Whether it shifts signals in time by its only parameter: accelerations are linear in it
     over a fraction of a millisecond only, positions over many."""
     variants: ClassVar[tuple[str, ...]] = ("",)
@@ -104,11 +105,12 @@ class Effect(StartsFromData):
     them."""
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
-        if where not in self.places(machine):
+        locations = self.locations(machine)
+        if where not in locations:
             raise UnknownName(
-                f"{self.kind} cannot be at {where!r}; its places are {list(self.places(machine))}"
+                f"{self.kind} cannot be at {where!r}; its locations are {list(locations)}"
             )
-        forms = self.forms(machine, where)
+        forms = self.variants_at(machine, where)
         if variant is None:
             variant = forms[0]
         if variant not in forms:
@@ -167,12 +169,12 @@ class Effect(StartsFromData):
         return any(a is not b for a, b in (*acting, (own.torque, Effect.torque)))
 
     @classmethod
-    def forms(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
+    def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
         """Return the `variants` that are distinct at a location; never empty."""
         return cls.variants
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return possible locations: names of the model, or "tool", "base", "all"."""
         raise NotImplementedError
 
@@ -187,7 +189,7 @@ class Effect(StartsFromData):
         raise NotImplementedError
 
     @property
-    def close_starts(self) -> tuple[tuple[float, ...], ...]:
+    def inverse_starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts for inverse runs, which may have to lie closer together."""
         return self.starts
 
@@ -223,7 +225,7 @@ class Effect(StartsFromData):
         """
         return self.command(time, controls, values)
 
-    def lateness(self, values: Array) -> tuple[str, float] | None:
+    def sensor_delay(self, values: Array) -> tuple[str, float] | None:
         """Return a delayed sensor with its delay [s]; None for one that `read` can shift.
 
         A reading that jumps with commands, such as an acceleration, cannot be interpolated between
@@ -275,20 +277,20 @@ class Effect(StartsFromData):
     @classmethod
     def null_value(cls, parameters: Sequence[str], parameter: str) -> float:
         """Value of a parameter without the effect; NaN if it vanishes only in a limit."""
-        if cls.adds_up:
+        if cls.is_additive:
             return 0.0
-        if cls.nothing is None or len(cls.nothing) != len(parameters):
+        if cls.null_values is None or len(cls.null_values) != len(parameters):
             return float("nan")
-        return cls.nothing[list(parameters).index(parameter)]
+        return cls.null_values[list(parameters).index(parameter)]
 
-    def vanishes(self, low: Array, high: Array) -> bool:
+    def interval_includes_null(self, low: Array, high: Array) -> bool:
         """Return whether the parameter intervals (P,) include zero effect.
 
         They do if the null value lies within all of them, or if they reach the limit of no effect,
         such as that of a stiff spring. Play without clearance is no effect, however compliant the
         stops.
         """
-        if self.nothing is None:
+        if self.null_values is None:
             ends = dict(self.limit)
             reached = {
                 p.name: a <= _AT_BOUND * p.low if ends[p.name] == "low" else b >= p.high / _AT_BOUND
@@ -298,9 +300,11 @@ class Effect(StartsFromData):
             if self.has_stops and "gap" in reached:
                 return bool(reached["gap"])
             return bool(reached) and all(reached.values())
-        return bool(np.all((low <= np.array(self.nothing)) & (np.array(self.nothing) <= high)))
+        return bool(
+            np.all((low <= np.array(self.null_values)) & (np.array(self.null_values) <= high))
+        )
 
-    def immaterial(self, values: Array) -> bool:
+    def is_negligible(self, values: Array) -> bool:
         """Return whether it is too small to matter, however significant (P,)."""
         return False
 
@@ -316,11 +320,11 @@ class Effect(StartsFromData):
         return 0.0
 
     @property
-    def doubtful_mass(self) -> float:
+    def uncertain_mass(self) -> float:
         """Mass with an assumed distribution along a link [kg]; zero for most."""
         return 0.0
 
-    def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
+    def passive_actuator_torque(self, angle: Array, speed: Array, values: Array) -> Array:
         """Joint torque for a motion (T,) [N·m or N] that MuJoCo's inverse dynamics omit.
 
         Zero except for effects whose edit adds an actuator without input: MuJoCo's inverse dynamics
@@ -347,9 +351,9 @@ class Effect(StartsFromData):
     @property
     def axes(self) -> tuple[tuple[float, ...], ...]:
         """Values whose changes add up, for screening to combine by `combined`; none for most."""
-        if not self.adds_up or self.nothing is None or len(self.parameters) < 2:
+        if not self.is_additive or self.null_values is None or len(self.parameters) < 2:
             return ()
-        none = np.array(self.nothing)
+        none = np.array(self.null_values)
         sizes = np.max(np.array(self.starts) - none, axis=0)
         return tuple(tuple(float(v) for v in none + row) for row in np.diag(sizes))
 
@@ -361,12 +365,12 @@ class Effect(StartsFromData):
         shares : ndarray (K,)
             Share of each of the axes.
         """
-        none = np.array(self.nothing)
+        none = np.array(self.null_values)
         return self._clipped(none + shares @ (np.array(self.axes) - none))
 
     def shares_of(self, values: Array) -> Array:
         """Shares (K,) of the axes that `combined` turns into some values."""
-        none = np.array(self.nothing)
+        none = np.array(self.null_values)
         return np.asarray((values - none) / np.diag(np.array(self.axes) - none))
 
     def _clipped(self, values: Array) -> tuple[float, ...]:

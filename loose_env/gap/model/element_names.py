@@ -7,7 +7,7 @@ from typing import Any
 
 import mujoco
 
-__all__ = ["naming_words", "with_names"]
+__all__ = ["naming_notes", "with_names"]
 
 _LISTED = 6
 """Names that a sentence lists."""
@@ -33,7 +33,7 @@ def with_names(given: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
-def naming_words(given: mujoco.MjSpec) -> list[str]:
+def naming_notes(given: mujoco.MjSpec) -> list[str]:
     """Describe links of a model without a name of their own; none if all have one."""
     before, after = given.bodies[1:], with_names(given).bodies[1:]
     links = [new.name for old, new in zip(before, after, strict=True) if not old.name if new.joints]

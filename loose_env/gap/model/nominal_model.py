@@ -8,6 +8,7 @@ from math import ceil
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.gap.model.element_names import with_names
@@ -17,6 +18,8 @@ __all__ = ["NominalModel", "set_step"]
 
 
 _MOVING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+_AFFINE_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+_AFFINE_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """Ways to drive a joint itself, the same for hinges and slides."""
 _POSES = 5
@@ -39,12 +42,12 @@ class NominalModel:
         Typical torque [N·m] or force [N] of each joint in the recording; by default from the model.
     speeds : ndarray (joints,), optional
         Typical speed of each joint [rad/s, m/s] in the recording; 1 by default.
-    joined : int
+    merged_steps : int
         Maximum number of steps merged into one, where no stiff effect needs each: the step is
         that much finer than the recording needs.
-    cut : int
+    substeps : int
         Number of substeps per step for stiff effects, where no steps are merged.
-    even : bool
+    uniform_steps : bool
         Whether every hypothesis takes the same steps, so that a difference between two is not that
         of their steps.
 
@@ -118,6 +121,16 @@ class NominalModel:
             if int(self.model.actuator_trntype[k]) in _AT_JOINT:
                 found[name] = self.model.joint(int(self.model.actuator_trnid[k, 0])).name
         return found
+
+    @property
+    def time_step(self) -> float:
+        """Simulation step: `step`, or that of the model where it is 0 [s]."""
+        return self.step or float(self.model.opt.timestep)
+
+    @cached_property
+    def affine_actuators(self) -> NDArray[np.bool_]:
+        """Mask of the actuators whose gain and bias are affine (actuators,)."""
+        return affine_actuators(self.model)
 
     def gears(self, joint: str) -> Array:
         """Torque on a joint per force of each actuator, at the model's zero (actuators,)."""
@@ -241,6 +254,12 @@ class NominalModel:
     def turns(self, joint: str) -> bool:
         """Return whether a joint is a hinge."""
         return bool(self.model.jnt_type[self.joint_number(joint)] == _MOVING[0])
+
+
+def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Mask of the actuators whose gain and bias are affine in length and speed (actuators,)."""
+    affine = np.isin(model.actuator_gaintype, _AFFINE_GAINS)
+    return np.asarray(affine & np.isin(model.actuator_biastype, _AFFINE_BIASES))
 
 
 def set_step(spec: mujoco.MjSpec, step: float) -> None:

@@ -35,7 +35,7 @@ class _Entry:
 
 
 class NominalParameters:
-    """Factors on masses, inertias, dampings, rotor inertias and actuator gains.
+    """Factors on masses, inertias, dampings, frictions, rotor inertias and actuator gains.
 
     Parameters
     ----------

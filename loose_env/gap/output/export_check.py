@@ -22,7 +22,7 @@ from loose_env.gap.model.hypothesis import Hypothesis, compiled
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.export_mjcf import corrected_spec
 from loose_env.gap.residuals.physical_units import rms
-from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.residuals.residual_model import DIVERGED_RESIDUAL, ResidualModel
 from loose_env.gap.settings import (
     EXPORT_ERROR,
     EXPORT_ERROR_SHARE,
@@ -51,8 +51,6 @@ _GONE_WILD = tuple(
         mujoco.mjtWarning.mjWARN_BADQACC,
     )
 )
-_WILD = 1e4
-"""Distance where a simulation went wild, and the largest that counts [standard deviations]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +75,7 @@ class Exported:
     matters: bool = False
     """Whether the deviation is too large."""
 
-    def words(self) -> list[str]:
+    def notes(self) -> list[str]:
         """Notes for the reader."""
         found = []
         if self.parts > 1:
@@ -185,7 +183,11 @@ def compared(
         with quiet():  # a step that is too long may diverge
             shown = played(held, model, trial)[sample, channel]
         off = (trial.measured[sample, channel] - shown) / held.scales[t, channel]
-        left.append(np.clip(np.nan_to_num(off, nan=_WILD), -_WILD, _WILD))
+        left.append(
+            np.clip(
+                np.nan_to_num(off, nan=DIVERGED_RESIDUAL), -DIVERGED_RESIDUAL, DIVERGED_RESIDUAL
+            )
+        )
         fitted.append(residual[own])
         channels.append(channel)
     by_file, by_fit = np.concatenate(left), np.concatenate(fitted)

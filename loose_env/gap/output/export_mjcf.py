@@ -27,7 +27,7 @@ from loose_env.io import written_beside
 from loose_env.recording import ModelColumns
 from loose_env.typing import Array
 
-__all__ = ["corrected_spec", "correction_code", "model_notes", "unnamed_words", "write_model"]
+__all__ = ["corrected_spec", "correction_code", "model_notes", "unnamed_notes", "write_model"]
 
 
 def corrected_spec(
@@ -234,7 +234,7 @@ Added = tuple[Effect, Array]
 """An effect with its values."""
 
 
-def unnamed_words(added: Sequence[Added]) -> list[str]:
+def unnamed_notes(added: Sequence[Added]) -> list[str]:
     """Describe effects in the corrected model that are not identified; "" without any.
 
     Parameters
@@ -253,7 +253,7 @@ def unnamed_words(added: Sequence[Added]) -> list[str]:
 
 
 def model_notes(
-    named: Sequence[NamedEffect], unnamed: Sequence[Added], figures: Mapping[str, float]
+    named: Sequence[NamedEffect], unnamed: Sequence[Added], factors: Mapping[str, float]
 ) -> list[str]:
     """Format notes for the head of ``model.xml``: all changes to the nominal model.
 
@@ -261,9 +261,9 @@ def model_notes(
     ----------
     named : sequence of NamedEffect
         Identified effects.
-    nameless : sequence of (Effect, ndarray)
+    unnamed : sequence of (Effect, ndarray)
         Effects that are not identified, with their values.
-    figures : mapping
+    factors : mapping
         Factors on nominal parameters.
     """
     notes = ["Corrected by loose gap."]
@@ -281,8 +281,8 @@ def model_notes(
         notes += [_added_words(effect, values) for effect, values in unnamed]
     if not named and not unnamed:
         notes.append("No effect was added to the nominal model.")
-    if figures:
-        off = max(abs(value - 1) for value in figures.values())
+    if factors:
+        off = max(abs(value - 1) for value in factors.values())
         notes.append(
             f"Nominal parameters fitted within the tolerance, changed by {100 * off:.1f} % at most"
         )

@@ -22,16 +22,16 @@ from numpy.typing import NDArray
 from loose_env.gap.residuals.residual_model import Rows
 from loose_env.typing import Array, IndexArray
 
-__all__ = ["Structure", "independent_rows", "largest"]
+__all__ = ["LaggedProducts", "independent_rows", "largest"]
 
 
-LAGS, SHAKEN_LAGS = ((2,), (3,), (4,)), ((1,), (2,), (3,))
+LAGS, RANDOM_LAGS = ((2,), (3,), (4,)), ((1,), (2,), (3,))
 """Samples between the two, and in runs of random excitation."""
 INVERSE_LAGS = ((3, 4), (5, 6), (7, 8))
 """The same in inverse runs, the mean of two each."""
 
 
-class Structure:
+class LaggedProducts:
     """Lagged products of a residual, by channel and for each of three lags.
 
     Parameters
@@ -41,17 +41,20 @@ class Structure:
     """
 
     def __init__(self, rows: Rows) -> None:
-        order = np.lexsort((rows.place, rows.channel, rows.trial))
-        self._white = np.flatnonzero(rows.white)
-        self._white_block, self._white_channel = rows.block[rows.white], rows.channel[rows.white]
+        order = np.lexsort((rows.index, rows.channel, rows.trial))
+        self._feature = np.flatnonzero(rows.is_feature)
+        self._feature_block, self._feature_channel = (
+            rows.block[rows.is_feature],
+            rows.channel[rows.is_feature],
+        )
         self._pairs = []
-        usual = ~(rows.white | rows.shaken | rows.inverse)
+        usual = ~(rows.is_feature | rows.random_excitation | rows.inverse)
         for slot in range(len(LAGS)):
             parts = [
                 (*_pairs(rows, order, lag, among), 1.0 / len(lags[slot]))
                 for lags, among in (
                     (LAGS, usual),
-                    (SHAKEN_LAGS, rows.shaken & ~rows.white & ~rows.inverse),
+                    (RANDOM_LAGS, rows.random_excitation & ~rows.is_feature & ~rows.inverse),
                     (INVERSE_LAGS, rows.inverse),
                 )
                 for lag in lags[slot]
@@ -64,7 +67,9 @@ class Structure:
 
     def products(self, residual: Array) -> Array:
         """Sums of the lagged products by lag and block of time (3, B)."""
-        own = np.bincount(self._white_block, residual[self._white] ** 2 - 1, minlength=self.blocks)
+        own = np.bincount(
+            self._feature_block, residual[self._feature] ** 2 - 1, minlength=self.blocks
+        )
         return np.stack(
             [
                 own
@@ -78,7 +83,7 @@ class Structure:
     def by_channel(self, residual: Array) -> Array:
         """Sums of the lagged products by lag and channel, and the number of rows (4, C)."""
         own = np.bincount(
-            self._white_channel, residual[self._white] ** 2 - 1, minlength=self.channels
+            self._feature_channel, residual[self._feature] ** 2 - 1, minlength=self.channels
         )
         sums = [
             own
@@ -89,7 +94,7 @@ class Structure:
         ]
         _, _, weight, _, channel = self._pairs[0]
         counts = np.bincount(channel, weight, minlength=self.channels)
-        counts += np.bincount(self._white_channel, minlength=self.channels)
+        counts += np.bincount(self._feature_channel, minlength=self.channels)
         return np.stack([*sums, counts])
 
     def by_group(self, residual: Array, group: NDArray[np.intp]) -> Array:
@@ -114,7 +119,7 @@ class Structure:
 
 
 def largest(sums: Array) -> Array:
-    """Largest absolute value of sums by lag (3, ...), with its sign (...)."""
+    """Largest absolute value of sums by lag (3, ...)."""
     return np.asarray(np.max(np.abs(sums), axis=0))
 
 
@@ -126,7 +131,7 @@ def _pairs(
     same = (
         (rows.trial[first] == rows.trial[second])
         & (rows.channel[first] == rows.channel[second])
-        & (rows.place[second] - rows.place[first] == lag)
+        & (rows.index[second] - rows.index[first] == lag)
         & among[first]
     )
     return first[same], second[same]

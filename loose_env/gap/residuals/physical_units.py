@@ -13,7 +13,7 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.typing import Array
 
-__all__ = ["errors_by_quantity", "noise_ratio", "quantity_of", "quantity_words", "rms"]
+__all__ = ["errors_by_quantity", "noise_ratio", "quantity_notes", "quantity_of", "rms"]
 
 _SENSOR = mujoco.mjtSensor
 _OF_A_JOINT = {
@@ -92,18 +92,18 @@ def errors_by_quantity(
     of_channel = np.array([quantity_of(machine, c) or "" for c in comparison.channels])
     scale = comparison.scales[rows.trial, rows.channel]
     for quantity in dict.fromkeys(of_channel):
-        own = (of_channel[rows.channel] == quantity) & ~rows.white
+        own = (of_channel[rows.channel] == quantity) & ~rows.is_feature
         if quantity and own.any():
             found[str(quantity)] = (rms(before[own] * scale[own]), rms(after[own] * scale[own]))
     return found
 
 
-def quantity_words(errors: Mapping[str, tuple[float, float]]) -> list[str]:
+def quantity_notes(errors: Mapping[str, tuple[float, float]]) -> list[str]:
     """Format errors before and after the correction as text.
 
     Examples
     --------
-    >>> quantity_words({"joint position [rad]": (0.0433, 0.01678)})
+    >>> quantity_notes({"joint position [rad]": (0.0433, 0.01678)})
     ['joint position: 0.0433 rad before, 0.0168 rad after']
     """
     found = []
@@ -129,5 +129,5 @@ def noise_ratio(own: ResidualModel, runs: ResidualModel) -> Array:
     Features use their own standard deviation, however noisy the channels they are computed from.
     """
     found: Array = (own.scales / runs.scales)[runs.rows.trial, runs.rows.channel]
-    found[runs.rows.white] = 1.0
+    found[runs.rows.is_feature] = 1.0
     return found

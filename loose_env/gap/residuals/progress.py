@@ -32,7 +32,7 @@ class _Count:
     most: bool = False
     done: int = 0
 
-    def words(self, now: float) -> str:
+    def description(self, now: float) -> str:
         """The count, and the time left once there is something to judge it by."""
         line = f"{self.title}: {self.done} of {'at most ' * self.most}{self.total}"
         if self.most or not self.done:
@@ -59,7 +59,7 @@ class _Reporter:
         """Print what is counted where nothing has been printed for long."""
         now = self.clock()
         if now - self.last >= _SILENT and self.counts:
-            self.line("  " + "; ".join(count.words(now) for count in self.counts))
+            self.line("  " + "; ".join(count.description(now) for count in self.counts))
 
 
 _REPORTER: ContextVar[_Reporter | None] = ContextVar("progress", default=None)

@@ -19,14 +19,14 @@ from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.typing import Array
 
-__all__ = ["ResidualModel", "Rows"]
+__all__ = ["DIVERGED_RESIDUAL", "ResidualModel", "Rows"]
 
 
-_ASTRAY = 100.0
+_MAX_INTEGRATOR_ERROR = 100.0
 """Error of a cheaper integrator above which its differences are not taken [noise standard
 deviations], where it is larger than what is to be explained."""
-_WILD = 1e4
-"""Residual where a simulation went wild, and the largest that counts [standard deviations]."""
+DIVERGED_RESIDUAL = 1e4
+"""Residual where a simulation diverged, and the largest that counts [noise standard deviations]."""
 _PREDICTED_AT_ONCE = 4_000_000
 """Numbers of predictions that are held at a time: 32 MB, and their sensors as much."""
 _FEWEST_AT_ONCE = 16
@@ -36,7 +36,7 @@ _IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 BURN_IN = 0.1
 """What an unknown start may disturb, at the beginning of a run [s]."""
 BLOCKS = 100
-"""How many blocks, within which residuals hang together, the runs are cut into."""
+"""Number of blocks that the runs are cut into; residuals may be autocorrelated within a block."""
 SHORTEST, LONGEST = 0.1, 0.5
 """Lengths of a block, however short or long the runs are [s]."""
 
@@ -51,14 +51,14 @@ class Rows:
     """Index of the channel."""
     sample: NDArray[np.intp]
     """Sample in the run."""
-    place: NDArray[np.intp]
+    index: NDArray[np.intp]
     """Index of the sample among those compared: neighbours differ by one."""
     block: NDArray[np.intp]
     """Block of time, or of features, numbered through all runs."""
-    white: NDArray[np.bool_]
+    is_feature: NDArray[np.bool_]
     """Whether it is a feature: independent of the others, of unit variance if the model is right.
     Its channel is one of those that it is made of, its sample stands for none."""
-    shaken: NDArray[np.bool_]
+    random_excitation: NDArray[np.bool_]
     """Whether the run is one of random excitation."""
     inverse: NDArray[np.bool_]
     """Whether the run is compared by inverse dynamics."""
@@ -84,7 +84,7 @@ class ResidualModel:
         Threads of the simulation; 0: all processors.
     inverse : InverseDynamics, optional
         Inverse dynamics of the inverse runs, if already computed.
-    parting : frozenset of str
+    chaotic : frozenset of str
         Names of the random runs that are compared by features
         (`loose_env.gap.residuals.preparation.chaotic_runs.chaotic_runs`).
     read : ndarray (C,), optional
@@ -108,7 +108,7 @@ class ResidualModel:
         self.runs = np.arange(len(self.trials))
         """Indices of the runs in the initial states of hypotheses; -1 for one that begins later."""
         self.channels, self.floors, self.threads = channels, floors, threads
-        self._lighter: dict[int, ResidualModel] = {}
+        self._cheaper: dict[int, ResidualModel] = {}
         self._beginnings: dict[tuple[tuple[int, ...], float], ResidualModel] = {}
         backwards = [t for t, trial in enumerate(self.trials) if trial.form == "inverse"]
         self._backwards = np.array(backwards, dtype=np.intp)
@@ -161,27 +161,27 @@ class ResidualModel:
         for t, trial in enumerate(self.trials):
             if t in self._random:
                 channels = self._random[t].channel
-                place = np.arange(len(channels))
-                samples = place * (len(trial.time) - 1) // len(channels)
-                block = blocks + place // GROUP
+                index = np.arange(len(channels))
+                samples = index * (len(trial.time) - 1) // len(channels)
+                block = blocks + index // GROUP
                 values = np.zeros(len(channels))
             else:
                 compared = self._compared(t)
                 samples, channels = np.nonzero(np.isfinite(compared))
-                place = samples // self._spacing(t)
+                index = samples // self._spacing(t)
                 block = blocks + (trial.time[samples] // length).astype(int)
                 values = compared[samples, channels] / self.scales[t, channels]
             blocks = int(block.max()) + 1 if len(block) else blocks
-            run, white = np.full(len(samples), t), np.full(len(samples), t in self._random)
-            found = (run, channels, samples, place, block, white, values)
+            run, is_feature = np.full(len(samples), t), np.full(len(samples), t in self._random)
+            found = (run, channels, samples, index, block, is_feature, values)
             for part, new in zip(parts, found, strict=True):
                 part.append(new)
         *where, measured = (np.concatenate(part) for part in parts)
-        runs, channel, sample, places, block, white = (part.astype(np.intp) for part in where)
+        runs, channel, sample, indices, block, is_feature = (part.astype(np.intp) for part in where)
         excited = np.array([bool(trial.excited) for trial in self.trials])
         rows = Rows(
-            trial=runs, channel=channel, sample=sample, place=places, block=block,
-            white=white.astype(bool), shaken=excited[runs],
+            trial=runs, channel=channel, sample=sample, index=indices, block=block,
+            is_feature=is_feature.astype(bool), random_excitation=excited[runs],
             inverse=np.isin(runs, self._backwards),
         )  # fmt: skip
         return rows, measured
@@ -228,7 +228,7 @@ class ResidualModel:
             found.runs = self.runs
         return found
 
-    def loudest(self, residual: Array) -> NDArray[np.bool_] | None:
+    def run_with_largest_residual(self, residual: Array) -> NDArray[np.bool_] | None:
         """Mask of the rows (N,) of the run with the largest residual, a simulated one if any is.
 
         None where there are no two.
@@ -261,13 +261,13 @@ class ResidualModel:
 
         Of the runs compared sample by sample; 0 where a channel has no such readings.
         """
-        own = ~(self.rows.white | self.rows.inverse)
+        own = ~(self.rows.is_feature | self.rows.inverse)
         channel, most = self.rows.channel[own], len(self.channels)
         count = np.bincount(channel, minlength=most)
         squares = np.bincount(channel, residual[own] ** 2, minlength=most)
         return np.asarray(np.sqrt(squares / np.maximum(count, 1)))
 
-    def lighter(self, *, stiff: bool = False) -> ResidualModel:
+    def with_cheaper_integrator(self, *, stiff: bool = False) -> ResidualModel:
         """Copy with a cheaper integrator: one evaluation a step instead of four.
 
         The difference that an effect makes is nearly the same, since the step error is in both.
@@ -277,23 +277,23 @@ class ResidualModel:
         ----------
         stiff : bool
             Whether either has a stiff spring: then both take every step, else several as
-            one where the machine allows it (`NominalModel.joined`).
+            one where the machine allows it (`NominalModel.merged_steps`).
         """
         cheaper = self.machine.integrator == _RUNGE_KUTTA
         if self.inverse is None and not cheaper:
             return self
         joined = 1 if stiff or not cheaper else self.machine.merged_steps
-        if joined not in self._lighter:
+        if joined not in self._cheaper:
             machine = self.machine
             if cheaper:
                 machine = replace(
                     machine, integrator=_IMPLICIT, merged_steps=joined, uniform_steps=True
                 )
-            inverse = self.inverse and self.inverse.lighter()
-            self._lighter[joined] = self.like(machine=machine, inverse=inverse)
-        return self._lighter[joined]
+            inverse = self.inverse and self.inverse.with_longer_steps()
+            self._cheaper[joined] = self.like(machine=machine, inverse=inverse)
+        return self._cheaper[joined]
 
-    def lightly(
+    def cheaper_residual(
         self,
         hypothesis: Hypothesis,
         residual: Array,
@@ -308,13 +308,13 @@ class ResidualModel:
         """
         if springs and not self.rows.inverse.all():
             return self, residual
-        lighter = self.lighter(stiff=stiff)
-        if lighter is self:
+        cheaper = self.with_cheaper_integrator(stiff=stiff)
+        if cheaper is self:
             return self, residual
-        found = np.asarray(lighter.residuals([hypothesis])[0])
+        found = np.asarray(cheaper.residuals([hypothesis])[0])
         off = float(np.mean((found - residual) ** 2))
-        astray = off > max(_ASTRAY**2, float(np.mean(residual**2)))
-        return (self, residual) if astray else (lighter, found)
+        astray = off > max(_MAX_INTEGRATOR_ERROR**2, float(np.mean(residual**2)))
+        return (self, residual) if astray else (cheaper, found)
 
     def __len__(self) -> int:
         """Number of residuals."""
@@ -357,8 +357,8 @@ class ResidualModel:
             for h, predicted in enumerate(self.predict(hypotheses[first : first + size]), first):
                 found[h] = self.measured - self.flatten(predicted)
             tick()
-        found[~np.isfinite(found)] = _WILD
-        return np.clip(found, -_WILD, _WILD, out=found)
+        found[~np.isfinite(found)] = DIVERGED_RESIDUAL
+        return np.clip(found, -DIVERGED_RESIDUAL, DIVERGED_RESIDUAL, out=found)
 
     def levels(self, hypothesis: Hypothesis) -> Array:
         """Noise under a hypothesis, relative to that of the rigid arm (N,).

@@ -9,7 +9,7 @@ import numpy as np
 
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, Scorer, improvement_of
-from loose_env.gap.fitting.refit import fit_without, needed_least, polished
+from loose_env.gap.fitting.refit import fit_without, needed_least, refit_with_new_jacobian
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
@@ -64,7 +64,7 @@ class Acceptance:
     ----------
     comparison : ResidualModel
         The training runs.
-    judge : Scorer
+    scorer : Scorer
         Scores fits on the held-out runs.
     base, before : ScoredFit
         The nominal model, and the current model.
@@ -215,7 +215,7 @@ class Acceptance:
         list of Effect
             Earlier effects that are dropped, one at most.
         """
-        best = self.scorer.score(polished(self.comparison, scored.fitted))
+        best = self.scorer.score(refit_with_new_jacobian(self.comparison, scored.fitted))
         best = self._pruned(best, self._new(scored))
         earlier = best.fitted.effects[: len(self.before.fitted.effects)]
         for effect in self._weakest(best, earlier):
@@ -253,9 +253,11 @@ class Acceptance:
         while new > 1:
             weak = self._weakest(scored, scored.fitted.effects[-new:])
             without = [self._without(scored, effect) for effect in weak]
-            leads = [improvement_of(scored, each) for each in without]
-            weakest = min(range(len(weak)), key=lambda k: leads[k].training + leads[k].held_out)
-            if self.significant(leads[weakest]):
+            improvements = [improvement_of(scored, each) for each in without]
+            weakest = min(
+                range(len(weak)), key=lambda k: improvements[k].training + improvements[k].held_out
+            )
+            if self.significant(improvements[weakest]):
                 break
             scored, new = without[weakest], new - 1
         return scored
@@ -272,10 +274,10 @@ class Acceptance:
         effects = structure.effects
         first = len(effects) - max(self._new(scored), 0)
         for effect, own in zip(effects[first:], structure.slices[first:], strict=True):
-            if effect.nothing is None:
+            if effect.null_values is None:
                 return np.inf
-            nothing = free_of(effect.parameters, np.array(effect.nothing))
-            far = max(far, float(np.max(np.abs(scored.fitted.free[own] - nothing))))
+            null = free_of(effect.parameters, np.array(effect.null_values))
+            far = max(far, float(np.max(np.abs(scored.fitted.free[own] - null))))
         return far
 
     def _new(self, scored: ScoredFit) -> int:

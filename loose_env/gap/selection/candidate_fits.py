@@ -17,7 +17,7 @@ from loose_env.gap.model.effect import have_stops
 from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.grouping import confusable
-from loose_env.gap.selection.screening.screening import Screened
+from loose_env.gap.selection.screening.screening import ScreenedCandidate
 from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import (
     FITTED_CANDIDATES,
@@ -32,7 +32,7 @@ from loose_env.gap.settings import (
 __all__ = ["CandidateFits"]
 
 
-_NEAR = 1.5
+_MAX_COST_RATIO = 1.5
 """Sum of squares over that of a larger hypothesis from which on it is not tried on all data."""
 
 
@@ -43,7 +43,7 @@ class CandidateFits:
     ----------
     comparison, short : ResidualModel
         The training runs, and the windows of them that rank candidates.
-    judge : Scorer
+    scorer : Scorer
         Scores fits to all data.
     before : ScoredFit
         The current model.
@@ -59,8 +59,8 @@ class CandidateFits:
 
     def fit_candidates(
         self,
-        screened: Sequence[Screened],
-        sets: Callable[[], Sequence[Sequence[Screened]]] = tuple,
+        screened: Sequence[ScreenedCandidate],
+        sets: Callable[[], Sequence[Sequence[ScreenedCandidate]]] = tuple,
         say: Callable[[str], None] = lambda _: None,
         *,
         share: float = 1.0,
@@ -71,7 +71,7 @@ class CandidateFits:
 
         Parameters
         ----------
-        screened : sequence of Screened
+        screened : sequence of ScreenedCandidate
             Candidates, the most promising first.
         sets : callable
             Proposes sets that explain together.
@@ -89,17 +89,19 @@ class CandidateFits:
         taken += sorted(by_z, key=lambda each: -each.z)[:FURTHER]
         twice = 0 if self.beside_stops else LEADING
         windows = self.windows
-        fits, best = windows.race([[each] for each in taken], twice=twice)
+        fits, best = windows.staged_fits([[each] for each in taken], twice=twice)
         together: list[Fit] = []
-        left = 1.0 if best is None else windows.left_by(best)
+        left = 1.0 if best is None else windows.residual_share(best)
         loud = best is None or best.rms > NOISE_RMS
         if screened and left > SINGLE_SHARE and (loud or share * left > SINGLE_SHARE):
             proposed = sets()
             say(f"  joint fits: {len(proposed)} sets of effects")
-            together, best = windows.race(proposed, best=best)
-            fits, best = windows.with_hope(fits, best)
+            together, best = windows.staged_fits(proposed, best=best)
+            fits, best = windows.within_cost_ratio(fits, best)
         highest_z = max(fits[LEADING:], key=windows.z_of, default=None)
-        near, near_together = (windows.with_hope(f, best, NEAR_COST)[0] for f in (fits, together))
+        near, near_together = (
+            windows.within_cost_ratio(f, best, NEAR_COST)[0] for f in (fits, together)
+        )
         finalists = near[:LEADING]
         # a few blocks with a large unexplained residual may hide a small effect at every joint
         most = max(map(windows.z_of, fits[:LEADING]), default=0.0)
@@ -118,7 +120,7 @@ class CandidateFits:
             for each in screened
             if not any(each is tried for tried in taken) and confusable(winner, each.effect)
         ][: FURTHER - len(confusables)]
-        more, _ = windows.race([[each] for each in relatives], best=best)
+        more, _ = windows.staged_fits([[each] for each in relatives], best=best)
         return found + [self._to_all(each) for each in (*confusables, *more)]
 
     def without_earlier(self, scored: ScoredFit, base: Fit) -> ScoredFit | None:
@@ -129,7 +131,7 @@ class CandidateFits:
 
         Parameters
         ----------
-        judged : ScoredFit
+        scored : ScoredFit
             The hypothesis.
         base : Fit
             The nominal model.
@@ -141,17 +143,17 @@ class CandidateFits:
         start = np.concatenate([base.free, fitted.free[len(self.before.free) :]])
         together = self.windows.short.residuals([fitted.hypothesis])[0]
         quick = fit(self.windows.short, structure, start)
-        if quick.residual @ quick.residual > _NEAR * float(together @ together):
+        if quick.residual @ quick.residual > _MAX_COST_RATIO * float(together @ together):
             return None
         start = np.concatenate([base.free, quick.free[nominal:]])
         return self.scorer.score(fit(self.comparison, structure, start, known=base.jacobian))
 
-    def replacements(self, screened: Sequence[Screened], rival: Fit) -> list[ScoredFit]:
+    def replacements(self, screened: Sequence[ScreenedCandidate], rival: Fit) -> list[ScoredFit]:
         """Fit candidates that may replace an effect of the model equally well, best first.
 
         Parameters
         ----------
-        screened : sequence of Screened
+        screened : sequence of ScreenedCandidate
             Candidates.
         rival : Fit
             The current model, with the effect that they would replace.
@@ -161,8 +163,9 @@ class CandidateFits:
         cost = cost_of(together, rival.free, rival.structure.parameters)
         incumbent = replace(rival, residual=together, cost=cost)
         sets = [[each] for each in screened]
-        fits, _ = windows.race(sets, twice=len(screened), best=incumbent)
-        near = [f for f in fits if f.residual @ f.residual < _NEAR * float(together @ together)]
+        fits, _ = windows.staged_fits(sets, twice=len(screened), best=incumbent)
+        most = _MAX_COST_RATIO * float(together @ together)
+        near = [each for each in fits if each.residual @ each.residual < most]
         found = [self._to_all(each) for each in near[:FURTHER]]
         return sorted(found, key=lambda scored: scored.total)
 

@@ -44,7 +44,7 @@ def significant(test: DeletionTest) -> bool:
 
 
 def material(test: DeletionTest, effect: Effect) -> bool:
-    """Whether an effect explains nearly all that hangs together somewhere.
+    """Whether an effect explains nearly all of the autocorrelated residual somewhere.
 
     What stands in for an effect that is not in the catalogue is significant, and leaves much
     wherever it explains something. A part with stops mistimes its impacts, and leaves more.

@@ -10,7 +10,7 @@ import numpy as np
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
-from loose_env.gap.fitting.refit import fitted_on, polished
+from loose_env.gap.fitting.refit import fitted_on, refit_with_new_jacobian
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.parameter import free_of
 from loose_env.gap.residuals.residual_model import ResidualModel
@@ -21,7 +21,7 @@ from loose_env.gap.selection.revision import SwapStep
 from loose_env.gap.selection.screening.data_driven_starts import proposals
 from loose_env.gap.selection.screening.joint_proposals import JointProblem
 from loose_env.gap.selection.screening.linear_problem import CurrentFit
-from loose_env.gap.selection.screening.screening import Screened, screen
+from loose_env.gap.selection.screening.screening import ScreenedCandidate, screen
 from loose_env.gap.selection.screening.signatures import Signatures
 from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import (
@@ -186,8 +186,8 @@ def select_effects(
     white = found.best.autocorrelation_z < SEARCH_Z and not found.best.above_noise
     if len(found.best.fitted.effects) >= 2:
         say("swap step: confusable effects in place of the identified ones")
-        exchange = SwapStep(comparison, short, scorer, candidates, found.base, settings)
-        better = keep.scored("exchanged", lambda: exchange.improved(found.best, say, white=white))
+        swap_step = SwapStep(comparison, short, scorer, candidates, found.base, settings)
+        better = keep.scored("exchanged", lambda: swap_step.improved(found.best, say, white=white))
         if _keys(better) != _keys(found.best):
             found.steps.append(better)
     return found
@@ -279,17 +279,17 @@ def _converged(
             break
         if CurrentFit.of(WindowFits(short, accepted.fitted).before).to_gain < _TO_GAIN:
             break
-        accepted = scorer.score(polished(comparison, accepted.fitted))
+        accepted = scorer.score(refit_with_new_jacobian(comparison, accepted.fitted))
     return accepted
 
 
 def _sets(
-    short: ResidualModel, candidate_fits: CandidateFits, screened: Sequence[Screened]
-) -> list[Sequence[Screened]]:
+    short: ResidualModel, candidate_fits: CandidateFits, screened: Sequence[ScreenedCandidate]
+) -> list[Sequence[ScreenedCandidate]]:
     """Sets of candidates that may explain the residual together."""
     problem = JointProblem(short, candidate_fits.windows.before, screened)
     proposed = [*problem.pairs(ALTERNATIVES), *problem.kinds(FURTHER), *problem.greedy()]
-    found: dict[frozenset[tuple[str, str, str]], Sequence[Screened]] = {}
+    found: dict[frozenset[tuple[str, str, str]], Sequence[ScreenedCandidate]] = {}
     for each in proposed:
         found.setdefault(frozenset(member.effect.key for member in each.members), each.members)
     return list(found.values())

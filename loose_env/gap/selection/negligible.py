@@ -46,7 +46,7 @@ def negligible(hypothesis: Hypothesis, new: int) -> bool:
     pairs = list(hypothesis.pairs)
     earlier, added = pairs[:-new], pairs[-new:]
     return all(
-        effect.immaterial(values)
+        effect.is_negligible(values)
         or _within_the_law(effect, values, earlier)
         or _within_the_bar(effect, values, earlier)
         for effect, values in added
@@ -67,7 +67,7 @@ def _within_the_bar(effect: Effect, values: Array, earlier: list[tuple[Effect, A
     own, joint = effect.displaced_mass(values), joint_of(effect)
     if own == 0.0:
         return False
-    near = ((e.doubtful_mass, joint_of(e)) for e, _ in earlier)
+    near = ((e.uncertain_mass, joint_of(e)) for e, _ in earlier)
     there = (m for m, other in near if joint is None or other is None or abs(joint - other) <= 1)
     return own < MASS_DISTRIBUTION * max(there, default=0.0)
 

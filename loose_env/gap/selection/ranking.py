@@ -34,7 +34,7 @@ def ranking_of(
     comparison: ResidualModel,
     held_out: ResidualModel,
     *,
-    louder: Array | float = 1.0,
+    noise_scale: Array | float = 1.0,
     first: int = 1,
 ) -> tuple[RankedHypothesis, ...]:
     """Rank every hypothesis fitted to whole runs, step by step, best first.
@@ -45,7 +45,7 @@ def ranking_of(
         The search.
     comparison, held_out : ResidualModel
         The training runs and the held-out runs.
-    louder : ndarray (M,) or float
+    noise_scale : ndarray (M,) or float
         Factor by which the noise of the held-out residuals was increased in the search.
     first : int
         Number of its first step.
@@ -53,7 +53,7 @@ def ranking_of(
     found = []
     for k, rivals in enumerate(named.rivals):
         before = named.base if k == 0 else named.steps[k - 1]
-        found += _of_step(rivals, before, first + k, (comparison.rows, held_out.rows), louder)
+        found += _of_step(rivals, before, first + k, (comparison.rows, held_out.rows), noise_scale)
     return tuple(found)
 
 
@@ -62,7 +62,7 @@ def _of_step(
     before: ScoredFit,
     step: int,
     rows: tuple[Rows, Rows],
-    louder: Array | float,
+    noise_scale: Array | float,
 ) -> list[RankedHypothesis]:
     if not rivals:
         return []
@@ -84,7 +84,7 @@ def _of_step(
                 kind=first.kind,
                 where=first.where,
                 together_with=tuple(EffectLocation(kind=e.kind, where=e.where) for e in others),
-                held_out=float(np.sqrt(np.mean((scored.held_out_residual * louder) ** 2))),
+                held_out=float(np.sqrt(np.mean((scored.held_out_residual * noise_scale) ** 2))),
                 bic=bic(
                     (before.total - scored.total) * count / (level * every),
                     parameters=scored.free_count - before.free_count,

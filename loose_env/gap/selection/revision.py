@@ -19,14 +19,14 @@ import numpy as np
 from loose_env.gap.fitting.confidence_intervals import Intervals, bootstrap, widened
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, improvement_of
-from loose_env.gap.fitting.profile_bounds import short_of_limit, short_of_nothing
+from loose_env.gap.fitting.profile_bounds import tightened_at_limit, tightened_at_zero
 from loose_env.gap.fitting.refit import (
     fit_in_form,
     fit_without,
     needed_least,
-    polished,
-    refined,
+    refit_with_new_jacobian,
     with_last,
+    with_new_jacobian,
 )
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.parameter import free_of
@@ -36,7 +36,7 @@ from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits
 from loose_env.gap.selection.screening.data_driven_starts import proposals
 from loose_env.gap.selection.screening.grouping import confusable, joint_of
-from loose_env.gap.selection.screening.relinearised_sets import other_sets
+from loose_env.gap.selection.screening.relinearised_sets import alternative_sets
 from loose_env.gap.selection.screening.screening import screen
 from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import (
@@ -53,7 +53,7 @@ __all__ = ["SwapStep", "drop_insignificant", "refit_without"]
 _Key = tuple[str, str, str]
 _ROUNDS = 3
 """Rounds of swaps at most; what is swapped in may have a better form itself."""
-_MOSTLY = 0.9
+_MIN_GAIN_RATIO = 0.9
 """Predicted gain of one effect over that of two it may replace, from which it is fitted: cost."""
 
 
@@ -64,7 +64,7 @@ class SwapStep:
     ----------
     comparison, short : ResidualModel
         The training runs, and the windows of them that rank candidates.
-    judge : Scorer
+    scorer : Scorer
         Scores fits to all data.
     candidates : sequence of Effect
         The catalogue at every location.
@@ -187,7 +187,7 @@ class SwapStep:
         acceptance = Acceptance(self.comparison, self.scorer, self.base, before(), self.settings)
         fits = (fit_in_form(self.comparison, best.fitted, effect, form) for form in forms)
         tried = sorted(map(self.scorer.score, fits), key=lambda scored: scored.total)
-        return self._better(tried, before(), best, acceptance, lead=EQUAL_LOG_LIKELIHOOD)
+        return self._better(tried, before(), best, acceptance, min_gain=EQUAL_LOG_LIKELIHOOD)
 
     def _in_place_of(
         self, effects: Sequence[Effect], best: ScoredFit, without: Callable[[], ScoredFit]
@@ -214,7 +214,7 @@ class SwapStep:
             taken += [s for s in there if s not in taken][:FURTHER]
         else:
             together = 1.0 - best.fitted.cost / before.fitted.cost
-            taken = [s for s in taken if s.predicted > _MOSTLY * together]
+            taken = [s for s in taken if s.predicted > _MIN_GAIN_RATIO * together]
         tried = candidate_fits.replacements(taken, best.fitted)
         return self._better(tried, before, best, acceptance)
 
@@ -234,7 +234,7 @@ class SwapStep:
         starts = proposals(self.comparison, best.fitted.hypothesis, others)
         screened = screen(runs, windows.before, others, proposed=starts)
         nuisances = len(best.fitted.structure.nuisance.parameters)
-        for each in other_sets(runs, windows.before, screened, FURTHER):
+        for each in alternative_sets(runs, windows.before, screened, FURTHER):
             if _keys(each.effects) in self._left:
                 continue
             structure = best.fitted.structure.with_effects(each.effects)
@@ -274,21 +274,21 @@ class SwapStep:
         best: ScoredFit,
         acceptance: Acceptance,
         *,
-        lead: float = -np.inf,
+        min_gain: float = -np.inf,
     ) -> ScoredFit | None:
         """Return the first of some replacements that is better than what it replaces.
 
-        One that leaves as many effects is also ahead by ``lead`` in twice the log-likelihood.
+        One that leaves as many effects is also ahead by ``min_gain`` in twice the log-likelihood.
         """
         for scored in tried:
             simpler = self._without_insignificant(scored, before, best, acceptance)
             fewer = len(simpler.fitted.effects) < len(best.fitted.effects)
-            if not fewer and best.total - simpler.total < lead:
+            if not fewer and best.total - simpler.total < min_gain:
                 continue
             if acceptance.ranked([best, simpler])[0] is not simpler:
                 continue
             if not acceptance.objection(scored):
-                return self.scorer.score(polished(self.comparison, simpler.fitted))
+                return self.scorer.score(refit_with_new_jacobian(self.comparison, simpler.fitted))
         return None
 
     def _without_insignificant(
@@ -320,9 +320,9 @@ def drop_insignificant(
     ----------
     best : ScoredFit
         The hypothesis to improve.
-    prepared : GapProblem
+    problem : GapProblem
         The runs.
-    judge : Scorer
+    scorer : Scorer
         Scores fits to ``problem.fit``.
     seed : int
         Of the bootstrap.
@@ -341,9 +341,9 @@ def drop_insignificant(
         named = [(effect, fitted.structure.slice_of(effect)) for effect in fitted.effects]
         for effect, own in named:
             if found.include_zero(effect, own):
-                found = short_of_limit(problem.fit, fitted, found, effect)
+                found = tightened_at_limit(problem.fit, fitted, found, effect)
             if found.include_zero(effect, own):
-                found = short_of_nothing(problem.fit, fitted, found, effect)
+                found = tightened_at_zero(problem.fit, fitted, found, effect)
         doubtful = [effect for effect, own in named if found.include_zero(effect, own)]
         if not doubtful:
             return best, widened(problem.fit, fitted, found)
@@ -355,7 +355,9 @@ def refit_without(
     effect: Effect, scored: ScoredFit, problem: GapProblem, scorer: Scorer
 ) -> ScoredFit:
     """Refit to ``problem.fit`` without one effect, with fresh sensitivities."""
-    return scorer.score(refined(fit_without(problem.fit, scored.fitted, effect), problem.fit))
+    return scorer.score(
+        with_new_jacobian(fit_without(problem.fit, scored.fitted, effect), problem.fit)
+    )
 
 
 def _among(some: Sequence[Effect], effects: Sequence[Effect]) -> bool:

@@ -69,8 +69,10 @@ class SearchResult:
         found: list[RankedHypothesis] = []
         first = 1
         for runs, named in self.parts:
-            louder = noise_ratio(runs.held_out, self.problem.held_out)
-            found += ranking_of(named, runs.search, runs.held_out, louder=louder, first=first)
+            noise_scale = noise_ratio(runs.held_out, self.problem.held_out)
+            found += ranking_of(
+                named, runs.search, runs.held_out, noise_scale=noise_scale, first=first
+            )
             first += len(named.steps) - 1
         return tuple(found)
 
@@ -107,7 +109,7 @@ def search(
 
     Parameters
     ----------
-    prepared : GapProblem
+    problem : GapProblem
         The runs.
     nuisance, sought, settings, say, earlier
         As of `loose_env.gap.selection.forward_selection.select_effects`, ``sought`` being its
@@ -146,7 +148,8 @@ def search(
         best = _scored_with(problem.search, problem.held_out, reweighted.search, named.best)
         if stops_leave(best):
             say("reweighting: the residual of the stops counts as noise")
-            reweighted, own = problem.louder(np.maximum(left(best), 1.0)), beside_stops(settings)
+            reweighted = problem.with_noise_scaled(np.maximum(left(best), 1.0))
+            own = beside_stops(settings)
         else:
             reweighted, own = problem, settings
         # any further effect changes the residual

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.data.noise_floor import noise_floor
-from loose_env.gap.data.smoothing import Motion, filled
+from loose_env.gap.data.smoothing import SmoothedMotion, filled
 from loose_env.typing import Array
 
 __all__ = ["ComparedTorques", "compared_torques"]
@@ -26,7 +26,7 @@ _MOVES = 10.0
 class ComparedTorques:
     """Measured torques of a run, as compared."""
 
-    motion: Motion
+    motion: SmoothedMotion
     measured: Array
     """Torques after the filter, NaN where they are not compared (T, C)."""
     floors: Array
@@ -36,7 +36,7 @@ class ComparedTorques:
 
 
 def compared_torques(
-    trial: Trial, motion: Motion, torques: Mapping[int, int], propagated: Array
+    trial: Trial, motion: SmoothedMotion, torques: Mapping[int, int], propagated: Array
 ) -> ComparedTorques:
     """Filter the torques of a run, leave out what is in doubt, and find their noise.
 
@@ -44,7 +44,7 @@ def compared_torques(
     ----------
     trial : Trial
         The run.
-    motion : Motion
+    motion : SmoothedMotion
         Its motion.
     torques : mapping
         Joints of the torque channels, by channel index.
@@ -69,14 +69,14 @@ def compared_torques(
     return ComparedTorques(motion=motion, measured=measured, floors=floors, torque=own)
 
 
-def _share_passed(motion: Motion) -> float:
+def _share_passed(motion: SmoothedMotion) -> float:
     """Share of white noise power that the filter passes."""
     impulse = np.zeros(min(len(motion.time), 4096))
     impulse[len(impulse) // 2] = 1.0
     return float(np.sum(motion.band.smooth(impulse) ** 2))
 
 
-def _directed(motion: Motion, joint: int) -> NDArray[np.bool_]:
+def _directed(motion: SmoothedMotion, joint: int) -> NDArray[np.bool_]:
     """Mask of known directions of a joint's motion (G,); all if it never moves."""
     speed, noise = np.abs(motion.speed[:, joint]), motion.noise[1, joint]
     if float(speed.max()) < _MOVES * noise:

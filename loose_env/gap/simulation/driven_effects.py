@@ -9,7 +9,7 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.data.smoothing import Motion
+from loose_env.gap.data.smoothing import SmoothedMotion
 from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -18,11 +18,11 @@ from loose_env.typing import Array
 __all__ = [
     "Driven",
     "Places",
-    "driven_alike",
+    "grouped_driven_effects",
     "has_feedback",
     "has_friction",
     "indices",
-    "rubbing",
+    "load_dependent_friction",
 ]
 
 Places = slice | NDArray[np.intp]
@@ -72,12 +72,12 @@ def has_feedback(effect: Effect) -> bool:
     return _is_driven(effect) and type(effect).feedback is not DrivenEffect.feedback
 
 
-def driven_alike(hypotheses: Sequence[Hypothesis]) -> list[tuple[Driven, Places]]:
+def grouped_driven_effects(hypotheses: Sequence[Hypothesis]) -> list[tuple[Driven, Places]]:
     """Driven effects of some simulations, with the indices of those on which they act.
 
     Examples
     --------
-    >>> driven_alike([Hypothesis()])  # nothing is driven
+    >>> grouped_driven_effects([Hypothesis()])  # nothing is driven
     []
     """
     each = [Driven.of(hypothesis) for hypothesis in hypotheses]
@@ -99,7 +99,9 @@ def indices(mask: Sequence[bool]) -> Places:
     return slice(None) if all(mask) else np.flatnonzero(mask)
 
 
-def rubbing(hypothesis: Hypothesis, motion: Motion, torque: Array, load: Array) -> Array:
+def load_dependent_friction(
+    hypothesis: Hypothesis, motion: SmoothedMotion, torque: Array, load: Array
+) -> Array:
     """Dry friction that depends on the torques of a measured motion (E, joints) [N·m, N].
 
     A drive gives what the rest of the model needs, ``torque`` (E, joints) at the compared points,

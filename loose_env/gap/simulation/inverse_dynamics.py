@@ -23,16 +23,16 @@ from mujoco.batch import Batch
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.noise_floor import noise_floor
-from loose_env.gap.data.smoothing import Motion, filled, smooth_motion, with_readings
+from loose_env.gap.data.smoothing import SmoothedMotion, filled, smooth_motion, with_readings
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.compared_torques import ComparedTorques, compared_torques
-from loose_env.gap.simulation.driven_effects import has_friction, rubbing
+from loose_env.gap.simulation.driven_effects import has_friction, load_dependent_friction
 from loose_env.gap.simulation.simulator import _layout
 from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
-from loose_env.gap.simulation.unmeasured_dofs import Drive
+from loose_env.gap.simulation.unmeasured_dofs import PrescribedMotionSimulator
 from loose_env.typing import Array
 
 __all__ = ["InverseDynamics"]
@@ -43,7 +43,7 @@ _REPEATS = 12
 _SEED = 20
 """Of the noise that is added to see what becomes of it."""
 _LONG_STEP = 2e-3
-"""Step of the lighter copy [s]: a fourteenth of the period of the stiffest spring from which fits
+"""Step of the cheaper copy [s]: a fourteenth of the period of the stiffest spring from which fits
 start."""
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
@@ -81,17 +81,19 @@ class InverseDynamics:
         self.simulated = 0
         self._batches: dict[tuple[object, ...], tuple[Batch, list[Array]]] = {}
         self.motions = [smooth_motion(trial, machine, channels) for trial in self.trials]
-        self._corrected: dict[object, list[Motion]] = {}
-        self._drive = Drive(machine, threads=threads)
+        self._corrected: dict[object, list[SmoothedMotion]] = {}
+        self._drive = PrescribedMotionSimulator(machine, threads=threads)
         self._exact = True
 
-    def lighter(self) -> InverseDynamics:
+    def with_longer_steps(self) -> InverseDynamics:
         """Copy that takes longer steps where there are unmeasured degrees of freedom.
 
         Their torques are corrected by what the steps change in the nominal model.
         """
         found = copy.copy(self)
-        found._drive = Drive(self.machine, threads=self.threads, step=_LONG_STEP)
+        found._drive = PrescribedMotionSimulator(
+            self.machine, threads=self.threads, step=_LONG_STEP
+        )
         found._exact, found.simulated = False, 0
         return found
 
@@ -151,7 +153,7 @@ class InverseDynamics:
         return self._change(Hypothesis(effects=(), values=()))
 
     @cached_property
-    def _noisier(self) -> list[Motion]:
+    def _noisier(self) -> list[SmoothedMotion]:
         """Motions with sensor noise added a second time."""
         found = []
         for number, (run, motion) in enumerate(zip(self.trials, self.motions, strict=True)):
@@ -213,7 +215,7 @@ class InverseDynamics:
             found.append(columns)
         return found
 
-    def _needed(self, hypothesis: Hypothesis, motions: list[Motion]) -> list[Array]:
+    def _needed(self, hypothesis: Hypothesis, motions: list[SmoothedMotion]) -> list[Array]:
         """Drive torques (E, joints) in each run."""
         # a drive's limit is an actuator's damping in MJCF, which a measured torque includes
         shown = [(effect, own) for effect, own in hypothesis.pairs if self.shows(effect)]
@@ -230,7 +232,10 @@ class InverseDynamics:
             found = [r + e for r, e in zip(rigid, extra, strict=True)]
         if any(map(has_friction, hypothesis.effects)):
             each = zip(found, self.motions, self._loads, strict=True)
-            found = [torque + rubbing(hypothesis, m, torque, load) for torque, m, load in each]
+            found = [
+                torque + load_dependent_friction(hypothesis, m, torque, load)
+                for torque, m, load in each
+            ]
         for effect, own in hypothesis.pairs:
             if type(effect).sensed_torque is Effect.sensed_torque:
                 continue
@@ -239,7 +244,7 @@ class InverseDynamics:
                     torque[:, joint] = effect.sensed_torque(name, torque[:, joint], own)
         return found
 
-    def _driven(self, hypothesis: Hypothesis, motion: Motion) -> Array:
+    def _driven(self, hypothesis: Hypothesis, motion: SmoothedMotion) -> Array:
         """Drive torques (E, joints) with unmeasured degrees of freedom."""
         return motion.band.smooth(self._drive.torque(hypothesis, motion))[motion.chosen]
 
@@ -257,7 +262,7 @@ class InverseDynamics:
         return [-bias for bias in self.rigid(model, self.motions, bias_only=True)]
 
     def rigid(
-        self, model: mujoco.MjModel, motions: list[Motion], *, bias_only: bool = False
+        self, model: mujoco.MjModel, motions: list[SmoothedMotion], *, bias_only: bool = False
     ) -> list[Array]:
         """Rigid-body term M a + bias - passive of all runs (E, joints) each, or the bias alone."""
         states = [m.states for m in motions]
@@ -281,14 +286,14 @@ class InverseDynamics:
             self._batches[key] = batch, fields
         return self._batches[key]
 
-    def _dry(self, hypothesis: Hypothesis, model: mujoco.MjModel, motion: Motion) -> Array:
+    def _dry(self, hypothesis: Hypothesis, model: mujoco.MjModel, motion: SmoothedMotion) -> Array:
         """Torques of dry friction, unmodelled drives and torque terms (E, joints)."""
         direction = np.tanh(motion.speed / np.maximum(motion.noise[1], 1e-12))
         found: Array = np.asarray(model.dof_frictionloss * direction)
         for effect, own in hypothesis.pairs:
-            if type(effect).unseen_torque is not Effect.unseen_torque:
+            if type(effect).passive_actuator_torque is not Effect.passive_actuator_torque:
                 joint = self.machine.joint_number(effect.where)
-                found[:, joint] += effect.unseen_torque(
+                found[:, joint] += effect.passive_actuator_torque(
                     motion.position[:, joint], motion.speed[:, joint], own
                 )
         if has_terms(hypothesis):
@@ -297,7 +302,7 @@ class InverseDynamics:
             return found[motion.chosen]
         return motion.band.smooth(found)[motion.chosen]
 
-    def _motions_for(self, hypothesis: Hypothesis) -> list[Motion]:
+    def _motions_for(self, hypothesis: Hypothesis) -> list[SmoothedMotion]:
         """Motions, corrected for a hypothesis' sensor effects."""
         reading = [
             (effect, values)
@@ -315,7 +320,7 @@ class InverseDynamics:
             ]
         return self._corrected[key]
 
-    def _corrected_motion(self, trial: int, reading: list[tuple[Effect, Array]]) -> Motion:
+    def _corrected_motion(self, trial: int, reading: list[tuple[Effect, Array]]) -> SmoothedMotion:
         """Invert the sensor effects on readings by fixed-point iteration."""
         run, motion, shown = self.trials[trial], self.motions[trial], self._shown[trial]
         there = shown
@@ -374,7 +379,7 @@ def _times(model: mujoco.MjModel, mass: Array, acceleration: Array) -> Array:
     return found
 
 
-def _moved(motion: Motion, kind: int, joint: int) -> Motion:
+def _moved(motion: SmoothedMotion, kind: int, joint: int) -> SmoothedMotion:
     """Perturb the motion of one joint by its noise in position, speed or acceleration."""
     parts = [motion.position, motion.speed, motion.acceleration]
     parts[kind] = parts[kind].copy()

@@ -15,7 +15,7 @@ from mujoco.batch import Batch
 
 from loose_env.gap.data.aligned_run import Channel
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.mjcf.sensor_columns import column_of, of_place_or_speed
+from loose_env.gap.model.effects.mjcf.sensor_columns import column_of, is_position_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.driven_effects import Driven
@@ -24,7 +24,6 @@ from loose_env.typing import Array
 
 __all__ = [
     "PARTS",
-    "STATES",
     "changes_within",
     "commands_at",
     "late_sensors",
@@ -36,8 +35,6 @@ __all__ = [
 PARTS = 2
 """Parts of a step where commands change within it: a mean moves the speed rightly, and the place
 only as far as the change lies in the middle."""
-STATES = ("qpos", "qvel", "act")
-"""What the state of a simulation consists of."""
 _AT_A_TIME = 1024
 """States at which sensors are worked out at a time."""
 
@@ -49,7 +46,7 @@ def changes_within(
 
     Positions and speeds follow the mean of a command.
     """
-    if all(of_place_or_speed(machine, channel.column) for channel in channels):
+    if all(is_position_or_speed(machine, channel.column) for channel in channels):
         return False
     return any(type(effect).command_at is not Effect.command_at for effect in hypothesis.stepping)
 
@@ -59,7 +56,7 @@ def late_sensors(hypothesis: Hypothesis, channels: Sequence[Channel]) -> dict[st
     shown = {channel.column for channel in channels}
     found: dict[str, float] = {}
     for effect, own in hypothesis.pairs:
-        late = effect.lateness(own)
+        late = effect.sensor_delay(own)
         if late is not None and late[1] > 0 and column_of(late[0]) in shown:
             found[late[0]] = found.get(late[0], 0.0) + late[1]
     return found

@@ -25,7 +25,6 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.sensor_timing import (
     PARTS,
-    STATES,
     changes_within,
     commands_at,
     late_sensors,
@@ -33,7 +32,7 @@ from loose_env.gap.simulation.sensor_timing import (
     states_before,
 )
 from loose_env.gap.simulation.time_step import stepped
-from loose_env.gap.simulation.torque_terms import BatchWithTerms, has_terms, with_terms
+from loose_env.gap.simulation.torque_terms import STATES, BatchWithTerms, has_terms, with_terms
 from loose_env.typing import Array
 
 __all__ = ["Simulator"]
@@ -140,7 +139,7 @@ class Simulator:
             *(
                 (id(effect), values.tobytes())
                 for effect, values in hypothesis.pairs
-                if effect.moves or effect.lateness(values) is not None
+                if effect.moves or effect.sensor_delay(values) is not None
             ),
             *(None if start is None else start.tobytes() for start in starts),
         )

@@ -28,7 +28,7 @@ def stepped(trial: Trial, machine: NominalModel, effects: Iterable[Effect]) -> T
     effects : iterable of Effect
         Effects of the hypothesis.
     """
-    if machine.uniform_steps or not any(effect.sharp for effect in effects):
+    if machine.uniform_steps or not any(effect.needs_fine_steps for effect in effects):
         return trial.coarser(machine.merged_steps)
     return (
         trial.coarser(machine.merged_steps // 2)
@@ -39,6 +39,6 @@ def stepped(trial: Trial, machine: NominalModel, effects: Iterable[Effect]) -> T
 
 def step_with(machine: NominalModel, effects: Iterable[Effect]) -> float:
     """Time step for a model with these effects, at most that of the machine [s]."""
-    step = machine.step or float(machine.model.opt.timestep)
-    sharp = any(effect.sharp for effect in effects)
-    return step / machine.substeps if sharp and machine.merged_steps == 1 else step
+    step = machine.time_step
+    needs_fine_steps = any(effect.needs_fine_steps for effect in effects)
+    return step / machine.substeps if needs_fine_steps and machine.merged_steps == 1 else step

@@ -27,7 +27,7 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.driven_effects import (
     Driven,
     Places,
-    driven_alike,
+    grouped_driven_effects,
     has_feedback,
     has_friction,
     indices,
@@ -35,6 +35,7 @@ from loose_env.gap.simulation.driven_effects import (
 from loose_env.typing import Array
 
 __all__ = [
+    "STATES",
     "BatchWithTerms",
     "has_terms",
     "torque_terms",
@@ -50,7 +51,8 @@ Row = tuple[Hypothesis, Places]
 _NODES = (0.5 + 0.5 / np.sqrt(3.0) * np.array([-1.0, 1.0]))[:, None, None]
 """Parts of a step at which a term is taken: Gauss's two nodes, whose mean is exact for a cubic."""
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
-_STATE = ("qpos", "qvel", "act")
+STATES = ("qpos", "qvel", "act")
+"""State of a simulation: positions, speeds and activations."""
 
 
 def has_terms(hypothesis: Hypothesis) -> bool:
@@ -186,11 +188,11 @@ class BatchWithTerms:
         fields = {name: batch.bind(name) for name in needed}
         commands, applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
         found = {name: np.empty((len(ids), count, *fields[name].shape[1:])) for name in record}
-        read = [name for name in record if name not in _STATE]
+        read = [name for name in record if name not in STATES]
         every = len(ids) == batch.nsim
         own, called = (slice(None), None) if every else (ids, ids)
         acting = (own, self._dofs) if every else (ids[:, None], self._dofs)
-        terms, driven = self._rows(ids), driven_alike([self.hypotheses[i] for i in ids])
+        terms, driven = self._rows(ids), grouped_driven_effects([self.hypotheses[i] for i in ids])
         warned = np.array(batch.warning[ids])
         models = batch.models if isinstance(batch.models, tuple) else (batch.model,)
         step = float(models[0].opt.timestep)

@@ -16,13 +16,13 @@ import numpy as np
 from mujoco.batch import Batch
 from scipy.interpolate import make_interp_spline
 
-from loose_env.gap.data.smoothing import Motion
+from loose_env.gap.data.smoothing import SmoothedMotion
 from loose_env.gap.model.hypothesis import Hypothesis, compiled
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.torque_terms import torque_terms
 from loose_env.typing import Array
 
-__all__ = ["Drive"]
+__all__ = ["PrescribedMotionSimulator"]
 
 
 _HEAVY = 1e5
@@ -37,7 +37,7 @@ _SLOW = 2 * np.pi * 2.0
 """Rate at which at least a joint that is not measured comes to rest by then [1/s]."""
 
 
-class Drive:
+class PrescribedMotionSimulator:
     """Drives the measured joints of a model along prescribed motions.
 
     Parameters
@@ -52,16 +52,16 @@ class Drive:
 
     def __init__(self, machine: NominalModel, *, threads: int = 0, step: float = 0.0) -> None:
         self.machine, self.threads = machine, threads
-        self.step = step or machine.step or float(machine.model.opt.timestep)
+        self.step = step or machine.time_step
 
-    def torque(self, hypothesis: Hypothesis, motion: Motion) -> Array:
+    def torque(self, hypothesis: Hypothesis, motion: SmoothedMotion) -> Array:
         """Drive torques of the measured joints, on the motion's grid (G, joints) [N·m, N].
 
         Parameters
         ----------
         hypothesis : Hypothesis
             Hypothesis whose model is driven.
-        motion : Motion
+        motion : SmoothedMotion
             Motion of the measured joints.
         """
         joints = self.machine.joints

@@ -21,7 +21,7 @@ from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.evidence_schema import Identifiability, Location, ResidualTest
 from loose_env.gap.output.export_check import Exported, exported
-from loose_env.gap.residuals.preparation.integrator_choice import corrected_step_words
+from loose_env.gap.residuals.preparation.integrator_choice import corrected_step_notes
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.workflow.pipeline import GapSolution
 from loose_env.typing import Array
@@ -36,7 +36,7 @@ class ResidualDiagnostics:
     """Evidence shown beside the verdict of a comparison."""
 
     held_out_motions: tuple[JointMotion, ...] = ()
-    """Residual size on the held-out runs."""
+    """Motion of each held-out run."""
     location: Location = field(default_factory=Location)
     """Localised residual of the nominal model, on all runs."""
     before: tuple[HorizonError, ...] = ()
@@ -63,15 +63,15 @@ def diagnose_residuals(solution: GapSolution, *, say: Say = lambda _: None) -> R
     """Localise the residual, compute open-loop errors, and test for whiteness."""
     say("localising the residual")
     problem, base, best = solution.problem, solution.base, solution.best
-    machine, motions, impact_fit = _fitted_nominal(solution), {}, {}
+    machine, motions, features = _fitted_nominal(solution), {}, {}
     before, corrected, held = solution.nominal, solution.corrected, problem.held_out_whole
     for name, comparison in (("fit", problem.fit), ("held", held)):
         motions[name] = tuple(
             joint_motion(machine, trial, comparison.channels, comparison.floors)
             for trial in comparison.trials
         )
-        impact_fit[name] = feature_channels(comparison, before, motions[name])
-    struck_after = feature_channels(held, corrected, motions["held"])
+        features[name] = feature_channels(comparison, before, motions[name])
+    features_after = feature_channels(held, corrected, motions["held"])
     parts = [
         _located(problem.fit, base.fitted.residual, motions["fit"]),
         _located(held, base.held_out_residual, motions["held"]),
@@ -107,7 +107,7 @@ def diagnose_residuals(solution: GapSolution, *, say: Say = lambda _: None) -> R
         location=Location(
             channels=(
                 *(gap for part in parts for gap in part.channels),
-                *(each.gap for many in impact_fit.values() for each in many),
+                *(each.gap for many in features.values() for each in many),
             ),
             joints=tuple(gap for part in parts for gap in part.joints),
         ),
@@ -117,22 +117,22 @@ def diagnose_residuals(solution: GapSolution, *, say: Say = lambda _: None) -> R
             *residual_tests(
                 best.held_out_residual, held.rows, held.trials, held.channels, motions["held"]
             ),
-            *feature_tests(struck_after),
+            *feature_tests(features_after),
         ),
         remaining_location=Location(
             channels=(
                 *(gap for part in left for gap in part.channels),
-                *(each.gap for each in (*features_fit, *struck_after)),
+                *(each.gap for each in (*features_fit, *features_after)),
             ),
             joints=tuple(gap for part in left for gap in part.joints),
         ),
-        features_before=tuple(impact_fit["held"]),
-        features_after=tuple(struck_after),
+        features_before=tuple(features["held"]),
+        features_after=tuple(features_after),
         identifiability=shown,
         exported=own,
         warnings=(
-            *corrected_step_words(held, corrected),
-            *own.words(),
+            *corrected_step_notes(held, corrected),
+            *own.notes(),
         ),
     )
 

@@ -26,7 +26,7 @@ from loose_env.typing import Array
 
 __all__ = ["choose_next", "separating"]
 
-_NEAR = 2
+_RANKED_RIVALS = 2
 """Candidates of a step of the ranking that are looked at beside its winner."""
 
 
@@ -72,20 +72,20 @@ def choose_next(
         return None
     chosen = choose_motion(comparison, hypotheses, settings, say=say)
     if chosen is None:
-        names = " and ".join(f"{p.words}" for p in hypotheses.pairs)
+        names = " and ".join(f"{p.description}" for p in hypotheses.pairs)
         say(f"next motion: none separates {names} at the values that fit these runs")
     return chosen
 
 
 def separating(motion: NextMotionSummary | None) -> Callable[[str, str], str | None]:
-    """Words on a motion for a pair of effects, as `identifiability_words` takes them."""
+    """Words on a motion for a pair of effects, as `identifiability_notes` takes them."""
 
     def words(one: str, other: str) -> str | None:
         nats = None if motion is None else motion.gain_of(one, other)
         if motion is None or nats is None:
             return None
         what = "show it" if one == NOTHING else "separate them"
-        return f"run {motion.file_words}: expected to {what} by {nats:.0f} nats"
+        return f"run {motion.file_description}: expected to {what} by {nats:.0f} nats"
 
     return words
 
@@ -145,5 +145,5 @@ def _near(solution: GapSolution) -> list[tuple[Place, Place]]:
         if winner is None:
             continue
         near = [e for e in own if e is not winner and e.held_out <= WORSE * winner.held_out]
-        found += [((winner.kind, winner.where), (e.kind, e.where)) for e in near[:_NEAR]]
+        found += [((winner.kind, winner.where), (e.kind, e.where)) for e in near[:_RANKED_RIVALS]]
     return found

@@ -14,7 +14,7 @@ from loose_env.gap.fitting.confidence_intervals import Intervals
 from loose_env.gap.fitting.gauss_newton import Fit, fit
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, explained_share
 from loose_env.gap.fitting.model_structure import Nuisance, initial_states_of, nuisance_of
-from loose_env.gap.fitting.refit import settled
+from loose_env.gap.fitting.refit import converged_with_short_steps
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import Parameter
@@ -138,13 +138,15 @@ def _solved(problem: GapProblem, say: Say, stages: Stage, earlier: GapResult | N
     settings, machine = problem.settings, problem.machine
     nuisance = nuisance_of(problem.search, tolerance=settings.tolerance)
     sought = problem.sought
-    naming = SearchSettings(most_effects=settings.most_effects)
+    search_settings = SearchSettings(most_effects=settings.most_effects)
 
     def keep(prefix: str, nuisance: Nuisance = nuisance) -> StepStore:
         return StepStore() if stages is fresh else StepFiles(stages, machine, nuisance, prefix)
 
     before = () if earlier is None else _earlier_effects(problem, earlier)
-    found = search(problem, nuisance, sought, settings=naming, say=say, keep=keep, earlier=before)
+    found = search(
+        problem, nuisance, sought, settings=search_settings, say=say, keep=keep, earlier=before
+    )
     reweighted, base, best = found.reweighted, found.base, found.best
     whole, scorer = (Scorer(runs.fit, runs.held_out_whole) for runs in (problem, reweighted))
     if problem.fit is not problem.search or problem.held_out is not problem.held_out_whole:
@@ -161,7 +163,10 @@ def _solved(problem: GapProblem, say: Say, stages: Stage, earlier: GapResult | N
             best = base
     if have_stops(best.fitted.effects):
         stops, kept = best, keep("", best.fitted.structure.nuisance)
-        best = kept.scored("settled", lambda: scorer.score(settled(reweighted.fit, stops.fitted)))
+        best = kept.scored(
+            "settled",
+            lambda: scorer.score(converged_with_short_steps(reweighted.fit, stops.fitted)),
+        )
     best, intervals = drop_insignificant(best, reweighted, scorer, settings.seed, say=say)
     fitted, alike = best, found.reweighted_base(base)
 
@@ -203,7 +208,7 @@ def _solved(problem: GapProblem, say: Say, stages: Stage, earlier: GapResult | N
         effects=tuple(e for e in effects if (e.kind, e.where) in keys),
         doubtful=tuple(e for e in effects if (e.kind, e.where) not in keys),
         ranking=found.ranking,
-        warnings=(*problem.warnings, *([] if impact_fit is None else [impact_fit.words])),
+        warnings=(*problem.warnings, *([] if impact_fit is None else [impact_fit.description])),
     )
 
 
@@ -234,10 +239,14 @@ def _untenable(
     worse = worse_quantity(scorer.held_out, best, base)
     if worse:
         return best.fitted.effects[-1], f"the {worse} is predicted worse than by the nominal model"
-    idle = [effect for effect in best.fitted.effects if not significant(deletions[effect.key])]
-    if not idle:
+    insignificant = [
+        effect for effect in best.fitted.effects if not significant(deletions[effect.key])
+    ]
+    if not insignificant:
         return None
-    weakest = min(idle, key=lambda e: deletions[e.key].held_out_z + deletions[e.key].training_z)
+    weakest = min(
+        insignificant, key=lambda e: deletions[e.key].held_out_z + deletions[e.key].training_z
+    )
     return weakest, "not needed beside the others"
 
 

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 
 from loose_env.arms import quiet
 from loose_env.gap.diagnostics.joint_torque_residual import joint_motion
-from loose_env.gap.diagnostics.localisation import locate, location_words
+from loose_env.gap.diagnostics.localisation import locate, location_notes
 from loose_env.gap.fitting.holdout_score import ScoredFit
 from loose_env.gap.fitting.model_structure import nuisance_of
 from loose_env.gap.output.result import EffectLocation
@@ -42,7 +42,7 @@ class QuickCandidate:
     units: tuple[Mapping[str, str], ...]
     """Units of these."""
     explained: float
-    """Share of what hangs together in the residual that it explains, held-out windows included."""
+    """Share of the autocorrelated residual that it explains, held-out windows included."""
     held_out_z: float
     """Improvement (z) on the held-out windows."""
     held_out: float
@@ -150,4 +150,4 @@ def _where(problem: GapProblem, base: ScoredFit) -> tuple[str, ...]:
     residual = runs.residuals([base.fitted.hypothesis.of_model])[0]
     motions = [joint_motion(problem.machine, t, runs.channels, runs.floors) for t in runs.trials]
     found = locate(residual, runs.rows, runs.trials, runs.channels, motions)
-    return tuple(location_words(found, most=2))
+    return tuple(location_notes(found, most=2))

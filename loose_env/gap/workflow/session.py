@@ -20,7 +20,7 @@ from loose_env.gap.fitting.confidence_intervals import bootstrap, widened
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure, nuisance_of
-from loose_env.gap.fitting.refit import polished, refined
+from loose_env.gap.fitting.refit import refit_with_new_jacobian, with_new_jacobian
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import NominalModel
@@ -31,8 +31,8 @@ from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits
-from loose_env.gap.selection.screening.data_driven_starts import missing_torque, proposals
-from loose_env.gap.selection.screening.screening import Screened, screen
+from loose_env.gap.selection.screening.data_driven_starts import proposals, residual_torque
+from loose_env.gap.selection.screening.screening import ScreenedCandidate, screen
 from loose_env.gap.settings import (
     SCREENING_S,
     GapSettings,
@@ -42,7 +42,7 @@ from loose_env.gap.workflow.pipeline import named_effects
 from loose_env.recording import Recording
 from loose_env.typing import Array
 
-__all__ = ["GapSession", "MissingTorque", "TriedEffect"]
+__all__ = ["GapSession", "ResidualTorque", "TriedEffect"]
 
 Say = Callable[[str], None]
 
@@ -63,8 +63,8 @@ class TriedEffect:
     """Improvement (z) over the model without it, and the explained share."""
     accepted: bool
     """Whether the search would name it: surely ahead, by enough, and not by a limit or by noise.
-    Beside a part that strikes its stops the search takes what these leave as noise, and may name
-    what is hidden by that here."""
+    Beside a part with impacts against its stops the search takes what these leave as noise, and
+    may name what is hidden by that here."""
     scored: ScoredFit = field(repr=False)
     """The scored fit."""
 
@@ -96,7 +96,7 @@ class TriedEffect:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MissingTorque:
+class ResidualTorque:
     """Residual torque of one joint, at samples of all runs with commands."""
 
     position: Array
@@ -123,7 +123,7 @@ class GapSession:
 
     Attributes
     ----------
-    prepared : GapProblem
+    problem : GapProblem
         Aligned and split runs, the chosen step, the noise.
     nominal : ScoredFit
         The nominal model, fitted within the tolerance.
@@ -182,8 +182,8 @@ class GapSession:
             search = self.problem.search
             tolerance = self.settings.tolerance
             nominal = ModelStructure(nuisance=nuisance_of(search, tolerance=tolerance))
-            self._judge = Scorer(search, self.problem.held_out_whole)
-            self.nominal = self._judge.score(fit(search, nominal, nominal.nominal_start))
+            self._scorer = Scorer(search, self.problem.held_out_whole)
+            self.nominal = self._scorer.score(fit(search, nominal, nominal.nominal_start))
         self.best = self.nominal
         say(f"nominal model: {self.nominal.held_out_rms:.2f} noise standard deviations held out")
 
@@ -212,7 +212,7 @@ class GapSession:
             One of `machine`, or a class, or the identifier of one in the catalogue; it need not be
             registered.
         where : str, optional
-            Location of a class or an identifier: one of its `places`.
+            Location of a class or an identifier: one of its `locations`.
         start : sequence of float, optional
             Starting values of the fit; by default the best of its own by screening.
 
@@ -229,11 +229,11 @@ class GapSession:
         found, search = self._not_added(self._effects(effect, where)), self.problem.search
         with quiet():
             short = windowed(search, SCREENING_S)
-            candidate_fits = CandidateFits(search, short, self._judge, self.best)
-            screened: list[Screened]
+            candidate_fits = CandidateFits(search, short, self._scorer, self.best)
+            screened: list[ScreenedCandidate]
             if start is not None:
                 values = tuple(float(v) for v in start)
-                screened = [Screened(effect=found[0], values=values, predicted=1.0, z=1.0)]
+                screened = [ScreenedCandidate(effect=found[0], values=values, predicted=1.0, z=1.0)]
             else:
                 proposed = proposals(search, self.best.fitted.hypothesis, found)
                 screened = screen(short, candidate_fits.windows.before, found, proposed=proposed)[
@@ -242,7 +242,7 @@ class GapSession:
             fits = candidate_fits.fit_candidates(screened)
             if not fits:
                 raise InvalidData(f"{found[0]!r} changes nothing that was measured, from any start")
-            tried = self._tried(self._judge.score(polished(search, fits[0].fitted)))
+            tried = self._tried(self._scorer.score(refit_with_new_jacobian(search, fits[0].fitted)))
         self.say(str(tried))
         return tried
 
@@ -268,7 +268,7 @@ class GapSession:
         found = series_of(self.best.held_out_residual, held.rows, held.trials, held.channels)
         return tuple(found)
 
-    def missing_torque(self, joint: str) -> MissingTorque:
+    def residual_torque(self, joint: str) -> ResidualTorque:
         """Return the residual torque of a joint in the runs with commands, for plotting.
 
         Against position it shows springs and cogging, against speed friction. It is smoothed like
@@ -284,11 +284,11 @@ class GapSession:
         if joint not in self.machine.joints:
             raise UnknownName(f"the model has no joint {joint!r}; it has {self.machine.joints}")
         number = self.machine.joint_number(joint)
-        found = missing_torque(self.problem.search, self.best.fitted.hypothesis)
+        found = residual_torque(self.problem.search, self.best.fitted.hypothesis)
         if found is None:
             raise InvalidData("no run has commands and is long enough for a torque that is missing")
         position, speed, acceleration, torque, _ = (part[:, number] for part in found)
-        return MissingTorque(
+        return ResidualTorque(
             position=position, speed=speed, acceleration=acceleration, torque=torque
         )
 
@@ -296,7 +296,7 @@ class GapSession:
         """Added effects with 95 % intervals, in the form of a result."""
         search = self.problem.search
         with quiet():
-            fitted = refined(self.best.fitted, search)
+            fitted = with_new_jacobian(self.best.fitted, search)
             rng = np.random.default_rng(self.settings.seed)
             intervals = widened(search, fitted, bootstrap(search, fitted, rng))
         return named_effects(fitted, intervals)
@@ -316,7 +316,7 @@ class GapSession:
         """
         corrected = self.best.fitted.hypothesis.of_model
         own = exported(self.problem.held_out_whole, corrected, self.best.held_out_residual)
-        for words in own.words():
+        for words in own.notes():
             self.say(f"warning: {words}")
         return write_model(
             Path(path),
@@ -337,10 +337,10 @@ class GapSession:
                 raise UnknownName(f"unknown effect {effect!r}; the catalogue has {list(CATALOGUE)}")
             effect = CATALOGUE[effect]
         if where is None:
-            places = list(effect.places(self.machine))
-            raise InvalidSetting(f"{effect.kind} needs a location, one of {places}")
+            locations = list(effect.locations(self.machine))
+            raise InvalidSetting(f"{effect.kind} needs a location, one of {locations}")
         effect(self.machine, where)  # raises for other locations
-        forms = effect.forms(self.machine, where)
+        forms = effect.variants_at(self.machine, where)
         return [effect(self.machine, where, variant) for variant in forms]
 
     def _not_added(self, effects: list[Effect]) -> list[Effect]:
@@ -356,7 +356,7 @@ class GapSession:
 
     def _tried(self, scored: ScoredFit) -> TriedEffect:
         fitted, search = scored.fitted, self.problem.search
-        acceptance = Acceptance(search, self._judge, self.nominal, self.best, SearchSettings())
+        acceptance = Acceptance(search, self._scorer, self.nominal, self.best, SearchSettings())
         effect, values = fitted.hypothesis.pairs[-1]
         return TriedEffect(
             effect=effect,

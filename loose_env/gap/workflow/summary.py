@@ -10,9 +10,9 @@ import numpy as np
 
 from loose_env.errors import InvalidData
 from loose_env.gap.data.measured_runs import file_of
-from loose_env.gap.diagnostics.experiment_advice import identifiability_words
-from loose_env.gap.diagnostics.localisation import location_words
-from loose_env.gap.diagnostics.remaining_error import remaining_words
+from loose_env.gap.diagnostics.experiment_advice import identifiability_notes
+from loose_env.gap.diagnostics.localisation import location_notes
+from loose_env.gap.diagnostics.remaining_error import remaining_notes
 from loose_env.gap.experiment_design.next_motion import (
     NEXT_MOTION,
     NextMotionSettings,
@@ -24,7 +24,7 @@ from loose_env.gap.output.evidence_schema import Identifiability
 from loose_env.gap.output.export_mjcf import (
     correction_code,
     model_notes,
-    unnamed_words,
+    unnamed_notes,
     write_model,
 )
 from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEffect
@@ -76,7 +76,7 @@ def result_of(
         verdict=solution.verdict,
         gap=gap,
         effects=tuple(
-            with_probability(_with_alike(e, evidence.identifiability), gap)
+            with_probability(_with_confusable(e, evidence.identifiability), gap)
             for e in solution.effects
         ),
         doubtful=tuple(with_probability(e, gap) for e in solution.doubtful),
@@ -86,14 +86,14 @@ def result_of(
         nominal_parameters=solution.corrected.nominal_factors,
         location=evidence.location,
         location_words=tuple(
-            location_words(evidence.remaining_location, most=2, always=True)
+            location_notes(evidence.remaining_location, most=2, always=True)
             if unexplained
-            else location_words(evidence.location, most=2)
+            else location_notes(evidence.location, most=2)
         ),
         remaining=()
         if solution.verdict == "no_gap"
         else tuple(
-            remaining_words(
+            remaining_notes(
                 base,
                 best,
                 evidence.remaining_location,
@@ -109,9 +109,9 @@ def result_of(
         identifiability=evidence.identifiability,
         warnings=(
             *solution.warnings,
-            *unnamed_words(solution.unnamed.pairs),
+            *unnamed_notes(solution.unnamed.pairs),
             *evidence.warnings,
-            *identifiability_words(evidence.identifiability, separating(motion)),
+            *identifiability_notes(evidence.identifiability, separating(motion)),
         ),
         preflight=solution.preflight,
         settings=asdict(problem.settings),
@@ -124,7 +124,7 @@ def _by_channel(
     """Residual by channel before and after; in features for runs compared by them."""
     held, found = solution.problem.held_out_whole, {}
     for c, channel in enumerate(held.channels):
-        own = (held.rows.channel == c) & ~held.rows.white
+        own = (held.rows.channel == c) & ~held.rows.is_feature
         parts = [
             np.concatenate(
                 [residual[own], *(s.features for s in many if s.gap.channel == channel.name)]
@@ -139,7 +139,7 @@ def _by_channel(
     return found
 
 
-def _with_alike(effect: NamedEffect, found: Identifiability) -> NamedEffect:
+def _with_confusable(effect: NamedEffect, found: Identifiability) -> NamedEffect:
     """Add the confusable effects of an identified effect, beside those of the fit."""
     others = [
         EffectLocation(kind=pair.other_kind, where=pair.other_where)

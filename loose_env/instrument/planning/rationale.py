@@ -37,7 +37,7 @@ def expected_directions(
 
     Parameters
     ----------
-    arm : Arm
+    nominal : Arm
         The nominal arm.
     known : Known
         Directions that were seen so far.

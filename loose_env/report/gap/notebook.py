@@ -6,7 +6,7 @@ from html import escape
 from math import log1p
 
 from loose_env.envs import palette as ink
-from loose_env.gap import NOISE_RMS, GapResult, NamedEffect, quantity_words
+from loose_env.gap import NOISE_RMS, GapResult, NamedEffect, quantity_notes
 from loose_env.io import sentence
 from loose_env.report.gap.effects import effect_words, rivals_words
 from loose_env.report.gap.text import headline
@@ -52,7 +52,7 @@ def gap_text(result: GapResult, *, warnings: bool = True) -> str:
         lines += [f"  {line}" for line in aligned([_EFFECTS, *rows])]
     residual = [(name, f"{value:.2f}") for name, value in _residual(result)]
     lines += [f"  {line}" for line in aligned([_RESIDUAL, *residual])]
-    lines += [f"  {words}" for words in quantity_words(result.gap.by_quantity)]
+    lines += [f"  {words}" for words in quantity_notes(result.gap.by_quantity)]
     lines += [f"remaining: {words}" for words in _remaining(result)]
     if warnings:
         lines += [f"{severity}: {sentence(words)}" for severity, words in result.graded_warnings]
@@ -75,7 +75,7 @@ def gap_html(result: GapResult) -> str:
             cells_table(_EFFECTS, rows),
             cells_table((_RESIDUAL[0], "logarithmic", _RESIDUAL[1]), residual, markup=(1,)),
             bullets("Location of the residual", _where(result)),
-            bullets("In physical units", quantity_words(result.gap.by_quantity)),
+            bullets("In physical units", quantity_notes(result.gap.by_quantity)),
             bullets("Remaining", _remaining(result)),
             bullets("Warnings", [sentence(words) for _, words in result.graded_warnings]),
         ]

@@ -18,7 +18,7 @@ from loose_env.gap import (
     RankedHypothesis,
     how_to_see,
     how_to_separate,
-    quantity_words,
+    quantity_notes,
 )
 from loose_env.io import begun, duration_words
 from loose_env.report.gap.effects import RIVALS, effect_words, kind_words, rivals_words
@@ -155,7 +155,7 @@ def size_words(result: GapResult) -> list[str]:
         left += " It is reduced, not eliminated: see the remaining residual."
     else:
         left += " Most of it remains."
-    in_units = quantity_words(gap.by_quantity)
+    in_units = quantity_notes(gap.by_quantity)
     return [said + left, *(f"{words[0].upper()}{words[1:]}." for words in in_units)]
 
 

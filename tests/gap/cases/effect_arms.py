@@ -167,7 +167,7 @@ def with_effect(machine: NominalModel, effect: Effect, values: Array) -> Reading
     time = clock(machine)
     controls = effect.command(time, commands(machine, time), values)
     readings = effect.read(time, simulate(spec.compile(), controls, effect, values), values)
-    late = effect.lateness(values)
+    late = effect.sensor_delay(values)
     if late is None:
         return readings
     # these commands are smooth, so that a reading may be drawn out of its samples

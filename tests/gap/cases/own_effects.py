@@ -15,7 +15,7 @@ class OneTerm(JointEffect):
     """A term at one joint, of its own position and speed."""
 
     in_model = False
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

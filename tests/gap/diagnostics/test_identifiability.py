@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.data.aligned_run import Channel, align_run
-from loose_env.gap.diagnostics.experiment_advice import how_to_see, identifiability_words
+from loose_env.gap.diagnostics.experiment_advice import how_to_see, identifiability_notes
 from loose_env.gap.diagnostics.identifiability import identifiability
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
@@ -71,7 +71,7 @@ def test_a_joint_that_turns_round_shows_its_friction_and_one_that_stands_does_no
     drag = [each for each in slow.unidentifiable if each.kind == "quadratic_drag"]
     assert {each.where for each in drag} >= {"joint2", "joint3"}
     assert all(each.z < 5 and (each.additional_s is None or each.additional_s > 0) for each in drag)
-    words = [w for w in identifiability_words(slow) if "quadratic_drag" in w]
+    words = [w for w in identifiability_notes(slow) if "quadratic_drag" in w]
     assert len(words) == 1 and how_to_see("quadratic_drag") in words[0]
 
 
@@ -89,7 +89,7 @@ def test_effects_that_do_the_same_are_alike_and_more_of_the_same_is_no_help() ->
     (pair,) = [p for p in found.confusable if p.kind == "base_tilt"]
     assert (pair.other_kind, pair.other_where) == ("encoder_offset", "joint1")
     assert pair.z < 5 and pair.additional_s is None
-    (words,) = [w for w in identifiability_words(found) if "do not tell" in w]
+    (words,) = [w for w in identifiability_notes(found) if "do not tell" in w]
     assert "spirit level" in words
 
 

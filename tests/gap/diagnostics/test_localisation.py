@@ -6,7 +6,7 @@ import pytest
 
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
-from loose_env.gap.diagnostics.localisation import locate, location_words, main_band, strongest
+from loose_env.gap.diagnostics.localisation import locate, location_notes, main_band, strongest
 from loose_env.gap.diagnostics.regressors import REGRESSORS, binned, dependence, direction_of
 from loose_env.gap.diagnostics.residual_spectra import band_edges, density, series_of, spectrum
 from loose_env.gap.diagnostics.residual_tests import residual_tests
@@ -51,8 +51,9 @@ def rows_of(runs: int = 1) -> Rows:
     sample = sample.ravel()
     block = (sample / RATE // 0.5).astype(int) + 100 * trial.ravel()
     return Rows(
-        trial=trial.ravel(), channel=channel.ravel(), sample=sample, place=sample, block=block,
-        shaken=np.zeros(sample.size, dtype=bool), white=np.zeros(sample.size, dtype=bool),
+        trial=trial.ravel(), channel=channel.ravel(), sample=sample, index=sample, block=block,
+        random_excitation=np.zeros(sample.size, dtype=bool),
+        is_feature=np.zeros(sample.size, dtype=bool),
         inverse=np.zeros(sample.size, dtype=bool),
     )  # fmt: skip
 
@@ -87,7 +88,7 @@ def test_noise_is_at_its_floor_at_every_frequency_and_goes_with_nothing() -> Non
         wide = [band for band in gap.bands if band.high > 3]
         assert all(0.8 < band.rms < 1.2 for band in wide)
         assert sum(band.share for band in gap.bands) == pytest.approx(1)
-    assert location_words(location) == []
+    assert location_notes(location) == []
 
 
 @pytest.mark.parametrize(
@@ -116,7 +117,7 @@ def test_a_resonance_is_found_in_its_band_and_named_in_words() -> None:
     )
     band = main_band(gap.channels[0])
     assert band is not None and (band.low, band.high) == (30.0, 100.0)
-    words = location_words(gap)
+    words = location_notes(gap)
     assert len(words) == 1
     assert (
         words[0].startswith("sensor.q has a residual of up to 4.")
@@ -125,7 +126,7 @@ def test_a_resonance_is_found_in_its_band_and_named_in_words() -> None:
 
 
 def test_a_constant_is_called_constant() -> None:
-    said = location_words(
+    said = location_notes(
         locate(residual(np.full(COUNT, 9.0)), rows_of(), [trial_of()], CHANNELS, [motion()])
     )
     assert "almost constant" in said[0]
@@ -137,7 +138,7 @@ def test_the_worst_run_speaks_for_a_channel() -> None:
         both, rows_of(2), [trial_of(), trial_of("run-02.csv")], CHANNELS, [motion(), motion()]
     )
     assert len(location.channels) == 4
-    assert "(run-02.csv)" in location_words(location)[0]
+    assert "(run-02.csv)" in location_notes(location)[0]
 
 
 FAINT = 0.25 * np.sign(SPEED)
@@ -149,7 +150,7 @@ def test_a_gap_that_is_hardly_larger_than_the_noise_is_told_of_where_it_hangs_to
     gap = location.channels[0]
     assert gap.rms < 1.1 and gap.autocorrelation_z > 4
     assert gap.autocorrelated_rms == pytest.approx(0.25, rel=0.2)
-    (words,) = location_words(location)
+    (words,) = location_notes(location)
     assert words.startswith("sensor.q has a residual of about its noise")
     assert "direction of turn" in words and "run-01.csv" in words and "Hz" in words
 
@@ -172,8 +173,8 @@ def test_something_known_to_disagree_is_always_given_a_place() -> None:
         autocorrelated_rms=0.3,
     )  # fmt: skip
     location = Location(channels=(faint,))
-    assert location_words(location) == []
-    (words,) = location_words(location, always=True)
+    assert location_notes(location) == []
+    (words,) = location_notes(location, always=True)
     assert "sensor.q" in words and "0 and 1 Hz" in words
     assert "no significant dependence on position, velocity, direction, acceleration, load" in words
 
@@ -233,8 +234,8 @@ def test_dry_friction_shows_as_torque_that_goes_with_the_direction() -> None:
     assert found is not None and found.regressor == "direction"
     assert gap.residual == pytest.approx(0.8, rel=0.1)
     assert (
-        "turn has a residual torque of 0.7" in location_words(location)[0]
-        and "N·m" in location_words(location)[0]
+        "turn has a residual torque of 0.7" in location_notes(location)[0]
+        and "N·m" in location_notes(location)[0]
     )
 
 

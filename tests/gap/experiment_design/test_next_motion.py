@@ -25,7 +25,7 @@ from loose_env.gap.experiment_design.next_motion import (
 from loose_env.gap.experiment_design.next_motion.expected_gain import GainModel
 from loose_env.gap.experiment_design.next_motion.limits import limits_of
 from loose_env.gap.experiment_design.next_motion.motion_trials import MotionRuns, drive_of
-from loose_env.gap.fitting.refit import refined
+from loose_env.gap.fitting.refit import with_new_jacobian
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
@@ -94,7 +94,7 @@ def comparison() -> ResidualModel:
 
 @pytest.fixture(scope="module")
 def hypotheses(comparison: ResidualModel) -> Hypotheses:
-    best = refined(stated(comparison, [EFFECT], [np.array([1.0])]), comparison)
+    best = with_new_jacobian(stated(comparison, [EFFECT], [np.array([1.0])]), comparison)
     return open_hypotheses(comparison, best, [((EFFECT.kind, EFFECT.where), RIVALS)])
 
 
@@ -114,7 +114,7 @@ def chosen(comparison: ResidualModel, hypotheses: Hypotheses) -> NextMotion:
 
 def test_the_pair_is_open_before_the_motion(hypotheses: Hypotheses) -> None:
     (pair,) = hypotheses.pairs
-    assert pair.words == "viscous_friction at elbow from coulomb_friction at elbow"
+    assert pair.description == "viscous_friction at elbow from coulomb_friction at elbow"
     assert pair.nats < 5
 
 
@@ -136,7 +136,7 @@ def test_the_expected_gain_comes_true(
         MACHINE, [*comparison.trials, *recorded(commands).trials], CHANNELS, comparison.floors,
         threads=1,
     )  # fmt: skip
-    best = refined(stated(both, [EFFECT], [np.array([1.0])]), both)
+    best = with_new_jacobian(stated(both, [EFFECT], [np.array([1.0])]), both)
     after = open_hypotheses(both, best, [((EFFECT.kind, EFFECT.where), RIVALS)])
     (before,), (now,) = hypotheses.pairs, after.decided
     expected = chosen.gains[0].if_effect_nats

@@ -67,12 +67,12 @@ def test_an_interval_that_reaches_the_limit_of_an_effect_includes_nothing(
     middle = np.array([np.sqrt(p.low * p.high) if p.log else 0.5 * (p.low + p.high)
                        for p in parameters])  # fmt: skip
     low, high = 0.9 * middle, 1.1 * middle
-    assert not effect.vanishes(low, high)
+    assert not effect.interval_includes_null(low, high)
     if end == "high":
         high[number] = parameters[number].high
     else:
         low[number] = parameters[number].low
-    assert effect.vanishes(low, high)
+    assert effect.interval_includes_null(low, high)
 
 
 def fit_of(effect: Effect, free: np.ndarray, residual: np.ndarray) -> Fit:

@@ -7,7 +7,7 @@ import pytest
 
 from loose_env.gap.fitting.confidence_intervals import Intervals
 from loose_env.gap.fitting.holdout_score import ScoredFit
-from loose_env.gap.fitting.profile_bounds import short_of_limit, short_of_nothing
+from loose_env.gap.fitting.profile_bounds import tightened_at_limit, tightened_at_zero
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.parameter import values_of
@@ -49,7 +49,7 @@ def test_an_interval_ends_short_of_a_limit_that_is_refuted(
     fitted, effect = scored.fitted, scored.fitted.effects[-1]
     own, wide = fitted.structure.slices[-1], to_the_limit(scored)
     assert wide.include_zero(effect, own)
-    found = short_of_limit(case.comparison, fitted, wide, effect)
+    found = tightened_at_limit(case.comparison, fitted, wide, effect)
     assert found.include_zero(effect, own) is not refuted
     values = values_of(effect.parameters, fitted.free[own])
     assert np.all(found.low[own] <= values)
@@ -74,7 +74,7 @@ def test_beside_stops_an_interval_ends_short_of_nothing_where_that_is_refuted(ca
         scored = case.fitted(named)
         fitted, effect = scored.fitted, scored.fitted.effects[-1]
         own, wide = fitted.structure.slices[-1], to_the_limit(scored)
-        found = short_of_nothing(case.comparison, fitted, wide, effect)
+        found = tightened_at_zero(case.comparison, fitted, wide, effect)
         assert wide.include_zero(effect, own)
         assert found.include_zero(effect, own) is not refuted
         ends = [found.low[own.start], values_of(effect.parameters, fitted.free[own])[0]]
@@ -87,4 +87,6 @@ def test_without_stops_an_interval_is_left_as_it_is(case: Case) -> None:
     wet = case.effect("viscous_friction", "joint2", [DAMPING])
     scored = case.fitted([wet, case.effect("sensor_gain", SENSORS[0][0], [GAIN])])
     wide = to_the_limit(scored)
-    assert short_of_nothing(case.comparison, scored.fitted, wide, scored.fitted.effects[-1]) is wide
+    assert (
+        tightened_at_zero(case.comparison, scored.fitted, wide, scored.fitted.effects[-1]) is wide
+    )

@@ -46,13 +46,16 @@ def test_changes_by_the_cheaper_integrator_are_near_the_exact_ones(
     recording: Recording, joined: int
 ) -> None:
     comparison = comparison_of(recording, parts=2, joined=joined)
-    assert comparison.lighter() is comparison.lighter()
+    assert comparison.with_cheaper_integrator() is comparison.with_cheaper_integrator()
     nominal = nominal_structure(comparison.machine)
     free = nominal.nominal_start
     tried = [nominal.hypothesis(free + 0.05 * row) for row in (0 * free, *np.eye(len(free)))]
     exact, cheap = (
         (found[1:] - found[0]) / 0.05
-        for found in (comparison.residuals(tried), comparison.lighter().residuals(tried))
+        for found in (
+            comparison.residuals(tried),
+            comparison.with_cheaper_integrator().residuals(tried),
+        )
     )
     size, off = (np.linalg.norm(rows, axis=1) for rows in (exact, cheap - exact))
     seen = size > 1.0  # a figure that these runs show
@@ -76,7 +79,7 @@ def test_a_spring_keeps_every_step(recording: Recording) -> None:
     hypothesis = beginning(spring)
     left = [each.residuals([hypothesis])[0] for each in (every, joined)]
     assert np.array_equal(left[0], left[1])
-    stiff = joined.lighter(stiff=True)
+    stiff = joined.with_cheaper_integrator(stiff=True)
     stiff.residuals([Hypothesis()])
     assert stiff.simulated == every.simulated
 
@@ -97,11 +100,11 @@ def test_where_the_cheaper_integrator_is_lost_it_is_not_used(recording: Recordin
     nominal = nominal_structure(comparison.machine)
     hypothesis = nominal.hypothesis(nominal.nominal_start)
     residual = comparison.residuals([hypothesis])[0]
-    used, left = comparison.lightly(hypothesis, residual)
-    assert used is comparison.lighter() and len(left) == len(residual)
-    lost = comparison.lighter()
+    used, left = comparison.cheaper_residual(hypothesis, residual)
+    assert used is comparison.with_cheaper_integrator() and len(left) == len(residual)
+    lost = comparison.with_cheaper_integrator()
     lost.measured = lost.measured + 5e3  # as if it had run away
-    used, left = comparison.lightly(hypothesis, residual)
+    used, left = comparison.cheaper_residual(hypothesis, residual)
     assert used is comparison
     assert left is residual
 

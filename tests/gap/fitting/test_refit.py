@@ -10,7 +10,7 @@ import pytest
 
 from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.fitting.gauss_newton import fit
-from loose_env.gap.fitting.refit import fit_without, needed_least, polished
+from loose_env.gap.fitting.refit import fit_without, needed_least, refit_with_new_jacobian
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import free_of
@@ -52,7 +52,7 @@ def test_a_weak_servo_beside_figures_at_their_tolerance_is_fitted_to_the_noise(
     found = fit(comparison, structure, start)
     assert comparison.residuals([structure.hypothesis(start)])[0].std() > 50
     assert found.rms < 3
-    assert polished(comparison, found).rms < 1.02
+    assert refit_with_new_jacobian(comparison, found).rms < 1.02
 
 
 def test_what_is_needed_least_is_what_a_refit_misses_least(
@@ -77,7 +77,7 @@ def test_what_is_needed_least_is_what_a_refit_misses_least(
     ]
     comparison = ResidualModel(machine, measured, channels, FLOORS, threads=1)
     start = free_of(structure.parameters, np.concatenate([np.ones(count), np.full(3, 0.02)]))
-    whole = polished(comparison, fit(comparison, structure, start))
+    whole = refit_with_new_jacobian(comparison, fit(comparison, structure, start))
     order = needed_least(comparison, whole, effects)
     exact = {id(e): fit_without(comparison, whole, e).cost for e in effects}
     assert min(exact.values()) > whole.cost

@@ -139,7 +139,7 @@ def test_the_written_model_does_what_the_simulation_does(arm: str, kind: str) ->
 @pytest.mark.parametrize(("arm", "kind"), CASES)
 def test_where_there_is_nothing_the_nominal_model_is_left(arm: str, kind: str) -> None:
     for effect in effects(arm, kind):
-        if effect.nothing is None:
+        if effect.null_values is None:
             assert kind in (
                 "stribeck_friction", "joint_compliance", "backlash", "structural_looseness",
                 "link_flexibility", "torque_limit", "voltage_limit", "base_compliance",
@@ -147,9 +147,9 @@ def test_where_there_is_nothing_the_nominal_model_is_left(arm: str, kind: str) -
             )  # fmt: skip
             continue
         machine = effect.machine
-        assert len(effect.nothing) == len(effect.parameters)
+        assert len(effect.null_values) == len(effect.parameters)
         nominal = simulate(machine.model, commands(machine, clock(machine)))
-        values = np.array(effect.nothing)
+        values = np.array(effect.null_values)
         assert difference(nominal, with_effect(machine, effect, values)) < 1e-9
         spec = machine.fresh()
         effect.export(spec, values)
@@ -278,10 +278,10 @@ def test_what_cannot_be_is_refused() -> None:
         CATALOGUE["viscous_friction"](machine, "joint1", "command")
     with pytest.raises(UnknownName, match="joint_spring"):
         candidates(machine, ["rust"])
-    assert CATALOGUE["sensor_misalignment"].places(machine) == ("shake",)
+    assert CATALOGUE["sensor_misalignment"].locations(machine) == ("shake",)
     spec = machine.fresh()
     spec.option.gravity = [0, 0, 0]
-    assert CATALOGUE["base_tilt"].places(NominalModel(spec)) == ()
+    assert CATALOGUE["base_tilt"].locations(NominalModel(spec)) == ()
     for site in list(spec.sites):
         if site.name == "tool":
             spec.sensor("shake").objname = "elsewhere"
@@ -294,7 +294,7 @@ def test_a_new_effect_joins_the_catalogue_once() -> None:
         kind = "rust"
 
         @classmethod
-        def places(cls, machine: NominalModel) -> tuple[str, ...]:
+        def locations(cls, machine: NominalModel) -> tuple[str, ...]:
             return machine.joints
 
     try:

@@ -126,14 +126,16 @@ def test_stribeck_friction_holds_more_than_it_brakes(integrator: str) -> None:
     wanted = 1.0 + 0.6 * exp(-((speed / 0.05) ** 2))
     assert np.mean(given[-500:]) == pytest.approx(wanted, abs=0.09 * 0.6)
     effect = at(wheel(integrator), "stribeck_friction")
-    unseen = effect.unseen_torque(np.zeros(1), np.array([speed]), np.array([1.0, 1.6, 0.05]))
+    unseen = effect.passive_actuator_torque(
+        np.zeros(1), np.array([speed]), np.array([1.0, 1.6, 0.05])
+    )
     assert 1.6 + unseen[0] == pytest.approx(np.mean(given[-500:]), rel=0.002)
 
 
 def test_stribeck_friction_is_near_its_law_at_every_speed() -> None:
     effect = at(wheel(), "stribeck_friction")
     speed = np.linspace(0.001, 0.3, 500)
-    unseen = effect.unseen_torque(np.zeros(500), speed, np.array([1.0, 1.6, 0.05]))
+    unseen = effect.passive_actuator_torque(np.zeros(500), speed, np.array([1.0, 1.6, 0.05]))
     missed = (1.6 + unseen - 1.0) / 0.6 - np.exp(-((speed / 0.05) ** 2))
     assert np.abs(missed).max() < 0.09
     assert np.sqrt(np.mean(missed**2)) < 0.03
@@ -164,7 +166,7 @@ def test_ripple_is_a_sine_of_the_angle() -> None:
         data.qpos[0] = q
         mujoco.mj_forward(model, data)
         assert data.qacc[0] * INERTIA == pytest.approx(0.7 * sin(12.5 * q + 0.6), abs=1e-9)
-        unseen = at(wheel(), "torque_ripple").unseen_torque(
+        unseen = at(wheel(), "torque_ripple").passive_actuator_torque(
             np.array([q]), np.array([7.0]), np.array([0.7, 12.5, 0.6])
         )
         assert unseen[0] == pytest.approx(-data.qacc[0] * INERTIA, abs=1e-9)
@@ -178,8 +180,8 @@ def test_periods_of_a_ripple_count_by_turn_or_by_metre() -> None:
     values = np.array([2.0, 40.0, 0.3])
     place = np.array([0.01, 0.02, 0.035])  # a period of the slide is 25 mm
     wanted = 2.0 * np.sin(2 * pi * 40 * place + 0.3)
-    assert np.allclose(sliding.unseen_torque(place, 0 * place, values), -wanted)
-    assert np.allclose(turning.unseen_torque(2 * pi * place, 0 * place, values), -wanted)
+    assert np.allclose(sliding.passive_actuator_torque(place, 0 * place, values), -wanted)
+    assert np.allclose(turning.passive_actuator_torque(2 * pi * place, 0 * place, values), -wanted)
     spec = machine.fresh()
     sliding.edit(spec, values)
     models = spec.compile(), machine.model

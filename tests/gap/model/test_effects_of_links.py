@@ -13,7 +13,7 @@ from loose_env.arms import DESK_ARM
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.link_flexibility import parts
-from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, make_explicit, steiner
+from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial, steiner
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 from tests.gap.cases.effect_arms import ARMS, machine_of
@@ -111,7 +111,7 @@ def test_bending_is_about_the_joint_or_across_it() -> None:
     assert np.allclose(axes[0], [0, 1, 0])
     assert np.allclose([axes[1] @ along, axes[1] @ axes[0]], 0, atol=1e-9)
     planar = CATALOGUE["link_flexibility"](machine_of("planar"), "link2")
-    assert planar.forms(planar.machine, "link2") == ("",)
+    assert planar.variants_at(planar.machine, "link2") == ("",)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
@@ -315,7 +315,8 @@ def test_inertia_can_be_read_however_it_was_written() -> None:
     for arm in ARMS:
         machine = machine_of(arm)
         spec = machine.fresh()
-        make_explicit(machine, spec)
+        for link in machine.links:
+            set_inertial(machine, spec, link, inertial_of(machine, spec, link))
         model = spec.compile()
         assert np.allclose(model.body_mass, machine.model.body_mass)
         pose = poses(machine, 1)[0]

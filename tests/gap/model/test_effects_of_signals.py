@@ -77,12 +77,12 @@ def test_a_delay_shifts_held_commands_by_parts_of_a_step() -> None:
 
 def test_all_is_a_place_of_delays_where_there_are_several_actuators() -> None:
     machine = machine_of("planar")
-    assert CATALOGUE["command_delay"].places(machine)[-1] == "all"
+    assert CATALOGUE["command_delay"].locations(machine)[-1] == "all"
     spec = machine.fresh()
     for actuator in list(spec.actuators)[1:]:
         spec.delete(actuator)
     lone = type(machine)(spec)
-    assert CATALOGUE["command_delay"].places(lone) == ("servo1",)
+    assert CATALOGUE["command_delay"].locations(lone) == ("servo1",)
 
 
 def test_a_gain_scales_the_force_or_the_command() -> None:
@@ -122,7 +122,7 @@ def test_a_gain_scales_the_force_or_the_command() -> None:
 def test_a_sensor_askew_shows_the_vector_in_its_own_axes() -> None:
     machine = machine_of("spatial")
     effect = CATALOGUE["sensor_misalignment"](machine, "shake")
-    assert effect.places(machine) == ("spin", "shake")
+    assert effect.locations(machine) == ("spin", "shake")
     turn = np.array([0.1, -0.2, 0.3])
     values = np.random.default_rng(0).normal(size=(7, 3))
     shown = effect.read(np.arange(7.0), {"sensor.shake": values}, turn)["sensor.shake"]
@@ -152,10 +152,10 @@ def test_a_late_sensor_shows_what_was() -> None:
 def test_what_jumps_with_commands_is_not_drawn_out_of_its_samples() -> None:
     machine = machine_of("planar")
     effect, value = CATALOGUE["sensor_delay"](machine, "shake"), np.array([0.0123])
-    assert effect.lateness(value) == ("shake", 0.0123)
+    assert effect.sensor_delay(value) == ("shake", 0.0123)
     readings = {"sensor.shake": np.ones((5, 3))}
     assert effect.read(np.arange(5.0), readings, value) is readings
-    assert CATALOGUE["sensor_delay"](machine, "rate3").lateness(value) is None
+    assert CATALOGUE["sensor_delay"](machine, "rate3").sensor_delay(value) is None
 
 
 def test_gain_and_bias_leave_the_motion_alone() -> None:

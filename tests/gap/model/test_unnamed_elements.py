@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
-from loose_env.gap.model.effects.link_inertia import Payload, payload_words
+from loose_env.gap.model.effects.link_inertia import Payload, payload_notes
 from loose_env.gap.model.effects.mjcf.geometry import link_ends
-from loose_env.gap.model.effects.mjcf.inertia import make_explicit
-from loose_env.gap.model.element_names import naming_words
+from loose_env.gap.model.element_names import naming_notes
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
@@ -74,9 +73,9 @@ def test_a_model_without_names_weighs_what_it_weighed() -> None:
 def test_links_without_name_are_called_after_their_joint_and_it_is_said() -> None:
     assert machine(NAMED).links == ("first", "second")
     assert machine(bare()).links == ("turn_link", "lift_link")
-    (words,) = naming_words(mujoco.MjSpec.from_string(bare()))
+    (words,) = naming_notes(mujoco.MjSpec.from_string(bare()))
     assert "turn_link" in words and "lift_link" in words and "model.xml" in words
-    assert naming_words(mujoco.MjSpec.from_string(NAMED)) == []
+    assert naming_notes(mujoco.MjSpec.from_string(NAMED)) == []
 
 
 def test_a_name_that_is_taken_is_not_given_again() -> None:
@@ -111,7 +110,7 @@ def test_a_payload_hangs_at_the_last_site_of_the_last_link_or_at_its_end() -> No
     model = spec.compile()
     assert model.body(int(model.body("tool_payload").parentid[0])).name == "second"
     assert np.allclose(model.body("tool_payload").pos, [0.4, 0, 0])
-    assert payload_words(place.machine) == []
+    assert payload_notes(place.machine) == []
     without = NAMED.replace('<site name="last" pos=".4 0 0"/>', "").replace(
         '<site name="inside" pos="0.1 0 0" euler="10 0 0"/>', ""
     )
@@ -120,7 +119,7 @@ def test_a_payload_hangs_at_the_last_site_of_the_last_link_or_at_its_end() -> No
     bodies.edit(spec, np.array([0.5]))
     model = spec.compile()
     assert model.body(int(model.body("tool_payload").parentid[0])).name == "flange"
-    (words,) = payload_words(bodies.machine)
+    (words,) = payload_notes(bodies.machine)
     assert "flange" in words and "site" in words
     alone = machine(without.replace('<body name="flange" pos="0.3 0 0">', "<frame>").replace(
         'name="g5" size=".02" mass="0.1"/></body>', 'name="g5" size=".02" mass="0.1"/></frame>'
@@ -130,7 +129,7 @@ def test_a_payload_hangs_at_the_last_site_of_the_last_link_or_at_its_end() -> No
     spec = alone.fresh()
     payload.edit(spec, np.array([0.5]))
     assert np.allclose(spec.compile().body("tool_payload").pos, end)
-    assert "second" in payload_words(alone)[0]
+    assert "second" in payload_notes(alone)[0]
 
 
 def test_a_site_of_an_inner_link_is_the_tool_only_where_there_is_no_other_and_it_is_said() -> None:
@@ -140,7 +139,7 @@ def test_a_site_of_an_inner_link_is_the_tool_only_where_there_is_no_other_and_it
         '<site name="inside" pos="0.1 0 0" euler="10 0 0"/>', ""
     )
     assert machine(inner).tool == "middle"
-    (words,) = payload_words(machine(inner))
+    (words,) = payload_notes(machine(inner))
     assert "middle" in words and "first" in words
 
 
@@ -162,13 +161,6 @@ def test_the_model_that_is_written_carries_the_names() -> None:
     text.compile()
     model = mujoco.MjModel.from_xml_string(text.to_xml())
     assert model.body("lift_link").mass[0] == pytest.approx(1.7)
-
-
-def test_explicit_figures_are_those_of_each_body() -> None:
-    unnamed = machine(bare())
-    spec = unnamed.fresh()
-    make_explicit(unnamed, spec)
-    assert np.allclose(spec.compile().body_mass, unnamed.model.body_mass)
 
 
 @pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass' is deprecated")

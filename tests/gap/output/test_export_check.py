@@ -33,7 +33,7 @@ def export_of(problem: GapProblem, effect: Effect, values: list[float]) -> Expor
 
 def test_what_acts_slowly_needs_no_finer_step(problem: GapProblem) -> None:
     found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
-    assert found.parts == 1 and not found.matters and found.words() == []
+    assert found.parts == 1 and not found.matters and found.notes() == []
     assert found.left == pytest.approx(found.fitted, rel=1e-3) and found.fitted < 1.1
 
 
@@ -68,14 +68,14 @@ def test_what_is_shorter_than_a_step_is_written_with_a_finer_one(
     assert found.parts > 1 or late > problem.machine.step
     if found.parts > 1:
         assert found.step == pytest.approx(problem.machine.step / found.parts)
-        assert "has a time step of" in found.words()[0]
+        assert "has a time step of" in found.notes()[0]
 
 
 @pytest.mark.parametrize("rate", [60.0, 100.0, 300.0, 1000.0])
 def test_samples_need_not_fall_on_steps_of_the_model(rate: float, tmp_path: Path) -> None:
     problem = prepared_arm(tmp_path / "r", rate=rate)
     found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
-    assert found.parts == 1 and not found.words()
+    assert found.parts == 1 and not found.notes()
     assert found.apart < 1e-3 and found.left == pytest.approx(found.fitted, rel=1e-3)
 
 
@@ -88,7 +88,7 @@ def test_what_comes_late_begins_with_the_first_command(
 ) -> None:
     problem = prepared_arm(tmp_path / "r", first=0.5)
     found = export_as_fitted(problem, kind(problem.machine, where), late)
-    assert found.parts == 1 and found.apart < 0.1 and not found.words()
+    assert found.parts == 1 and found.apart < 0.1 and not found.notes()
 
 
 def test_runs_that_show_nothing_by_then_are_not_tried(problem: GapProblem) -> None:
@@ -117,10 +117,10 @@ def test_a_file_that_lacks_what_was_fitted_is_found_out(
     monkeypatch.setattr(ViscousFriction, "export", lambda *_: None)
     found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
     assert found.matters and found.parts == 1 and found.left > 3 * found.fitted
-    (words,) = found.words()
+    (words,) = found.notes()
     assert found.channel in words and "deviates from the fit" in words
 
 
 def test_what_a_file_cannot_carry_is_not_tried(problem: GapProblem) -> None:
     found = export_of(problem, SensorGain(problem.machine, "encoder1"), [1.1])
-    assert found == Exported() and np.isnan(found.left) and found.words() == []
+    assert found == Exported() and np.isnan(found.left) and found.notes() == []

@@ -55,11 +55,11 @@ def test_the_file_compiles_keeps_its_names_and_does_what_was_fitted(
     arm: str, kind: str, tmp_path: Path
 ) -> None:
     machine = stepped(arm)
-    if not CATALOGUE[kind].places(machine) or not candidates(machine, [kind]):
+    if not CATALOGUE[kind].locations(machine) or not candidates(machine, [kind]):
         assert kind == "base_compliance" and arm == "planar"  # its base turns as its first joint
         return
     effect = one_of(machine, kind)
-    values = np.array(effect.starts[2 if effect.shifts else 0])  # several steps of time
+    values = np.array(effect.starts[2 if effect.is_time_shift else 0])  # several steps of time
     written = write_model(tmp_path / "model.xml", machine, added(effect, values))
     assert written == [tmp_path / "model.xml"] and list(tmp_path.iterdir()) == written
     model = mujoco.MjModel.from_xml_path(str(written[0]))

@@ -67,7 +67,7 @@ def record(folder: Path, *, loose: bool, gap: float = 2e-4) -> Recording:
 def test_a_sound_arm_is_compared_sample_by_sample(tmp_path: Path) -> None:
     problem = prepare(record(tmp_path / "sound", loose=False), GapSettings(threads=1))
     assert not problem.search.chaotic
-    assert not problem.search.rows.white.any()
+    assert not problem.search.rows.is_feature.any()
     assert not any("chaotic (impacts against stops)" in warning for warning in problem.warnings)
 
 
@@ -121,7 +121,7 @@ def test_a_run_too_short_for_features_is_compared_sample_by_sample(
 
 def test_struck_stops_are_compared_by_features(impact_fit: Recording, problem: GapProblem) -> None:
     assert problem.search.chaotic == {run.name for run in impact_fit.runs}
-    assert problem.search.rows.white.all()
+    assert problem.search.rows.is_feature.all()
     assert any("chaotic (impacts against stops)" in warning for warning in problem.warnings)
 
 
@@ -129,10 +129,10 @@ def test_features_are_weighed_by_the_noise_there_is_whatever_counts_as_noise(
     problem: GapProblem,
 ) -> None:
     runs = problem.search
-    assert runs.rows.white.all()
-    louder = problem.louder(np.full(len(runs.channels), 30.0)).search
+    assert runs.rows.is_feature.all()
+    scaled = problem.with_noise_scaled(np.full(len(runs.channels), 30.0)).search
     nothing = Hypothesis()
-    assert np.array_equal(runs.residuals([nothing]), louder.residuals([nothing]))
+    assert np.array_equal(runs.residuals([nothing]), scaled.residuals([nothing]))
     assert not runs.channel_rms(np.ones(len(runs))).any()
 
 

@@ -16,7 +16,7 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.preparation.integrator_choice import (
     Integration,
     choose_integration,
-    corrected_step_words,
+    corrected_step_notes,
 )
 from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
@@ -96,18 +96,21 @@ def test_a_step_that_was_changed_is_told_of() -> None:
     found = chosen(run_of(wave(1.0, 4.0), noise=1e-3 * first.nominal_error / 0.4))
     assert 0.3 < found.nominal_error < 0.5
     assert found.integrator == RK4
-    (words,) = found.words(own=0.01)
+    (words,) = found.notes(own=0.01)
     assert "0.01 s" in words and "Runge-Kutta" in words
     quiet = chosen(run_of(wave(1.0, 4.0), noise=1e-3 * first.nominal_error / 0.05))
-    assert quiet.words(own=0.01) == []
+    assert quiet.notes(own=0.01) == []
 
 
 def test_what_is_far_off_need_not_be_simulated_to_the_noise() -> None:
     right = run_of(wave(3.0, 4.0), noise=1e-4)
     off = replace(right, sensors={"q": 4.0 * right.sensors["q"]})
     found, sloppy = chosen(right), chosen(off)
-    assert found.nominal_matter > 0.3 and found.words(own=0.01)
-    assert sloppy.nominal_error > 0.3 and sloppy.nominal_matter < 0.5 * found.nominal_matter
+    assert found.nominal_relative_error > 0.3 and found.notes(own=0.01)
+    assert (
+        sloppy.nominal_error > 0.3
+        and sloppy.nominal_relative_error < 0.5 * found.nominal_relative_error
+    )
 
 
 def test_a_step_that_stays_too_coarse_is_warned_of(tmp_path: Path) -> None:
@@ -119,7 +122,7 @@ def test_a_step_that_stays_too_coarse_is_warned_of(tmp_path: Path) -> None:
     ]
     found = chosen(*runs, step=0.02, kp=kp)
     assert found.error > 0.1
-    assert any("still" in words for words in found.words(own=0.02))
+    assert any("still" in words for words in found.notes(own=0.02))
     recording = write_recording(
         tmp_path / "r", model_xml=ARM.format(step=0.02, kp=kp, kv=4.0), runs=runs, file_format="csv"
     )
@@ -141,8 +144,8 @@ def test_a_corrected_model_that_needs_a_finer_step_is_warned_of(tmp_path: Path) 
     )
     problem = prepare(recording, GapSettings(threads=1, kinds=("viscous_friction",)))
     held = problem.held_out_whole
-    assert corrected_step_words(held, Hypothesis()) == []
+    assert corrected_step_notes(held, Hypothesis()) == []
     gain = ActuatorGain(problem.machine, "servo")
     corrected = Hypothesis(effects=(gain,), values=(np.array([10.0]),))
-    (words,) = corrected_step_words(held, corrected)
+    (words,) = corrected_step_notes(held, corrected)
     assert "finer step" in words and "sensor.q" in words

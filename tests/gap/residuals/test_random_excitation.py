@@ -155,10 +155,10 @@ def test_how_much_a_simulation_draws_anew_is_measured() -> None:
     impact_fit = impacts(rng)
     found = features(response(u) + impacts(rng) + noise(rng), u)
     first = response(u) + impact_fit
-    assert found.redrawn(first, first + 1e-9) < 1e-6
-    assert 0.8 < found.redrawn(first, response(u) + impacts(rng)) <= 1
+    assert found.chaotic_share(first, first + 1e-9) < 1e-6
+    assert 0.8 < found.chaotic_share(first, response(u) + impacts(rng)) <= 1
     half = np.where(np.arange(COUNT)[:, None] < COUNT // 2, impact_fit, impacts(rng))
-    assert 0.25 < found.redrawn(first, response(u) + half) < 0.75
+    assert 0.25 < found.chaotic_share(first, response(u) + half) < 0.75
 
 
 def test_gaps_are_treated_alike_on_both_sides() -> None:

@@ -10,7 +10,7 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.residuals.autocorrelation import Structure, largest
+from loose_env.gap.residuals.autocorrelation import LaggedProducts, largest
 from loose_env.gap.residuals.residual_model import Rows
 from loose_env.gap.selection.screening.grouping import joint_of
 from loose_env.recording import Run
@@ -71,7 +71,7 @@ def test_starts_reach_the_run_they_belong_to() -> None:
 def test_neighbours_of_an_inverse_run_count_as_neighbours() -> None:
     machine, runs = mixed()
     comparison = compared(machine, runs, step=0.001)
-    structure = Structure(comparison.rows)
+    structure = LaggedProducts(comparison.rows)
     residual = comparison.residuals([NOTHING])[0]
     *sums, counts = structure.by_channel(residual)
     torques = np.bincount(comparison.rows.channel[comparison.rows.trial == 0])
@@ -86,11 +86,11 @@ def test_what_rings_is_structure_and_noise_is_not(frequency: float, *, shaken: b
     count, rng = 20000, np.random.default_rng(5)
     place, alone = np.arange(count), np.zeros(count, dtype=np.intp)
     rows = Rows(
-        trial=alone, channel=alone, sample=place, place=place, block=place // 500,
-        shaken=np.full(count, shaken), white=np.zeros(count, dtype=bool),
+        trial=alone, channel=alone, sample=place, index=place, block=place // 500,
+        random_excitation=np.full(count, shaken), is_feature=np.zeros(count, dtype=bool),
         inverse=np.zeros(count, dtype=bool),
     )  # fmt: skip
-    structure = Structure(rows)
+    structure = LaggedProducts(rows)
     noise, ring = rng.normal(size=count), np.sin(2 * np.pi * frequency * place)
     assert largest(structure.products(noise).sum(axis=1)) < 4 * np.sqrt(count)
     found = largest(structure.products(noise + ring).sum(axis=1)) / np.sum(ring**2)
@@ -118,7 +118,7 @@ class MotorStiffness(Effect):
     kind = "motor_stiffness"
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         return machine.actuators
 
     def edit(self, spec: mujoco.MjSpec, values: np.ndarray) -> None:
@@ -141,7 +141,7 @@ class Creep(Effect):
     kind = "creep"
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         return machine.sensors
 
 

@@ -15,7 +15,7 @@ import pytest
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.holdout_score import Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure, nuisance_of
-from loose_env.gap.fitting.refit import refined
+from loose_env.gap.fitting.refit import with_new_jacobian
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -90,20 +90,20 @@ def test_what_is_left_in_channels_is_their_root_mean_square(problem: GapProblem)
 
 def test_louder_noise_makes_residuals_as_much_smaller(problem: GapProblem) -> None:
     factors = np.linspace(1.0, 5.0, len(problem.search.channels))
-    louder = problem.louder(factors)
+    scaled = problem.with_noise_scaled(factors)
     for name in ("search", "fit", "held_out", "held_out_whole"):
-        one, other = getattr(problem, name), getattr(louder, name)
+        one, other = getattr(problem, name), getattr(scaled, name)
         before, after = (runs.residuals([NOTHING])[0] for runs in (one, other))
         assert np.allclose(after * factors[one.rows.channel], before)
     # what was the same runs stays so, or all of them would be fitted once more
-    assert (louder.fit is louder.search) == (problem.fit is problem.search)
-    assert (louder.held_out is louder.held_out_whole) == (
+    assert (scaled.fit is scaled.search) == (problem.fit is problem.search)
+    assert (scaled.held_out is scaled.held_out_whole) == (
         problem.held_out is problem.held_out_whole
     )
 
 
 def test_what_was_found_in_louder_noise_is_told_in_the_noise_there_is(problem: GapProblem) -> None:
-    louder = problem.louder(np.full(len(problem.search.channels), 4.0))
+    scaled = problem.with_noise_scaled(np.full(len(problem.search.channels), 4.0))
     friction = CATALOGUE["viscous_friction"](problem.machine, "joint1")
     structure = nominal_structure(problem.machine).plus(friction)
     free = np.append(structure.nominal_start, free_of(friction.parameters, [0.5]))
@@ -116,9 +116,9 @@ def test_what_was_found_in_louder_noise_is_told_in_the_noise_there_is(problem: G
         residual = runs.fit.residuals([fitted.hypothesis])[0]
         return Scorer(runs.fit, runs.held_out_whole).score(replace(fitted, residual=residual))
 
-    first, second = scored(problem), scored(louder)
+    first, second = scored(problem), scored(scaled)
     base = Selection(base=first)
-    parts = ((problem, base), (louder, Selection(base=second)))
+    parts = ((problem, base), (scaled, Selection(base=second)))
     found = SearchResult(problem=problem, parts=parts)
     told = found.rescored(second)
     assert np.allclose(told.fitted.residual, 4 * second.fitted.residual)
@@ -217,7 +217,7 @@ def test_what_play_beside_it_does_alone_is_no_second_effect(problem: GapProblem)
             jacobian=np.zeros((len(runs), len(free))), cost=0.0,
         )  # fmt: skip
         residual = runs.residuals([fitted.hypothesis])[0]
-        return scorer.score(refined(replace(fitted, residual=residual), runs))
+        return scorer.score(with_new_jacobian(replace(fitted, residual=residual), runs))
 
     before, later = scored(off, beside=False), scored(right, beside=True)
     acceptance = Acceptance(runs, scorer, before, before, SearchSettings())

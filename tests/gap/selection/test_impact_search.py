@@ -16,7 +16,7 @@ from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
-from loose_env.gap.residuals.preparation.integrator_choice import corrected_step_words
+from loose_env.gap.residuals.preparation.integrator_choice import corrected_step_notes
 from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.impacts import impact_search as with_stops
@@ -98,7 +98,7 @@ def test_powers_tell_a_slide_that_no_trajectory_follows(loose: GapProblem) -> No
 def test_the_loose_link_is_found_with_its_direction(loose: GapProblem) -> None:
     found = search(loose, "structural_looseness")
     assert found is not None and found.effect.where == "link2"
-    assert found.explained > 0.85 and "link2 hits its stops" in found.words
+    assert found.explained > 0.85 and "link2 hits its stops" in found.description
     assert [effect.kind for effect in found.insignificant] == ["viscous_friction"]
     angle, gap = found.fitted.free[0] * 0.5, found.intervals
     assert np.cos(angle - TRUE[0]) ** 2 > 0.98
@@ -139,4 +139,4 @@ def test_readings_that_were_lost_cost_stretches_only_where_they_are_many(loose: 
 
 
 def test_no_step_is_blamed_for_blows(loose: GapProblem) -> None:
-    assert corrected_step_words(loose.held_out_whole, slide(loose, "link2", TRUE)) == []
+    assert corrected_step_notes(loose.held_out_whole, slide(loose, "link2", TRUE)) == []

@@ -95,17 +95,17 @@ def test_the_stiffness_of_a_joint_is_read_from_its_torque(mode: float) -> None:
     found = joint_stiffness(comparison, NOTHING)
     assert found["joint2"] == pytest.approx(stiffness, rel=0.1)
     starts = proposals(comparison, NOTHING, [SPRING])[SPRING.key]
-    assert starts[0][0] == found["joint2"] and set(SPRING.close_starts) <= set(starts)
+    assert starts[0][0] == found["joint2"] and set(SPRING.inverse_starts) <= set(starts)
 
 
 def test_longer_steps_change_little_of_what_a_spring_does() -> None:
     run = torque_run(MACHINE, MACHINE.model, np.random.default_rng(1))
     comparison = compared(MACHINE, [run])
-    lighter = comparison.lighter()
+    cheaper = comparison.with_cheaper_integrator()
     stiffness = SPRING.carried * (2 * np.pi * 8.0) ** 2  # type: ignore[attr-defined]
     tried = [NOTHING, spring(stiffness, 0.4)]
     exact, cheap = (
-        found[1] - found[0] for found in (comparison.residuals(tried), lighter.residuals(tried))
+        found[1] - found[0] for found in (comparison.residuals(tried), cheaper.residuals(tried))
     )
     assert np.linalg.norm(exact) > 10
     assert np.linalg.norm(cheap - exact) < 0.06 * np.linalg.norm(exact)

@@ -20,7 +20,7 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.export_mjcf import correction_code, write_model
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.selection.screening.data_driven_starts import missing_torque
+from loose_env.gap.selection.screening.data_driven_starts import residual_torque
 from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.gap.simulation.torque_terms import BatchWithTerms, torque_terms
@@ -252,7 +252,7 @@ def test_what_a_term_explains_is_no_longer_missing() -> None:
     seen = Simulator(own, [trial()], CHANNELS, threads=1).predict([term])[0][0]
     motion = {f"joint{k}": seen[:, k - 1] for k in (1, 2, 3)}
     comparison = compared_with(own, trial(measured=seen, motion=motion))
-    before, after = missing_torque(comparison, NOTHING), missing_torque(comparison, term)
+    before, after = residual_torque(comparison, NOTHING), residual_torque(comparison, term)
     assert before is not None and after is not None
     explained = (before[3] - after[3])[:, 1]  # what the joint needed against the spring
     assert np.allclose(explained, 300 * before[0][:, 1] ** 3) and explained.max() > 100

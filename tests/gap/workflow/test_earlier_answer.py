@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from loose_env.gap.data.aligned_run import Channel, align_run
-from loose_env.gap.diagnostics.experiment_advice import identifiability_words
+from loose_env.gap.diagnostics.experiment_advice import identifiability_notes
 from loose_env.gap.fitting.model_structure import nuisance_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
@@ -95,7 +95,7 @@ def test_warnings_name_the_motion_where_there_is_one() -> None:
     def motion(one: str, other: str) -> str | None:
         return None if "base" in one else f"run it for {one} and {other}"
 
-    payload, delay, tilt = identifiability_words(found, motion)
+    payload, delay, tilt = identifiability_notes(found, motion)
     assert payload.endswith("(such as mass 0.2); run it for nothing and payload at tool")
     assert delay.endswith("run it for command_delay at a and actuator_lag at a")
     assert "a spirit level on the base decides" in tilt

@@ -68,7 +68,7 @@ def test_one_of_the_catalogue_is_tried_the_same_way(steps: GapSession, tried: Tr
 def test_what_is_added_stays_and_what_is_left_is_noise(
     steps: GapSession, tried: TriedEffect, said: list[str], tmp_path: Path
 ) -> None:
-    before = steps.missing_torque("elbow")
+    before = steps.residual_torque("elbow")
     late = steps.try_effect("joint_spring", "elbow")
     steps.add(tried)
     assert [repr(effect) for effect in steps.added] == ["cubic_spring@elbow"]
@@ -77,7 +77,7 @@ def test_what_is_added_stays_and_what_is_left_is_noise(
     left = steps.residuals()
     assert {series.channel for series in left} == {"sensor.encoder", "sensor.rate"}
     assert all(0.9 < series.rms < 1.1 for series in left)
-    after = steps.missing_torque("elbow")
+    after = steps.residual_torque("elbow")
     cube = before.position**3
     assert np.polyfit(cube, before.torque, 1)[0] == pytest.approx(STIFFNESS, rel=0.2)
     assert abs(np.polyfit(cube, after.torque, 1)[0]) < 0.2 * STIFFNESS
@@ -102,7 +102,7 @@ def test_what_cannot_be_tried_is_refused(steps: GapSession) -> None:
     with pytest.raises(UnknownName, match="rust"):
         steps.try_effect("rust", "elbow")
     with pytest.raises(UnknownName, match="shoulder"):
-        steps.missing_torque("shoulder")
+        steps.residual_torque("shoulder")
 
     class Idle(CubicSpring):
         kind = "idle"

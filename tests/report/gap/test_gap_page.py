@@ -33,7 +33,7 @@ from loose_env.gap import (
     result_of,
     write_gap,
 )
-from loose_env.gap.diagnostics.experiment_advice import identifiability_words
+from loose_env.gap.diagnostics.experiment_advice import identifiability_notes
 from loose_env.gap.output.evidence_schema import ConfusablePair, UnidentifiableEffect
 from loose_env.gap.workflow import summary as gap_summary
 from loose_env.report.gap import write as gap_report
@@ -372,7 +372,7 @@ def test_what_was_not_shown_is_told_with_what_would_show_it(
                            other_where="m1", z=0.2, additional_s=None),
         ),
     )  # fmt: skip
-    words = identifiability_words(shown)
+    words = identifiability_notes(shown)
     assert words[0] == (
         "these motions would not show quadratic_drag at joint1 (such as drag 0.2); record about "
         "52 s more of them, or better: move at the highest speed"

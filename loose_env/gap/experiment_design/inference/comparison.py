@@ -30,7 +30,7 @@ from loose_env.gap.experiment_design.inference.posterior import (
 )
 from loose_env.gap.experiment_design.inference.screening import (
     Beside,
-    Screened,
+    ScreenedSets,
     linear_estimates,
     log_prior,
     screened,
@@ -135,7 +135,7 @@ class _Family:
 class _Round:
     """Comparison after one motion."""
 
-    def __init__(self, state: Comparison, data: Data, first: Screened, spent: Spent) -> None:
+    def __init__(self, state: Comparison, data: Data, first: ScreenedSets, spent: Spent) -> None:
         self.state, self.data, self.first, self.spent = state, data, first, spent
         self.models, self.settings = state.models, state.settings
         self.fitted: dict[Members, _Compared] = {}

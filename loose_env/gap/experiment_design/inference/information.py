@@ -49,9 +49,9 @@ def expected_information(
     return np.array([_bound(weights, _distances(belief, weights, predictions, m)) for m in which])
 
 
-def pair_gains(belief: Belief, motion: int, *, most: int = _OPEN) -> Array:
+def pair_gains(belief: Belief, motion: int) -> Array:
     """Expected difference of log evidence between open sets on a motion [nats] (sets, sets)."""
-    weights, predictions = _predictions(belief, most)
+    weights, predictions = _predictions(belief, _OPEN)
     return 0.5 * _distances(belief, weights, predictions, motion)
 
 

@@ -23,7 +23,7 @@ from loose_env.gap.experiment_design.inference.local_models import SIZE_SD, Loca
 from loose_env.gap.experiment_design.inference.posterior import BeliefSettings, EffectEstimate
 from loose_env.typing import Array
 
-__all__ = ["Beside", "Screened", "linear_estimates", "log_prior", "screened"]
+__all__ = ["Beside", "ScreenedSets", "linear_estimates", "log_prior", "screened"]
 
 
 def log_prior(count: int, candidates: int, settings: BeliefSettings) -> float:
@@ -92,7 +92,7 @@ def _solved(inner: Array, right: Array, total: float) -> tuple[Array, Array, Arr
 
 
 @dataclass(frozen=True, eq=False)
-class Screened:
+class ScreenedSets:
     """Sets by their log posterior, up to a constant, from the signatures of the bank alone."""
 
     beside: Beside
@@ -119,7 +119,7 @@ class Screened:
         return self.evidence[best], np.log10(np.maximum(seen * factor, 1e-3)), sd
 
 
-def screened(models: LocalModels, about: Equations, settings: BeliefSettings) -> Screened:
+def screened(models: LocalModels, about: Equations, settings: BeliefSettings) -> ScreenedSets:
     """Screen sets of at most two effects about the nominal model.
 
     Singles are all evaluated. Pairs are those of any effect beside one of the best singles, then
@@ -166,7 +166,7 @@ def screened(models: LocalModels, about: Equations, settings: BeliefSettings) ->
         members = sorted(int(candidate[h]) for h in (one, other) if h >= 0)
         sets.setdefault(tuple(members), []).append(k)
     scores = score[order]
-    return Screened(
+    return ScreenedSets(
         beside,
         {members: float(np.logaddexp.reduce(scores[rows])) for members, rows in sets.items()},
         {

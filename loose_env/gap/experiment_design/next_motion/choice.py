@@ -105,7 +105,7 @@ class NextMotion:
         return self.candidate.played.seconds
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """The motion with the names of its joints."""
         return motion_words(self.candidate.motion, self.limits.joints)
 
@@ -194,7 +194,7 @@ def choose_motion(
     return NextMotion(
         candidate=best,
         gains=pairs,
-        checked=limits.words(best.played),
+        checked=limits.notes(best.played),
         limits=limits,
         considered=len(candidates),
         refused=tuple(refused),

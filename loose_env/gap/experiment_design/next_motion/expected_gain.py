@@ -109,7 +109,7 @@ class GainModel:
         pairs = self.hypotheses.pairs
         # A cheaper integrator in both terms of a difference; springs need the steps of the fits.
         whole_steps = self.runs.compared(motions)
-        compared = whole_steps if self._springs else whole_steps.lighter()
+        compared = whole_steps if self._springs else whole_steps.with_cheaper_integrator()
         nothing = compared.residuals([self._answer.hypothesis()])[0]
         effects = tuple(pair.effect for pair in pairs if pair.effect is not None)
         chosen = self._answer.of_effects(self._answer.structure.effects if whole else effects)
@@ -277,9 +277,9 @@ class _Own:
             low=bounds[:, 0],
             high=bounds[:, 1],
             keys=tuple(keys),
-            difference=fit_settings_for(structure).difference
+            difference=fit_settings_for(structure).finite_difference_step
             if structure.effects
-            else FitSettings().difference,
+            else FitSettings().finite_difference_step,
         )
 
     @property

@@ -63,7 +63,7 @@ class NextMotionSummary:
     """Format of the file."""
 
     @property
-    def file_words(self) -> str:
+    def file_description(self) -> str:
         """The file with its length and motion."""
         return f"{NEXT_MOTION}.csv ({self.seconds:.0f} s: {self.words})"
 
@@ -83,7 +83,7 @@ def summary_of(chosen: NextMotion, settings: NextMotionSettings) -> NextMotionSu
     limits = chosen.limits
     table = table_of(chosen.runs.run(NEXT_MOTION, chosen.candidate.played))
     return NextMotionSummary(
-        words=chosen.words,
+        words=chosen.description,
         seconds=chosen.seconds,
         repeats=_REPEATS,
         pairs=chosen.gains,
@@ -141,7 +141,7 @@ def read_next_motion(file: Path) -> NextMotionSummary:
 def next_motion_lines(motion: NextMotionSummary) -> list[str]:
     """Lines on a motion for a reader: what it is, what it tells, what was checked."""
     found = [
-        f"next motion: {motion.file_words}, recorded {motion.repeats} times, "
+        f"next motion: {motion.file_description}, recorded {motion.repeats} times, "
         f"{motion.repeats * motion.seconds:.0f} s in all"
     ]
     for pair in motion.pairs:

@@ -1,7 +1,7 @@
 """Log evidence of a hypothesis, linearised about its fit (Laplace's approximation).
 
 Nuisance parameters have the priors of the fit, effects a normal one as wide as their bounds. What
-the fit leaves counts as noise, channel by channel, and rows that hang together count once.
+the fit leaves counts as noise, channel by channel, and autocorrelated rows count once.
 """
 
 from __future__ import annotations

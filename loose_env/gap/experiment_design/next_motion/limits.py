@@ -81,7 +81,7 @@ class MotionLimits:
                 )
         return ""
 
-    def words(self, motion: Played) -> tuple[str, ...]:
+    def notes(self, motion: Played) -> tuple[str, ...]:
         """What was checked, with the margins left.
 
         Parameters

@@ -18,9 +18,9 @@ from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["Drive", "MotionRuns", "Played", "drive_of"]
+__all__ = ["CommandMode", "MotionRuns", "Played", "drive_of"]
 
-Drive = Literal["position", "speed", "torque", "none"]
+CommandMode = Literal["position", "speed", "torque", "none"]
 """What commands of the recording's actuators are; "none" where runs have no commands."""
 
 _TRACKING_HZ = 3.0
@@ -60,7 +60,7 @@ class Played:
         return np.asarray(np.gradient(self.position, self.time, axis=0))
 
 
-def drive_of(machine: NominalModel) -> Drive:
+def drive_of(machine: NominalModel) -> CommandMode:
     """Return what the commands of a model's actuators are.
 
     Raises
@@ -69,7 +69,7 @@ def drive_of(machine: NominalModel) -> Drive:
         If they are not all of one kind.
     """
     model = machine.model
-    kinds: set[Drive] = set()
+    kinds: set[CommandMode] = set()
     for k in range(model.nu):
         place, rate = model.actuator_biasprm[k, 1], model.actuator_biasprm[k, 2]
         kinds.add("position" if place else "speed" if rate else "torque")
@@ -99,7 +99,7 @@ class MotionRuns:
         self.likely = replace(likely, position=None, speed=None)
         forms = {trial.form for trial in comparison.trials}
         self.form = next((f for f in ("forward", "inverse") if f in forms), "free")
-        self.drive: Drive = drive_of(self.machine) if self.form == "forward" else "none"
+        self.drive: CommandMode = drive_of(self.machine) if self.form == "forward" else "none"
         self.floors = np.asarray(comparison.floors) / weights
         self.rate = float(np.median([trial.rate for trial in comparison.trials]))
         step = min(trial.step for trial in comparison.trials)
@@ -128,7 +128,7 @@ class MotionRuns:
         saturated: dict[str, None] = {}
         position, torque = np.zeros((2, len(desired), self._joints))
         given = np.zeros((len(desired), len(self.machine.actuators) * (self.form == "forward")))
-        tracking = _Tracking(self.machine, model, dofs)
+        tracking = _Tracking(self.machine, dofs)
         gears = np.stack([self.machine.gears(j) for j in self.machine.joints])
         last = 0
         for row in range(len(desired)):
@@ -197,11 +197,7 @@ class MotionRuns:
 
     def _trial(self, number: int, motion: Played) -> Trial:
         run = self.run(f"motion-{number}", motion, noise=self.form == "inverse")
-        return align_run(run, self.machine, self.comparison.channels, step=self._longest)
-
-    @property
-    def _longest(self) -> float:
-        return self.machine.step or float(self.machine.model.opt.timestep)
+        return align_run(run, self.machine, self.comparison.channels, step=self.machine.time_step)
 
     def run(self, name: str, motion: Played, *, noise: bool = False) -> Run:
         """Motion in the recording's columns: commands, and what position and torque will be.
@@ -252,13 +248,13 @@ class MotionRuns:
 class _Tracking:
     """Computed-torque controller that follows a motion where the model has no servo."""
 
-    def __init__(self, machine: NominalModel, model: mujoco.MjModel, dofs: Sequence[int]) -> None:
+    def __init__(self, machine: NominalModel, dofs: Sequence[int]) -> None:
         rate = 2 * np.pi * _TRACKING_HZ
         self._stiffness = machine.inertias * rate**2
         self._damping = 2 * machine.inertias * rate
         self._dofs = list(dofs)
 
-    def needed(self, drive: Drive) -> bool:
+    def needed(self, drive: CommandMode) -> bool:
         """Return whether motions need it."""
         return drive in ("torque", "none")
 

@@ -14,12 +14,12 @@ from loose_env.gap.experiment_design.next_motion.laplace import (
     weights_of,
 )
 from loose_env.gap.fitting.gauss_newton import Fit, FitSettings, cost_of, fit
-from loose_env.gap.fitting.refit import refined
+from loose_env.gap.fitting.refit import with_new_jacobian
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.parameter import free_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
-from loose_env.gap.selection.screening.screening import Screened, screen
+from loose_env.gap.selection.screening.screening import ScreenedCandidate, screen
 from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import EQUAL_LOG_LIKELIHOOD, SCREENING_S
 from loose_env.typing import Array
@@ -32,10 +32,10 @@ NOTHING = "nothing"
 """Name of what an effect is told from that the runs would not show."""
 _UNSEEN = 0.2
 """Weight of an effect that the runs would not show, beside one that competes with the answer."""
-_FAR = 0.3
+_RELINEARISE_STEP = 0.3
 """Change of a free number from which sensitivities are taken anew."""
 
-_CLOSE = FitSettings(iterations=8, enough=1e-4)
+_CLOSE = FitSettings(iterations=8, cost_tolerance=1e-4)
 """Fit of a rival: what it leaves to gain counts as evidence against it."""
 
 Place = tuple[str, str]
@@ -59,7 +59,7 @@ class OpenPair:
     """Log evidence of the answer over the rival so far."""
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Both with their locations."""
         return f"{words_of(self.effect)} from {words_of(self.rival)}"
 
@@ -134,7 +134,7 @@ def open_hypotheses(
                 known=there,
                 nats=known.log_evidence - there.log_evidence,
             )
-            say(f"  {pair.words}: {pair.nats:.1f} nats so far")
+            say(f"  {pair.description}: {pair.nats:.1f} nats so far")
             pairs.append(pair)
     pairs.sort(key=lambda pair: pair.nats)
     pairs += [_unseen(answer, known, effect, values) for effect, values in unseen]
@@ -168,7 +168,9 @@ def _unseen(answer: Fit, known: Knowledge, effect: Effect, values: Array) -> Ope
 def _with_sensitivities(fitted: Fit, comparison: ResidualModel) -> Fit:
     residual = comparison.residuals([fitted.hypothesis])[0]
     fitted = replace(fitted, residual=residual)
-    return fitted if len(fitted.jacobian) == len(residual) else refined(fitted, comparison)
+    return (
+        fitted if len(fitted.jacobian) == len(residual) else with_new_jacobian(fitted, comparison)
+    )
 
 
 def _replaced(
@@ -188,12 +190,12 @@ def _replaced(
         before = replace(before, jacobian=without.jacobian[:, :0])
     windows = WindowFits(short, before)
     screened = screen(short, windows.before, list(forms))
-    best_of: dict[tuple[str, str, str], Screened] = {}
+    best_of: dict[tuple[str, str, str], ScreenedCandidate] = {}
     for each in screened:
         best_of.setdefault(each.effect.key, each)
     if not best_of:
         return None
-    fits, _ = windows.race([[each] for each in best_of.values()], twice=len(best_of))
+    fits, _ = windows.staged_fits([[each] for each in best_of.values()], twice=len(best_of))
     if not fits:
         return None
     own = fits[0]
@@ -202,11 +204,11 @@ def _replaced(
     start = np.concatenate([without.free, own.free[len(own.free) - count :]])
     found = fit(comparison, together, start, settings=_CLOSE, known=without.jacobian)
     # The sensitivities of the rival's own parameters at the end; the others hardly change.
-    return refined(found, comparison) if _moved(found, start) else found
+    return with_new_jacobian(found, comparison) if _moved(found, start) else found
 
 
 def _moved(found: Fit, start: Array) -> bool:
-    return bool(np.any(np.abs(found.free - start) > _FAR))
+    return bool(np.any(np.abs(found.free - start) > _RELINEARISE_STEP))
 
 
 def _without(comparison: ResidualModel, answer: Fit, effect: Effect) -> Fit:

@@ -81,7 +81,7 @@ class Backlash(SplitJoint):
                 scale=0.01 * length,
                 log=True,
             ),
-            *stops(self.weight, self.step, f"{self.torque_unit}/{self.angle_unit}"),
+            *stops(self.weight, self.machine.time_step, f"{self.torque_unit}/{self.angle_unit}"),
         )
 
     @property
@@ -90,7 +90,7 @@ class Backlash(SplitJoint):
         return self._starts(_STARTS)
 
     @property
-    def close_starts(self) -> tuple[tuple[float, ...], ...]:
+    def inverse_starts(self) -> tuple[tuple[float, ...], ...]:
         """The same range in smaller steps."""
         return self._starts(_CLOSE_STARTS)
 

@@ -158,8 +158,8 @@ def candidates(machine: NominalModel, kinds: Iterable[str] | None = None) -> lis
     return [
         CATALOGUE[kind](machine, where, variant)
         for kind in wanted
-        for where in CATALOGUE[kind].places(machine)
-        for variant in CATALOGUE[kind].forms(machine, where)
+        for where in CATALOGUE[kind].locations(machine)
+        for variant in CATALOGUE[kind].variants_at(machine, where)
     ]
 
 

@@ -29,7 +29,7 @@ class RotorInertia(JointEffect):
     """Rotor inertia added to that of the model; negative down to a total of zero."""
 
     kind = "rotor_inertia"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -83,8 +83,8 @@ class TorqueRipple(JointEffect):
 
     kind = "torque_ripple"
     proportional: ClassVar[int | None] = 0
-    searches: ClassVar[bool] = True
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0, 1.0, 0.0)
+    needs_data_starts: ClassVar[bool] = True
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0, 1.0, 0.0)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -131,11 +131,11 @@ class TorqueRipple(JointEffect):
         amplitude, periods, phase = (float(v) for v in values)
         add_cogging(spec, self.where, name, [amplitude, self._rate * periods, phase])
 
-    def vanishes(self, low: Array, high: Array) -> bool:
+    def interval_includes_null(self, low: Array, high: Array) -> bool:
         """Return whether the amplitude's interval includes zero."""
         return bool(low[0] <= 0 <= high[0])
 
-    def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
+    def passive_actuator_torque(self, angle: Array, speed: Array, values: Array) -> Array:
         """Joint torque against the ripple."""
         amplitude, periods, phase = values
         return np.asarray(-amplitude * np.sin(self._rate * periods * angle + phase))
@@ -189,11 +189,11 @@ class GearEccentricity(DrivenEffect, JointEffect):
     """
 
     kind = "gear_eccentricity"
-    adds_up: ClassVar[bool] = True
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
+    is_additive: ClassVar[bool] = True
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return hinges with an encoder."""
         model = machine.model
         seen = {

@@ -40,7 +40,7 @@ class ViscousFriction(JointEffect):
     """Viscous damping added to that of the model; negative down to a total of zero."""
 
     kind = "viscous_friction"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -107,8 +107,8 @@ class CoulombFriction(JointEffect):
     """
 
     kind = "coulomb_friction"
-    sharp: ClassVar[bool] = True
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    needs_fine_steps: ClassVar[bool] = True
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -159,8 +159,8 @@ class AsymmetricFriction(JointEffect):
     """
 
     kind = "asymmetric_friction"
-    sharp: ClassVar[bool] = True
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
+    needs_fine_steps: ClassVar[bool] = True
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -199,7 +199,7 @@ class AsymmetricFriction(JointEffect):
         """Mean of both directions."""
         return 0.5 * float(values[0] + values[1])
 
-    def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
+    def passive_actuator_torque(self, angle: Array, speed: Array, values: Array) -> Array:
         """Torque against the constant one."""
         return np.full_like(angle, 0.5 * float(values[0] - values[1]))
 
@@ -231,7 +231,7 @@ class StribeckFriction(JointEffect):
     """
 
     kind = "stribeck_friction"
-    sharp: ClassVar[bool] = True
+    needs_fine_steps: ClassVar[bool] = True
 
     proportional: ClassVar[int | None] = 0
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("torque", "low"),)
@@ -280,7 +280,7 @@ class StribeckFriction(JointEffect):
         torque, ratio, _ = values
         return float(torque * ratio)
 
-    def unseen_torque(self, angle: Array, speed: Array, values: Array) -> Array:
+    def passive_actuator_torque(self, angle: Array, speed: Array, values: Array) -> Array:
         """Torque of the dampers against the friction."""
         torque, ratio, slow = values
         fallen = sum(slope * np.minimum(np.abs(speed) / slow, limit) for slope, limit in _pieces())
@@ -308,7 +308,7 @@ class QuadraticDrag(JointEffect):
     """Quadratic drag -c v |v|: second coefficient of MuJoCo's damping polynomial."""
 
     kind = "quadratic_drag"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

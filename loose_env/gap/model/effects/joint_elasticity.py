@@ -17,7 +17,7 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.extra_joint import (
     FASTEST,
     add_extra_joint,
-    joint_figures,
+    joint_inertia,
     keep_motor_side,
     last_joints,
 )
@@ -64,10 +64,10 @@ class SplitJoint(JointEffect):
     """
 
     adds_motion = True
-    sharp = True
+    needs_fine_steps = True
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return joints that are the last of their body."""
         return last_joints(machine)
 
@@ -95,11 +95,6 @@ class SplitJoint(JointEffect):
         model = spec.compile()
         return float(model.dof_invweight0[model.joint(name).dofadr[0]])
 
-    @property
-    def step(self) -> float:
-        """Simulation step [s]."""
-        return self.machine.step or float(self.machine.model.opt.timestep)
-
 
 class JointCompliance(SplitJoint):
     """Joint compliance: spring and damper; the limit of a stiff spring is rigid."""
@@ -111,7 +106,10 @@ class JointCompliance(SplitJoint):
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness, and the damping ratio of the link on the spring, motor locked."""
         unit = f"{self.torque_unit}/{self.angle_unit}"
-        return (stiffness_between(self.carried, self.weight, self.step, unit), damping_ratio())
+        return (
+            stiffness_between(self.carried, self.weight, self.machine.time_step, unit),
+            damping_ratio(),
+        )
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
@@ -120,7 +118,7 @@ class JointCompliance(SplitJoint):
 
     def propose_stiffness(self, stiffness: float) -> tuple[tuple[float, ...], ...]:
         """Start there with a likely damping, beside the other starts."""
-        return ((self.parameters[0].clipped(stiffness), _LIKELY_DAMPING), *self.close_starts)
+        return ((self.parameters[0].clipped(stiffness), _LIKELY_DAMPING), *self.inverse_starts)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add the spring behind the joint."""
@@ -157,10 +155,10 @@ class JointSpring(JointEffect):
 
     kind = "joint_spring"
     proportional: ClassVar[int | None] = 0
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return joints without a nonlinear spring."""
         bent = np.any(machine.model.jnt_stiffnesspoly != 0, axis=1)
         return tuple(name for name, b in zip(machine.joints, bent, strict=True) if not b)
@@ -210,7 +208,7 @@ class JointSpring(JointEffect):
         half = pi / 2 if self.machine.turns(self.where) else 0.5
         return -half, half
 
-    def vanishes(self, low: Array, high: Array) -> bool:
+    def interval_includes_null(self, low: Array, high: Array) -> bool:
         """Return whether the stiffness interval includes zero."""
         return bool(low[0] <= 0 <= high[0])
 
@@ -259,12 +257,12 @@ class BaseCompliance(Effect):
     kind = "base_compliance"
     acts_on: ClassVar[str] = "arm"
     adds_motion: ClassVar[bool] = True
-    sharp: ClassVar[bool] = True
+    needs_fine_steps: ClassVar[bool] = True
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("stiffness", "high"),)
     variants: ClassVar[tuple[str, ...]] = ("x", "y", "z")
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return the base, if its first link has room for another joint and is not the only one.
 
         Under a single joint a base that gives way is not told from a compliant drive.
@@ -274,7 +272,7 @@ class BaseCompliance(Effect):
         return ("base",) if room and cls._axes(machine) else ()
 
     @classmethod
-    def forms(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
+    def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
         """Return all axes in space, one in a plane, without that of the first joint."""
         return cls._axes(machine)
 
@@ -299,19 +297,19 @@ class BaseCompliance(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness, and the damping ratio of the arm on it with its joints locked."""
-        carried, weight = self._figures
-        step = self.machine.step or float(self.machine.model.opt.timestep)
+        carried, weight = self._hinge_inertia
+        step = self.machine.time_step
         return (stiffness_between(carried, weight, step, "N·m/rad"), damping_ratio())
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: modes from slow to fast."""
-        return stiffness_starts(self._figures[0], self.parameters[0])
+        return stiffness_starts(self._hinge_inertia[0], self.parameters[0])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Insert the hinge before the first joint."""
         stiffness, ratio = float(values[0]), float(values[1])
-        self._rock(spec, stiffness, 2 * ratio * sqrt(stiffness * self._figures[0]))
+        self._rock(spec, stiffness, 2 * ratio * sqrt(stiffness * self._hinge_inertia[0]))
 
     def _rock(self, spec: mujoco.MjSpec, stiffness: float, damping: float) -> str:
         """Insert the hinge; return its name."""
@@ -335,11 +333,11 @@ class BaseCompliance(Effect):
         return name
 
     @cached_property
-    def _figures(self) -> tuple[float, float]:
+    def _hinge_inertia(self) -> tuple[float, float]:
         """Inertia on the hinge [kg·m²], and its inverse weight with all joints free."""
         spec = self.machine.fresh()
         name = self._rock(spec, 0.0, 0.0)
-        return joint_figures(spec, name)
+        return joint_inertia(spec, name)
 
 
 def _foot(machine: NominalModel, data: mujoco.MjData) -> Array:

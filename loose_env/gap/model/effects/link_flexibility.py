@@ -16,7 +16,7 @@ from loose_env.gap.model.effects.joint_elasticity import (
     stiffness_starts,
 )
 from loose_env.gap.model.effects.link_inertia import links_with_mass
-from loose_env.gap.model.effects.mjcf.extra_joint import add_extra_joint, joint_figures
+from loose_env.gap.model.effects.mjcf.extra_joint import add_extra_joint, joint_inertia
 from loose_env.gap.model.effects.mjcf.geometry import frame_about, link_ends, normal_of, reach_of
 from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial, steiner
 from loose_env.gap.model.effects.mjcf.joint_effect import added_name
@@ -56,11 +56,11 @@ class LinkFlexibility(Effect):
     acts_on: ClassVar[str] = "link"
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("stiffness", "high"),)
     adds_motion: ClassVar[bool] = True
-    sharp: ClassVar[bool] = True
+    needs_fine_steps: ClassVar[bool] = True
     variants: ClassVar[tuple[str, ...]] = ("", "across")
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links with mass that are not too short."""
         shortest = _SHORTEST * reach_of(machine)
         lengths = {
@@ -70,7 +70,7 @@ class LinkFlexibility(Effect):
         return tuple(link for link, length in lengths.items() if length > shortest)
 
     @classmethod
-    def forms(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
+    def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
         """Return both variants in space, one in a plane."""
         return cls.variants if normal_of(machine) is None else cls.variants[:1]
 
@@ -95,8 +95,8 @@ class LinkFlexibility(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness, damping ratio with the near part locked, and location of the hinge."""
-        carried, weight = self._figures
-        step = self.machine.step or float(self.machine.model.opt.timestep)
+        carried, weight = self._hinge_inertia
+        step = self.machine.time_step
         place = Parameter(
             name="position", unit="", low=_NEAREST, high=1 - _NEAREST, scale=_SCATTER,
             centre=_MIDDLE, spread=1.0,
@@ -106,18 +106,18 @@ class LinkFlexibility(Effect):
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: modes from slow to fast."""
-        springs = stiffness_starts(self._figures[0], self.parameters[0])
+        springs = stiffness_starts(self._hinge_inertia[0], self.parameters[0])
         return tuple((*spring, _MIDDLE) for spring in springs)
 
     @property
-    def doubtful_mass(self) -> float:
+    def uncertain_mass(self) -> float:
         """Mass of the link: no real link is a uniform bar that bends at one location."""
         return float(self.machine.model.body(self.where).mass[0])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Cut the link and insert the spring."""
         stiffness, ratio, place = (float(v) for v in values)
-        damping = 2 * ratio * sqrt(stiffness * self._figures[0])
+        damping = 2 * ratio * sqrt(stiffness * self._hinge_inertia[0])
         self._cut(spec, stiffness, damping, place)
 
     def _cut(self, spec: mujoco.MjSpec, stiffness: float, damping: float, share: float) -> str:
@@ -148,11 +148,11 @@ class LinkFlexibility(Effect):
         return name
 
     @cached_property
-    def _figures(self) -> tuple[float, float]:
+    def _hinge_inertia(self) -> tuple[float, float]:
         """Inertia on the hinge [kg·m²], and its inverse weight with all joints free."""
         spec = self.machine.fresh()
         name = self._cut(spec, 0.0, 0.0, _MIDDLE)
-        return joint_figures(spec, name)
+        return joint_inertia(spec, name)
 
 
 def parts(

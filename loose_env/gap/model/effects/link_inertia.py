@@ -28,7 +28,7 @@ __all__ = [
     "LinkMass",
     "Payload",
     "links_with_mass",
-    "payload_words",
+    "payload_notes",
 ]
 
 
@@ -43,10 +43,10 @@ class LinkMass(Effect):
 
     kind = "link_mass"
     acts_on: ClassVar[str] = "link"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links that have mass."""
         return links_with_mass(machine)
 
@@ -86,10 +86,10 @@ class LinkCom(Effect):
 
     kind = "link_com"
     acts_on: ClassVar[str] = "link"
-    adds_up: ClassVar[bool] = True
+    is_additive: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links that have mass."""
         return links_with_mass(machine)
 
@@ -102,7 +102,7 @@ class LinkCom(Effect):
             mujoco.mj_kinematics(machine.model, data)
             along = data.body(where).xmat.reshape(3, 3).T @ normal
             self._axes = tuple(k for k in range(3) if abs(along[k]) < 1 - 1e-6)
-        self.nothing = (0.0,) * len(self._axes)  # type: ignore[misc]
+        self.null_values = (0.0,) * len(self._axes)  # type: ignore[misc]
         start, end = link_ends(machine, where)
         self._length = max(float(np.linalg.norm(end - start)), 0.05 * reach_of(machine))
 
@@ -156,7 +156,7 @@ class Payload(Effect):
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
-        self.nothing = (0.0,) * len(self.parameters)  # type: ignore[misc]
+        self.null_values = (0.0,) * len(self.parameters)  # type: ignore[misc]
         if self.variant:
             self.proportional = 0  # type: ignore[misc]
 
@@ -166,7 +166,7 @@ class Payload(Effect):
         return 0.0
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return the tool."""
         return ("tool",)
 
@@ -247,7 +247,7 @@ class Payload(Effect):
         body.explicitinertial = True
 
 
-def payload_words(machine: NominalModel) -> list[str]:
+def payload_notes(machine: NominalModel) -> list[str]:
     """Describe the payload's location in a model without a tool site; else none."""
     model = machine.model
     if machine.tool:
@@ -285,10 +285,10 @@ class BaseTilt(Effect):
 
     kind = "base_tilt"
     acts_on: ClassVar[str] = "arm"
-    adds_up: ClassVar[bool] = True
+    is_additive: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return the base, if there is gravity."""
         off = machine.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
         weightless = off or not np.any(machine.model.opt.gravity)
@@ -307,7 +307,7 @@ class BaseTilt(Effect):
             first /= np.linalg.norm(first)
             across = np.cross(down, first)
             self._axes = np.array([first, np.copysign(1.0, across @ second) * across])
-        self.nothing = (0.0,) * len(self._axes)  # type: ignore[misc]
+        self.null_values = (0.0,) * len(self._axes)  # type: ignore[misc]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -344,12 +344,12 @@ class GravityCompensation(Effect):
 
     kind = "gravity_compensation"
     acts_on: ClassVar[str] = "link"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links that have mass, and "all" if there are several; none without gravity."""
-        if not BaseTilt.places(machine):
+        if not BaseTilt.locations(machine):
             return ()
         links = links_with_mass(machine)
         return (*links, _ALL) if len(links) > 1 and _ALL not in links else links

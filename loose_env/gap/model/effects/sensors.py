@@ -16,7 +16,7 @@ from loose_env.gap.model.effects.drives.actuators import held_delay
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, angle_unit
 from loose_env.gap.model.effects.mjcf.sensor_columns import (
     column_of,
-    of_place_or_speed,
+    is_position_or_speed,
     reading_scale,
     vectors,
 )
@@ -44,10 +44,10 @@ class SensorBias(Effect):
     kind = "sensor_bias"
     acts_on: ClassVar[str] = "sensor"
     in_model: ClassVar[bool] = False
-    adds_up: ClassVar[bool] = True
+    is_additive: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return sensors of one axis or three."""
         dims = machine.model.sensor_dim
         return tuple(n for k, n in enumerate(machine.sensors) if n and int(dims[k]) in _AXES)
@@ -55,7 +55,7 @@ class SensorBias(Effect):
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
         self._size = int(machine.model.sensor(where).dim[0])
-        self.nothing = (0.0,) * self._size  # type: ignore[misc]
+        self.null_values = (0.0,) * self._size  # type: ignore[misc]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -95,10 +95,10 @@ class SensorGain(Effect):
     kind = "sensor_gain"
     acts_on: ClassVar[str] = "sensor"
     in_model: ClassVar[bool] = False
-    nothing: ClassVar[tuple[float, ...] | None] = (1.0,)
+    null_values: ClassVar[tuple[float, ...] | None] = (1.0,)
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return every sensor."""
         return tuple(name for name in machine.sensors if name)
 
@@ -112,7 +112,7 @@ class SensorGain(Effect):
         """Starts: a tenth less and more."""
         return ((0.9,), (1.1,))
 
-    def immaterial(self, values: Array) -> bool:
+    def is_negligible(self, values: Array) -> bool:
         """Return whether the gain is within the accuracy of sensor calibration."""
         return abs(float(values[0]) - 1.0) < _NEGLIGIBLE
 
@@ -144,7 +144,7 @@ class SensorQuantisation(Effect):
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("step", "low"),)
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return sensors of one axis."""
         dims = machine.model.sensor_dim
         return tuple(n for k, n in enumerate(machine.sensors) if n and int(dims[k]) == 1)
@@ -195,11 +195,11 @@ class SensorDelay(Effect):
 
     kind = "sensor_delay"
     acts_on: ClassVar[str] = "sensor"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
-    shifts: ClassVar[bool] = True
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
+    is_time_shift: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return every sensor."""
         return tuple(name for name in machine.sensors if name)
 
@@ -217,10 +217,10 @@ class SensorDelay(Effect):
     def _jumps(self) -> bool:
         """True if the reading is no position or speed and has no delay in the model."""
         spec_sensor = self.machine.spec.sensor(self.where)
-        smooth = of_place_or_speed(self.machine, column_of(self.where))
+        smooth = is_position_or_speed(self.machine, column_of(self.where))
         return not smooth and float(spec_sensor.delay) == 0.0
 
-    def lateness(self, values: Array) -> tuple[str, float] | None:
+    def sensor_delay(self, values: Array) -> tuple[str, float] | None:
         """Return the delay of an acceleration or a force."""
         return (self.where, float(values[0])) if self._jumps else None
 
@@ -264,11 +264,11 @@ class SensorMisalignment(Effect):
 
     kind = "sensor_misalignment"
     acts_on: ClassVar[str] = "sensor"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0, 0.0, 0.0)
-    adds_up: ClassVar[bool] = True
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0, 0.0, 0.0)
+    is_additive: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return sensors of three axes that are fixed to a site."""
         return vectors(machine)
 
@@ -321,7 +321,7 @@ class EncoderOffset(JointEffect):
     """
 
     kind = "encoder_offset"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

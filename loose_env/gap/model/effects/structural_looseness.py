@@ -55,11 +55,11 @@ class StructuralLooseness(Effect):
     acts_on: ClassVar[str] = "link"
     limit: ClassVar[tuple[tuple[str, str], ...]] = (("friction", "high"),)
     adds_motion: ClassVar[bool] = True
-    sharp: ClassVar[bool] = True
+    needs_fine_steps: ClassVar[bool] = True
     has_stops: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links with room for another joint."""
         count = machine.model.body_jntnum
         return tuple(n for n in machine.links if count[machine.model.body(n).id] <= _MOST_JOINTS)
@@ -88,7 +88,7 @@ class StructuralLooseness(Effect):
             Parameter(
                 name="friction", unit="N", low=1e-3 * force, high=100 * force, scale=force, log=True
             ),
-            *stops(self._mean_weight, self._step, "N/m"),
+            *stops(self._mean_weight, self.machine.time_step, "N/m"),
         )  # fmt: skip
 
     @property
@@ -170,10 +170,6 @@ class StructuralLooseness(Effect):
         for joint, owner in zip(machine.joints, machine.model.jnt_bodyid, strict=True):
             if owner == body and not machine.turns(joint):
                 keep_motor_side(machine, spec, joint, machine.inertia(joint))
-
-    @property
-    def _step(self) -> float:
-        return self.machine.step or float(self.machine.model.opt.timestep)
 
     @cached_property
     def _slides(self) -> Slides:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from loose_env.gap.output.result import NamedEffect
-from loose_env.gap.output.targets.drives import Drive, JointValues, joint_values
+from loose_env.gap.output.targets.drives import JointDrive, JointValues, joint_values
 from loose_env.gap.output.targets.source import (
     ALL,
     Export,
@@ -223,7 +223,7 @@ def _remarks(joint: JointValues) -> list[str]:
     return [] if joint.drive is None else list(joint.drive.remarks)
 
 
-def _effort_scale(drive: Drive) -> list[str]:
+def _effort_scale(drive: JointDrive) -> list[str]:
     """Remark on the torque per command of a motor, where that is not one."""
     if drive.mode != "effort" or abs(drive.effort_gain - 1.0) <= 1e-9:
         return []

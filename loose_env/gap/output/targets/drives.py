@@ -13,19 +13,19 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-__all__ = ["Drive", "JointValues", "joint_values"]
+from loose_env.gap.model.nominal_model import affine_actuators
+
+__all__ = ["JointDrive", "JointValues", "joint_values"]
 
 Mode = Literal["position", "velocity", "effort"]
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
-_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _SAME = 1e-6
 """Relative difference of two gains that are the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drive:
+class JointDrive:
     """One actuator at a joint."""
 
     name: str
@@ -62,7 +62,7 @@ class JointValues:
     """Dry friction at rest [N·m, N]."""
     damping: float
     """Viscous friction [N·m·s/rad, N·s/m]."""
-    drive: Drive | None = None
+    drive: JointDrive | None = None
     """Its drive; None without one, or where it is no PD law."""
     reason: str = ""
     """Reason why a driven joint has no `drive`; "" otherwise."""
@@ -106,7 +106,7 @@ def joint_values(model: mujoco.MjModel) -> tuple[JointValues, ...]:
     return tuple(found)
 
 
-def _drive(model: mujoco.MjModel, joint: int) -> tuple[Drive | None, str]:
+def _drive(model: mujoco.MjModel, joint: int) -> tuple[JointDrive | None, str]:
     """Return the drive of a joint, or the reason why it has none that is a PD law."""
     at_joint = np.isin(model.actuator_trntype, _AT_JOINT)
     there = np.flatnonzero(at_joint & (model.actuator_trnid[:, 0] == joint))
@@ -118,8 +118,7 @@ def _drive(model: mujoco.MjModel, joint: int) -> tuple[Drive | None, str]:
     if len(own) > 1:
         return None, f"several actuators drive it ({names})"
     k = own[0]
-    affine = model.actuator_gaintype[k] in _GAINS and not model.actuator_gainprm[k][1:3].any()
-    if not affine or model.actuator_biastype[k] not in _BIASES:
+    if not affine_actuators(model)[k] or model.actuator_gainprm[k][1:3].any():
         return None, f"the force of {names} is not linear in command, position and speed"
     gain, gear = float(model.actuator_gainprm[k, 0]), float(model.actuator_gear[k, 0])
     bias, stiff, damped = (float(v) for v in model.actuator_biasprm[k][:3])
@@ -137,7 +136,7 @@ def _drive(model: mujoco.MjModel, joint: int) -> tuple[Drive | None, str]:
             f"the effort limits of {names} by direction ({limit[0]:.4g} and {limit[1]:.4g}): the "
             "smaller one is exported"
         )
-    return Drive(
+    return JointDrive(
         name=names,
         mode=mode,
         stiffness=-(gear**2) * stiff + 0.0,

@@ -32,9 +32,9 @@ __all__ = ["chaotic_runs"]
 NUDGE = 1e-5
 """Change of where a run begins that does not matter [rad, m]."""
 _OF_STOPS = {"stiffness": 1.3, "damping_ratio": 1.5}
-"""Factors on figures of stops that do not matter: no law of contact is that exact."""
+"""Factors on parameters of stops that do not matter: no law of contact is that exact."""
 LOOKED_AT = 2.0
-"""How much of a run is simulated to see whether trajectories part, where it is least like the
+"""How much of a run is simulated to see whether trajectories diverge, where it is least like the
 nominal model [s]; at least as much as features need."""
 _NOMINAL = Hypothesis(effects=(), values=())
 
@@ -94,7 +94,7 @@ def chaotic_runs(
         for first, second in zip(predicted[::2], predicted[1::2], strict=True):
             for (_, features), one, two in zip(loud, first, second, strict=True):
                 finite = np.isfinite(one).all() and np.isfinite(two).all()
-                if finite and features.redrawn(one, two) > CHAOTIC_SHARE:
+                if finite and features.chaotic_share(one, two) > CHAOTIC_SHARE:
                     return frozenset(run.name for run, _ in loud)
     return frozenset()
 

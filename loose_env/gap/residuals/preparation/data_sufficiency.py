@@ -15,10 +15,10 @@ from loose_env.gap.settings import (
     SPARE_BLOCKS,
 )
 
-__all__ = ["sufficiency_words"]
+__all__ = ["sufficiency_notes"]
 
 
-def sufficiency_words(fitted: ResidualModel, held: ResidualModel) -> list[str]:
+def sufficiency_notes(fitted: ResidualModel, held: ResidualModel) -> list[str]:
     """Describe shortfalls of the data in sentences; none if the data suffice.
 
     An improvement of k standard deviations over blocks of time needs k² blocks that all agree.

@@ -28,9 +28,9 @@ from loose_env.gap.settings import (
 from loose_env.gap.simulation.time_step import stepped
 from loose_env.recording import Run
 
-__all__ = ["Integration", "choose_integration", "corrected_step_words"]
+__all__ = ["Integration", "choose_integration", "corrected_step_notes"]
 
-_FAR, _SHARE = 50.0, 0.5
+_POOR_FIT_RMS, _SHARE = 50.0, 0.5
 """How far the nominal model is off [noise standard deviations] where the noise is no measure any
 more, and the share of that which is one in its place."""
 _LEFT = 0.3
@@ -63,10 +63,10 @@ class Integration:
     """Step error of the worst channel, in noise standard deviations."""
     nominal_error: float
     """Step error of the model's own step and integrator."""
-    matter: float
+    relative_error: float
     """As `error`; where the nominal model is off by more than 50 noise standard deviations, as a
     share of half of that: what is a hundred times off need not be simulated to the noise."""
-    nominal_matter: float
+    nominal_relative_error: float
     """Relative step error of the model's own step and integrator."""
 
     @property
@@ -74,7 +74,7 @@ class Integration:
         """Number of steps that can be joined; a doubled Runge-Kutta step errs 16 times."""
         if self.integrator != _RK4:
             return 1
-        return max(k for k in (1, 2, 4) if k == 1 or k**4 * self.matter < _UNSEEN)
+        return max(k for k in (1, 2, 4) if k == 1 or k**4 * self.relative_error < _UNSEEN)
 
     @property
     def substeps(self) -> int:
@@ -82,9 +82,9 @@ class Integration:
 
         None where the step error itself is visible: a finer step would explain that, too.
         """
-        return 2 if self.integrator == _RK4 and self.matter < _UNSEEN else 1
+        return 2 if self.integrator == _RK4 and self.relative_error < _UNSEEN else 1
 
-    def words(self, *, own: float) -> list[str]:
+    def notes(self, *, own: float) -> list[str]:
         """Notes on a changed step, and on one that is still too coarse.
 
         Parameters
@@ -93,14 +93,17 @@ class Integration:
             The model's own step [s].
         """
         found = []
-        if self.nominal_matter > OWN_STEP_ERROR and self.matter < self.nominal_matter:
+        if (
+            self.nominal_relative_error > OWN_STEP_ERROR
+            and self.relative_error < self.nominal_relative_error
+        ):
             found.append(
                 f"the model's own step of {own:g} s is a model error by itself: "
                 f"{self.nominal_error:.2g} noise standard deviations in the worst channel; runs "
                 "were simulated by a "
                 f"Runge-Kutta method at {self.step:.3g} s instead, and model.xml has that step"
             )
-        if self.matter > OWN_STEP_ERROR:
+        if self.relative_error > OWN_STEP_ERROR:
             found.append(
                 f"the step is still too coarse to judge by: at {self.step:.3g} s its error is "
                 f"{self.error:.2g} noise standard deviations in the worst channel, and what is "
@@ -142,7 +145,7 @@ def choose_integration(
     integrator = int(machine.model.opt.integrator)
     as_given = residual(own, integrator)
     off = float(np.sqrt(np.mean(as_given**2)))
-    scale = _SHARE * off if off > _FAR else 1.0
+    scale = _SHARE * off if off > _POOR_FIT_RMS else 1.0
 
     def worst(difference: np.ndarray) -> float:
         return float(np.max(by_channel(difference)) / scale)
@@ -166,12 +169,12 @@ def choose_integration(
         integrator=kept,
         error=float(np.max(by_channel(chosen))),
         nominal_error=float(np.max(by_channel(given))),
-        matter=worst(chosen),
-        nominal_matter=worst(given),
+        relative_error=worst(chosen),
+        nominal_relative_error=worst(given),
     )
 
 
-def corrected_step_words(held_out: ResidualModel, hypothesis: Hypothesis) -> list[str]:
+def corrected_step_notes(held_out: ResidualModel, hypothesis: Hypothesis) -> list[str]:
     """Report whether the corrected model needs a finer step; none where it does not.
 
     An added effect may be stiffer than the nominal model by which the step was chosen. Runs that

@@ -16,12 +16,12 @@ from loose_env.gap.data.measured_runs import measured_runs
 from loose_env.gap.data.noise_floor import channel_floor
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import candidates
-from loose_env.gap.model.effects.link_inertia import payload_words
-from loose_env.gap.model.element_names import naming_words
+from loose_env.gap.model.effects.link_inertia import payload_notes
+from loose_env.gap.model.element_names import naming_notes
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.preparation.chaotic_runs import chaotic_runs
-from loose_env.gap.residuals.preparation.data_sufficiency import sufficiency_words
+from loose_env.gap.residuals.preparation.data_sufficiency import sufficiency_notes
 from loose_env.gap.residuals.preparation.integrator_choice import Integration, choose_integration
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
@@ -69,7 +69,7 @@ class GapProblem:
         kinds = self.settings.kinds or None
         return [each for each in candidates(self.machine, kinds) if self.search.shows(each)]
 
-    def louder(self, factors: Array) -> GapProblem:
+    def with_noise_scaled(self, factors: Array) -> GapProblem:
         """Copy with the noise of every channel scaled by a factor (C,)."""
         known: dict[int, ResidualModel] = {}
 
@@ -109,16 +109,16 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
     runs = [piece for own in pieces for piece in own]
     machine = NominalModel(recording.spec())
     channels = channels_of(runs)
-    warnings += naming_words(recording.spec())
+    warnings += naming_notes(recording.spec())
     if not settings.kinds or "payload" in settings.kinds:
-        warnings += payload_words(machine)
+        warnings += payload_notes(machine)
     integration = None
     simulated = [run for run in runs if run.comparison != "inverse"]
     step = float(machine.model.opt.timestep)
     if simulated:
         integration = choose_integration(machine, simulated, channels, threads=settings.threads)
         step = integration.step
-        warnings += integration.words(own=float(machine.model.opt.timestep))
+        warnings += integration.notes(own=float(machine.model.opt.timestep))
     kept = NominalModel(
         machine.spec,
         step=step,
@@ -136,7 +136,7 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
         names = ", ".join(c.name for c, left_out in zip(channels, said, strict=True) if left_out)
         warnings.append(f"{names}: constant, so that its noise is unknown; not compared")
     trials = [_without(trial, still) for trial in trials]
-    kept = _scaled(kept, runs, trials, channels, floors, settings.threads)
+    kept = _scaled(kept, runs, trials, settings.threads)
     chaotic = chaotic_runs(
         kept,
         trials,
@@ -171,7 +171,7 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
                 "by shows one value throughout, or was not read. Record motions that are large "
                 "beside the steps in which it is read"
             )
-    warnings += sufficiency_words(ahead, whole)
+    warnings += sufficiency_notes(ahead, whole)
     return GapProblem(
         settings=settings,
         recording=recording.folder.name,
@@ -276,8 +276,6 @@ def _scaled(
     machine: NominalModel,
     runs: list[Run],
     trials: list[Trial],
-    channels: tuple[Channel, ...],
-    floors: Array,
     threads: int,
 ) -> NominalModel:
     """Set the machine's typical speeds and torques to those of the recording."""

@@ -20,7 +20,7 @@ from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse
 from loose_env.gap.residuals.random_excitation.frf_features import ResponseFeatures
-from loose_env.gap.residuals.random_excitation.incoherent_features import RestFeatures
+from loose_env.gap.residuals.random_excitation.incoherent_features import IncoherentFeatures
 from loose_env.typing import Array
 
 __all__ = ["GROUP", "FeatureSettings", "RandomFeatures", "RandomRun"]
@@ -42,7 +42,8 @@ class FeatureSettings:
     """Standard deviation of a noise floor, as a share of it."""
     chaos: float = 1.0
     """Share of the incoherent part, less the noise, that a right simulation draws anew: 1 where
-    stops are struck wildly, 0 where it repeats all of it. `RandomFeatures.redrawn` measures it."""
+    impacts are chaotic, 0 where it repeats all of it. Measured by `RandomFeatures.chaotic_share`.
+    """
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -135,7 +136,7 @@ class RandomFeatures:
             bands=chosen.bands, clear=chosen.clear, chaos=chosen.chaos,
         )  # fmt: skip
         self._rest_density = rest.density
-        self._rest = RestFeatures(
+        self._rest = IncoherentFeatures(
             rest, self._channels, self._floors, self.response,
             floor_error=chosen.floor_error, chaos=chosen.chaos,
         )  # fmt: skip
@@ -153,8 +154,6 @@ class RandomFeatures:
         machine: NominalModel,
         channels: Sequence[Channel],
         floors: Array,
-        *,
-        settings: FeatureSettings | None = None,
     ) -> RandomFeatures:
         """Features of a measured run whose recording lists excited joints.
 
@@ -180,7 +179,6 @@ class RandomFeatures:
             commands=trial.controls[at][:, driven],
             floors=floors,
             channels=channels,
-            settings=settings,
         )
 
     @cached_property
@@ -227,7 +225,7 @@ class RandomFeatures:
         measured = self._rest_density.mean(axis=0)
         return float(np.max(measured / (simulated + self._floors**2)))
 
-    def redrawn(self, first: Array, second: Array) -> float:
+    def chaotic_share(self, first: Array, second: Array) -> float:
         """Share of the incoherent part that is chaotic, from two simulations of a model.
 
         Parameters

@@ -13,7 +13,7 @@ from loose_env.gap.residuals.random_excitation.frequency_response import Command
 from loose_env.statistics import memory_of
 from loose_env.typing import Array
 
-__all__ = ["RestFeatures"]
+__all__ = ["IncoherentFeatures"]
 
 
 _POWER = 0.99
@@ -26,7 +26,7 @@ _LINEAR = 2.0
 """Cumulants up to about this count as they are, larger ones by their logarithm."""
 
 
-class RestFeatures:
+class IncoherentFeatures:
     """Features of the incoherent part of the readings.
 
     Logarithms of its variance in the command's band and above it, with the noise floor in both

@@ -16,7 +16,7 @@ import numpy as np
 from loose_env.gap.fitting.confidence_intervals import Intervals, joined
 from loose_env.gap.fitting.gauss_newton import Fit, cost_of, fit
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
-from loose_env.gap.fitting.refit import refined
+from loose_env.gap.fitting.refit import with_new_jacobian
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.residuals.physical_units import noise_ratio
 from loose_env.gap.residuals.preparation.prepare import GapProblem
@@ -56,9 +56,9 @@ def impact_pass(
 
     Parameters
     ----------
-    prepared : GapProblem
+    problem : GapProblem
         The runs.
-    judge : Scorer
+    scorer : Scorer
         Scores fits to ``problem.fit``.
     base, best : ScoredFit
         The nominal model, and the best hypothesis, which does not explain enough.
@@ -79,21 +79,21 @@ def impact_pass(
     # Impacts dominate the accelerations, whose residual is no smaller for correct parameters than
     # for wrong ones; positions and speeds are hardly affected.
     left = problem.fit.channel_rms(best.fitted.residual)
-    weighed = problem.louder(np.maximum(left, 1.0))
-    own = Scorer(weighed.fit, weighed.held_out_whole)
-    rigid = _without_slides(best, problem, weighed, own)
+    reweighted = problem.with_noise_scaled(np.maximum(left, 1.0))
+    own = Scorer(reweighted.fit, reweighted.held_out_whole)
+    rigid = _without_slides(best, problem, reweighted, own)
     if len(rigid.fitted.effects) >= settings.most_effects:
         return None
     known, rng = rigid.fitted.hypothesis.of_model, np.random.default_rng(settings.seed)
     impact_fit = find_impacts(problem, known, sought, rng, say=say)
     if impact_fit is None:
         return None
-    rigid = own.score(refined(rigid.fitted, weighed.fit))
+    rigid = own.score(with_new_jacobian(rigid.fitted, reweighted.fit))
     for effect in impact_fit.insignificant:
         say(f"  dropped {effect!r}: a proxy for the part with stops")
-        rigid = refit_without(effect, rigid, weighed, own)
-    rigid, intervals = drop_insignificant(rigid, weighed, own, settings.seed, say=say)
-    found = scorer.score(_with_struck(problem.fit, rigid.fitted, impact_fit))
+        rigid = refit_without(effect, rigid, reweighted, own)
+    rigid, intervals = drop_insignificant(rigid, reweighted, own, settings.seed, say=say)
+    found = scorer.score(_with_impact_part(problem.fit, rigid.fitted, impact_fit))
     bounded = at_bound(found.fitted.structure, found.fitted.free)
     worse = worse_quantity(scorer.held_out, found, base)
     if bounded or worse:
@@ -108,7 +108,7 @@ def impact_pass(
 
 
 def _without_slides(
-    best: ScoredFit, problem: GapProblem, weighed: GapProblem, scorer: Scorer
+    best: ScoredFit, problem: GapProblem, reweighted: GapProblem, scorer: Scorer
 ) -> ScoredFit:
     """Refit the hypothesis without slides, which the impact pass searches again."""
     fitted = best.fitted
@@ -123,11 +123,11 @@ def _without_slides(
     rigid = fitted.structure.with_effects(
         [effect for effect in fitted.effects if effect.kind != "structural_looseness"]
     )
-    known = fitted.jacobian[:, kept] * noise_ratio(problem.fit, weighed.fit)[:, None]
-    return scorer.score(fit(weighed.fit, rigid, fitted.free[kept], known=known))
+    known = fitted.jacobian[:, kept] * noise_ratio(problem.fit, reweighted.fit)[:, None]
+    return scorer.score(fit(reweighted.fit, rigid, fitted.free[kept], known=known))
 
 
-def _with_struck(comparison: ResidualModel, rigid: Fit, impact_fit: ImpactFit) -> Fit:
+def _with_impact_part(comparison: ResidualModel, rigid: Fit, impact_fit: ImpactFit) -> Fit:
     """Add a part fitted by its impact power to a fit, without refitting."""
     whole = Fit(
         structure=rigid.structure.plus(impact_fit.effect),

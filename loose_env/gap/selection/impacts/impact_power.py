@@ -33,9 +33,9 @@ _READ = 0.5
 _SMOOTHED = 8
 """Samples of the moving mean that parts the lower band from the upper."""
 _CHANCE = 0.7
-"""Standard deviation of the logarithm of a power that blows make, in a stretch, by chance."""
+"""Standard deviation of the logarithm of the power of impacts in a stretch, by chance."""
 _BLOCK = 0.1
-"""What hangs together [s]."""
+"""Block length [s]; residuals may be autocorrelated within a block."""
 
 
 class ImpactPower(ResidualModel):
@@ -120,10 +120,10 @@ class ImpactPower(ResidualModel):
             trial=run[read],
             channel=np.array(self._own, dtype=np.intp)[channel[read]],
             sample=(stretch * size[run])[read],
-            place=stretch[read],
+            index=stretch[read],
             block=(run * longest + stretch // together[run])[read],
-            white=np.ones(int(read.sum()), dtype=bool),
-            shaken=np.zeros(int(read.sum()), dtype=bool),
+            is_feature=np.ones(int(read.sum()), dtype=bool),
+            random_excitation=np.zeros(int(read.sum()), dtype=bool),
             inverse=np.zeros(int(read.sum()), dtype=bool),
         )
         # an encoder at rest shows a constant value, with variation far below its noise

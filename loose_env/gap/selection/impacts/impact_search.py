@@ -39,14 +39,16 @@ __all__ = ["ImpactFit", "find_impacts"]
 
 _FITTED = 2
 """Candidates that are fitted."""
-_BY_CHANCE = 0.5
+_NOISE_MEAN_SQUARE = 0.5
 """Mean square of what noise alone leaves: half of it, for less than noise counts as noise."""
-_FROM = 3
+_MULTISTARTS = 3
 """Starts from which each of them is fitted."""
 _TITLE = "parts with stops"
 _STEP = 0.05
-_ROUGH, _FINE = (FitSettings(difference=step, iterations=n) for step, n in ((0.2, 8), (_STEP, 4)))
-"""Powers scatter with the moments of blows: sensitivities are taken over long steps first."""
+_ROUGH, _FINE = (
+    FitSettings(finite_difference_step=step, iterations=n) for step, n in ((0.2, 8), (_STEP, 4))
+)
+"""Powers scatter with the times of impacts: sensitivities are taken over long steps first."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,7 +74,7 @@ class ImpactFit:
         return self.fitted.effects[0]
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Notes for the reader."""
         return (
             f"{self.effect.where} hits its stops at times that no simulation reproduces: it is "
@@ -94,7 +96,7 @@ def find_impacts(
 
     Parameters
     ----------
-    prepared : GapProblem
+    problem : GapProblem
         The runs.
     known : Hypothesis
         The hypothesis found sample by sample, nominal parameters included.
@@ -141,13 +143,13 @@ def find_impacts(
         return None
     searched = ImpactPower(problem.search, known)
 
-    def left(hypothesis: Hypothesis) -> _Left:
-        return _Left.of(hypothesis, searched, held)
+    def left(hypothesis: Hypothesis) -> _ImpactResiduals:
+        return _ImpactResiduals.of(hypothesis, searched, held)
 
     fits = [fit(searched, each.structure, each.free, settings=_FINE) for each in rough]
     tried = sorted(((left(each.hypothesis), each) for each in fits), key=lambda t: t[0].total)
     best, fitted = tried[0]
-    before = _Left((searched, searched.measured), (held, held.measured))
+    before = _ImpactResiduals((searched, searched.measured), (held, held.measured))
     share = _explained(held.measured, best.held[1])
     say(f"  {fitted.effects[0]!r}: explains {share:.2f} of the impact power of held-out runs")
     if share < IMPACT_EXPLAINED or not best.ahead_of(before):
@@ -173,14 +175,16 @@ def find_impacts(
 
 
 @dataclass(frozen=True)
-class _Left:
+class _ImpactResiduals:
     """Residuals of a hypothesis in the impact powers of training and held-out runs."""
 
     fitted: tuple[ImpactPower, Array]
     held: tuple[ImpactPower, Array]
 
     @classmethod
-    def of(cls, hypothesis: Hypothesis, searched: ImpactPower, held: ImpactPower) -> _Left:
+    def of(
+        cls, hypothesis: Hypothesis, searched: ImpactPower, held: ImpactPower
+    ) -> _ImpactResiduals:
         return cls(
             *(
                 (impact_power, impact_power.residuals([hypothesis])[0])
@@ -192,7 +196,7 @@ class _Left:
     def total(self) -> float:
         return sum(float(left @ left) for _, left in (self.fitted, self.held))
 
-    def improvement_of(self, behind: _Left) -> tuple[float, float]:
+    def improvement_of(self, behind: _ImpactResiduals) -> tuple[float, float]:
         """Return the improvement (z) on the training runs and on the held-out runs."""
         first, second = (
             residual_z(impact_power, more, less)
@@ -203,10 +207,10 @@ class _Left:
         )
         return first, second
 
-    def ahead_of(self, behind: _Left) -> bool:
+    def ahead_of(self, behind: _ImpactResiduals) -> bool:
         """Return whether the improvement is significant."""
-        leads = self.improvement_of(behind)
-        return max(leads) >= ACCEPTED_Z and min(leads) >= CONFIRMED_Z
+        z_scores = self.improvement_of(behind)
+        return max(z_scores) >= ACCEPTED_Z and min(z_scores) >= CONFIRMED_Z
 
 
 def _sorted(
@@ -227,7 +231,7 @@ def _roughly(impact_power: ImpactPower, effect: Effect, starts: Sequence[tuple[f
     structure = ModelStructure(effects=(effect,))
     found = [
         fit(impact_power, structure, free_of(effect.parameters, np.array(start)), settings=_ROUGH)
-        for start in starts[:_FROM]
+        for start in starts[:_MULTISTARTS]
     ]
     return min(found, key=lambda each: each.cost)
 
@@ -255,11 +259,11 @@ def _insignificant(problem: GapProblem, known: Hypothesis, part: Hypothesis) -> 
     nominal = known.of_model.with_effects(())
     searched, held = (ImpactPower(runs, nominal) for runs in (problem.search, problem.held_out))
     none = Hypothesis()
-    best = _Left.of(none.with_effects([*kept, *own]), searched, held)
+    best = _ImpactResiduals.of(none.with_effects([*kept, *own]), searched, held)
     insignificant: list[Effect] = []
     for pair in reversed(kept.copy()):
         without = [each for each in kept if each is not pair]
-        left = _Left.of(none.with_effects([*without, *own]), searched, held)
+        left = _ImpactResiduals.of(none.with_effects([*without, *own]), searched, held)
         if not best.ahead_of(left):
             insignificant.append(pair[0])
             kept, best = without, left
@@ -268,5 +272,5 @@ def _insignificant(problem: GapProblem, known: Hypothesis, part: Hypothesis) -> 
 
 def _explained(before: Array, after: Array) -> float:
     """Share of the power beyond sampling error that is explained, 1 at most."""
-    more, left = (float(np.sum(each**2 - _BY_CHANCE)) for each in (before, after))
+    more, left = (float(np.sum(each**2 - _NOISE_MEAN_SQUARE)) for each in (before, after))
     return 1.0 - max(left, 0.0) / more if more > 0 else 0.0

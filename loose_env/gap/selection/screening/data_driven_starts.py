@@ -19,7 +19,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.data.noise_floor import resolution_of
-from loose_env.gap.data.smoothing import Motion, smooth_motion
+from loose_env.gap.data.smoothing import SmoothedMotion, smooth_motion
 from loose_env.gap.model.data_starts import ResidualAccelerations
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
@@ -30,7 +30,7 @@ from loose_env.gap.simulation.driven_effects import Driven
 from loose_env.gap.simulation.torque_terms import torque_terms
 from loose_env.typing import Array
 
-__all__ = ["missing_torque", "proposals", "residual_accelerations"]
+__all__ = ["proposals", "residual_accelerations", "residual_torque"]
 
 
 _DYNAMICS_SAMPLES = 6000
@@ -68,9 +68,9 @@ def proposals(
         starts |= {
             e.key: e.propose_stiffness(stiffness[e.where]) for e in springs if e.where in stiffness
         }
-    searching = [effect for effect in candidates if effect.searches]
+    searching = [effect for effect in candidates if effect.needs_data_starts]
     limits = [e for e in candidates if type(e).propose_limit is not Effect.propose_limit]
-    found = missing_torque(comparison, hypothesis) if searching or limits else None
+    found = residual_torque(comparison, hypothesis) if searching or limits else None
     if found is None:
         return starts
     angle, speed, acceleration, torque, needed = found
@@ -103,7 +103,7 @@ def _from_readings(comparison: ResidualModel, effect: Effect) -> tuple[tuple[flo
     return effect.propose_from(max(steps)) if steps and all(steps) else ()
 
 
-def missing_torque(
+def residual_torque(
     comparison: ResidualModel, hypothesis: Hypothesis
 ) -> tuple[Array, Array, Array, Array, Array] | None:
     """Motion, residual torque and needed torque of all runs with commands or measured torques.
@@ -118,7 +118,7 @@ def missing_torque(
     machine = comparison.machine
     rigid = [(effect, values) for effect, values in hypothesis.pairs if not effect.adds_motion]
     known = hypothesis.of_model.with_effects(rigid)
-    step = machine.step or float(machine.model.opt.timestep)
+    step = machine.time_step
     model = known.model(machine, step)
     model.opt.disableflags |= _OFF
     runs = [trial for trial in comparison.trials if trial.form == "forward"]
@@ -162,7 +162,7 @@ def _compared(
 
 
 def _missing(
-    model: mujoco.MjModel, known: Hypothesis, trial: Trial, motion: Motion, most: int
+    model: mujoco.MjModel, known: Hypothesis, trial: Trial, motion: SmoothedMotion, most: int
 ) -> tuple[Array, Array, Array, Array, Array] | None:
     """Motion, residual and needed torque of one run; None where an activation is not known."""
     times = trial.step * np.arange(trial.steps, dtype=np.float64)

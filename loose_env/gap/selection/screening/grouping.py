@@ -8,7 +8,7 @@ from loose_env.gap.model.effect import Effect
 
 __all__ = ["confusable", "joint_of"]
 
-_ALIKE = (
+_CONFUSABLE_KINDS = (
     ("command_delay", "actuator_lag", "joint_compliance", "sensor_delay"),
     ("joint_compliance", "link_flexibility", "base_compliance"),
     ("joint_compliance", "backlash", "structural_looseness"),
@@ -64,7 +64,7 @@ def confusable(effect: Effect, other: Effect) -> bool:
     >>> confusable(spring, CATALOGUE["viscous_friction"](machine, second))
     False
     """
-    if not any(effect.kind in group and other.kind in group for group in _ALIKE):
+    if not any(effect.kind in group and other.kind in group for group in _CONFUSABLE_KINDS):
         return False
     first, second = joint_of(effect), joint_of(other)
     return first is None or second is None or abs(first - second) <= 1

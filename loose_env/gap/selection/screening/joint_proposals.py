@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.linear_problem import CurrentFit, bounded_minimum
-from loose_env.gap.selection.screening.screening import Screened
+from loose_env.gap.selection.screening.screening import ScreenedCandidate
 from loose_env.gap.settings import SHARE_IN_SET
 from loose_env.typing import Array
 
@@ -53,7 +53,7 @@ are nearly one direction the difference counts little."""
 class Proposal:
     """A set of candidates."""
 
-    members: tuple[Screened, ...]
+    members: tuple[ScreenedCandidate, ...]
     """Candidates, with the values of the joint solution."""
     predicted: float
     """Predicted share of the weighted cost that they explain together."""
@@ -68,12 +68,12 @@ class JointProblem:
         Comparison of the runs.
     fitted : Fit
         The current model on these runs, with its sensitivities.
-    screened : sequence of Screened
+    screened : sequence of ScreenedCandidate
         Candidates with their signatures, the most promising first.
     """
 
     def __init__(
-        self, comparison: ResidualModel, fitted: Fit, screened: Sequence[Screened]
+        self, comparison: ResidualModel, fitted: Fit, screened: Sequence[ScreenedCandidate]
     ) -> None:
         self.screened = [each for each in screened if each.signature is not None]
         weights = _weights(comparison, fitted.residual)
@@ -127,7 +127,7 @@ class JointProblem:
         kept = np.any(apart[first] != apart[second], axis=1)
         first, second = first[kept], second[kept]
         tried: dict[tuple[int, int], None] = {}
-        for gram, slope in (self._pinned(), self._reduced()):
+        for gram, slope in (self._gram_parameters_fixed(), self._gram_parameters_free()):
             gain = self._gains(gram, slope, np.stack([first, second], axis=1))
             tried |= {(int(first[k]), int(second[k])): None for k in np.argsort(-gain)[:_SOLVED]}
         return _best([self.solved(pair) for pair in tried], most)
@@ -150,10 +150,10 @@ class JointProblem:
         One grows from these, the others from nothing.
         """
         own = self.solved(chosen)
-        least = -np.inf if own is None else self._worth(own) + _PARAMETER
+        least = -np.inf if own is None else self._penalised_gain(own) + _PARAMETER
         found = [*self.greedy(), self._grown((), chosen)]
-        real = [each for each in found if each is not None and self._worth(each) > least]
-        return sorted(real, key=lambda each: -self._worth(each))
+        real = [each for each in found if each is not None and self._penalised_gain(each) > least]
+        return sorted(real, key=lambda each: -self._penalised_gain(each))
 
     def greedy(self) -> list[Proposal]:
         """Sets of many candidates, grown step by step as long as a step explains enough.
@@ -187,9 +187,9 @@ class JointProblem:
         while True:
             better = None
             if len(chosen) < _GREEDY:
-                steps = (*self._singles(chosen), *self._wholes(chosen, groups))
+                steps = (*self._singles(chosen), *self._kind_groups(chosen, groups))
                 better = self._best_of([(*chosen, *own) for own in steps], best)
-            better = better or self._best_of(self._exchanges(chosen), best)
+            better = better or self._best_of(self._swaps(chosen), best)
             if better is None:
                 return best
             chosen, best = better
@@ -199,11 +199,11 @@ class JointProblem:
     ) -> tuple[tuple[int, ...], Proposal] | None:
         """Set (indices) that is worth most; None if none is worth more than the best so far."""
         found = [(own, each) for own in sets if (each := self.solved(own)) is not None]
-        least = -np.inf if best is None else self._worth(best) + _PARAMETER
-        found = [each for each in found if self._worth(each[1]) > least]
-        return max(found, key=lambda each: self._worth(each[1]), default=None)
+        least = -np.inf if best is None else self._penalised_gain(best) + _PARAMETER
+        found = [each for each in found if self._penalised_gain(each[1]) > least]
+        return max(found, key=lambda each: self._penalised_gain(each[1]), default=None)
 
-    def _worth(self, proposal: Proposal) -> float:
+    def _penalised_gain(self, proposal: Proposal) -> float:
         """Fall of the logarithm of what is left, less what members and parameters have to bring.
 
         What is left is no less than the noise.
@@ -216,7 +216,7 @@ class JointProblem:
             - _PARAMETER * count
         )
 
-    def _exchanges(self, chosen: tuple[int, ...]) -> list[tuple[int, ...]]:
+    def _swaps(self, chosen: tuple[int, ...]) -> list[tuple[int, ...]]:
         """Sets with one member exchanged for another candidate."""
         rests = [tuple(k for k in chosen if k != member) for member in chosen]
         return [
@@ -232,13 +232,16 @@ class JointProblem:
         taken = {places[k] for k in chosen}
         free = np.array([place not in taken for place in places], dtype=bool)
         tried: dict[int, None] = {}
-        for gram, slope in (self._pinned(chosen), self._reduced(chosen)):
+        for gram, slope in (
+            self._gram_parameters_fixed(chosen),
+            self._gram_parameters_free(chosen),
+        ):
             gains = self._gains(gram, slope, np.arange(len(places))[:, None])
             gains = np.where(free, gains, 0.0)
             tried |= {int(k): None for k in np.argsort(-gains)[:_TRIED] if gains[k] > 0}
         return [(k,) for k in tried]
 
-    def _wholes(
+    def _kind_groups(
         self, chosen: tuple[int, ...], groups: Sequence[tuple[Key, tuple[int, ...]]]
     ) -> list[tuple[int, ...]]:
         """Groups of further kinds that gain most beside some candidates (indices)."""
@@ -246,7 +249,7 @@ class JointProblem:
         left = [own for (kind, _), own in groups if kind not in kinds]
         if not left:
             return []
-        gram, slope = self._reduced(chosen)
+        gram, slope = self._gram_parameters_free(chosen)
         gains = [float(self._gains(gram, slope, np.array([own]))[0]) for own in left]
         return [left[k] for k in np.argsort(gains)[::-1][:_TRIED]]
 
@@ -294,18 +297,18 @@ class JointProblem:
         along = np.where(there, (slope / size)[columns], 0.0)
         return np.asarray(np.sum(along * np.linalg.solve(within, along[..., None])[..., 0], axis=1))
 
-    def _pinned(self, chosen: tuple[int, ...] = ()) -> tuple[Array, Array]:
+    def _gram_parameters_fixed(self, chosen: tuple[int, ...] = ()) -> tuple[Array, Array]:
         """Gram matrix (K, K) and slope (K,) beside some candidates, the parameters held."""
-        return self._beyond(self._columns(chosen))
+        return self._schur_complement(self._columns(chosen))
 
-    def _reduced(self, chosen: tuple[int, ...] = ()) -> tuple[Array, Array]:
+    def _gram_parameters_free(self, chosen: tuple[int, ...] = ()) -> tuple[Array, Array]:
         """The same with the parameters free, without their bounds."""
-        return self._beyond([*range(self._known), *self._columns(chosen)])
+        return self._schur_complement([*range(self._known), *self._columns(chosen)])
 
     def _columns(self, chosen: tuple[int, ...]) -> list[int]:
         return [self._known + int(c) for k in chosen for c in self._own[k]]
 
-    def _beyond(self, own: list[int]) -> tuple[Array, Array]:
+    def _schur_complement(self, own: list[int]) -> tuple[Array, Array]:
         """Gram matrix (K, K) and slope (K,) of the columns less what some numbers absorb."""
         slope, curvature, count = self._slope, self._curvature, self._known
         if not own:
@@ -328,7 +331,7 @@ def _weights(comparison: ResidualModel, residual: Array) -> Array:
     return np.asarray(1.0 / np.sqrt(np.maximum(squares, 1.0)))[channel]
 
 
-def _place(each: Screened) -> Key:
+def _place(each: ScreenedCandidate) -> Key:
     """Kind and location: variants and starts of one effect are alternatives."""
     return each.effect.kind, each.effect.where
 

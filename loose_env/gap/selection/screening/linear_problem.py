@@ -84,7 +84,9 @@ class CurrentFit:
         gain = -float(moved @ (2 * self.slope + self.curvature @ moved))
         return max(gain, 0.0) / max(float(self.residual @ self.residual), 1e-12)
 
-    def taken_up(self, signatures: Array, least: float, most: float) -> tuple[Array, Array] | None:
+    def best_coefficients(
+        self, signatures: Array, least: float, most: float
+    ) -> tuple[Array, Array] | None:
         """Best coefficients of signatures (N, K) and their change of the residual.
 
         Returns (K,) and (N,). The current parameters are refitted within their bounds: a parameter

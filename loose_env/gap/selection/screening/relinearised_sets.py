@@ -18,19 +18,19 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.joint_proposals import JointProblem
-from loose_env.gap.selection.screening.screening import Screened, along
+from loose_env.gap.selection.screening.screening import ScreenedCandidate, along
 from loose_env.typing import Array
 
-__all__ = ["OtherSet", "other_sets"]
+__all__ = ["AlternativeSet", "alternative_sets"]
 
 _STEP = 1e-4
 """Difference of a share over which free numbers are differentiated."""
-_BELIEVED = 4.0
+_MAX_EXTRAPOLATION = 4.0
 """Largest multiple of what an effect does now that is believed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class OtherSet:
+class AlternativeSet:
     """Effects that may explain more than those of an answer."""
 
     effects: tuple[Effect, ...]
@@ -39,9 +39,9 @@ class OtherSet:
     """Values of the joint solution, by effect."""
 
 
-def other_sets(
-    comparison: ResidualModel, fitted: Fit, screened: Sequence[Screened], most: int
-) -> list[OtherSet]:
+def alternative_sets(
+    comparison: ResidualModel, fitted: Fit, screened: Sequence[ScreenedCandidate], most: int
+) -> list[AlternativeSet]:
     """Sets that are worth more than the effects of a fit, the best ones first.
 
     Parameters
@@ -50,13 +50,13 @@ def other_sets(
         The runs.
     fitted : Fit
         The fit to them, with its sensitivities.
-    screened : sequence of Screened
+    screened : sequence of ScreenedCandidate
         Further candidates, screened on top of the fit.
     most : int
         Most sets.
     """
     stay = list(range(len(fitted.structure.nuisance.parameters)))
-    residual, own = fitted.residual, list[Screened]()
+    residual, own = fitted.residual, list[ScreenedCandidate]()
     kept: dict[Effect, tuple[float, ...]] = {}
     for effect, part in zip(fitted.effects, fitted.structure.slices, strict=True):
         values = tuple(values_of(effect.parameters, fitted.free[part]))
@@ -67,9 +67,9 @@ def other_sets(
             continue
         columns, shares = _columns(effect, none, fitted.free[part], fitted.jacobian[:, part])
         residual = residual - columns @ shares
-        most_of_it = _BELIEVED * max(shares.max(), 1.0)
+        most_of_it = _MAX_EXTRAPOLATION * max(shares.max(), 1.0)
         own.append(
-            Screened(
+            ScreenedCandidate(
                 effect=effect,
                 values=values,
                 predicted=1.0,
@@ -96,14 +96,14 @@ def other_sets(
         if keys not in known:
             known.add(keys)
             values_by_effect = (*kept.values(), *(member.values for member in each.members))
-            found.append(OtherSet(effects=effects, values=values_by_effect))
+            found.append(AlternativeSet(effects=effects, values=values_by_effect))
     return found[:most]
 
 
 def _none(effect: Effect) -> tuple[float, ...] | None:
     """Values at which an effect vanishes, or those that its change is proportional to do."""
-    if effect.nothing is not None or effect.proportional is None:
-        return effect.nothing
+    if effect.null_values is not None or effect.proportional is None:
+        return effect.null_values
     return (0.0,) * len(effect.parameters)
 
 

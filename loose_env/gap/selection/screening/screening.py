@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.mjcf.sensor_columns import of_place_or_speed
+from loose_env.gap.model.effects.mjcf.sensor_columns import is_position_or_speed
 from loose_env.gap.model.parameter import Parameter, free_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.linear_problem import CurrentFit
@@ -29,19 +29,20 @@ from loose_env.gap.selection.screening.signatures import Signatures
 from loose_env.gap.settings import SECOND_START
 from loose_env.typing import Array
 
-__all__ = ["Screened", "along", "screen"]
+__all__ = ["ScreenedCandidate", "along", "screen"]
 
 
 _SMALLEST_SHARE, _LARGEST_SHARE = 1e-6, 4.0
 """Smallest and largest multiple of a signature that is believed."""
-_FAR = 0.5
+_DISTINCT_START = 0.5
 """Distance of a start that is another, in free numbers: some one of them is so far off."""
 _MANY = 4
-"""Starts of one candidate above which only the best on the loudest run are simulated on all."""
+"""Starts of one candidate above which only the best on the run with the largest residual are
+simulated on all."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Screened:
+class ScreenedCandidate:
     """Predicted gain of one candidate from one start."""
 
     effect: Effect
@@ -62,7 +63,7 @@ class Screened:
 
     def at(self, shares: Array) -> tuple[float, ...]:
         """Values at which the effect has multiples of its signature (1,) or (K,)."""
-        effect, none = self.effect, self.effect.nothing
+        effect, none = self.effect, self.effect.null_values
         if len(shares) > 1:
             return effect.combined(shares)
         if none is None and effect.proportional is None:
@@ -77,7 +78,7 @@ def screen(
     *,
     proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]] = MappingProxyType({}),
     signatures: Signatures | None = None,
-) -> list[Screened]:
+) -> list[ScreenedCandidate]:
     """Screen candidates; highest predicted gain first, each with one or two starts.
 
     Parameters
@@ -97,14 +98,14 @@ def screen(
     signatures.about(comparison, fitted)
     known = CurrentFit.of(fitted)
     slow = _slow_rows(comparison)
-    lens = CurrentFit.of(fitted, slow) if 0 < slow.sum() < len(slow) else None
+    smooth_channels_problem = CurrentFit.of(fitted, slow) if 0 < slow.sum() < len(slow) else None
     stiff = any(e.adds_motion for e in fitted.effects)
     proposed = dict(proposed) | _best_starts(
         comparison, fitted, known, candidates, proposed, signatures
     )
-    seen: dict[int, list[Screened]] = {}
+    seen: dict[int, list[ScreenedCandidate]] = {}
     for springs in (True, False):
-        compared, base = comparison.lightly(
+        compared, base = comparison.cheaper_residual(
             fitted.hypothesis, fitted.residual, stiff=stiff, springs=springs
         )
         own = [effect for effect in candidates if effect.adds_motion == springs]
@@ -122,19 +123,19 @@ def screen(
         apart: dict[int, dict[tuple[float, ...], Array]] = {}
         again: dict[int, tuple[float, Effect, tuple[float, ...]]] = {}
         for effect, start, signature in signatures.of(compared, fitted, entries, base):
-            _keep(seen, _weigh(comparison, known, effect, start, signature))
+            _keep(seen, _predicted_gain(comparison, known, effect, start, signature))
             if id(effect) in axes:
                 apart.setdefault(id(effect), {})[start] = signature
-            if lens is not None and effect.shifts:
-                found = _proposed(lens, slow, effect, start, signature)
+            if smooth_channels_problem is not None and effect.is_time_shift:
+                found = _proposed(smooth_channels_problem, slow, effect, start, signature)
                 if found is not None and found[0] > again.get(id(effect), (0.0,))[0]:
                     again[id(effect)] = (found[0], effect, found[1])
         for key, (effect, starts) in axes.items():
             together = np.stack([apart[key][start] for start in starts], axis=1)
-            _keep(seen, _weigh_together(comparison, known, effect, together))
+            _keep(seen, _joint_predicted_gain(comparison, known, effect, together))
         entries = [(effect, start) for _, effect, start in again.values()]
         for effect, start, signature in signatures.of(compared, fitted, entries, base):
-            _keep(seen, _weigh(comparison, known, effect, start, signature))
+            _keep(seen, _predicted_gain(comparison, known, effect, start, signature))
     return sorted((_best(each) for each in seen.values()), key=lambda s: -s.predicted)
 
 
@@ -160,21 +161,21 @@ def _best_starts(
     ]
     if not entries:
         return {}
-    rows = comparison.loudest(signatures.reference(comparison, fitted))
+    rows = comparison.run_with_largest_residual(signatures.reference(comparison, fitted))
     part, residual = comparison, fitted.residual
     if rows is not None:
         part, residual = comparison.of_run(rows), residual[rows]
         known = CurrentFit.of(fitted, rows)
-    lighter, base = part.lightly(fitted.hypothesis, residual, stiff=True)
-    if lighter is comparison:
+    cheaper, base = part.cheaper_residual(fitted.hypothesis, residual, stiff=True)
+    if cheaper is comparison:
         return {}
     found: dict[tuple[str, str, str], dict[tuple[float, ...], tuple[float, tuple[float, ...]]]] = {}
-    for effect, start, signature in signatures.of(lighter, fitted, entries, base):
-        weighed = _weigh(part, known, effect, start, signature)
-        promise = 0.0 if weighed is None else weighed.predicted
+    for effect, start, signature in signatures.of(cheaper, fitted, entries, base):
+        candidate = _predicted_gain(part, known, effect, start, signature)
+        predicted = 0.0 if candidate is None else candidate.predicted
         own, alike = found.setdefault(effect.key, {}), _without_nuisances(effect, start)
-        if alike not in own or promise > own[alike][0]:
-            own[alike] = promise, start
+        if alike not in own or predicted > own[alike][0]:
+            own[alike] = predicted, start
     return {
         key: [start for _, start in sorted(own.values(), key=lambda each: -each[0])[:_MANY]]
         for key, own in found.items()
@@ -183,7 +184,7 @@ def _best_starts(
 
 def _starts(comparison: ResidualModel, effect: Effect) -> tuple[tuple[float, ...], ...]:
     """Starts of an effect for the forms of run in the recording."""
-    return effect.close_starts if comparison.rows.inverse.all() else effect.starts
+    return effect.inverse_starts if comparison.rows.inverse.all() else effect.starts
 
 
 def _without_nuisances(effect: Effect, values: Sequence[float]) -> tuple[float, ...]:
@@ -191,7 +192,7 @@ def _without_nuisances(effect: Effect, values: Sequence[float]) -> tuple[float, 
     return tuple(v for p, v in zip(effect.parameters, values, strict=True) if p.centre is None)
 
 
-def _keep(seen: dict[int, list[Screened]], found: Screened | None) -> None:
+def _keep(seen: dict[int, list[ScreenedCandidate]], found: ScreenedCandidate | None) -> None:
     """Store the predicted gain of a start with the others of its candidate, the best one first.
 
     The signature of the best one alone is kept: all of them would fill the memory.
@@ -205,7 +206,7 @@ def _keep(seen: dict[int, list[Screened]], found: Screened | None) -> None:
     others[:] = [found, *(replace(each, signature=None) for each in others)]
 
 
-def _best(found: list[Screened]) -> Screened:
+def _best(found: list[ScreenedCandidate]) -> ScreenedCandidate:
     """Best start of a candidate, with another that lies far from it."""
     first, *others = sorted(found, key=lambda s: -s.predicted)
     at = free_of(first.effect.parameters, np.array(first.values))
@@ -214,33 +215,35 @@ def _best(found: list[Screened]) -> Screened:
         if each.predicted < SECOND_START * first.predicted:
             break
         off = np.abs(free_of(each.effect.parameters, np.array(each.values)) - at)
-        if np.any(off[matter] > _FAR):
+        if np.any(off[matter] > _DISTINCT_START):
             return replace(first, second=each.values)
     return first
 
 
 def _slow_rows(comparison: ResidualModel) -> NDArray[np.bool_]:
     """Mask of the rows whose readings vary smoothly with a shift in time (N,)."""
-    slow = np.array([of_place_or_speed(comparison.machine, c.column) for c in comparison.channels])
-    return slow[comparison.rows.channel] & ~comparison.rows.white
+    slow = np.array(
+        [is_position_or_speed(comparison.machine, c.column) for c in comparison.channels]
+    )
+    return slow[comparison.rows.channel] & ~comparison.rows.is_feature
 
 
-def _weigh(
+def _predicted_gain(
     comparison: ResidualModel,
     known: CurrentFit,
     effect: Effect,
     start: tuple[float, ...],
     signature: Array,
-) -> Screened | None:
+) -> ScreenedCandidate | None:
     """Predicted gain of a signature after refitting the current parameters."""
-    linear = effect.nothing is not None
+    linear = effect.null_values is not None
     most = _LARGEST_SHARE if linear or effect.proportional is not None else 1.0
-    taken = known.taken_up(signature[:, None], -_LARGEST_SHARE if linear else 0.0, most)
+    taken = known.best_coefficients(signature[:, None], -_LARGEST_SHARE if linear else 0.0, most)
     if taken is None or abs(taken[0][0]) < _SMALLEST_SHARE:
         return None
     share, values = float(taken[0][0]), start
-    if effect.nothing is not None:
-        values = along(effect, start, effect.nothing, share)
+    if effect.null_values is not None:
+        values = along(effect, start, effect.null_values, share)
     elif effect.proportional is not None:
         values = along(effect, start, (0.0,) * len(start), share)
     found = _screened(comparison, known, effect, values, taken[1])
@@ -250,15 +253,15 @@ def _weigh(
     )
 
 
-def _weigh_together(
+def _joint_predicted_gain(
     comparison: ResidualModel,
     known: CurrentFit,
     effect: Effect,
     signatures: Array,
-) -> Screened | None:
+) -> ScreenedCandidate | None:
     """Predicted gain of the signatures of an effect's axes (N, K), jointly fitted."""
-    taken = known.taken_up(signatures, -_LARGEST_SHARE, _LARGEST_SHARE)
-    if taken is None or (values := effect.combined(taken[0])) == effect.nothing:
+    taken = known.best_coefficients(signatures, -_LARGEST_SHARE, _LARGEST_SHARE)
+    if taken is None or (values := effect.combined(taken[0])) == effect.null_values:
         return None
     found = _screened(comparison, known, effect, values, taken[1])
     columns = signatures.astype(np.float32)
@@ -272,13 +275,13 @@ def _screened(
     effect: Effect,
     values: tuple[float, ...],
     change: Array,
-) -> Screened | None:
+) -> ScreenedCandidate | None:
     """Predicted gain of a change of the residual (N,); None if it is no better."""
     residual = known.residual
     gains = comparison.by_block(-change * (2 * residual + change))
     if gains.sum() <= 0:
         return None
-    return Screened(
+    return ScreenedCandidate(
         effect=effect,
         values=values,
         predicted=float(gains.sum() / (residual @ residual)),
@@ -287,25 +290,27 @@ def _screened(
 
 
 def _proposed(
-    lens: CurrentFit,
+    smooth_channels_problem: CurrentFit,
     rows: NDArray[np.bool_],
     effect: Effect,
     start: tuple[float, ...],
     signature: Array,
 ) -> tuple[float, tuple[float, ...]] | None:
     """Predicted explained share from some of the rows, and the values that give it."""
-    taken = lens.taken_up(signature[rows, None], 0.0, _LARGEST_SHARE)
-    if taken is None or effect.nothing is None:
+    taken = smooth_channels_problem.best_coefficients(signature[rows, None], 0.0, _LARGEST_SHARE)
+    if taken is None or effect.null_values is None:
         return None
     share, change = float(taken[0][0]), taken[1]
-    gain = -float(change @ (2 * lens.residual + change))
+    gain = -float(change @ (2 * smooth_channels_problem.residual + change))
     if gain <= 0 or share < _SMALLEST_SHARE:
         return None
-    return gain / float(lens.residual @ lens.residual), along(effect, start, effect.nothing, share)
+    return gain / float(smooth_channels_problem.residual @ smooth_channels_problem.residual), along(
+        effect, start, effect.null_values, share
+    )
 
 
 def along(
-    effect: Effect, start: Sequence[float], nothing: Sequence[float], share: float
+    effect: Effect, start: Sequence[float], null_values: Sequence[float], share: float
 ) -> tuple[float, ...]:
     """Interpolate values between the null effect and the start, within the bounds.
 
@@ -314,7 +319,9 @@ def along(
     """
     return tuple(
         p.clipped(_between(p, none, value, share)) if effect.proportional in (None, k) else value
-        for k, (p, none, value) in enumerate(zip(effect.parameters, nothing, start, strict=True))
+        for k, (p, none, value) in enumerate(
+            zip(effect.parameters, null_values, start, strict=True)
+        )
     )
 
 

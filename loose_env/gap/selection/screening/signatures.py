@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.fitting.gauss_newton import Fit, started
-from loose_env.gap.fitting.refit import refined
+from loose_env.gap.fitting.refit import with_new_jacobian
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.residuals.progress import counted
@@ -77,7 +77,7 @@ class Signatures:
             first = fitted.jacobian
             if not np.array_equal(nominal.free, fitted.free):
                 residual = comparison.residuals([nominal.hypothesis])[0]
-                first = refined(replace(nominal, residual=residual), comparison).jacobian
+                first = with_new_jacobian(replace(nominal, residual=residual), comparison).jacobian
             self._sensitivities = first[:, :count].astype(np.float32)
         first = self._sensitivities
         sizes = np.sum(first.astype(float) ** 2, axis=0)
@@ -169,5 +169,7 @@ def _signatures(
 def _steps(compared: ResidualModel, hypothesis: Hypothesis) -> tuple[bool, bool]:
     """Whether a hypothesis is simulated with finer steps, and with steps in parts."""
     machine = compared.machine
-    fine = not machine.uniform_steps and any(effect.sharp for effect in hypothesis.stepping)
+    fine = not machine.uniform_steps and any(
+        effect.needs_fine_steps for effect in hypothesis.stepping
+    )
     return fine, changes_within(machine, hypothesis, compared.channels)

@@ -47,7 +47,7 @@ def joint_stiffness(comparison: ResidualModel, hypothesis: Hypothesis) -> dict[s
         return {}
     rigid = [(effect, values) for effect, values in hypothesis.pairs if not effect.adds_motion]
     known = hypothesis.with_effects(rigid)
-    model = known.model(machine, machine.step or float(machine.model.opt.timestep))
+    model = known.model(machine, machine.time_step)
     predicted = inverse.predict([known])[0]
     along, sizes = np.zeros((2, len(machine.joints)))
     for t, (trial, motion) in enumerate(zip(inverse.trials, inverse.motions, strict=True)):

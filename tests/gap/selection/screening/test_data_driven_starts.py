@@ -18,7 +18,7 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.selection.screening.data_driven_starts import missing_torque, proposals
+from loose_env.gap.selection.screening.data_driven_starts import proposals, residual_torque
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Recording, Run, write_recording
@@ -40,7 +40,7 @@ def compared(recording: Recording) -> ResidualModel:
 
 
 def test_the_missing_torque_is_what_the_model_lacks(tmp_path: Path) -> None:
-    found = missing_torque(compared(record(tmp_path / "r")), NOTHING)
+    found = residual_torque(compared(record(tmp_path / "r")), NOTHING)
     assert found is not None
     _, speed, _, torque, _ = found
     moving = np.abs(speed[:, 1]) > 0.2
@@ -54,7 +54,7 @@ def test_what_is_known_already_is_taken_off(tmp_path: Path) -> None:
     comparison = compared(record(tmp_path / "r"))
     friction = CATALOGUE["viscous_friction"](comparison.machine, "joint2")
     known = Hypothesis(effects=(friction,), values=(np.array([DAMPING]),))
-    before, after = missing_torque(comparison, NOTHING), missing_torque(comparison, known)
+    before, after = residual_torque(comparison, NOTHING), residual_torque(comparison, known)
     assert before is not None and after is not None
     assert np.std(after[3][:, 1]) < 0.3 * np.std(before[3][:, 1])
 
@@ -114,7 +114,7 @@ def test_no_torque_is_missing_behind_a_filter_that_the_model_has(
     dynamics: str, tmp_path: Path
 ) -> None:
     comparison = compared(slowed(tmp_path / "r", dynamics))
-    found = missing_torque(comparison, NOTHING)
+    found = residual_torque(comparison, NOTHING)
     assert found is not None
     trial = comparison.trials[0]
     motion = joint_motion(comparison.machine, trial, comparison.channels, comparison.floors)
@@ -127,7 +127,7 @@ def test_no_torque_is_missing_behind_a_filter_that_the_model_has(
 def test_what_an_actuator_of_unknown_state_gave_is_not_known(dynamics: str, tmp_path: Path) -> None:
     comparison = compared(slowed(tmp_path / "r", dynamics))
     ripple = CATALOGUE["torque_ripple"](comparison.machine, "joint1")
-    assert missing_torque(comparison, NOTHING) is None
+    assert residual_torque(comparison, NOTHING) is None
     assert proposals(comparison, NOTHING, [ripple]) == {}
     assert ripple.starts
     trial = comparison.trials[0]
@@ -209,7 +209,7 @@ def test_without_a_limit_the_start_is_the_largest_torque_given(tmp_path: Path) -
     comparison = compared(record(tmp_path / "r"))
     limit = CATALOGUE["torque_limit"](comparison.machine, comparison.machine.actuators[1])
     ((start,),) = proposals(comparison, NOTHING, [limit])[limit.key]
-    found = missing_torque(comparison, NOTHING)
+    found = residual_torque(comparison, NOTHING)
     assert found is not None
     needed = np.abs(found[4][:, 1])
     assert 0.8 * needed.max() < start <= needed.max() and start > 2 * np.median(needed)

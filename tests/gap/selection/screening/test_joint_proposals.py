@@ -19,7 +19,7 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.joint_proposals import JointProblem, Proposal
-from loose_env.gap.selection.screening.screening import Screened, screen
+from loose_env.gap.selection.screening.screening import ScreenedCandidate, screen
 from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.recording import write_recording
 from tests.gap.cases.effect_arms import PLANAR
@@ -46,7 +46,7 @@ class Case:
         )
         self.screened = screen(self.comparison, self.windows.before, candidates(machine, KINDS))
 
-    def problem(self, screened: list[Screened] | None = None) -> JointProblem:
+    def problem(self, screened: list[ScreenedCandidate] | None = None) -> JointProblem:
         chosen = self.screened if screened is None else screened
         return JointProblem(self.comparison, self.windows.before, chosen)
 
@@ -121,7 +121,7 @@ def test_no_more_of_a_signature_is_taken_than_is_believed(case: Case) -> None:
     by_key = {each.effect.key: each for each in case.screened}
     for member in bound.members:
         whole = np.array(by_key[member.effect.key].values)
-        none = np.array(member.effect.nothing)
+        none = np.array(member.effect.null_values)
         assert np.all(np.abs(np.array(member.values) - none) <= 0.26 * np.abs(whole - none))
 
 
@@ -137,10 +137,10 @@ def test_one_candidate_makes_no_set(case: Case) -> None:
 def test_a_race_leaves_the_best_and_drops_what_is_far_behind(case: Case) -> None:
     pair = case.problem().pairs(1)[0]
     sets = [*([each] for each in case.screened[:6]), pair.members]
-    left, best = case.windows.race(sets)
+    left, best = case.windows.staged_fits(sets)
     assert best is not None
     assert {(e.kind, e.where) for e in best.effects} == TRUTH
     assert [each.cost for each in left] == sorted(each.cost for each in left)
     assert len(left) < len(sets)
-    assert case.windows.left_by(best) < 0.05
-    assert case.windows.left_by(case.windows.before) == pytest.approx(1.0)
+    assert case.windows.residual_share(best) < 0.05
+    assert case.windows.residual_share(case.windows.before) == pytest.approx(1.0)

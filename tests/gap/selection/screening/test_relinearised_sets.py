@@ -9,13 +9,13 @@ import pytest
 from loose_env.gap.fitting.gauss_newton import Fit, fit
 from loose_env.gap.fitting.holdout_score import Scorer
 from loose_env.gap.fitting.model_structure import ModelStructure, nuisance_of
-from loose_env.gap.fitting.refit import refined, with_last
+from loose_env.gap.fitting.refit import with_last, with_new_jacobian
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import free_of
 from loose_env.gap.selection.revision import SwapStep
-from loose_env.gap.selection.screening.relinearised_sets import other_sets
+from loose_env.gap.selection.screening.relinearised_sets import alternative_sets
 from loose_env.gap.selection.screening.screening import screen
 from loose_env.gap.settings import SearchSettings
 from tests.gap.cases.effect_arms import PLANAR
@@ -36,7 +36,7 @@ def fitted_to(
     structure = structure.with_effects([effect for effect, _ in start])
     own = [free_of(effect.parameters, np.array(values)) for effect, values in start]
     free = np.concatenate([structure.nominal_start, *own])
-    return refined(fit(scorer.comparison, structure, free), scorer.comparison)
+    return with_new_jacobian(fit(scorer.comparison, structure, free), scorer.comparison)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_what_was_stood_in_for_is_proposed_together(
 ) -> None:
     comparison = runs[0].comparison
     screened = screen(comparison, answer, [LOAD, SPRING])
-    first = other_sets(comparison, answer, screened, 1)[0]
+    first = alternative_sets(comparison, answer, screened, 1)[0]
     assert {effect.key for effect in first.effects} >= TRUTH
     values = dict(zip((effect.kind for effect in first.effects), first.values, strict=True))
     assert values["viscous_friction"][0] == pytest.approx(0.8, rel=0.2)
@@ -75,7 +75,7 @@ def test_nothing_is_proposed_in_place_of_the_truth(runs: tuple[Scorer, ModelStru
         *runs, [(FRICTION, [0.8]), (LOAD, [0.5, 0.06, 0.04, 0.0]), (SPRING, [6.0, 0.4])]
     )
     screened = screen(runs[0].comparison, right, SHIFTS)
-    assert other_sets(runs[0].comparison, right, screened, 3) == []
+    assert alternative_sets(runs[0].comparison, right, screened, 3) == []
 
 
 def test_an_answer_of_stand_ins_is_left_for_the_set(
@@ -94,7 +94,7 @@ def test_shares_of_axes_are_those_that_combine_to_the_values() -> None:
     for effect, values in ((LOAD, [0.7, 0.02, -0.03, 0.01]), (SHIFTS[0], [0.01, -0.02])):
         shares = effect.shares_of(np.array(values))
         assert effect.combined(shares) == pytest.approx(values)
-    assert LOAD.combined(np.array([-1.0, 0.0, 0.0, 0.0])) == LOAD.nothing
+    assert LOAD.combined(np.array([-1.0, 0.0, 0.0, 0.0])) == LOAD.null_values
 
 
 def test_an_effect_listed_last_keeps_its_numbers(answer: Fit) -> None:

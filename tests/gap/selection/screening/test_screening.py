@@ -13,7 +13,7 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.selection.screening.screening import Screened, screen
+from loose_env.gap.selection.screening.screening import ScreenedCandidate, screen
 from loose_env.gap.selection.screening.signatures import Signatures
 from tests.gap.cases.gap_case import STEP, nominal_structure, record
 
@@ -28,7 +28,7 @@ def compared(folder: object, **options: object) -> ResidualModel:
     return ResidualModel(machine, trials, channels, FLOORS, threads=1)
 
 
-def screened(folder: object, bias: tuple[float, float, float]) -> dict[str, Screened]:
+def screened(folder: object, bias: tuple[float, float, float]) -> dict[str, ScreenedCandidate]:
     """What a bias and a gain of the accelerometer promise where it has that bias [floors]."""
     whole = compared(folder)
     machine, trials, channels = whole.machine, whole.trials, whole.channels

@@ -333,9 +333,9 @@ def test_the_catalogue_has_all_that_truths_and_the_tool_name() -> None:
             assert kind.scored and set(kind.scored) | set(kind.covered) <= set(kind.parameters)
             allowed = {place for group in kind.at for place in places[group]}
             assert {place.name for place in kinds()[name].places(figures)} <= allowed
-            for where in OF_TOOL[name].places(model):
+            for where in OF_TOOL[name].locations(model):
                 assert where in allowed
-                for variant in OF_TOOL[name].forms(model, where):
+                for variant in OF_TOOL[name].variants_at(model, where):
                     for parameter in OF_TOOL[name](model, where, variant).parameters:
                         assert parameter.name in kind.parameters
                         assert parameter.unit in kind.parameters[parameter.name]

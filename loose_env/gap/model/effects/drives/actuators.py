@@ -15,18 +15,12 @@ from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
 __all__ = [
-    "BIASES",
-    "GAINS",
     "ActuatorGain",
     "ActuatorLag",
     "CommandDelay",
     "clamped",
     "held_delay",
 ]
-
-
-GAINS = (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_AFFINE)
-BIASES = (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 class ActuatorGain(Effect):
@@ -40,18 +34,16 @@ class ActuatorGain(Effect):
     kind = "actuator_gain"
     acts_on: ClassVar[str] = "actuator"
     variants: ClassVar[tuple[str, ...]] = ("", "command", "servo")
-    nothing: ClassVar[tuple[float, ...] | None] = (1.0,)
+    null_values: ClassVar[tuple[float, ...] | None] = (1.0,)
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return actuators whose force is linear in command, position and speed."""
-        model = machine.model
-        linear = np.isin(model.actuator_gaintype, [int(g) for g in GAINS])
-        linear &= np.isin(model.actuator_biastype, [int(b) for b in BIASES])
-        return tuple(n for k, n in enumerate(machine.actuators) if n and linear[k])
+        affine = machine.affine_actuators
+        return tuple(n for k, n in enumerate(machine.actuators) if n and affine[k])
 
     @classmethod
-    def forms(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
+    def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
         """Return all variants where there is feedback and a limit."""
         number = machine.model.actuator(where).id
         if not np.any(machine.model.actuator_biasprm[number] != 0):
@@ -112,11 +104,11 @@ class ActuatorLag(Effect):
 
     kind = "actuator_lag"
     acts_on: ClassVar[str] = "actuator"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
-    shifts: ClassVar[bool] = True
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
+    is_time_shift: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return actuators without dynamics of their own."""
         plain = machine.model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
         return tuple(n for k, n in enumerate(machine.actuators) if n and plain[k])
@@ -202,11 +194,11 @@ class CommandDelay(Effect):
 
     kind = "command_delay"
     acts_on: ClassVar[str] = "actuator"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
-    shifts: ClassVar[bool] = True
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
+    is_time_shift: ClassVar[bool] = True
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return every actuator, and "all" if there are several."""
         named = tuple(name for name in machine.actuators if name)
         return (*named, "all") if len(machine.actuators) > 1 else named

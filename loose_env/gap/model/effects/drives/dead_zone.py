@@ -23,14 +23,14 @@ class DeadZone(DrivenEffect):
 
     kind = "dead_zone"
     acts_on: ClassVar[str] = "actuator"
-    nothing: ClassVar[tuple[float, ...] | None] = (0.0,)
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return drives of a joint with a position feedback, or with none."""
         model = machine.model
         kept = []
-        for name in TorqueLimit.places(machine):
+        for name in TorqueLimit.locations(machine):
             number = machine.actuators.index(name)
             gain, _, rate = model.actuator_gainprm[number, :3]
             offset, stiffness, damping = model.actuator_biasprm[number, :3]

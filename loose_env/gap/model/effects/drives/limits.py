@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.drives.actuators import BIASES, GAINS
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
@@ -38,15 +37,13 @@ class _Limit(Effect):
     acts_on: ClassVar[str] = "actuator"
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return drives of a joint without states of their own."""
-        model = machine.model
-        linear = np.isin(model.actuator_gaintype, [int(g) for g in GAINS])
-        linear &= np.isin(model.actuator_biastype, [int(b) for b in BIASES])
+        affine = machine.affine_actuators
         return tuple(
             n
             for k, n in enumerate(machine.actuators)
-            if n and linear[k] and n in machine.actuated_joint
+            if n and affine[k] and n in machine.actuated_joint
         )
 
     @property

@@ -42,7 +42,7 @@ class LoadFriction(DrivenEffect, JointEffect):
     """
 
     kind = "load_friction"
-    sharp: ClassVar[bool] = True
+    needs_fine_steps: ClassVar[bool] = True
     variants: ClassVar[tuple[str, ...]] = ("", "stribeck", "external")
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
@@ -50,7 +50,7 @@ class LoadFriction(DrivenEffect, JointEffect):
         if self.variant == "stribeck":
             self.limit = (("share", "low"),)  # type: ignore[misc]
         else:
-            self.nothing = (0.0, 0.0) if self.variant else (0.0,)  # type: ignore[misc]
+            self.null_values = (0.0, 0.0) if self.variant else (0.0,)  # type: ignore[misc]
 
     @classmethod
     def null_value(cls, parameters: Sequence[str], parameter: str) -> float:

@@ -17,7 +17,7 @@ class TorqueConstant(JointEffect):
 
     kind = "torque_constant"
     in_model: ClassVar[bool] = False
-    nothing: ClassVar[tuple[float, ...] | None] = (1.0,)
+    null_values: ClassVar[tuple[float, ...] | None] = (1.0,)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -13,7 +13,7 @@ __all__ = [
     "FASTEST",
     "MOTOR_SHARE",
     "add_extra_joint",
-    "joint_figures",
+    "joint_inertia",
     "keep_motor_side",
     "last_joints",
     "set_stops",
@@ -137,16 +137,16 @@ def keep_motor_side(machine: NominalModel, spec: mujoco.MjSpec, name: str, carri
     joint = spec.joint(name)
     least = MOTOR_SHARE * carried
     if joint.armature < least:
-        joint.armature = max(least, _held_still(machine, name))
+        joint.armature = max(least, _stable_servo_inertia(machine, name))
 
 
-def _held_still(machine: NominalModel, joint: str) -> float:
+def _stable_servo_inertia(machine: NominalModel, joint: str) -> float:
     """Least inertia [kg·m² or kg] for a stable servo at the machine's step."""
     model: mujoco.MjModel = machine.model
     own = int(model.opt.integrator) if machine.integrator is None else machine.integrator
     if own not in _EXPLICIT:
         return 0.0
-    step = machine.step or float(model.opt.timestep)
+    step = machine.time_step
     turn = step * max(machine.merged_steps // 2, 1) / FASTEST  # longest step allowed for a spring
     squares = machine.gears(joint) ** 2
     affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
@@ -155,7 +155,7 @@ def _held_still(machine: NominalModel, joint: str) -> float:
     return float(max(stiffness * turn**2, damping * turn))
 
 
-def joint_figures(spec: mujoco.MjSpec, name: str) -> tuple[float, float]:
+def joint_inertia(spec: mujoco.MjSpec, name: str) -> tuple[float, float]:
     """Inertia that a joint moves with all others locked [kg·m², kg], and its inverse weight.
 
     The inverse weight is MuJoCo's, with all joints free.

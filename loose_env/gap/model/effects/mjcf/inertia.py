@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-__all__ = ["Inertial", "inertial_of", "make_explicit", "set_inertial", "steiner"]
+__all__ = ["Inertial", "inertial_of", "set_inertial", "steiner"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +60,9 @@ def set_inertial(machine: NominalModel, spec: mujoco.MjSpec, body: str, inertial
         every = [b.name for b in spec.bodies if b.name and b.name != "world"]
         kept = {name: inertial_of(machine, spec, name) for name in every if name != body}
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
-        for name, figures in kept.items():
-            if figures.mass > 0:
-                _write(spec.body(name), figures)
+        for name, own in kept.items():
+            if own.mass > 0:
+                _write(spec.body(name), own)
     _write(spec.body(body), inertial)
 
 
@@ -89,16 +89,3 @@ def steiner(mass: float, lever: Array) -> Array:
     array([18., 18.,  0.])
     """
     return mass * (lever @ lever * np.eye(3) - np.outer(lever, lever))
-
-
-def make_explicit(machine: NominalModel, spec: mujoco.MjSpec) -> None:
-    """Write explicit mass, centre and principal inertia to every named body.
-
-    A factor on a body's ``mass`` or ``inertia`` is then effective, whether the model was written
-    with geoms or with ``fullinertia``.
-    """
-    for body in spec.bodies:
-        if body.name and body.name != "world":
-            figures = inertial_of(machine, spec, body.name)
-            if figures.mass > 0:
-                set_inertial(machine, spec, body.name, figures)

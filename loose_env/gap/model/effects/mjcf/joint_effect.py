@@ -25,7 +25,7 @@ class JointEffect(Effect):
     acts_on: ClassVar[str] = "joint"
 
     @classmethod
-    def places(cls, machine: NominalModel) -> tuple[str, ...]:
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return every joint."""
         return machine.joints
 

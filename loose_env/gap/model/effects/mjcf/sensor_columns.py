@@ -7,7 +7,7 @@ import numpy as np
 
 from loose_env.gap.model.nominal_model import NominalModel
 
-__all__ = ["column_of", "of_place_or_speed", "reading_scale", "vectors"]
+__all__ = ["column_of", "is_position_or_speed", "reading_scale", "vectors"]
 
 _S = mujoco.mjtSensor
 
@@ -69,7 +69,7 @@ def reading_scale(machine: NominalModel, sensor: str) -> tuple[float, str]:
     return scales.get(kind, (0.05, ""))
 
 
-def of_place_or_speed(machine: NominalModel, column: str) -> bool:
+def is_position_or_speed(machine: NominalModel, column: str) -> bool:
     """Return whether a column is a position or a speed, not an acceleration or force."""
     kind, _, name = column.partition(".")
     return kind == "sensor" and int(machine.model.sensor(name).type[0]) in _SMOOTH

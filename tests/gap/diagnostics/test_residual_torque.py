@@ -66,7 +66,7 @@ ERRORS = {
 
 @pytest.mark.parametrize("rate", [60.0, 100.0, 500.0])
 @pytest.mark.parametrize("error", ERRORS)
-def test_missing_torque_is_that_of_the_truth(rate: float, error: str) -> None:
+def test_residual_torque_is_that_of_the_truth(rate: float, error: str) -> None:
     if error in ("held", "slow to read") and rate < 100:
         pytest.skip("the swing itself is not resolved")
     time, angle, true = swing(rate)
