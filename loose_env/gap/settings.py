@@ -135,6 +135,10 @@ MATERIAL = 0.8
 """Share of the residual without it, in all or in one channel, from which an effect is named
 whatever else is missing: stand-ins for effects outside the catalogue explained 0.58 to 0.69 in
 development cases, true effects beside others 0.85 and more."""
+NAMED_PROBABILITY = 0.5
+"""Probability of an effect, or of one that held-out runs do not tell from it, below which it is
+doubtful: as likely as not. What stands in for a law that is slightly off passes every test and is
+rarely this probable."""
 EXPLAINED_BY_IMPACTS = 0.45
 """Share of it somewhere from which a part with stops is named: a mistimed impact counts twice."""
 NARROWEST_INTERVAL = 0.005

@@ -19,6 +19,7 @@ import numpy as np
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.output.result import Gap, NamedEffect
+from loose_env.gap.settings import NAMED_PROBABILITY
 from loose_env.io import restored
 from loose_env.typing import Array
 
@@ -26,6 +27,7 @@ __all__ = [
     "PROBABILITY_FEATURES",
     "GapCalibration",
     "interval_score",
+    "more_likely_than_not",
     "probability_features",
     "stored_calibration",
     "widened_interval",
@@ -162,6 +164,23 @@ def with_probability(
     together = float(found.probability(probability_features(effect, gap, rivals=0)))
     shared = max(together - own, 0.0) / len(effect.ambiguous_with)
     return replace(effect, probability=own, rival_probability=shared)
+
+
+def more_likely_than_not(effect: NamedEffect) -> bool:
+    """Return whether the machine rather has an effect, or one that cannot be told from it.
+
+    An effect without a probability counts as one that it has.
+
+    Examples
+    --------
+    >>> unsure = NamedEffect(kind="payload", where="tool", parameters={}, probability=0.3)
+    >>> more_likely_than_not(unsure)
+    False
+    """
+    if effect.probability is None:
+        return True
+    rivals = len(effect.ambiguous_with) * (effect.rival_probability or 0.0)
+    return effect.probability + rivals >= NAMED_PROBABILITY
 
 
 def widened_interval(

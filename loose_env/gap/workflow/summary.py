@@ -19,7 +19,11 @@ from loose_env.gap.experiment_design.next_motion import (
     NextMotionSummary,
     write_next_motion,
 )
-from loose_env.gap.output.calibration import stored_calibration, with_probability
+from loose_env.gap.output.calibration import (
+    more_likely_than_not,
+    stored_calibration,
+    with_probability,
+)
 from loose_env.gap.output.evidence_schema import Identifiability
 from loose_env.gap.output.export_mjcf import (
     correction_code,
@@ -59,6 +63,7 @@ def result_of(
         The motion that separates what the runs do not tell apart, for the warnings.
     """
     evidence = evidence or ResidualDiagnostics()
+    solution = _with_probabilities(solution, evidence.identifiability)
     problem, base, best = solution.problem, solution.base, solution.best
     held = problem.held_out_whole
     pairs = zip(evidence.before, evidence.after, strict=True)
@@ -75,11 +80,8 @@ def result_of(
     return GapResult(
         verdict=solution.verdict,
         gap=gap,
-        effects=tuple(
-            with_probability(_with_confusable(e, evidence.identifiability), gap)
-            for e in solution.effects
-        ),
-        doubtful=tuple(with_probability(e, gap) for e in solution.doubtful),
+        effects=solution.effects,
+        doubtful=solution.doubtful,
         held_out_runs=tuple(dict.fromkeys(file_of(trial.name) for trial in held.trials)),
         ranking=solution.ranking,
         code=correction_code(solution.corrected),
@@ -115,6 +117,22 @@ def result_of(
         ),
         preflight=solution.preflight,
         settings=asdict(problem.settings),
+    )
+
+
+def _with_probabilities(solution: GapSolution, found: Identifiability) -> GapSolution:
+    """Add the effects' probabilities; those less probable than not become doubtful."""
+    gap = Gap(
+        before=rms(solution.base.held_out_residual), after=rms(solution.best.held_out_residual)
+    )
+    tested = [with_probability(_with_confusable(e, found), gap) for e in solution.effects]
+    named = tuple(effect for effect in tested if more_likely_than_not(effect))
+    doubtful = [effect for effect in tested if not more_likely_than_not(effect)]
+    return replace(
+        solution,
+        verdict="unexplained" if doubtful and not named else solution.verdict,
+        effects=named,
+        doubtful=(*doubtful, *(with_probability(e, gap) for e in solution.doubtful)),
     )
 
 
@@ -190,6 +208,7 @@ def write_gap(
     place, problem = Path(folder), solution.problem
     with reported(say) as told:
         evidence = diagnose_residuals(solution, say=told)
+        solution = _with_probabilities(solution, evidence.identifiability)
         chosen, none = None, tuple[str, ...]()
         if next_motion is not None:
             found = evidence.identifiability

@@ -14,7 +14,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap import NextMotionSettings
 from loose_env.gap.fitting.holdout_score import Scorer
 from loose_env.gap.output.checkpoints import Stages, key_of
-from loose_env.gap.output.result import read_result
+from loose_env.gap.output.result import DeletionTest, EffectLocation, NamedEffect, read_result
 from loose_env.gap.selection.checkpoint_codec import plain_fit, restored_fit
 from loose_env.gap.workflow import summary
 from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residuals
@@ -63,6 +63,28 @@ def test_the_gap_closes_by_channel_and_by_horizon(
         assert given == pytest.approx(np.sqrt(np.mean(residual[own] ** 2)) * floor, rel=0.1)
     assert list(gap.by_horizon_s) == ["0.1", "0.5", "2.0"]
     assert all(before > 1.5 and 0.9 < after < 1.3 for before, after in gap.by_horizon_s.values())
+
+
+def test_an_effect_less_probable_than_not_is_doubtful(solution: GapSolution) -> None:
+    def tested(effect: NamedEffect, share: float, z: float) -> NamedEffect:
+        test = DeletionTest(
+            held_out_z=z, training_z=z, share_of_error=share, share_without=share,
+            share_in_channel=share,
+        )  # fmt: skip
+        return replace(effect, deletion=test)
+
+    sure = tested(solution.effects[0], 0.95, 60.0)
+    weak = tested(solution.effects[1], 0.02, 2.1)
+    result = result_of(replace(solution, effects=(sure, weak)))
+    assert [e.kind for e in result.effects] == [sure.kind] and result.verdict == "named"
+    assert [e.kind for e in result.doubtful] == [weak.kind]
+    assert result.doubtful[0].probability is not None and result.doubtful[0].probability < 0.5
+    alone = result_of(replace(solution, effects=(weak,)))
+    assert alone.verdict == "unexplained" and not alone.effects
+    # of rivals that share the probability one is named
+    rivals = tuple(EffectLocation(kind="payload", where=f"link{k}") for k in range(3))
+    shared = result_of(replace(solution, effects=(replace(sure, ambiguous_with=rivals),)))
+    assert [e.kind for e in shared.effects] == [sure.kind]
 
 
 def test_the_result_says_where_it_was_and_what_is_left(
