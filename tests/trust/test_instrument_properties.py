@@ -222,17 +222,19 @@ def run_of(model: Path, number: int, how: dict[str, Any]) -> Run:
     name=st.sampled_from(["planar", "vertical", "scara"]),
     hows=st.lists(records(), min_size=1, max_size=2),
     tolerance=st.sampled_from([1e-6, 0.02, 1.0]),
-    sound=st.floats(0.01, 0.99),
+    healthy=st.floats(0.01, 0.99),
     asked=st.sampled_from([False, False, True]),
 )
 def test_any_recording_is_refused_or_weighed(
     tmp_path: Path, models: dict[str, Path], name: str, hows: list[dict[str, Any]],
-    tolerance: float, sound: float, asked: bool,
+    tolerance: float, healthy: float, asked: bool,
 ) -> None:  # fmt: skip
     signal.alarm(HANGS)
     home = tmp_path / "recording"
     runs = [run_of(models[name], k, how) for k, how in enumerate(hows)]
-    chosen = DiagnoseSettings(poses=1, seconds=0.5, figures=tolerance, sound=sound)
+    chosen = DiagnoseSettings(
+        poses=1, seconds=0.5, inertial_parameters=tolerance, healthy_prior=healthy
+    )
     try:
         write_recording(home, model_xml=models[name], runs=runs, overwrite=True)
         found = diagnose(read_recording(home), chosen, plan=asked)

@@ -163,6 +163,7 @@ def test_no_old_result_stands_beside_a_new_model(
     tmp_path.joinpath("result.json").write_text("of an earlier run")
     for module, name in (
         (summary, "diagnose_residuals"),
+        (summary, "_with_probabilities"),
         (summary, "result_of"),
         (report, "write_gap_page"),
     ):

@@ -63,7 +63,7 @@ def result_of(
         The motion that separates what the runs do not tell apart, for the warnings.
     """
     evidence = evidence or ResidualDiagnostics()
-    solution = _with_probabilities(solution, evidence.identifiability)
+    solution = _with_probabilities(solution, evidence)
     problem, base, best = solution.problem, solution.base, solution.best
     held = problem.held_out_whole
     pairs = zip(evidence.before, evidence.after, strict=True)
@@ -120,11 +120,12 @@ def result_of(
     )
 
 
-def _with_probabilities(solution: GapSolution, found: Identifiability) -> GapSolution:
+def _with_probabilities(solution: GapSolution, evidence: ResidualDiagnostics) -> GapSolution:
     """Add the effects' probabilities; those less probable than not become doubtful."""
     gap = Gap(
         before=rms(solution.base.held_out_residual), after=rms(solution.best.held_out_residual)
     )
+    found = evidence.identifiability
     tested = [with_probability(_with_confusable(e, found), gap) for e in solution.effects]
     named = tuple(effect for effect in tested if more_likely_than_not(effect))
     doubtful = [effect for effect in tested if not more_likely_than_not(effect)]
@@ -208,7 +209,7 @@ def write_gap(
     place, problem = Path(folder), solution.problem
     with reported(say) as told:
         evidence = diagnose_residuals(solution, say=told)
-        solution = _with_probabilities(solution, evidence.identifiability)
+        solution = _with_probabilities(solution, evidence)
         chosen, none = None, tuple[str, ...]()
         if next_motion is not None:
             found = evidence.identifiability

@@ -46,7 +46,7 @@ Columns = dict[str, Array]
 
 @dataclass(frozen=True, kw_only=True)
 class BadInput:
-    """One kind of bad input, made of a sound recording."""
+    """One kind of bad input, made of a valid recording."""
 
     name: str
     change: Callable[[Columns], Columns] = dict
@@ -120,7 +120,7 @@ def _clipped(values: Array) -> Array:
 
 
 INPUTS: tuple[BadInput, ...] = (
-    BadInput(name="a sound recording of a model without actuators"),
+    BadInput(name="a valid recording of a model without actuators"),
     _column("1 % of a channel is 1e282", "sensor.q_bend", lambda v: _some(v, 0.01, 1e282)),
     _column("70 % of a channel is 1e12", "sensor.q_bend", lambda v: _some(v, 0.7, 1e12)),
     _column("6 % of a channel is missing", "torque.lift", lambda v: _some(v, 0.06, np.nan)),
