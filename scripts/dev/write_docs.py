@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import gymnasium
-from loose_agents.benchmark.leaderboard import RESULTS, stored_results, value_tables
 
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import Arm
@@ -241,17 +240,9 @@ def tiers() -> list[str]:
         ),
         "",
         *prose(
-            "Three paired differences of returns say what an agent gains on the same fresh arms, "
-            "with the bootstrap's 95 % intervals. V-stop: `fixed`, one sequence of records with "
-            "stopping, less the best of `fixed_1` to `fixed_4`, which do not stop (the best on "
-            "these very arms, which favours it). V-feedback: `greedy` less `open_loop`, which "
-            "knows model and poses but looks at no result before it chooses a record. The last "
-            "column: `greedy` less `fixed`. All name the fault by the same posterior; stopping "
-            "probabilities and sequences were tuned on training episodes. The table is that of "
-            "[the benchmark](benchmark.md), printed by `python scripts/submit.py board`."
+            "Paired differences of returns on the same fresh arms say what choosing records is "
+            "worth on each: [table and definitions](benchmark.md#metrics)."
         ),
-        "",
-        *value_tables(stored_results(RESULTS)).split("\n"),
     ]
 
 
