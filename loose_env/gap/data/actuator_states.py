@@ -7,7 +7,7 @@ import numpy as np
 
 from loose_env.typing import Array
 
-__all__ = ["activations"]
+__all__ = ["activations", "steady_activations"]
 
 
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
@@ -53,6 +53,15 @@ def activations(model: mujoco.MjModel, controls: Array, step: float) -> Array | 
         command = controls[:, k] if k < controls.shape[1] else np.zeros(len(controls))
         found[:, model.actuator_actadr[k]] = _filtered(model, int(k), command, step)
     return found
+
+
+def steady_activations(model: mujoco.MjModel, command: Array, step: float) -> Array:
+    """Activations (model.na,) of filters at steady state under a command (actuators,).
+
+    Zero, as MuJoCo starts, where the state does not follow from the command.
+    """
+    found = activations(model, command[None], step)
+    return np.zeros(model.na) if found is None else np.asarray(found[0])
 
 
 def _filtered(model: mujoco.MjModel, number: int, command: Array, step: float) -> list[float]:

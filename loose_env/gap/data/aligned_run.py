@@ -324,7 +324,7 @@ def _allows(time: Array, positions: Array | None, speed: float) -> bool:
     """Return whether readings that look at rest are too coarse to contradict a speed."""
     if positions is None:
         return True
-    travel = abs(speed) * float(time[min(_count(time), len(time)) - 1] - time[0])
+    travel = abs(speed) * float(time[_count(time) - 1] - time[0])
     return travel <= resolution_of(positions) + 4.0 * noise_floor(positions)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from loose_env.gap.data.actuator_states import activations
+from loose_env.gap.data.actuator_states import steady_activations
 from loose_env.gap.data.noise_floor import noise_floor, resolution_of
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
@@ -88,9 +88,7 @@ def comes_to_rest(machine: NominalModel, position: Array, commands: Array) -> bo
     at = [model.joint(name) for name in machine.joints]
     data.qpos[[int(j.qposadr[0]) for j in at]] = position
     data.ctrl[: len(commands)] = commands
-    filters = activations(model, data.ctrl[None], float(model.opt.timestep))
-    if filters is not None:
-        data.act[:] = filters[0]
+    data.act[:] = steady_activations(model, data.ctrl, float(model.opt.timestep))
     start = data.qpos.copy()
     count = round(SETTLE / model.opt.timestep)
     way = np.empty((_LATE_RATIO * count, len(start)))

@@ -16,7 +16,7 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 from loose_env.arms import quiet
-from loose_env.gap.data.actuator_states import activations
+from loose_env.gap.data.actuator_states import steady_activations
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -28,7 +28,7 @@ from loose_env.gap.simulation.sensor_timing import (
     commands_at,
     late_sensors,
     readings_at,
-    states_before,
+    show_late_sensors,
 )
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.gap.simulation.time_step import stepped
@@ -184,9 +184,7 @@ def _whole(simulator: Simulator, hypothesis: Hypothesis, trial: Trial) -> _Whole
     )
     batch.qvel[0] = 0.0
     batch.qvel[0, dofs] = trial.speed + (0.0 if hypothesis.speed is None else hypothesis.speed[0])
-    held_filters = activations(model, controls[0, :1], trial.step)
-    if held_filters is not None:
-        batch.act[0] = held_filters[0]
+    batch.act[0] = steady_activations(model, controls[0, 0], trial.step)
     moved = with_terms(batch, machine, [hypothesis])
     if trial.resting:
         held = np.repeat(controls[:, :1], round(SETTLE / trial.step), axis=1)
@@ -343,14 +341,10 @@ def _shown(
         if late and earlier is not None:
             first = len(earlier[k]["qpos"])
             own = {name: np.concatenate([earlier[k][name], values]) for name, values in own.items()}
-        for name, delay in late.items():
-            then: Array = np.arange(first, first + len(steps[k]), dtype=float) * trial.step - delay
-            held = np.clip(np.floor(then / trial.step + 1e-9).astype(int), 0, trial.steps - 1)
-            before = states_before(own, then, trial.step)
-            read = readings_at(machine, hypothesis, model, before, commands[held], threads)
-            sensor = model.sensor(name)
-            columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
-            shown[k][:, columns] = read[:, columns]
+        show_late_sensors(
+            shown[k], machine, hypothesis, model, own, commands, late=late, step=trial.step,
+            first=first, threads=threads,
+        )  # fmt: skip
     return shown
 
 

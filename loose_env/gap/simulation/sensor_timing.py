@@ -28,6 +28,7 @@ __all__ = [
     "commands_at",
     "late_sensors",
     "readings_at",
+    "show_late_sensors",
     "states_before",
 ]
 
@@ -96,6 +97,53 @@ def states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[s
         found["qpos"] += s * (1 - s) * ((1 - s) * one - s * two)
         found["qvel"] = (way + one * (1 - s) * (1 - 3 * s) - two * s * (2 - 3 * s)) / step
     return found
+
+
+def show_late_sensors(
+    shown: Array,
+    machine: NominalModel,
+    hypothesis: Hypothesis,
+    model: mujoco.MjModel,
+    states: Mapping[str, Array],
+    commands: Array,
+    *,
+    late: Mapping[str, float],
+    step: float,
+    parts: int = 1,
+    first: int = 0,
+    threads: int,
+) -> None:
+    """Replace the columns of delayed sensors (T, sensors) in place.
+
+    Parameters
+    ----------
+    shown : ndarray (T, sensors)
+        Sensor values at steps from ``first`` on.
+    machine, hypothesis, model
+        As of `readings_at`.
+    states : mapping
+        Of `STATES`, from step 0 on, ``parts`` a step (S, ...).
+    commands : ndarray (steps, actuators)
+        Commands at the actuators, from step 0 on.
+    late : mapping
+        Delayed sensors with their delays [s], as of `late_sensors`.
+    step : float
+        Step of the commands [s].
+    parts : int
+        States a step.
+    first : int
+        Step of the first row.
+    threads : int
+        Threads.
+    """
+    for name, delay in late.items():
+        then: Array = np.arange(first, first + len(shown), dtype=float) * step - delay
+        held = np.clip(np.floor(then / step + 1e-9).astype(int), 0, len(commands) - 1)
+        before = states_before(states, then, step / parts)
+        read = readings_at(machine, hypothesis, model, before, commands[held], threads)
+        sensor = model.sensor(name)
+        columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
+        shown[:, columns] = read[:, columns]
 
 
 def commands_at(hypothesis: Hypothesis, clock: Array, controls: Array) -> Array:

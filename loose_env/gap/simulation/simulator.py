@@ -7,7 +7,7 @@ samples of the run, channel by channel.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
-from loose_env.gap.data.actuator_states import activations
+from loose_env.gap.data.actuator_states import steady_activations
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.effect import Readings
@@ -29,7 +29,7 @@ from loose_env.gap.simulation.sensor_timing import (
     commands_at,
     late_sensors,
     readings_at,
-    states_before,
+    show_late_sensors,
 )
 from loose_env.gap.simulation.time_step import stepped
 from loose_env.gap.simulation.torque_terms import STATES, BatchWithTerms, has_terms, with_terms
@@ -161,9 +161,7 @@ class Simulator:
                 values = effect.command(clock[:count], values, own)
             controls[k, :count, : values.shape[1]] = values
             controls[k, count:] = controls[k, count - 1]  # a shorter run ends there
-            held = activations(slot.model, controls[k, :1], slot.trial.step / parts)
-            if held is not None:
-                batch.act[k] = held[0]
+            batch.act[k] = steady_activations(slot.model, controls[k, 0], slot.trial.step / parts)
         diverged = np.zeros(len(slots), dtype=bool)
         resting = np.array([slot.trial.resting for slot in slots])
         if resting.any() and settle:  # the clock runs on, since delayed commands are stored by time
@@ -190,34 +188,22 @@ class Simulator:
             found_here = records["sensordata"][:, ::parts]
             kept[:, start // parts : start // parts + found_here.shape[1]] = found_here
         begun = {name: np.concatenate(found, axis=1) for name, found in states.items()}
-        for k in np.flatnonzero(~diverged).tolist():
-            own_steps = slots[k].trial.steps
-            passed = {name: found[k, : own_steps * parts] for name, found in begun.items()}
+        for k in np.flatnonzero(~diverged).tolist() if names else ():
+            slot, count = slots[k], slots[k].trial.steps
+            passed = {name: found[k, : count * parts] for name, found in begun.items()}
+            commands = commands_at(
+                slot.hypothesis, clock[: count * parts : parts], slot.trial.controls
+            )
+            shown, of = kept[k, :count], (self.machine, slot.hypothesis, slot.model)
             if parts > 1:
                 at_steps = {name: found[::parts] for name, found in passed.items()}
-                own_clock = clock[: own_steps * parts : parts]
-                commands = commands_at(slots[k].hypothesis, own_clock, slots[k].trial.controls)
-                kept[k, :own_steps] = self._readings(slots[k], at_steps, commands)
-            for name, delay in late[k].items():
-                sensor = slots[k].model.sensor(name)
-                columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
-                kept[k, :own_steps, columns] = self._late(slots[k], passed, delay)[:, columns]
+                shown[:] = readings_at(*of, at_steps, commands, self.threads)
+            show_late_sensors(
+                shown, *of, passed, commands,
+                late=late[k], step=slot.trial.step, parts=parts, threads=self.threads,
+            )  # fmt: skip
         kept[diverged] = np.nan
         return [slot.trial.at_samples(k) for slot, k in zip(slots, kept, strict=True)]
-
-    def _readings(self, slot: _Slot, states: Mapping[str, Array], commands: Array) -> Array:
-        return readings_at(
-            self.machine, slot.hypothesis, slot.model, states, commands, self.threads
-        )
-
-    def _late(self, slot: _Slot, states: Mapping[str, Array], delay: float) -> Array:
-        """Sensors delayed by a time, at every step of a trial (T, sensors)."""
-        trial = slot.trial
-        clock: Array = np.arange(trial.steps, dtype=float) * trial.step
-        then = states_before(states, clock - delay, trial.step / slot.parts)
-        commands = commands_at(slot.hypothesis, clock, trial.controls)
-        held = np.floor((clock - delay) / trial.step + 1e-9).astype(int)
-        return self._readings(slot, then, commands[np.maximum(held, 0)])
 
     def _batch(self, slots: list[_Slot]) -> Batch:
         """Create a batch of as many slots, with these models."""
