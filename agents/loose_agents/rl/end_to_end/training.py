@@ -144,7 +144,6 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
     problem = Problem.of(env.arm, env.settings)
     configuration = _configuration(job, learner, given, arguments, problem, steps)
     folder = run_folder(job)
-    folder.mkdir(parents=True, exist_ok=True)
     budget = Budget(steps=steps, seconds=job.seconds)
     for name in ("learning_rate", "clip_range"):
         if isinstance(model_kwargs.get(name), LinearSchedule):
@@ -192,6 +191,7 @@ def _learn(
     if over or model.num_timesteps >= budget.steps:
         say(f"{name}: trained already, {model.num_timesteps} steps in {state.seconds:.0f} s")
         return
+    folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "configuration.json", configuration)
     budget.begin(state.seconds)
     vec.seed(check_training_seed(training_seed(job.seed, model.num_timesteps)))
