@@ -262,9 +262,16 @@ def _amortised(problem: Problem) -> Estimator:
     return Tracker(problem, posterior)
 
 
+def _ratio(problem: Problem) -> Estimator:
+    from loose_agents.core.ratio_posterior import RatioPosterior
+
+    return RatioPosterior.load(weights_path(f"ratio-{tuning_name(problem)}"), problem)
+
+
 ESTIMATORS: dict[str, tuple[Callable[[Problem], Estimator], str]] = {
     "posterior": (_posterior, "the analytic posterior over the faults"),
     "amortised": (_amortised, "the posterior with a learned likelihood"),
+    "ratio": (_ratio, "neural ratio estimation with the library sbi, on the raw observation"),
 }
 """Constructor and short description of each estimator."""
 

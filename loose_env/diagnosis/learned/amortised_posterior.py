@@ -10,7 +10,7 @@ them. Mismatch, which all records of an arm share, enters as a temper by the num
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -282,8 +282,25 @@ def _grid(configuration: Mapping[str, Any], file: Path) -> tuple[int, tuple[floa
     return directions, (float(friction[0]), float(friction[1]))
 
 
-def read_network(folder: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
+def read_network(
+    folder: str | Path,
+    *,
+    format: str = FORMAT,
+    needs: Sequence[str] = ("arm", "directions", "friction"),
+    trainer: str = "scripts/agents/train_posterior.py",
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """Read the configuration and the tensors of a trained network.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Where `write_network` wrote them.
+    format : str
+        Format that the configuration has to name.
+    needs : sequence of str
+        Entries that it has to have.
+    trainer : str
+        Command that trains one, for the errors.
 
     Raises
     ------
@@ -300,22 +317,22 @@ def read_network(folder: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
     except FileNotFoundError as error:
         raise InvalidData(
             f"no trained posterior in {where}: {CONFIGURATION} and {WEIGHTS} are needed; train one "
-            "with scripts/agents/train_posterior.py"
+            f"with {trainer}"
         ) from error
     except (ValueError, RecursionError, OSError, SafetensorError) as error:
         reason = " ".join(str(error).split())[:200]
         raise InvalidData(f"the trained posterior in {where} cannot be read: {reason}") from error
     found = configuration.get("format") if isinstance(configuration, dict) else None
-    if found != FORMAT:
+    if found != format:
         raise InvalidData(
-            f"the posterior in {where} has format {found!r:.60}, not {FORMAT!r}; train it again "
-            "with scripts/agents/train_posterior.py"
+            f"the posterior in {where} has format {found!r:.60}, not {format!r}; train it again "
+            f"with {trainer}"
         )
-    missing = [name for name in ("arm", "directions", "friction") if name not in configuration]
+    missing = [name for name in needs if name not in configuration]
     if missing:
         raise InvalidData(
             f"{where / CONFIGURATION} says nothing of {missing}; train the posterior again with "
-            "scripts/agents/train_posterior.py"
+            f"{trainer}"
         )
     return configuration, tensors
 
