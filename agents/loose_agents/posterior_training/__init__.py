@@ -1,4 +1,4 @@
-"""Training of the learned posterior on simulated records.
+"""Training of the learned posteriors on simulated records.
 
-Data flow: record_bank -> information_calibration -> novelty -> bank_storage -> train.
+Data flow: record_bank -> information_calibration -> novelty -> bank_storage -> train -> ratio_training.
 """
