@@ -1,6 +1,6 @@
 """The diagnosis environments.
 
-Data flow: faults -> settings -> episode -> rendering -> diagnosis_env -> joint_side ->
+Data flow: faults -> settings -> episode -> rendering -> diagnosis_env ->
 vector_inputs -> vector_env -> sb3 -> model_gap.
 """
 
@@ -12,7 +12,6 @@ from loose_env.envs.episode.observation import ObservationLayout
 from loose_env.envs.episode.state import Outcome
 from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty, difficulty_named
 from loose_env.envs.faults.sampler import FaultSampler
-from loose_env.envs.joint_side import JointSideObservation
 from loose_env.envs.model_gap.env import ModelGapEnv
 from loose_env.envs.model_gap.hidden_machine import HiddenEffect, HiddenMachine, MachineDraw
 from loose_env.envs.model_gap.make import make_model_gap
@@ -58,7 +57,6 @@ __all__ = [
     "GapPrices",
     "HiddenEffect",
     "HiddenMachine",
-    "JointSideObservation",
     "Loop",
     "MachineDraw",
     "ModelGapEnv",

@@ -32,6 +32,8 @@ class EnvState:
     """Number of the episode under it."""
     episode: Episode | None
     """The latest episode: hidden fault, true arm, pose, records."""
+    fingerprint: str
+    """Of the arm and the settings that it is a state of."""
 
 
 class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
@@ -84,8 +86,8 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
     latest record. With
     `SensorSuite(link_accelerometers=...)` each slot also holds the transmission to the sensors on
     links, the nominal one and their rms, and `raw` has their signals as `"links"`; the agent
-    `local` reads them. The other way, `loose_env.envs.JointSideObservation(env)` keeps what a robot
-    without accelerometers has: pose, excitation, joint motion and apparent inertia. That a fault is
+    `local` reads them. `loose_env.wrappers.JointSideObservation(env)` keeps what a robot without
+    accelerometers has: pose, excitation, joint motion and apparent inertia. That a fault is
     there shows in them ([by how much](method.md#torque-and-encoder-alone)), its direction does not.
 
     ## Rewards
@@ -247,7 +249,12 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
 
     def get_state(self) -> EnvState:
         """Copy of the state: `set_state` goes on from it, in this environment or one like it."""
-        return EnvState(seed=self._seed, number=self._number, episode=self.batch.episode_copy(0))
+        return EnvState(
+            seed=self._seed,
+            number=self._number,
+            episode=self.batch.episode_copy(0),
+            fingerprint=self.batch.fingerprint,
+        )
 
     def set_state(self, state: EnvState) -> None:
         """Go on from a state that `get_state` gave.
@@ -259,6 +266,7 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
         """
         if not isinstance(state, EnvState):
             raise InvalidSetting(f"a state is what get_state() gives, got {state!r:.60}")
+        self.batch.check_fits(state.fingerprint)
         self.batch.restore(0, state.episode)
         self._seed, self._number = state.seed, state.number
 

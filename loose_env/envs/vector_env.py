@@ -42,6 +42,8 @@ class VectorState:
     """Each environment's latest episode."""
     ended: tuple[bool, ...]
     """True for each environment that is to be reset before it goes on."""
+    fingerprint: str
+    """Of the arm and the settings that it is a state of."""
 
 
 class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
@@ -167,11 +169,13 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         if not all(self.batch.has_episode(int(i)) for i in np.flatnonzero(~chosen)):
             raise ResetNeeded("the first reset() begins all episodes: give it no reset_mask")
         seeds = checked_seeds(seed, self.num_envs)
+        drawn: dict[int, Episode] = {}
+        for i in np.flatnonzero(chosen).tolist():
+            drawn[i] = self._drawn(i, seeds[i], {**given, **own[i]})
+        # only now: a refused reset leaves the sequence of episodes as it was
         infos: dict[str, Any] = {}
-        for i in np.flatnonzero(chosen):
-            if seeds[i] is not None:
-                self._seeds[i], self._numbers[i] = seeds[i], -1
-            infos = self._add_info(infos, self._begin(int(i), {**given, **own[i]}), int(i))
+        for i, episode in drawn.items():
+            infos = self._add_info(infos, self._begin(i, episode), i)
             self._ended[i] = False
         return self._observe(), infos
 
@@ -208,12 +212,14 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
                 if self.autoreset_mode is AutoresetMode.SAME_STEP:
                     final = {"final_obs": self.batch.shown(i), "final_info": info}
                     infos = self._add_info(infos, final, i)
-                    info = self._begin(i, {})
+                    info = self._begin(i, self._drawn(i, None, {}))
                 else:
                     self._ended[i] = True
             infos = self._add_info(infos, info, i)
         for fresh in np.flatnonzero(over):
-            infos = self._add_info(infos, self._begin(int(fresh), {}), int(fresh))
+            infos = self._add_info(
+                infos, self._begin(int(fresh), self._drawn(int(fresh), None, {})), int(fresh)
+            )
             self._ended[fresh] = False
         return self._observe(), rewards, terminated, truncated, infos
 
@@ -285,6 +291,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
             numbers=tuple(self._numbers),
             episodes=tuple(self.batch.episode_copy(i) for i in range(self.num_envs)),
             ended=tuple(bool(over) for over in self._ended),
+            fingerprint=self.batch.fingerprint,
         )
 
     def set_state(self, state: VectorState) -> None:
@@ -300,8 +307,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
                 f"a state of {self.num_envs} environments is what get_state() of such a batch "
                 f"gives; got {state!r:.60}"
             )
-        for episode in state.episodes:
-            self.batch.check_fits(episode)
+        self.batch.check_fits(state.fingerprint)
         for i, episode in enumerate(state.episodes):
             self.batch.restore(i, episode)
         self._seeds, self._numbers = list(state.seeds), list(state.numbers)
@@ -331,13 +337,17 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         self.set_state(stored["state"])
         self.__dict__.update(stored["attributes"])
 
-    def _begin(self, i: int, options: dict[str, Any]) -> dict[str, Any]:
-        seed = self._seeds[i]
-        if seed is None:
-            seed = self._seeds[i] = new_seed()
-        info = self.batch.start(i, seed=seed, number=self._numbers[i] + 1, options=options)
-        self._numbers[i] += 1  # only now: a refused reset leaves the sequence as it was
-        return info
+    def _drawn(self, i: int, seed: int | None, options: dict[str, Any]) -> Episode:
+        """Draw the first episode of a root seed, or the next one of an environment's own."""
+        number = 0 if seed is not None else self._numbers[i] + 1
+        root = seed if seed is not None else self._seeds[i]
+        root = new_seed() if root is None else root
+        return self.batch.drawn(seed=root, number=number, options=options)
+
+    def _begin(self, i: int, episode: Episode) -> dict[str, Any]:
+        """Begin a drawn episode in an environment."""
+        self._seeds[i], self._numbers[i] = episode.seed, episode.number
+        return self.batch.begin(i, episode)
 
     def _observe(self) -> Any:
         singles = [self.batch.shown(i) for i in range(self.num_envs)]

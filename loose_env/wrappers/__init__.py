@@ -14,11 +14,17 @@ from loose_env.wrappers.posterior import (
     record_from,
 )
 from loose_env.wrappers.prediction import ActionAndPrediction
-from loose_env.wrappers.records import LatestRecord, MeasuredMinusNominal, RecordLayout
+from loose_env.wrappers.records import (
+    JointSideObservation,
+    LatestRecord,
+    MeasuredMinusNominal,
+    RecordLayout,
+)
 
 __all__ = [
     "ActionAndPrediction",
     "DiagnosisWrapper",
+    "JointSideObservation",
     "LatestRecord",
     "MacroActions",
     "MeasuredMinusNominal",

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from loose_env.envs import Element, ObservationLayout
 from loose_env.wrappers.base import DiagnosisWrapper
 
-__all__ = ["LatestRecord", "MeasuredMinusNominal", "RecordLayout"]
+__all__ = ["JointSideObservation", "LatestRecord", "MeasuredMinusNominal", "RecordLayout"]
 
 _NOMINAL = "nominal_"
+_JOINT_SIDE = ("level", "torque", "level_share", "duration", "joint_rms", "inertia", "valid")
+"""Groups of a record that torque, encoder and the excitation give, beside its pose."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,3 +158,36 @@ class MeasuredMinusNominal(_RecordWrapper):
         own, twin = self._pairs.T
         shown[:, own] -= records[:, twin]
         return shown
+
+
+class JointSideObservation(_RecordWrapper):
+    """Shows what torque and encoders give: a robot without accelerometers (thesis, 2.2.2).
+
+    Left are the pose, what has been spent, and of every record its pose, excitation, joint
+    motion and apparent inertia, measured and nominal. That a seat is loose shows there nearly as
+    well as at the tool; its direction does not.
+
+    Examples
+    --------
+    >>> import gymnasium, loose_env
+    >>> env = gymnasium.make("loose_env/Planar-v0", n_links=2)
+    >>> whole, alone = env.observation_space.shape[0], JointSideObservation(env)
+    >>> alone.observation_space.shape[0] < whole / 2
+    True
+    """
+
+    def _changed(self) -> RecordLayout:
+        elements = self.inner.slot_elements
+        self._kept = [k for k, each in enumerate(elements) if _of_joints(each.name)]
+        return replace(self.inner, slot_elements=tuple(elements[k] for k in self._kept))
+
+    def _shown(
+        self, start: NDArray[np.float32], records: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        return np.asarray(records[:, self._kept])
+
+
+def _of_joints(name: str) -> bool:
+    """Whether torque, encoders and the excitation give an element of a record."""
+    group = name.partition(".")[0].removeprefix(_NOMINAL)
+    return group in _JOINT_SIDE or group.endswith("pose")

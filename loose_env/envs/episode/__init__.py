@@ -1,4 +1,5 @@
 """State, actions and observations of episodes.
 
-Data flow: actions -> elements -> observation -> reset_options -> state -> record_writer -> batch.
+Data flow: indices -> actions -> elements -> observation -> reset_options -> state ->
+record_writer -> batch.
 """

@@ -12,6 +12,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
+from loose_env.envs.episode.indices import checked_indices
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction, InvalidSetting
 from loose_env.typing import Array
@@ -196,35 +197,19 @@ class ActionLayout:
         >>> layout.decode([2, 2, 2, 5, 0, 0]).levels.tolist()
         [0, 2, 0]
         """
-        try:
-            array = np.asarray(action)
-        except ValueError:  # rows of different length
-            array = np.array(None)
-        if array.shape != self.nvec.shape:
-            raise InvalidAction(
-                f"an action has {len(self.nvec)} entries ({self.most_moved} for moves, "
-                f"{self.most_excited} for levels of {self.arm.n} joints, a record length, a "
-                f"verdict), got shape {array.shape}"
-            )
-        whole = np.issubdtype(array.dtype, np.integer) or (
-            np.issubdtype(array.dtype, np.floating) and bool(np.all(array == np.round(array)))
+        form = (
+            f"an action ({self.most_moved} for moves, {self.most_excited} for levels of "
+            f"{self.arm.n} joints, a record length, a verdict)"
         )
-        if not whole:
-            raise InvalidAction(f"an action is made of whole numbers, got {action!r}")
-        if np.any(array < 0) or np.any(array >= self.nvec):
-            raise InvalidAction(
-                f"entries of an action run from 0 to {(self.nvec - 1).tolist()}, "
-                f"got {array.tolist()}"
-            )
-        whole_numbers = array.astype(np.intp)
+        whole_numbers = checked_indices(form, action, self.nvec)
         levels = self._levels_of(whole_numbers[self.excitation])
         if not levels.any():
             levels[-1] = len(self.arm.levels)
         return Action(
             moves=self._moves_of(whole_numbers[: self.most_moved]),
             levels=levels,
-            duration=self.settings.durations[int(array[-2])],
-            verdict=int(array[-1]),
+            duration=self.settings.durations[int(whole_numbers[-2])],
+            verdict=int(whole_numbers[-1]),
         )
 
     @property
@@ -311,11 +296,32 @@ class ActionLayout:
 
         Of more joints than may move or be excited at once, the first ones from the base move, and
         those of the highest levels are excited.
+
+        Parameters
+        ----------
+        moves : ndarray (n,), optional
+            Index of each joint's move.
+        levels : ndarray (n,), optional
+            Level of each joint, 0 for none.
+        duration : int, optional
+            Index of the duration.
+        verdict : int
+            0 to go on, else 1 and the index of the verdict.
+
+        Raises
+        ------
+        InvalidAction
+            If one of them is of another shape, or no index there.
         """
-        n, stay = self.arm.n, self.settings.stay
-        longest = int(np.argmax(self.settings.durations))
-        moved = np.full(n, stay) if moves is None else np.asarray(moves)
-        excited = np.zeros(n, dtype=np.intp) if levels is None else np.asarray(levels)
+        settings, n, stay = self.settings, self.arm.n, self.settings.stay
+        longest = int(np.argmax(settings.durations))
+        moved, excited = np.full(n, stay), np.zeros(n, dtype=np.intp)
+        if moves is not None:
+            moved = checked_indices("moves", moves, np.full(n, len(settings.moves)))
+        if levels is not None:
+            excited = checked_indices("levels", levels, np.full(n, len(self.arm.levels) + 1))
+        ends = [longest if duration is None else duration, verdict]
+        ends = checked_indices("duration and verdict", ends, self.nvec[-2:])
         action = np.zeros(len(self.nvec), dtype=np.int64)
         if self._few_moved:
             chosen = np.flatnonzero(moved != stay)[: self.most_moved]
@@ -330,8 +336,7 @@ class ActionLayout:
             entries[: len(chosen)] = chosen * len(self.arm.levels) + excited[chosen]
         else:
             entries[:] = excited
-        action[-2] = longest if duration is None else duration
-        action[-1] = verdict
+        action[-2:] = ends
         return action
 
     def allowed_moves(self, pose: NDArray[np.float64]) -> NDArray[np.bool_]:

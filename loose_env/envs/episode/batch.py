@@ -9,8 +9,10 @@ before change nothing.
 from __future__ import annotations
 
 import copy
+import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -144,6 +146,10 @@ class EpisodeBatch:
         self, slot: int, *, seed: int, number: int, options: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """Begin an episode in a slot: hide a fault, take a random pose, measure nothing."""
+        return self.begin(slot, self.drawn(seed=seed, number=number, options=options))
+
+    def drawn(self, *, seed: int, number: int, options: Mapping[str, Any] | None = None) -> Episode:
+        """Draw all that is hidden in an episode, and its first pose."""
         given = ResetOptions.of(options, self.true_arm)
         blank = np.zeros(
             (self.settings.max_records, len(self.observations.slot_elements)), dtype=np.float32
@@ -154,6 +160,10 @@ class EpisodeBatch:
         episode.fault = given.hidden_fault(self.sampler, episode.stream(_FAULT))
         episode.pose = given.first_pose(episode.stream(_POSE))
         episode.mismatch = given.true_arm(self.difficulty.mismatch, episode.stream(_MISMATCH))
+        return episode
+
+    def begin(self, slot: int, episode: Episode) -> dict[str, Any]:
+        """Begin a drawn episode in a slot, and mount its arm on the rig."""
         self.rig.mount(slot, episode.fault, episode.mismatch)
         self._episodes[slot] = episode
         return {"action_mask": self.mask(slot)}
@@ -162,24 +172,28 @@ class EpisodeBatch:
         """Copy of a slot's latest episode, None where none was started."""
         return copy.deepcopy(self._episodes[slot])
 
-    def check_fits(self, episode: Episode | None) -> None:
-        """Refuse an episode of another arm or other settings.
+    @cached_property
+    def fingerprint(self) -> str:
+        """Arm, settings, and what observations and actions mean, as 16 hexadecimal digits."""
+        parts = (self.arm.name, repr(self.settings), self.observations.table())
+        return hashlib.sha256("\n".join(parts).encode("utf-8")).hexdigest()[:16]
+
+    def check_fits(self, fingerprint: str) -> None:
+        """Refuse a state of another arm or other settings.
 
         Raises
         ------
         InvalidSetting
-            If its records have another form.
+            If its fingerprint is another one.
         """
-        shape = (self.settings.max_records, len(self.observations.slot_elements))
-        if episode is not None and episode.slots.shape != shape:
+        if fingerprint != self.fingerprint:
             raise InvalidSetting(
-                f"the state is of records {episode.slots.shape}, here they are {shape}: it was "
-                "taken from an environment of another arm or other settings"
+                "the state was taken from an environment of another arm or other settings; make "
+                "this environment with the same arguments"
             )
 
     def restore(self, slot: int, episode: Episode | None) -> None:
         """Put a copy of an episode into a slot, and its arm on the rig."""
-        self.check_fits(episode)
         if episode is not None:
             self.rig.mount(slot, episode.fault, episode.mismatch)
         self._episodes[slot] = copy.deepcopy(episode)

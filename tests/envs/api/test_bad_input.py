@@ -304,6 +304,41 @@ def test_a_reset_mask_is_one_boolean_for_each_environment(
         env.reset(options={"reset_mask": mask})
 
 
+def test_a_refused_reset_leaves_the_sequence_of_episodes_as_it_was(
+    make_vector: MakeVector,
+) -> None:
+    env, expected = make_vector(n_links=2, num_envs=2), make_vector(n_links=2, num_envs=2)
+    env.reset(seed=3)
+    expected.reset(seed=3)
+    for seed, options in (
+        (5, {"fault": "nonsense"}),
+        (None, {"env_options": [None, {"fault": "nonsense"}]}),
+    ):
+        with pytest.raises(UnknownName):
+            env.reset(seed=seed, options=options)
+    assert np.array_equal(env.reset()[0], expected.reset()[0])
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"levels": [3]}, "levels: 3 whole numbers from 0 to 3"),
+        ({"levels": [4, 0, 0]}, "levels"),
+        ({"levels": [0, 0, 2.7]}, "levels"),
+        ({"moves": [7, 2, 2]}, "moves: 3 whole numbers from 0 to 4"),
+        ({"moves": [2, -1, 2]}, "moves"),
+        ({"duration": 3}, "duration and verdict"),
+        ({"verdict": -1}, "duration and verdict"),
+    ],
+)
+def test_an_action_is_not_built_of_what_is_no_choice(
+    make_env: MakeEnv, given: dict[str, Any], words: str
+) -> None:
+    for rules in ({}, {"max_excited": 1, "max_moved": 1}):
+        with refused(InvalidAction, words):
+            make_env(n_links=3, **rules).actions.encode(**given)
+
+
 # ---- step
 
 
@@ -323,7 +358,7 @@ def test_a_reset_mask_is_one_boolean_for_each_environment(
 def test_an_action_of_the_wrong_shape_is_refused(make_env: MakeEnv, action: Any) -> None:
     env = make_env(n_links=2)
     env.reset(seed=0)
-    with refused(InvalidAction, "6 entries", "2 joints", "got shape"):
+    with refused(InvalidAction, "2 joints", "6 whole numbers", "got"):
         env.step(action)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar, scara, six_axis, vera
-from loose_env.envs import DiagnosisEnv, DiagnosisSettings, DiagnosisVectorEnv
+from loose_env.envs import DiagnosisEnv, DiagnosisSettings, DiagnosisVectorEnv, Prices
 from loose_env.errors import InvalidSetting
 
 SETTINGS = DiagnosisSettings(durations=(0.2,), max_records=3)
@@ -79,7 +80,8 @@ def test_a_state_is_taken_up_again_and_again() -> None:
     for other in (env, DiagnosisEnv(planar(2), SETTINGS)):
         other.set_state(pickle.loads(pickle.dumps(state)))
         assert_alike(play(other, 5), expected)
-    for wrong in (None, DiagnosisEnv(planar(3), SETTINGS)):
+    dearer = replace(SETTINGS, prices=Prices(record=0.5))
+    for wrong in (None, DiagnosisEnv(planar(3), SETTINGS), DiagnosisEnv(planar(2), dearer)):
         given = wrong
         if wrong is not None:
             wrong.reset(seed=0)
