@@ -38,7 +38,7 @@ from loose_agents.benchmark.leaderboard import (
     value_tables,
 )
 from loose_agents.benchmark.reference import training_of
-from loose_agents.benchmark.results import read_results, write_results
+from loose_agents.benchmark.results import Results, read_results, write_results
 from loose_agents.benchmark.submission import check_results, play_results
 from loose_agents.benchmark.tasks import SETS, TASKS, set_named, task_problem
 from loose_agents.execution.script_errors import errors_in_one_line
@@ -88,6 +88,22 @@ def parser_of() -> argparse.ArgumentParser:
     return parser
 
 
+def check_same_agent(path: Path, there: Results, given: argparse.Namespace, agent: str) -> None:
+    """Refuse to take a stored file for the results of another agent.
+
+    Raises
+    ------
+    InvalidSetting
+        If agent or seed differ from those of the file.
+    """
+    asked = None if given.actions_only else agent
+    if (there.agent, there.agent_seed) != (asked, given.agent_seed):
+        raise InvalidSetting(
+            f"{path} holds agent {there.agent!r} with seed {there.agent_seed}, asked for are "
+            f"{asked!r} and {given.agent_seed}; give another --entry or remove the file"
+        )
+
+
 def make(given: argparse.Namespace) -> None:
     """Play what is missing; a file that is there is left alone."""
     if given.entry and len(given.agents) > 1:
@@ -101,9 +117,11 @@ def make(given: argparse.Namespace) -> None:
                 path = results_path(given.out, task, set_name, entry)
                 whole = set_named(set_name).episodes
                 wanted = whole if given.episodes is None else given.episodes
-                if path.is_file() and len(read_results(path).reward) >= wanted:
-                    print(f"{path}: there already")
-                    continue
+                if path.is_file() and (there := read_results(path)):
+                    check_same_agent(path, there, given, agent)
+                    if len(there.reward) >= wanted:
+                        print(f"{path}: there already")
+                        continue
                 told = {
                     "entry": entry,
                     "about": given.about or describe(agent),

@@ -6,7 +6,9 @@ such as ``posterior/random``.
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import importlib.util
 import inspect
 import json
 import os
@@ -27,6 +29,7 @@ from loose_agents.core.estimators import (
     tuned,
     tuned_stopping,
     usual_estimator,
+    weights_digest,
     weights_path,
 )
 from loose_agents.evaluation.evaluate import AfterRecords
@@ -50,6 +53,7 @@ __all__ = [
     "WEIGHTS",
     "belief_agent",
     "classical_settings",
+    "content_of",
     "describe",
     "is_outside",
     "make_agent",
@@ -216,9 +220,10 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
 
 
 def describe(name: str) -> str:
-    """Describe an agent in a short phrase."""
+    """Describe an agent in a short phrase; of ``ppo#2`` with the number of its training."""
+    name, _, number = name.partition("#")
     if name in AGENTS:
-        return AGENTS[name][1]
+        return AGENTS[name][1] + (f"; training {number}" if number else "")
     if is_outside(name):
         return f"from {name}"
     estimator, _, policy = name.partition("/")
@@ -253,6 +258,27 @@ def make_agent(name: str, problem: Problem, *, seed: int = 0) -> Agent:
     estimator, _, policy = name.partition("/")
     _require(name, estimator, policy)
     return belief_agent(estimator, policy, problem, seed=seed)
+
+
+def content_of(name: str) -> str:
+    """SHA-256 of what an agent is made of: its file or folder, its module, or the weights.
+
+    Played episodes are taken up again only for the same content.
+    """
+    place = Path(name)
+    if place.exists():
+        files = sorted(place.rglob("*")) if place.is_dir() else [place]
+    elif ":" in name:
+        try:
+            found = importlib.util.find_spec(name.partition(":")[0])
+        except (ImportError, ValueError):
+            found = None  # making the agent says why
+        origin = None if found is None else found.origin
+        files = [] if origin is None else [Path(origin)]
+    else:
+        return weights_digest()
+    content = b"".join(each.read_bytes() for each in files if each.is_file())
+    return hashlib.sha256(content).hexdigest()
 
 
 def is_outside(name: str) -> bool:

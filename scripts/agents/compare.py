@@ -28,7 +28,13 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 import numpy as np
 from loose_agents.benchmark.sharded import EvaluationTask, play_task, problem_of
 from loose_agents.core.base import Problem
-from loose_agents.core.estimators import ESTIMATORS, OWN_WEIGHTS, setting_name, weights_path
+from loose_agents.core.estimators import (
+    ESTIMATORS,
+    OWN_WEIGHTS,
+    setting_name,
+    weights_digest,
+    weights_path,
+)
 from loose_agents.core.seeds import EVALUATION_SEED
 from loose_agents.evaluation.env_arguments import arguments_of
 from loose_agents.evaluation.record_bounds import bound_line
@@ -302,6 +308,7 @@ def compare(options: Options) -> None:
             "curve": options.curve,
             "settings": [problem.settings for problem in problems],
             "version": loose_env.__version__,
+            **({"weights": weights_digest()} if options.weights else {}),
         }
     )
     digest = configuration_hash(configuration)
@@ -341,7 +348,9 @@ def compare(options: Options) -> None:
 def command_of(options: Options) -> str:
     """The command that gives the same rows."""
     given: list[str] = []
-    for name in ("env", "arguments", "episodes", "seed", "agent_seed", "curve", "reference"):
+    for name in (
+        "env", "arguments", "episodes", "seed", "agent_seed", "curve", "reference", "weights"
+    ):  # fmt: skip
         value = getattr(options, name)
         if value is not None:
             given += [f"--{name.replace('_', '-')}", str(value)]

@@ -40,7 +40,7 @@ def parser() -> OneLineParser:
     add("--algo", default="ppo", choices=list(ALGORITHMS), help="algorithm of the run")
     add("--env", default="loose_env/Vera-v0", help="environment id")
     add("-f", "--folder", default="runs", help="folder of the runs")
-    add("--exp-id", type=int, default=0, help="the run's number, its seed; 0: the latest run")
+    add("--exp-id", type=int, help="the run's number, its seed; by default the latest run")
     add("--weights", default="", help="folder with weights, in place of a run")
     add("--load-best", action="store_true", help="the best policy, not the last")
     add("--env-kwargs", nargs="+", default=[], metavar="KEY:VALUE",
@@ -73,14 +73,14 @@ def run_folder(options: argparse.Namespace) -> Path:
         for path in (home.iterdir() if home.is_dir() else ())
         if (match := number.fullmatch(path.name)) and (path / CONFIGURATION).is_file()
     }
-    if not found or (options.exp_id and options.exp_id not in found):
+    if not found or (options.exp_id is not None and options.exp_id not in found):
         there = f"; there are {sorted(found)}" if found else ""
-        wanted = options.exp_id or "<seed>"
+        wanted = "<seed>" if options.exp_id is None else options.exp_id
         raise InvalidData(
             f"no run at {home / f'{name}_{wanted}'}{there}; scripts/agents/train.py makes one"
         )
     latest = max(found, key=lambda k: (found[k] / CONFIGURATION).stat().st_mtime)
-    root = found[options.exp_id or latest]
+    root = found[latest if options.exp_id is None else options.exp_id]
     return root / "best" if options.load_best else root
 
 

@@ -19,12 +19,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import gymnasium
-import numpy as np
 from loose_agents.core.base import Problem
 from loose_agents.core.estimators import feature_size, make_estimator
-from loose_agents.core.seeds import check_training_seed
-from loose_agents.evaluation.env_arguments import refused_in_words
+from loose_agents.evaluation.env_arguments import make_environments
 from loose_agents.evaluation.evaluate import evaluate
 from loose_agents.execution.progress import ProgressLine
 from loose_agents.execution.script_errors import errors_in_one_line
@@ -35,39 +32,18 @@ from loose_agents.rl.hyperparameters import (
     model_arguments,
     read_hyperparameters,
     shipped_file,
+    whole,
 )
 from loose_agents.rl.training_options import check_training, training_parser
 
-from loose_env.envs import DiagnosisVectorEnv
-from loose_env.errors import InvalidData, InvalidSetting, MissingExtra, UnknownName
-from loose_env.registration import IDS
+from loose_env.envs import ActionLayout, DiagnosisVectorEnv
+from loose_env.errors import InvalidData, InvalidSetting, MissingExtra
 
 ROOT = Path(__file__).resolve().parents[2]
 STOP_BIAS = -1.5
 """Added to the logit of stopping at the start: early verdicts are mostly wrong, teach little."""
 LEVEL_BIAS = 2.5
 """Added at the start to the logits of each joint's top level and of the last record length."""
-
-
-def make_environments(env_id: str, num_envs: int, arguments: dict[str, Any]) -> DiagnosisVectorEnv:
-    """Make the environments side by side.
-
-    Raises
-    ------
-    UnknownName
-        If the id is none of the registered ones, or no diagnosis.
-    InvalidSetting
-        If the observation carries raw signals, which no estimator takes.
-    """
-    if env_id not in gymnasium.registry:
-        raise UnknownName(f"unknown environment {env_id!r}; environments are {', '.join(IDS)}")
-    with refused_in_words(env_id, arguments):
-        env = gymnasium.make_vec(env_id, num_envs=num_envs, **arguments)
-    if not isinstance(env, DiagnosisVectorEnv):
-        raise UnknownName(f"{env_id} is no diagnosis environment; those are {', '.join(IDS)}")
-    if env.settings.raw:
-        raise InvalidSetting("the policy learns on an estimator of the statistics: leave raw out")
-    return env
 
 
 def configuration_of(
@@ -152,11 +128,11 @@ def train(options: argparse.Namespace) -> Path:
     given |= {"tensorboard_log": log, "seed": options.seed, "device": options.device}
     resumed = folder.checkpoint.is_file() and not options.restart
     if resumed:
-        model = checkpointed(folder, configuration, model_class, vec, given)
+        model = checkpointed(folder, configuration, model_class, vec, given, problem)
         say(options, f"resumed from {folder.checkpoint} at {model.num_timesteps} steps")
     else:
         check_elsewhere(options.trained_agent, folder)
-        model = new_model(model_class, vec, given, options.trained_agent)
+        model = new_model(model_class, vec, given, options.trained_agent, problem)
         model.run_state = RunState()
         folder.clear()  # only now: what was refused has taken nothing away
     setattr(model, TRAINED_ON, problem.fingerprint)
@@ -165,7 +141,7 @@ def train(options: argparse.Namespace) -> Path:
     else:
         write_json(folder.configuration, configuration)
         first = training_seed(options.seed, model.num_timesteps)
-        vec.seed(check_training_seed(first))
+        vec.seed(first)
         model.run_state.restore_generators()
         show, close = progress(options, steps, model.num_timesteps)
         callback = RunCallback(
@@ -179,7 +155,7 @@ def train(options: argparse.Namespace) -> Path:
                 forced_share=options.forced_share,
             ),
             configuration,
-            evaluator(options, problem, estimator, arguments, evaluation_seed(options.seed)),
+            evaluator(options, problem, estimator, env, evaluation_seed(options.seed)),
             show,
         )
         if log is None:
@@ -201,29 +177,13 @@ def train(options: argparse.Namespace) -> Path:
     return folder.root
 
 
-def whole(value: Any, name: str) -> int:
-    """Read a whole number, which YAML may give as 1e6 or as text.
-
-    Raises
-    ------
-    InvalidSetting
-        If it is none, or negative.
-    """
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = -1.0
-    if number < 0 or number != round(number):
-        raise InvalidSetting(f"{name} must be a whole number, 1 or more; got {value!r}")
-    return int(number)
-
-
 def checkpointed(
     folder: Any,
     configuration: dict[str, Any],
     model_class: type[Any],
     vec: Any,
     given: dict[str, Any],
+    problem: Problem,
 ) -> Any:
     """Load the model that a run goes on with; nothing in the file is run.
 
@@ -234,7 +194,7 @@ def checkpointed(
     InvalidData
         If the checkpoint cannot be read.
     """
-    from loose_agents.rl.checkpoint import read_model, restore
+    from loose_agents.rl.checkpoint import network_arguments, read_model, restore
     from loose_agents.rl.training_run import RunState, differences
 
     before = folder.described()
@@ -250,8 +210,10 @@ def checkpointed(
     try:
         stored = read_model(folder.checkpoint, given["device"])
         # Made with the options of the run, which are those of its start: only tensors, counts and
-        # the states of generators come from the file.
-        model = new_model(model_class, vec, given, "")
+        # the states of generators come from the file. A run that continued a model has its network.
+        if configuration["training"]["trained_agent"]:
+            given = given | {"policy_kwargs": network_arguments(stored)}
+        model = new_model(model_class, vec, given, "", problem)
         model.run_state = restore(stored, model, RunState)
     except InvalidData as error:
         raise InvalidData(
@@ -275,7 +237,9 @@ def check_elsewhere(path: str, folder: Any) -> None:
         )
 
 
-def new_model(model_class: type[Any], vec: Any, given: dict[str, Any], path: str) -> Any:
+def new_model(
+    model_class: type[Any], vec: Any, given: dict[str, Any], path: str, problem: Problem
+) -> Any:
     """Make a model, or load the one that is to be continued.
 
     Raises
@@ -286,7 +250,7 @@ def new_model(model_class: type[Any], vec: Any, given: dict[str, Any], path: str
     try:
         if not path:
             model = model_class(env=vec, **given)
-            _start_from_shaking_all(model)
+            _start_from_shaking_all(model, problem.actions)
             return model
         from loose_agents.rl.checkpoint import network_arguments, put_parameters, read_model
 
@@ -303,20 +267,17 @@ def new_model(model_class: type[Any], vec: Any, given: dict[str, Any], path: str
         raise InvalidSetting(f"{what} by {model_class.__name__}: {reason}") from error
 
 
-def _start_from_shaking_all(model: Any) -> None:
-    """Start with a policy that mostly shakes all joints at the top level, and seldom stops.
+def _start_from_shaking_all(model: Any, actions: ActionLayout) -> None:
+    """Start with a policy that mostly shakes at the top level for long, and seldom stops.
 
-    That is the constant policy; what is learned is where to depart from it.
+    All joints where the rules let all be excited, else any of them. That is the constant policy;
+    what is learned is where to depart from it.
     """
     import torch
 
-    choices = model.action_space.nvec  # moves, levels, length, stop
-    joints = (len(choices) - 2) // 2
-    last = np.cumsum(choices) - 1  # the last option of each choice
     with torch.no_grad():
         bias = model.policy.action_net.bias
-        for choice in range(joints, 2 * joints + 1):  # top levels, longest record
-            bias[int(last[choice])] += LEVEL_BIAS
+        bias[torch.as_tensor(actions.strongest_options())] += LEVEL_BIAS
         bias[-1] += STOP_BIAS
 
 
@@ -324,7 +285,7 @@ def evaluator(
     options: argparse.Namespace,
     problem: Problem,
     estimator: Any,
-    arguments: dict[str, Any],
+    env: DiagnosisVectorEnv,
     seed: int,
 ) -> Callable[[Any], Any]:
     """Return what plays the evaluation episodes, the same every time, with a network."""
@@ -339,7 +300,8 @@ def evaluator(
             episodes=options.eval_episodes,
             seed=seed,
             width=options.n_eval_envs,
-            threads=arguments.get("threads", 0),
+            threads=env.batch.threads,
+            true_arm=env.batch.true_arm,
         )
 
     return play

@@ -23,6 +23,9 @@ def test_a_submission_is_made_checked_and_refused_once_changed(
     assert json.loads(stored)["training_records"] == 0
     submit.main(given)
     assert "there already" in capsys.readouterr().out and path.read_bytes() == stored
+    with pytest.raises(SystemExit) as ended:
+        submit.main([*given, "--agents", "always_unsure", "--entry", "always_healthy"])
+    assert ended.value.code == 2 and "holds agent 'always_healthy'" in capsys.readouterr().err
     submit.main(["check", str(path), "--seed", "0"])
     assert "3 of 3 episodes replayed from their actions and by the agent" in capsys.readouterr().out
     whole = json.loads(stored)

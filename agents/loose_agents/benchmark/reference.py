@@ -6,13 +6,20 @@ import json
 from typing import Any
 
 from loose_agents.core.base import Problem
-from loose_agents.core.estimators import setting_name, weights_path
-from loose_agents.registry import AGENTS, LEARNED
+from loose_agents.core.estimators import (
+    setting_name,
+    tuning_name,
+    usual_estimator,
+    weights_path,
+)
+from loose_agents.registry import AGENTS, LEARNED, is_outside
 
 __all__ = ["training_of"]
 
 _UNTRAINED = ("always_healthy", "always_unsure", "random", "classical", "classical_literal",
-              "images")  # fmt: skip
+              "outward", "inward", "bisection", "local", "images")  # fmt: skip
+_BANKS = {"amortised": "posterior", "ratio": "ratio", "posterior": None}
+"""First part of the name of the weights that an estimator is trained to, None where it is not."""
 
 
 def training_of(agent: str, problem: Problem) -> int | None:
@@ -20,20 +27,30 @@ def training_of(agent: str, problem: Problem) -> int | None:
 
     None of an agent from outside, whose training is not known here.
     """
-    plain = agent.partition("#")[0]
-    if plain not in AGENTS and not agent.startswith("amortised/"):
-        return None
+    plain, _, number = agent.partition("#")
     if plain in _UNTRAINED:
         return 0
+    estimator = plain.partition("/")[0] if "/" in plain else usual_estimator(problem)
+    if estimator not in _BANKS or (plain not in AGENTS and is_outside(agent)):
+        return None
+    trained_to, name = _BANKS[estimator], setting_name(problem)
     records = 0
-    bank = _described(f"posterior-{setting_name(problem)}").get("bank")
-    if bank is not None:  # episodes of a few records, and some of as many as the rules allow
-        few, every = bank["records"]["records"], bank["records"]["long_every"]
-        records = round(bank["episodes"] * (few + (problem.settings.max_records - few) / every))
+    if trained_to is not None:
+        own = tuning_name(problem) if estimator == "ratio" else name
+        records = _of_bank(_described(f"{trained_to}-{own}").get("bank"), problem)
     if plain in LEARNED:
-        trained = _described(f"{LEARNED[plain]}-{setting_name(problem)}").get("trained", {})
+        suffix = f"-{number}" if number not in ("", "1") else ""
+        trained = _described(f"{LEARNED[plain]}-{name}{suffix}").get("trained", {})
         records += int(trained.get("steps", 0))
     return records
+
+
+def _of_bank(bank: dict[str, Any] | None, problem: Problem) -> int:
+    """Records of a bank: episodes of a few, and some of as many as the rules allow."""
+    if bank is None:
+        return 0
+    few, every = int(bank["records"]["records"]), int(bank["records"]["long_every"])
+    return round(int(bank["episodes"]) * (few + (problem.settings.max_records - few) / every))
 
 
 def _described(name: str) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 import threading
@@ -21,7 +20,8 @@ from loose_agents.execution.configuration_hash import configuration_hash
 from loose_agents.execution.progress import ProgressLine
 from loose_agents.execution.shard_store import RowCodec, ShardStore
 from loose_agents.execution.shards import Shard, run_shards, shard_of
-from loose_agents.registry import make_agent
+from loose_agents.registry import content_of, make_agent
+from loose_env.arms import Arm
 
 __all__ = ["EvaluationTask", "evaluate_shard", "play_task", "problem_of"]
 
@@ -59,13 +59,8 @@ class EvaluationTask:
         named = asdict(self)
         for name in ("width", "threads"):
             del named[name]
-        found = {**named, "version": loose_env.__version__}
-        place = Path(self.agent)
-        if place.exists():  # a model file or a folder: what is in it counts, not its name alone
-            files = sorted(place.rglob("*")) if place.is_dir() else [place]
-            content = b"".join(each.read_bytes() for each in files if each.is_file())
-            found["content"] = hashlib.sha256(content).hexdigest()
-        return found
+        content = content_of(self.agent)  # what it is made of counts, not its name alone
+        return {**named, "version": loose_env.__version__, "content": content}
 
 
 def problem_of(env_id: str, arguments: Mapping[str, Any]) -> Problem:
@@ -84,7 +79,7 @@ def evaluate_shard(
     task: EvaluationTask, progress: Callable[[int], None] | None = None
 ) -> list[dict[str, Any]]:
     """Play the episodes of a task; return their rows as dictionaries, in order."""
-    problem, agent = _ready(task)
+    problem, agent, true_arm = _ready(task)
     rows = evaluate(
         agent,
         task.agent,
@@ -96,6 +91,7 @@ def evaluate_shard(
         records=task.records,
         width=task.width,
         threads=task.threads,
+        true_arm=true_arm,
         progress=progress,
     )
     return [asdict(row) for row in rows]
@@ -155,12 +151,14 @@ def _play_here(task: EvaluationTask, shards: Sequence[Shard], store: ShardStore)
             store.write(shard, evaluate_shard(part, progress=lambda _: line.advance(1)))
 
 
-def _ready(task: EvaluationTask) -> tuple[Problem, Agent]:
-    """Problem and agent of a task, cached per thread."""
-    made: dict[str, tuple[Problem, Agent]] = _THREAD.__dict__.setdefault("made", {})
+def _ready(task: EvaluationTask) -> tuple[Problem, Agent, Arm]:
+    """Problem, agent and true arm of a task, cached per thread."""
+    made: dict[str, tuple[Problem, Agent, Arm]] = _THREAD.__dict__.setdefault("made", {})
     key = json.dumps([task.env_id, task.arguments, task.agent, task.agent_seed], sort_keys=True)
     if key not in made:
-        problem = problem_of(task.env_id, task.arguments)
+        env = diagnosis_env(task.env_id, task.arguments)
+        problem = Problem.of(env.arm, env.settings)
         made.clear()  # one at a time: a task's shards follow each other
-        made[key] = problem, make_agent(task.agent, problem, seed=task.agent_seed)
+        agent = make_agent(task.agent, problem, seed=task.agent_seed)
+        made[key] = problem, agent, env.batch.true_arm
     return made[key]

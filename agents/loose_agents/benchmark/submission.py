@@ -24,7 +24,7 @@ from loose_agents.benchmark.tasks import EpisodeSet, set_named, task_problem
 from loose_agents.core.base import Agent, Problem
 from loose_agents.execution.shard_store import RowCodec, ShardStore
 from loose_agents.execution.shards import shard_of
-from loose_agents.registry import make_agent
+from loose_agents.registry import content_of, make_agent
 from loose_env.envs import EpisodeBatch
 from loose_env.errors import InvalidAction, InvalidData, InvalidSetting
 
@@ -57,7 +57,7 @@ def play_results(
     told : dict
         The entry's name, description and so on: fields of `Results`.
     folder : Path
-        Where episodes lie until all are played.
+        Where played episodes lie: the same call goes on from them.
     count : int, optional
         Play the first so many episodes; all by default.
     agent_seed : int
@@ -85,6 +85,7 @@ def play_results(
     kept = {
         "task": task, "set": asdict(episodes), "agent": agent, "agent_seed": agent_seed,
         "fingerprint": problem.fingerprint, "version": loose_env.__version__,
+        "content": content_of(agent),
     }  # fmt: skip
     name = f"{task}-{set_name}-{agent}".replace("/", "_").replace(":", "_")
     store = ShardStore(folder / name, kept, RowCodec())

@@ -15,7 +15,7 @@ from loose_agents.benchmark.sharded import problem_of
 from loose_agents.benchmark.tuning import Trails, play_trails
 from loose_agents.core.base import EpisodeAgent, Problem
 from loose_agents.core.belief_agent import BeliefAgent, Policy, Sure
-from loose_agents.core.estimators import ESTIMATORS, WEIGHTS, make_estimator, setting_name
+from loose_agents.core.estimators import ESTIMATORS, make_estimator, setting_name, weights_path
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.configuration_hash import configuration_hash
 from loose_agents.execution.shard_store import ArrayCodec, ShardStore
@@ -106,7 +106,7 @@ def agent_of(player: Player, problem: Problem) -> EpisodeAgent:
 
 def trained(problem: Problem) -> str:
     """Digest of the trained posterior of an arm and difficulty, if there is one."""
-    folder = WEIGHTS / f"posterior-{setting_name(problem)}"
+    folder = weights_path(f"posterior-{setting_name(problem)}")
     files = sorted(folder.iterdir()) if folder.is_dir() else []
     return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
 

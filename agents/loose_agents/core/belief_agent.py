@@ -23,6 +23,7 @@ __all__ = [
     "StoppingRule",
     "Sure",
     "best_verdict",
+    "records_measured",
     "records_taken",
     "surprise_of",
     "verdict_of",
@@ -175,6 +176,11 @@ def records_taken(problem: Problem, observation: NDArray[np.float32]) -> int:
     return round(share * problem.settings.max_records)
 
 
+def records_measured(problem: Problem, observation: NDArray[np.float32]) -> int:
+    """Number of records in an observation that are not empty."""
+    return int(np.count_nonzero(problem.layout.slots_of(observation)[:, 0]))
+
+
 def surprise_of(memory: Any) -> float:
     """p-value of an episode under the estimator's training distribution.
 
@@ -200,8 +206,8 @@ def verdict_of(
     surprising : float
         p-value below which nothing is named, see `surprise_of`.
     """
-    taken = problem.layout.slots_of(situation.observation)[:, 0]
-    unsure = problem.actions.allows_unsure(situation.records, int(np.count_nonzero(taken)))
+    measured = records_measured(problem, situation.observation)
+    unsure = problem.actions.allows_unsure(situation.records, measured)
     if surprise_of(situation.memory) < surprising:
         if unsure:
             return UNSURE

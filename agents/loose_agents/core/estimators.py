@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Callable
@@ -33,6 +34,7 @@ __all__ = [
     "tuned",
     "tuning_name",
     "usual_estimator",
+    "weights_digest",
     "weights_path",
 ]
 
@@ -54,6 +56,21 @@ def weights_path(name: str) -> Path:
     if own and (Path(own) / name).exists():
         return Path(own) / name
     return WEIGHTS / name
+
+
+def weights_digest() -> str:
+    """SHA-256 of all tuned settings and trained weights, one's own included.
+
+    What is resumed may only go on with the weights that it began with.
+    """
+    found = hashlib.sha256()
+    folders = [WEIGHTS, *([Path(os.environ[OWN_WEIGHTS])] if os.environ.get(OWN_WEIGHTS) else [])]
+    for folder in folders:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file():
+                found.update(path.relative_to(folder).as_posix().encode("utf-8"))
+                found.update(path.read_bytes())
+    return found.hexdigest()
 
 
 def tuned(problem: Problem) -> dict[str, Any]:

@@ -10,11 +10,11 @@ from typing import Any
 import gymnasium
 
 import loose_env  # noqa: F401  (registers the ids)
-from loose_env.envs import DiagnosisEnv
+from loose_env.envs import DiagnosisEnv, DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.registration import IDS, TIERS
 
-__all__ = ["arguments_of", "diagnosis_env", "refused_in_words"]
+__all__ = ["arguments_of", "diagnosis_env", "make_environments", "refused_in_words"]
 
 MOST_SHOWN = 300
 """Letters of the arguments that an error repeats."""
@@ -107,3 +107,24 @@ def refused_in_words(env_id: str, arguments: Mapping[str, Any]) -> Iterator[None
         shown = str(dict(arguments))
         shown = shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
         raise InvalidSetting(f"{env_id} does not take {shown}: {reason}") from error
+
+
+def make_environments(env_id: str, num_envs: int, arguments: dict[str, Any]) -> DiagnosisVectorEnv:
+    """Make the environments side by side.
+
+    Raises
+    ------
+    UnknownName
+        If the id is none of the registered ones, or no diagnosis.
+    InvalidSetting
+        If the arguments are refused, or the observation carries raw signals.
+    """
+    if env_id not in gymnasium.registry:
+        raise UnknownName(f"unknown environment {env_id!r}; environments are {', '.join(IDS)}")
+    with refused_in_words(env_id, arguments):
+        env = gymnasium.make_vec(env_id, num_envs=num_envs, **arguments)
+    if not isinstance(env, DiagnosisVectorEnv):
+        raise UnknownName(f"{env_id} is no diagnosis environment; those are {', '.join(IDS)}")
+    if env.settings.raw:
+        raise InvalidSetting("a policy learns on statistics, not on raw signals: leave raw out")
+    return env

@@ -16,7 +16,7 @@ import numpy as np
 import loose_env
 from loose_agents.benchmark.sharded import problem_of
 from loose_agents.core.base import Problem
-from loose_agents.core.seeds import BANK_SEED
+from loose_agents.core.seeds import BANK_SEED, check_training_seed
 from loose_agents.evaluation.env_arguments import arguments_of
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.command import option
@@ -68,13 +68,14 @@ class BankOptions:
         Raises
         ------
         InvalidSetting
-            If the arguments are no JSON object or there are no episodes.
+            If the arguments are no JSON object, there are no episodes, or the seed is kept for
+            evaluation.
         """
         return BankPlan(
             env_id=self.env,
             arguments=arguments_of(self.arguments),
             episodes=self.episodes,
-            seed=self.seed,
+            seed=check_training_seed(self.seed),
             directions=self.directions,
         )
 

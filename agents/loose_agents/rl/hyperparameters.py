@@ -20,6 +20,7 @@ __all__ = [
     "read_hyperparameters",
     "shipped_file",
     "value_of",
+    "whole",
 ]
 
 HYPERPARAMETERS = Path(__file__).parents[1] / "hyperparams"
@@ -88,10 +89,27 @@ def shipped_file(algorithm: str) -> Path:
     return HYPERPARAMETERS / f"{ALGORITHMS[algorithm][0]}.yml"
 
 
-def value_of(text: str) -> Any:
-    """Parse a Python literal, ``dict(...)`` or ``nn.ReLU``.
+def whole(value: Any, name: str) -> int:
+    """Read a whole number, which YAML may give as 1e6 or as text.
 
-    Nothing is run. A word alone is a string.
+    Raises
+    ------
+    InvalidSetting
+        If it is none, or negative.
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = -1.0
+    if number < 0 or number != round(number):
+        raise InvalidSetting(f"{name} must be a whole number, 1 or more; got {value!r}")
+    return int(number)
+
+
+def value_of(text: str) -> Any:
+    """Parse a Python literal or ``dict(...)``; what has no brackets and quotes is else a string.
+
+    Nothing is run.
 
     Raises
     ------
@@ -102,13 +120,16 @@ def value_of(text: str) -> Any:
     --------
     >>> value_of("dict(net_arch=[64, 64])")
     {'net_arch': [64, 64]}
-    >>> value_of("brake"), value_of("'brake'"), value_of("-1e-3")
-    ('brake', 'brake', -0.001)
+    >>> value_of("brake"), value_of("lin_3e-4"), value_of("'brake'"), value_of("-1e-3")
+    ('brake', 'lin_3e-4', 'brake', -0.001)
     """
     try:
         tree = ast.parse(text.strip(), mode="eval").body
         return tree.id if isinstance(tree, ast.Name) else _value(tree)
     except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError) as error:
+        plain = text.strip()
+        if plain and not set(plain) & set("()[]{}'\""):
+            return plain
         raise InvalidSetting(
             f"cannot read {text!r}: a value is a number, a string, a list, a dict or "
             "dict(name=value)"

@@ -22,6 +22,7 @@ from loose_agents.core.belief_agent import (
     Situation,
     StoppingRule,
     best_verdict,
+    records_measured,
     records_taken,
     verdict_of,
 )
@@ -115,12 +116,19 @@ class PolicyForm:
         choice: NDArray[np.int64],
         probabilities: NDArray[np.float64],
         records: int,
+        measured: int | None = None,
         *,
         least: int = 1,
     ) -> NDArray[np.int64]:
-        """Convert a choice to an action of the environment; arguments as in `stops`."""
+        """Convert a choice to an action of the environment.
+
+        Arguments as in `stops`; ``measured`` is the number of records that are not empty, by
+        default all.
+        """
         if self.stops(choice, records, least=least):
-            unsure = self.problem.actions.allows_unsure(records, records)
+            unsure = self.problem.actions.allows_unsure(
+                records, records if measured is None else measured
+            )
             return self.problem.verdict(best_verdict(self.problem, probabilities, unsure=unsure))
         return self.measuring(choice)
 
@@ -128,7 +136,14 @@ class PolicyForm:
         """Convert a choice to a measurement action, ignoring its stop decision."""
         return np.append(np.asarray(choice, dtype=np.int64)[:-1], 0)
 
-    def mask(self, pose: NDArray[np.float64], records: int, *, least: int = 1) -> NDArray[np.bool_]:
+    def mask(
+        self,
+        pose: NDArray[np.float64],
+        records: int,
+        measured: int | None = None,
+        *,
+        least: int = 1,
+    ) -> NDArray[np.bool_]:
         """Mask of valid options, choice by choice (options,).
 
         No move past the range of a joint, no stop before ``least`` records, no going on after
@@ -138,7 +153,8 @@ class PolicyForm:
         actions, most = self.problem.actions, self.problem.settings.max_records
         last = records >= most
         stop = last or records >= min(max(least, 1), most)
-        measuring = actions.mask(pose, records, records)[: int(self.nvec[:-1].sum())]
+        shown = records if measured is None else measured
+        measuring = actions.mask(pose, records, shown)[: int(self.nvec[:-1].sum())]
         return np.concatenate([measuring, [not last, stop]])
 
 
@@ -231,7 +247,7 @@ class LearnedAgent(EpisodeAgent):
         choice, memory.state = self.network.choose(
             form.features(observation, probabilities, further),
             memory.state,
-            form.mask(pose, records),
+            form.mask(pose, records, records_measured(problem, observation)),
         )
         situation = Situation(
             observation=observation,

@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import Estimator, records_taken
+from loose_agents.core.belief_agent import Estimator, records_measured, records_taken
 from loose_agents.core.estimators import feature_size, further_features, make_estimator
 from loose_agents.rl.learned_policy import PolicyForm
 from loose_env.envs import DiagnosisVectorEnv
@@ -36,9 +36,9 @@ _TRAINING, _EVALUATION = range(2)
 def training_seed(seed: int, steps: int) -> int:
     """Seed of the environments of a run resumed after a number of steps.
 
-    A run that is resumed so meets faults that it has not met. The seeds of a run's
-    environments count up from this one. They are numbers of 62 bits: they do not meet the
-    small ones that people choose, nor those of the evaluation.
+    A run that is resumed so meets faults that it has not met. It is a number of 62 bits, from
+    which those of the environments are spawned: they do not meet the small ones that people choose,
+    nor those of the evaluation.
 
     Examples
     --------
@@ -153,7 +153,11 @@ class TrackedVecEnv(VecEnvWrapper):
             np.array(
                 [
                     self.form.action(
-                        choice, self._probabilities[i], self._records[i], least=self.least_records
+                        choice,
+                        self._probabilities[i],
+                        self._records[i],
+                        records_measured(self.problem, self._rows[i]),
+                        least=self.least_records,
                     )
                     for i, choice in enumerate(actions)
                 ]
@@ -179,7 +183,12 @@ class TrackedVecEnv(VecEnvWrapper):
         layout = self.problem.layout
         return np.stack(
             [
-                self.form.mask(layout.pose_of(row), self._records[i], least=self.least_records)
+                self.form.mask(
+                    layout.pose_of(row),
+                    self._records[i],
+                    records_measured(self.problem, row),
+                    least=self.least_records,
+                )
                 for i, row in enumerate(self._rows)
             ]
         )

@@ -320,8 +320,8 @@ class ActionLayout:
             moved = checked_indices("moves", moves, np.full(n, len(settings.moves)))
         if levels is not None:
             excited = checked_indices("levels", levels, np.full(n, len(self.arm.levels) + 1))
-        ends = [longest if duration is None else duration, verdict]
-        ends = checked_indices("duration and verdict", ends, self.nvec[-2:])
+        given = [longest if duration is None else duration, verdict]
+        ends = checked_indices("duration and verdict", given, self.nvec[-2:])
         action = np.zeros(len(self.nvec), dtype=np.int64)
         if self._few_moved:
             chosen = np.flatnonzero(moved != stay)[: self.most_moved]
@@ -338,6 +338,13 @@ class ActionLayout:
             entries[:] = excited
         action[-2:] = ends
         return action
+
+    def strongest_options(self) -> NDArray[np.intp]:
+        """Places, among all options one after the other, of top levels and longest record (K,)."""
+        first = np.cumsum(self.nvec) - self.nvec
+        top = len(self.arm.levels) * np.arange(1, (self.arm.n if self._few_excited else 1) + 1)
+        levels = (first[self.excitation][:, None] + top).ravel()
+        return np.append(levels, first[-2] + int(np.argmax(self.settings.durations)))
 
     def allowed_moves(self, pose: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return the moves that keep each joint within its range (n, moves)."""

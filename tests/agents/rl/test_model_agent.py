@@ -5,15 +5,18 @@ from __future__ import annotations
 import io
 import shutil
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents.benchmark.sharded import EvaluationTask
+from loose_agents.benchmark.reference import training_of
+from loose_agents.benchmark.sharded import EvaluationTask, evaluate_shard
 from loose_agents.core.base import EpisodeAgent, Problem
-from loose_agents.core.estimators import OWN_WEIGHTS, WEIGHTS, tuned, weights_path
-from loose_agents.registry import describe, is_outside, make_agent
+from loose_agents.core.estimators import OWN_WEIGHTS, WEIGHTS, tuned, weights_digest, weights_path
+from loose_agents.evaluation.env_arguments import diagnosis_env
+from loose_agents.registry import content_of, describe, is_outside, make_agent
 from loose_agents.rl.checkpoint import TRAINED_ON
 
 from loose_env.arms import planar, vera
@@ -152,7 +155,9 @@ def test_a_folder_of_weights_is_an_agent_and_own_weights_go_first(
     assert tuned(usual) == {"stop": {"ppo": 0.6}}
 
 
-def test_rows_of_a_file_depend_on_what_is_in_it(tmp_path: Path) -> None:
+def test_rows_depend_on_what_the_agent_is_made_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "model.zip"
     found = []
     for content in (b"one", b"two"):
@@ -161,4 +166,44 @@ def test_rows_of_a_file_depend_on_what_is_in_it(tmp_path: Path) -> None:
         found.append(task.configuration)
     assert found[0] != found[1]
     named = EvaluationTask(agent="random", env_id="loose_env/Vera-v0", count=1, seed=0)
-    assert "content" not in named.configuration
+    with_shipped = named.configuration
+    assert with_shipped["content"] == weights_digest()
+    (tmp_path / "vera-default.json").write_text("{}", encoding="utf-8")
+    monkeypatch.setenv(OWN_WEIGHTS, str(tmp_path))
+    assert named.configuration != with_shipped
+    module = tmp_path / "an_agent_of_mine.py"
+    module.write_text("class Mine: ...", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    outside = content_of("an_agent_of_mine:Mine")
+    module.write_text("class Mine: one = 1", encoding="utf-8")
+    assert content_of("an_agent_of_mine:Mine") != outside
+
+
+def test_a_further_training_is_described_and_known_by_its_own_records() -> None:
+    problem = Problem.of(vera(), DiagnosisSettings())
+    assert describe("ppo#2") == describe("ppo") + "; training 2"
+    first, second = training_of("ppo", problem), training_of("ppo#2", problem)
+    assert first is not None
+    assert second is not None
+    assert min(first, second) > 62_000
+    assert [training_of(each, problem) for each in ("local", "outward", "posterior/greedy")] == [
+        0, 0, 0,
+    ]  # fmt: skip
+    assert training_of("somewhere:Mine", problem) is None
+
+
+def test_a_task_is_played_on_the_true_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+
+    def play(*given: Any, **named: Any) -> list[Any]:
+        seen.append((given[2].name, named["true_arm"].name))
+        return []
+
+    monkeypatch.setattr("loose_agents.benchmark.sharded.evaluate", play)
+    arguments = {"n_links": 2, "true_arm": replace(planar(2), name="another")}
+    monkeypatch.setattr(
+        "loose_agents.benchmark.sharded.diagnosis_env",
+        lambda env_id, given: diagnosis_env(env_id, arguments),
+    )
+    evaluate_shard(EvaluationTask(agent="random", env_id="loose_env/Planar-v0", count=1, seed=0))
+    assert seen == [("planar2", "another")]

@@ -65,6 +65,28 @@ def test_runs_write_curves_and_configuration_and_resume(
         main([*given, "--out", str(tmp_path / "a"), "--env-kwargs", "max_records:6"])
 
 
+def test_a_run_begun_anew_forgets_the_earlier_one_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["--learners", "ppo", "--seeds", "3", *SMALL, "--out", str(tmp_path)]
+    main(given)
+    (run,) = tmp_path.glob("*/ppo/seed_3")
+    other = [*given, "--hyperparams", "n_envs:4", "n_steps:8", "batch_size:16", "gamma:0.5"]
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    evaluation = "loose_agents.rl.end_to_end.evaluation.evaluate_policy"
+    with monkeypatch.context() as patch, pytest.raises(SystemExit):
+        patch.setattr(evaluation, interrupt)
+        main([*other, "--restart"])
+    assert not (run / "checkpoint.zip").exists()
+    assert not (run / "curve.csv").exists()
+    capsys.readouterr()
+    main(other)
+    assert "resumed" not in capsys.readouterr().out
+
+
 def test_the_checkpoints_play_in_numpy_as_in_torch(tmp_path: Path) -> None:
     from sb3_contrib import MaskablePPO
     from stable_baselines3 import PPO

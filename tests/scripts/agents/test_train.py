@@ -21,11 +21,14 @@ pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 pytest.importorskip("yaml")
 
+from loose_agents.core.base import Problem
 from loose_agents.rl.hyperparameters import HYPERPARAMETERS
 from loose_agents.rl.training_env import evaluation_seed
 from loose_agents.rl.training_run import RunState, git_commit
 
-from loose_env.envs import EpisodeBatch
+from loose_env.arms import planar
+from loose_env.envs import DiagnosisSettings, EpisodeBatch
+from loose_env.envs.episode.state import Episode
 
 ROOT = Path(__file__).resolve().parents[3]
 TINY = [
@@ -53,6 +56,26 @@ def options(logs: Path, steps: int, *more: str) -> list[str]:
 def steps_of(checkpoint: Path) -> int:
     with zipfile.ZipFile(checkpoint) as file:
         return int(json.loads(file.read("data"))["num_timesteps"])
+
+
+@pytest.mark.parametrize("rules", [{}, {"max_excited": 1, "max_moved": 1}])
+def test_the_first_policy_prefers_the_top_level_of_any_joint(rules: dict[str, int]) -> None:
+    problem = Problem.of(planar(3), DiagnosisSettings(**rules))
+    actions, nvec = problem.actions, problem.actions.nvec
+    options = actions.strongest_options()
+    starts = np.cumsum(nvec) - nvec
+    for entry in range(actions.most_excited):
+        own = options[(options >= starts[actions.excitation][entry])][: 3 if rules else 1]
+        for joint, option in enumerate(own if rules else [own[0]]):
+            action = actions.encode()
+            action[actions.excitation.start + entry] = (
+                option - starts[actions.excitation.start + entry]
+            )
+            levels = actions.decode(action).levels
+            assert levels[joint if rules else entry] == len(problem.arm.levels)
+    longest = int(np.argmax(problem.settings.durations))
+    assert options[-1] - starts[-2] == longest
+    assert len(options) == (3 if rules else actions.most_excited) + 1
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "recurrent_ppo", "maskable_ppo"])
@@ -114,13 +137,13 @@ def test_enjoy_writes_a_picture_of_each_record(
 def begun(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, int]]]:
     """Seeds and numbers of the episodes that have begun."""
     found: list[tuple[int, int]] = []
-    start = EpisodeBatch.start
+    begin = EpisodeBatch.begin
 
-    def spy(self: EpisodeBatch, slot: int, *, seed: int, number: int, **more: Any) -> Any:
-        found.append((seed, number))
-        return start(self, slot, seed=seed, number=number, **more)
+    def spy(self: EpisodeBatch, slot: int, episode: Episode) -> Any:
+        found.append((episode.seed, episode.number))
+        return begin(self, slot, episode)
 
-    monkeypatch.setattr(EpisodeBatch, "start", spy)
+    monkeypatch.setattr(EpisodeBatch, "begin", spy)
     yield found
 
 
@@ -251,6 +274,12 @@ def test_a_model_is_continued_in_a_new_run(train: ModuleType, tmp_path: Path) ->
     model = PPO.load(tmp_path / "b" / "ppo" / NAME / "checkpoint.zip")
     assert model.num_timesteps == 16
     assert model.policy.optimizer.state_dict()["state"][0]["step"] == 4
+    wide = ("-params", *TINY[TINY.index("-params") + 1 :][:-1], "policy_kwargs:dict(net_arch=[8])")
+    train.main(options(tmp_path / "d", 16, "--verbose", "0", *wide))
+    other = tmp_path / "d" / "ppo" / NAME / "checkpoint.zip"
+    for steps in (16, 32):  # a network other than that of the hyperparameters, resumed
+        train.main(options(tmp_path / "e", steps, "--verbose", "0", "-i", str(other)))
+    assert steps_of(tmp_path / "e" / "ppo" / NAME / "checkpoint.zip") == 32
     with pytest.raises(SystemExit, match="lies in the folder of the run itself"):
         train.main(options(tmp_path / "a", 16, "--restart", "-i", str(earlier)))
     with pytest.raises(SystemExit, match=r"cannot continue .* by MaskablePPO"):

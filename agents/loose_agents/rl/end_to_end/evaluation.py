@@ -12,12 +12,15 @@ from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import records_taken
 from loose_agents.core.seeds import CURVE_SEED
 from loose_agents.evaluation.evaluate import EpisodeRow, evaluate
+from loose_env.arms import Arm
 
 __all__ = ["evaluate_policy"]
 
 
-def evaluate_policy(model: Any, problem: Problem, episodes: int, threads: int) -> list[EpisodeRow]:
-    """Play the first held-out episodes with the most probable actions."""
+def evaluate_policy(
+    model: Any, problem: Problem, episodes: int, threads: int, true_arm: Arm
+) -> list[EpisodeRow]:
+    """Play the first held-out episodes with the most probable actions, on the true arm."""
     agent: Any = _BatchPolicy(model, problem)
     if hasattr(model.policy, "lstm_actor"):
         from loose_agents.rl.model_agent import ModelAgent
@@ -33,6 +36,7 @@ def evaluate_policy(model: Any, problem: Problem, episodes: int, threads: int) -
         seed=CURVE_SEED,
         width=min(episodes, 128),
         threads=threads,
+        true_arm=true_arm,
     )
 
 

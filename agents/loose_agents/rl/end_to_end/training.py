@@ -7,19 +7,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import gymnasium
 import numpy as np
 
 from loose_agents.core.base import Problem
-from loose_agents.core.seeds import CURVE_SEED, check_training_seed
-from loose_agents.evaluation.env_arguments import refused_in_words
+from loose_agents.core.seeds import CURVE_SEED
+from loose_agents.evaluation.env_arguments import make_environments
 from loose_agents.rl.hyperparameters import (
     HYPERPARAMETERS,
     LinearSchedule,
     algorithm_named,
     model_arguments,
     read_hyperparameters,
+    whole,
 )
+from loose_env.arms import Arm
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.faults import UNSURE
 
@@ -120,7 +121,7 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
     given = read_hyperparameters(HYPERPARAMETERS / f"{learner.file}.yml", job.env)
     given |= job.hyperparams
     arguments = given.pop("env_kwargs", {}) | {"threads": job.threads} | job.env_kwargs
-    steps = job.steps or int(float(given.get("n_timesteps", 0)))
+    steps = job.steps or whole(given.get("n_timesteps", 0), "n_timesteps")
     if steps < 1:
         raise InvalidSetting(f"{learner.file}.yml has no n_timesteps: give the number of steps")
     model_kwargs = model_arguments(given, learner.algorithm)
@@ -133,14 +134,8 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
     from loose_agents.rl.end_to_end.learning_curve import Budget, BudgetSchedule
 
     torch.set_num_threads(job.threads)
-    if job.env not in gymnasium.registry:
-        raise UnknownName(f"unknown environment {job.env!r}")
-    num_envs = int(given.get("n_envs", 1))
-    with refused_in_words(job.env, arguments):
-        here = num_envs if job.workers == 1 else 1
-        env: Any = gymnasium.make_vec(job.env, num_envs=here, **arguments)
-    if env.settings.raw:
-        raise InvalidSetting("the policy learns on the flat observation: leave raw out")
+    num_envs = whole(given.get("n_envs", 1), "n_envs")
+    env = make_environments(job.env, num_envs if job.workers == 1 else 1, arguments)
     problem = Problem.of(env.arm, env.settings)
     configuration = _configuration(job, learner, given, arguments, problem, steps)
     folder = run_folder(job)
@@ -156,7 +151,8 @@ def train_end_to_end(job: Job, say: Callable[[str], None] = print) -> Path:
         model = model_class(env=vec, seed=job.seed, device=job.device, **model_kwargs)
         setattr(model, TRAINED_ON, problem.fingerprint)
         model.set_logger(Logger(None, []))
-        _learn(job, learner, model, vec, budget, problem, configuration, say)
+        true_arm = env.batch.true_arm
+        _learn(job, learner, model, vec, budget, problem, true_arm, configuration, say)
     finally:
         vec.close()
     return folder
@@ -169,6 +165,7 @@ def _learn(
     vec: Any,
     budget: Any,
     problem: Problem,
+    true_arm: Arm,
     configuration: dict[str, Any],
     say: Callable[[str], None],
 ) -> None:
@@ -192,9 +189,12 @@ def _learn(
         say(f"{name}: trained already, {model.num_timesteps} steps in {state.seconds:.0f} s")
         return
     folder.mkdir(parents=True, exist_ok=True)
+    if not resumed:  # no checkpoint of another configuration beside the new one
+        for name in ("checkpoint.zip", "curve.csv"):
+            (folder / name).unlink(missing_ok=True)
     write_json(folder / "configuration.json", configuration)
     budget.begin(state.seconds)
-    vec.seed(check_training_seed(training_seed(job.seed, model.num_timesteps)))
+    vec.seed(training_seed(job.seed, model.num_timesteps))
     if learner.network != "flat" and not resumed:
         state.records += _standardise(model, vec, job.seed, problem.settings.max_records)
     state.restore_generators()
@@ -207,7 +207,7 @@ def _learn(
     curve = CurveCallback(
         folder,
         budget,
-        lambda episodes: evaluate_policy(model, problem, episodes, job.threads),
+        lambda episodes: evaluate_policy(model, problem, episodes, job.threads, true_arm),
         evaluations=job.evaluations,
         episodes=job.eval_episodes,
         last_episodes=job.last_episodes,
