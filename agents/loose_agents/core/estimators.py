@@ -139,9 +139,11 @@ def tuning_name(problem: Problem) -> str:
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> from loose_env.envs import DiagnosisSettings
+    >>> from loose_env.envs import DiagnosisSettings, Prices
     >>> tuning_name(Problem.of(planar(4), DiagnosisSettings(max_excited=1, durations=(0.2,))))
     'planar4-default-excited1-0.2s'
+    >>> tuning_name(Problem.of(planar(4), DiagnosisSettings(prices=Prices(miss=-2.0))))
+    'planar4-default-miss-2'
     """
     settings, arm, usual = problem.settings, problem.arm, DiagnosisSettings()
     parts = [setting_name(problem)]
@@ -156,8 +158,18 @@ def tuning_name(problem: Problem) -> str:
     gravity = arm.model.opt.gravity
     if not np.allclose(gravity, (0.0, 0.0, -9.81), atol=0.1):
         parts.append("gravity" + "_".join(f"{g:g}" for g in gravity))
-    if settings.prices != usual.prices:
-        parts.append("prices" + "_".join(f"{p:g}" for p in vars(settings.prices).values() if p))
+    for name, price in vars(settings.prices).items():
+        if price != getattr(usual.prices, name):
+            parts.append(f"{name}{price:g}")
+    if settings.moves != usual.moves:
+        parts.append("moves" + "_".join(f"{degrees:g}" for degrees in settings.moves))
+    for name in ("max_records", "unsure_after"):
+        if getattr(settings, name) != getattr(usual, name):
+            parts.append(f"{name}{getattr(settings, name)}")
+    if settings.kinds != usual.kinds:
+        parts.append("kinds_" + "_".join(settings.kinds))
+    if settings.sensors != usual.sensors:
+        parts.append("sensors" + hashlib.sha256(repr(settings.sensors).encode()).hexdigest()[:8])
     return "-".join(parts)
 
 
