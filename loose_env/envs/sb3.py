@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -111,7 +111,7 @@ class Sb3VecEnv(VecEnv):
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Attribute of the environments; it is the same object for all."""
         values = self.env.get_attr(attr_name)
-        return [values[i] for i in self._chosen(indices)]
+        return [values[i] for i in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Refuse, as the environments of a batch do."""
@@ -136,16 +136,11 @@ class Sb3VecEnv(VecEnv):
                 f"environments of a batch have the method 'action_masks' only, got {method_name!r}"
             )
         masks = self.env.action_masks()
-        return [masks[i] for i in self._chosen(indices)]
+        return [masks[i] for i in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         """Return False for every environment: none is wrapped."""
-        return [False for _ in self._chosen(indices)]
-
-    def _chosen(self, indices: VecEnvIndices) -> Sequence[int]:
-        if indices is None:
-            return range(self.num_envs)
-        return list(indices) if isinstance(indices, Iterable) else [indices]
+        return [False for _ in self._get_indices(indices)]
 
     def _info(self, infos: dict[str, Any], i: int) -> dict[str, Any]:
         """Take the info of one environment out of the vector's."""

@@ -6,6 +6,7 @@ Data flow: base -> records -> posterior -> actions -> prediction.
 from loose_env.wrappers.actions import MacroActions, SeparateVerdict, default_macros
 from loose_env.wrappers.base import DiagnosisWrapper
 from loose_env.wrappers.posterior import (
+    PROBABILITY_FLOOR,
     Posterior,
     PosteriorObservation,
     analytic_posterior,
@@ -22,6 +23,7 @@ from loose_env.wrappers.records import (
 )
 
 __all__ = [
+    "PROBABILITY_FLOOR",
     "ActionAndPrediction",
     "DiagnosisWrapper",
     "JointSideObservation",

@@ -17,6 +17,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.wrappers.base import DiagnosisWrapper
 
 __all__ = [
+    "PROBABILITY_FLOOR",
     "Posterior",
     "PosteriorObservation",
     "analytic_posterior",
@@ -26,7 +27,7 @@ __all__ = [
 ]
 
 PROBABILITY_FLOOR = 1e-6
-"""Probabilities below count as this in logarithms [1]."""
+"""Probabilities below count as this in logarithms: one arm does not decide a mean [1]."""
 
 
 class Posterior(Protocol):

@@ -47,9 +47,6 @@ from loose_env.faults import DEFAULT_KINDS, hypotheses
 from loose_env.io import Count
 from loose_env.statistics import axes_grid
 
-HELD_OUT = 0.1
-"""Share of the bank's episodes that training does not see."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Options(BankOptions, BackendSettings):
@@ -78,18 +75,14 @@ def train(options: Options) -> None:
             f"the posterior learns the kinds {list(DEFAULT_KINDS)}; leave the environment's kinds "
             "as they are by default"
         )
-    held = max(1, round(HELD_OUT * len(plan.shards)))
-    if len(plan.shards) <= held:
-        raise InvalidSetting(
-            f"a bank of {plan.episodes} episodes is too small to hold some out; take at least 1000"
-        )
+    held_shards, training_shards = plan.split
     out = Path(options.weights or WEIGHTS / f"posterior-{setting_name(problem)}")
     directions = axes_grid(directions_of(plan), len(problem.arm.axes))
     if options.reference_only:
-        add_reference(out, plan, folder, held)
+        add_reference(out, plan, folder)
         return
     difficulty = difficulty_named(problem.settings.difficulty)
-    seen = read_features(store, plan.shards[held:])
+    seen = read_features(store, training_shards)
     training = PosteriorTraining(
         seen,
         joints=problem.arm.n,
@@ -102,12 +95,12 @@ def train(options: Options) -> None:
     begin = time.perf_counter()
     training.train(folder / f"training-{options.training_seed}")
     seconds = time.perf_counter() - begin
-    half = held // 2  # one part sets the tempers, the other judges
+    half = len(held_shards) // 2  # one part sets the tempers, the other judges
     if half:
-        training.calibrate(read_features(store, plan.shards[:half]))
-    found = training.scores(read_features(store, plan.shards[half:held]))
+        training.calibrate(read_features(store, held_shards[:half]))
+    found = training.scores(read_features(store, held_shards[half:]))
     tensors = training.tensors()
-    reference = reference_of(tensors, plan, folder, held)
+    reference = reference_of(tensors, plan, folder)
     write_network(
         out,
         {
@@ -115,7 +108,7 @@ def train(options: Options) -> None:
             "difficulty": str(problem.settings.difficulty),
             "directions": directions_of(plan),
             "friction": list(difficulty.friction),
-            "bank": {**_described(plan), "held_out": held, "hash": store.hash},
+            "bank": {**_described(plan), "held_out": len(held_shards), "hash": store.hash},
             "training": asdict(training.settings),
             "held_out": found,
         },
@@ -131,9 +124,10 @@ def train(options: Options) -> None:
 
 
 def reference_of(
-    tensors: Mapping[str, NDArray[Any]], plan: BankPlan, folder: Path, held: int
+    tensors: Mapping[str, NDArray[Any]], plan: BankPlan, folder: Path
 ) -> NoveltyReference:
-    """Work the reference out from the bank's records; its first shards are the held-out ones."""
+    """Work the reference out from the bank's records."""
+    held_shards, training_shards = plan.split
     problem, directions = plan.problem(), directions_of(plan)
     features = seat_features(problem, directions)
 
@@ -143,13 +137,13 @@ def reference_of(
 
     return fit_reference(
         tensors,
-        episodes(plan.shards[held:]),
-        episodes(plan.shards[:held]),
+        episodes(training_shards),
+        episodes(held_shards),
         directions=axes_grid(directions, len(problem.arm.axes)),
     )
 
 
-def add_reference(folder: Path, plan: BankPlan, bank: Path, held: int) -> None:
+def add_reference(folder: Path, plan: BankPlan, bank: Path) -> None:
     """Work the reference of trained weights out and store it beside them."""
     configuration, tensors = read_network(folder)
     if configuration["directions"] != directions_of(plan):
@@ -157,7 +151,7 @@ def add_reference(folder: Path, plan: BankPlan, bank: Path, held: int) -> None:
             f"the weights in {folder} have {configuration['directions']} directions a link, the "
             f"bank's figures {directions_of(plan)}; give --directions"
         )
-    reference = reference_of(tensors, plan, bank, held)
+    reference = reference_of(tensors, plan, bank)
     write_network(folder, configuration, with_reference(tensors, reference))
     ranked = ", ".join(str(len(scores)) for scores in reference.scores)
     print(f"Reference added to {folder}; held-out episodes after 1, 2, ... records: {ranked}")

@@ -34,11 +34,7 @@ from loose_agents.posterior_training.ratio_training import (
 from loose_agents.posterior_training.record_bank import RecordBank
 
 from loose_env.diagnosis import write_network
-from loose_env.errors import InvalidSetting
 from loose_env.io import Count
-
-HELD_OUT = 0.1
-"""Share of the bank's episodes that training does not see."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,18 +55,14 @@ def train(options: Options) -> None:
     plan, folder = options.plan, Path(options.out)
     build_bank(plan, folder, options)
     problem = plan.problem()
-    held = max(1, round(HELD_OUT * len(plan.shards)))
-    if len(plan.shards) <= held:
-        raise InvalidSetting(
-            f"a bank of {plan.episodes} episodes is too small to hold some out; take at least 1000"
-        )
+    held_shards, training_shards = plan.split
     settings = RatioSettings(hidden=options.hidden)
     training = RatioTraining(epochs=options.epochs, seed=options.training_seed)
     begin = time.perf_counter()
-    seen = read_bank(plan, folder, plan.shards[held:])
+    seen = read_bank(plan, folder, training_shards)
     network = train_ratio(problem, seen, settings, training)
     seconds = time.perf_counter() - begin
-    rows = scores(RatioPosterior(problem, network), read_bank(plan, folder, plan.shards[:held]))
+    rows = scores(RatioPosterior(problem, network), read_bank(plan, folder, held_shards))
     out = Path(options.weights or WEIGHTS / f"ratio-{tuning_name(problem)}")
     configuration = {
         "format": FORMAT,

@@ -16,11 +16,9 @@ from loose_env.arms import Arm, LinearArm
 from loose_env.envs import ActionLayout, DiagnosisSettings, ObservationLayout
 from loose_env.faults import UNSURE, hypotheses
 from loose_env.typing import Array
+from loose_env.wrappers import PROBABILITY_FLOOR
 
 __all__ = ["PROBABILITY_FLOOR", "Agent", "EpisodeAgent", "Problem", "hypothesis_prior"]
-
-PROBABILITY_FLOOR = 1e-6
-"""Probabilities below count as this in logarithms: one arm does not decide a mean [1]."""
 
 
 def hypothesis_prior(hypotheses: Sequence[str], shares: Mapping[str, float]) -> Array:

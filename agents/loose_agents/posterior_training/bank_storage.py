@@ -31,6 +31,7 @@ from loose_agents.posterior_training.record_bank import (
 )
 from loose_env.diagnosis import LOCATION_FEATURES, RECORD_FEATURES, SeatFeatures
 from loose_env.envs import difficulty_named
+from loose_env.errors import InvalidSetting
 from loose_env.io import Count, NonNegativeCount
 
 __all__ = [
@@ -45,6 +46,8 @@ __all__ = [
 
 SHARD = 500
 """Episodes in one file."""
+HELD_OUT = 0.1
+"""Share of a bank's episodes that training does not see."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +116,23 @@ class BankPlan:
     def shards(self) -> tuple[Shard, ...]:
         """Shards of the bank."""
         return shard_of(self.episodes, SHARD)
+
+    @property
+    def split(self) -> tuple[tuple[Shard, ...], tuple[Shard, ...]]:
+        """Shards held out from training, `HELD_OUT` of them, and those to train on.
+
+        Raises
+        ------
+        InvalidSetting
+            If there are too few to hold some out.
+        """
+        held = max(1, round(HELD_OUT * len(self.shards)))
+        if len(self.shards) <= held:
+            raise InvalidSetting(
+                f"a bank of {self.episodes} episodes is too small to hold some out; take at least "
+                f"{2 * SHARD}"
+            )
+        return self.shards[:held], self.shards[held:]
 
     def problem(self) -> Problem:
         """Build the problem."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -200,9 +199,7 @@ class TrackedVecEnv(VecEnvWrapper):
         if method_name != "action_masks":
             return self.venv.env_method(method_name, *args, indices=indices, **kwargs)
         masks = self.action_masks()
-        if indices is None:
-            return list(masks)
-        return [masks[i] for i in (indices if isinstance(indices, Iterable) else [indices])]
+        return [masks[i] for i in self._get_indices(indices)]
 
     def _begin(self, i: int, row: NDArray[np.float32]) -> NDArray[np.float32]:
         """Reset to the prior; return the policy's observation."""

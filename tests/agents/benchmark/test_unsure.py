@@ -217,7 +217,7 @@ def test_a_reference_is_added_to_weights_that_stay_as_they_are(
         return AmortisedPosterior.load(weights, problem.linear, SensorSuite(), Mismatch())
 
     assert load().reference is None
-    add_reference(weights, plan, tmp_path / "bank", 1)
+    add_reference(weights, plan, tmp_path / "bank")
     after, stored = read_network(weights)
     assert {name: after[name] for name in configuration} == configuration
     assert all(np.array_equal(stored[name], values) for name, values in tensors.items())
@@ -225,7 +225,7 @@ def test_a_reference_is_added_to_weights_that_stay_as_they_are(
     assert reference is not None
     assert len(reference.scores[0]) == 20
     with pytest.raises(InvalidSetting, match="directions"):
-        add_reference(weights, replace(plan, directions=4), tmp_path / "bank", 1)
+        add_reference(weights, replace(plan, directions=4), tmp_path / "bank")
 
 
 class _Mounted:
