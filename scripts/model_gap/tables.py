@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 Row = dict[str, Any]
-GRID = (3.0, 5.0, 8.0, 12.0, 18.0, 25.0, 40.0, 60.0, 90.0)
+GRID = (1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0, 25.0, 40.0)
 """Machine times of the table [s]."""
 GROUPS = (("one effect", 1), ("two effects", 2), ("none", 0))
 """Groups of episodes by the number of hidden effects."""
@@ -64,7 +64,7 @@ def agents_in(rows: Sequence[Row]) -> list[str]:
 
 def curves(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Accuracy by machine second, for each agent and number of effects."""
-    grid = np.arange(1.0, 91.0)
+    grid = np.arange(1.0, 91.0, 0.5)
     return [
         {
             "agent": agent,

@@ -1,4 +1,4 @@
-"""Agents for loose_env/Gap-v0: random motions, a fixed battery, greedy by expected information."""
+"""Agents for loose_env/Gap-v0: random motions, fixed batteries, greedy by expected reward."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from loose_env.typing import Array
 
 __all__ = ["GAP_AGENTS", "GapAgent", "make_gap_agent"]
 
-GAP_AGENTS = ("random", "battery", "greedy")
+GAP_AGENTS = ("random", "battery", "brief", "greedy")
 """Names of the agents."""
 STOPPING = {"random": 0.6, "battery": 0.8, "greedy": 0.5}
 """Probability of the best set from which each agent names it; scripts/model_gap/evaluate.py finds
@@ -26,6 +26,10 @@ _REPEATS = 2
 """Times that greedy takes a motion: a repetition does not average out the linearisation error."""
 _SETUP_S = 0.5
 """Time to set up a motion [s], so that motions of almost no length are not preferred."""
+_NAT = 1e-3
+"""Reward that a nat of information counts as: it decides where no motion changes the verdict."""
+_BRIEF = ("slow_triangle", "multisine", "steps")
+"""Kinds of the battery in its brief form."""
 
 
 @dataclass(eq=False)
@@ -41,7 +45,7 @@ class GapAgent(EpisodeAgent):
 
     Parameters
     ----------
-    rule : {"random", "battery", "greedy"}
+    rule : {"random", "battery", "brief", "greedy"}
         Choice of motions.
     layout : GapObservation
         Layout of the observation.
@@ -79,11 +83,15 @@ class GapAgent(EpisodeAgent):
         return np.int64(self._motion(observation, memory))
 
     def _motion(self, observation: NDArray[np.float32], memory: _Memory) -> int:
-        if self.rule == "battery":
+        if self.rule in ("battery", "brief"):
             return self.order[(memory.taken - 1) % len(self.order)]
         if self.rule == "random":
             return int(memory.rng.integers(self.layout.motions))
-        rate = observation[self.layout.information] / (self.seconds + _SETUP_S)
+        if not memory.taken - 1:  # no verdict to gain from yet
+            worth = observation[self.layout.information]
+        else:
+            worth = observation[self.layout.gain] + _NAT * observation[self.layout.information]
+        rate = worth / (self.seconds + _SETUP_S)
         fresh = observation[self.layout.taken] < _REPEATS
         return int(np.argmax(np.where(fresh, rate, rate - 1e3)))
 
@@ -102,9 +110,22 @@ def make_gap_agent(
     sure : float, optional
         Probability from which it stops; by default the tuned one.
     """
-    order = [env.bank.index_of(motion) for motion in battery(env.bank.arm)]
+    order = _briefest(env) if name == "brief" else _battery(env)
     return GapAgent(
         name, env.layout, env.bank.seconds, order,
         sure=STOPPING.get(name, 0.9) if sure is None else sure,
         most=env.settings.max_motions, seed=seed,
     )  # fmt: skip
+
+
+def _battery(env: ModelGapEnv) -> list[int]:
+    return [env.bank.index_of(motion) for motion in battery(env.bank.arm)]
+
+
+def _briefest(env: ModelGapEnv) -> list[int]:
+    """The shortest motion of all joints of each kind in the battery."""
+    every, found = len(env.bank.arm.joints), []
+    for kind in _BRIEF:
+        own = [k for k, m in enumerate(env.motions) if m.kind == kind and len(m.joints) == every]
+        found.append(min(own, key=lambda k: float(env.bank.seconds[k])))
+    return found

@@ -18,10 +18,10 @@ from loose_env.gap import (
     Belief,
     HypothesisSet,
     LocalModels,
+    Outlook,
     SignatureBank,
-    expected_information,
+    outlook,
 )
-from loose_env.typing import Array
 
 __all__ = ["ModelGapEnv"]
 
@@ -56,6 +56,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     | M | `taken` | repetitions of each motion |
     | M | `rest` | rms of the residual that no candidate spans, less 1 [noise sd] |
     | M | `information` | expected information of each motion about the set [nats] |
+    | M | `gain` | expected gain of each motion in the reward of the best verdict |
     | 4 | `spent` | machine time [min], wear [s], motions over the most, log10 of the misfit |
 
     ## Rewards
@@ -103,7 +104,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         """Belief about it."""
         self.seconds, self.wear = 0.0, 0.0
         self._over = True
-        self._prior_information: Array | None = None
+        self._at_first: Outlook | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -215,14 +216,16 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         return mask
 
     def _observed(self) -> NDArray[np.float32]:
-        if self.belief.counts:
-            information = expected_information(self.belief)
-        else:  # the same for every machine: nothing is known yet
-            if self._prior_information is None:
-                self._prior_information = expected_information(self.belief, most=40)
-            information = self._prior_information
         spent = (self.seconds / 60, self.wear, self.taken / self.settings.max_motions)
-        return self.layout.of(self.belief, information, spent)
+        return self.layout.of(self.belief, self._outlook(), spent)
+
+    def _outlook(self) -> Outlook:
+        """Expected information and gain of the motions."""
+        if self.belief.counts:
+            return outlook(self.belief, self.settings.prices.named)
+        if self._at_first is None:  # the same for every machine: nothing is known yet
+            self._at_first = outlook(self.belief, self.settings.prices.named, most=40)
+        return self._at_first
 
     def _info(self) -> dict[str, Any]:
         return {

@@ -47,8 +47,15 @@ class GapPrices(Checked):
         self, named: tuple[str, ...], truth: tuple[str, ...], *, parameter_error: float
     ) -> float:
         """Reward of a verdict."""
+        reward = self.named(named, truth)
         if set(named) == set(truth):
-            return self.correct - self.parameter * min(parameter_error, 1.0) * bool(truth)
+            return reward - self.parameter * min(parameter_error, 1.0) * bool(truth)
+        return reward
+
+    def named(self, named: tuple[str, ...], truth: tuple[str, ...]) -> float:
+        """Reward of the names alone."""
+        if set(named) == set(truth):
+            return self.correct
         if named and set(named) < set(truth):
             return self.partly
         return self.wrong

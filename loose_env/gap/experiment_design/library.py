@@ -170,17 +170,19 @@ def loaded_poses(arm: ServoArm) -> tuple[Array, Array]:
     return found[int(np.argmin(loads))], found[int(np.argmax(loads))]
 
 
-def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
+def motion_library(arm: ServoArm, *, brief: bool = True) -> tuple[Motion, ...]:
     """Motions of an arm that fit its limits.
 
     For each joint: slow triangles under small and large load, several constant speeds, a chirp
     and steps. For all joints together: multisines, chirps, random excitations,
-    steps, triangles and poses held, under small and large load.
+    steps, triangles and poses held, under small and large load; and brief ones of each kind.
 
     Parameters
     ----------
     arm : ServoArm
         The arm.
+    brief : bool
+        False without the brief motions: excitations of 0.5 to 3 s.
 
     Returns
     -------
@@ -211,6 +213,7 @@ def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
         Motion(kind="chirp", joints=every, amplitude=0.2, speed=0.8, highest=20.0),
         Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=9),
         Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=3, seconds=1.5),
+        *(_brief_motions(every) if brief else ()),
     ]  # fmt: skip
     fitting = []
     for motion in wanted:
@@ -223,6 +226,26 @@ def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
             "no motion fits the arm: its home pose touches something or takes its torque limits"
         )
     return tuple(dict.fromkeys(fitting))
+
+
+def _brief_motions(every: tuple[int, ...]) -> tuple[Motion, ...]:
+    """Excitations of 0.5 to 3 s about home: a second motion need not cost the way to a pose."""
+    return (
+        Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=3, seconds=0.5),
+        Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=3, seconds=1.0),
+        Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=9, seconds=1.0),
+        Motion(kind="random", joints=every, amplitude=0.6, speed=1.8, seed=9, seconds=1.5,
+               highest=2.5),
+        Motion(kind="random", joints=every, amplitude=0.6, speed=1.8, seed=5, seconds=2.5,
+               highest=2.0),
+        Motion(kind="multisine", joints=every, amplitude=0.4, speed=1.8, seconds=1.5),
+        Motion(kind="chirp", joints=every, amplitude=0.3, speed=1.2, seconds=1.5, highest=20.0),
+        Motion(kind="steps", joints=every, amplitude=0.06, speed=1.5, seconds=1.0),
+        Motion(kind="holds", joints=every, amplitude=0.5, speed=1.8, seconds=2.0, seed=1),
+        Motion(kind="holds", joints=every, amplitude=0.7, speed=1.8, seconds=3.0, seed=2),
+        Motion(kind="slow_triangle", joints=every, amplitude=0.1, speed=0.3, seconds=1.5),
+        Motion(kind="constant_speed", joints=every, amplitude=0.5, speed=1.2, seconds=2.0),
+    )  # fmt: skip
 
 
 def battery(arm: ServoArm) -> tuple[Motion, ...]:

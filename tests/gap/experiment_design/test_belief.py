@@ -107,22 +107,25 @@ def test_a_stored_bank_is_read_and_a_broken_one_computed_anew(tmp_path: Path) ->
     arm = small_bank().arm
     settings = type(SETTINGS)(kinds=("payload",), points=2, rank=12)
 
-    def bank(said: list[str] | None = None) -> SignatureBank:
+    def bank(said: list[str], motions: int = 1) -> SignatureBank:
         return signature_bank(
-            arm, LIBRARY[:1], settings, reference=LIBRARY[:1], cache=tmp_path,
-            say=None if said is None else said.append,
+            arm, LIBRARY[:motions], settings, reference=LIBRARY[:1], cache=tmp_path,
+            say=said.append,
         )  # fmt: skip
 
     said: list[str] = []
-    first = bank()
+    first = bank([])
     again = bank(said)
     assert not said  # nothing was computed
     assert np.array_equal(first.signatures[0].vectors, again.signatures[0].vectors)
     assert [r.name for r in first.rays] == [r.name for r in again.rays]
-    file = next(tmp_path.glob("*.npz"))
-    file.write_bytes(file.read_bytes()[:200])
-    assert np.array_equal(bank(said).sizes, first.sizes) and said
-    assert '"kinds"' in file.with_suffix(".json").read_text()
+    assert bank(said, motions=2).signatures[1].seconds > 0
+    assert len(said) == 1 and "motion 2 of 2" in said[0]  # the motion that is new, alone
+    for file in tmp_path.glob("*/*.npz"):
+        file.write_bytes(file.read_bytes()[:200])
+    found = bank(said)
+    assert all(map(np.array_equal, found.sizes, first.sizes)) and len(said) > 2
+    assert '"kinds"' in next(tmp_path.glob("*/bank.json")).read_text()
 
 
 def test_bad_settings_and_names_are_refused() -> None:
