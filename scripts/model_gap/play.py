@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -36,10 +37,9 @@ class Step:
     covered: float
 
 
-def made(model: str | None = None) -> ModelGapEnv:
-    """Make the environment."""
-    arguments: dict[str, Any] = {} if model is None else {"model": model}
-    env = gymnasium.make(GAP_ID, **arguments)
+def made(model: str | Path | None = None, **settings: Any) -> ModelGapEnv:
+    """Make the environment of an arm, with fields of its settings."""
+    env = gymnasium.make(GAP_ID, model=model, **settings)
     unwrapped = env.unwrapped
     assert isinstance(unwrapped, ModelGapEnv)
     return unwrapped

@@ -15,12 +15,14 @@ from loose_env.typing import Array
 
 __all__ = [
     "GRID",
+    "GROUPS",
     "accuracy_at",
     "accuracy_table",
     "best_stopping",
     "calibration_table",
     "confusion_table",
     "curves",
+    "of",
     "seconds_for",
     "stopped",
     "stopping_table",

@@ -22,6 +22,7 @@ from loose_env.gap.experiment_design.inference.posterior import (
 from loose_env.gap.experiment_design.library import (
     MotionCheck,
     battery,
+    brief_library,
     check_motion,
     motion_library,
     scaled_to_fit,
@@ -48,6 +49,7 @@ __all__ = [
     "ServoArm",
     "SignatureBank",
     "battery",
+    "brief_library",
     "check_motion",
     "motion_library",
     "outlook",

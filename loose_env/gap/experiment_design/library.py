@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -12,7 +13,14 @@ from loose_env.gap.experiment_design.motions import Motion
 from loose_env.gap.experiment_design.servo_arm import ServoArm
 from loose_env.typing import Array
 
-__all__ = ["MotionCheck", "battery", "check_motion", "motion_library", "scaled_to_fit"]
+__all__ = [
+    "MotionCheck",
+    "battery",
+    "brief_library",
+    "check_motion",
+    "motion_library",
+    "scaled_to_fit",
+]
 
 _TORQUE_SHARE = 0.8
 """Share of a torque limit that a motion may take in the nominal model."""
@@ -215,6 +223,17 @@ def motion_library(arm: ServoArm, *, brief: bool = True) -> tuple[Motion, ...]:
         Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=3, seconds=1.5),
         *(_brief_motions(every) if brief else ()),
     ]  # fmt: skip
+    return _fitting(wanted, arm)
+
+
+def brief_library(arm: ServoArm) -> tuple[Motion, ...]:
+    """Brief motions of an arm and its battery: a library of few motions, soon computed."""
+    every = tuple(range(len(arm.joints)))
+    return _fitting([*battery(arm), *_brief_motions(every)], arm)
+
+
+def _fitting(wanted: Sequence[Motion], arm: ServoArm) -> tuple[Motion, ...]:
+    """Motions that fit the limits of an arm, reduced where need be, each once."""
     fitting = []
     for motion in wanted:
         try:
