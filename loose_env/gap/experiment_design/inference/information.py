@@ -12,7 +12,7 @@ from loose_env.gap.experiment_design.inference.belief import Belief
 from loose_env.gap.experiment_design.inference.expansion import linear_fit, nominal
 from loose_env.typing import Array
 
-__all__ = ["Outlook", "outlook", "pair_gains"]
+__all__ = ["Outlook", "outlook", "pair_gains", "value_of_information"]
 
 _OPEN = 16
 """Sets of effects that count as open at most."""
@@ -69,7 +69,7 @@ def outlook(
         squares = np.diag(products)
         distances = np.maximum(squares[:, None] + squares - 2 * products, 0.0)
         information.append(_bound(weights, distances))
-        gain.append(_gain(weights, products, rewards))
+        gain.append(value_of_information(weights, products, rewards))
     return Outlook(np.array(information), np.array(gain))
 
 
@@ -86,8 +86,24 @@ def _bound(weights: Array, distances: Array) -> float:
     return float(max(-np.sum(weights * np.log(np.maximum(mixed, 1e-300))), 0.0))
 
 
-def _gain(weights: Array, products: Array, rewards: Array) -> float:
-    """Expected gain in reward, for predictions with these inner products over their covariance."""
+def value_of_information(weights: Array, products: Array, rewards: Array) -> float:
+    """Expected gain in reward by a motion.
+
+    Parameters
+    ----------
+    weights : ndarray (n,)
+        Probabilities of the open sets.
+    products : ndarray (n, n)
+        Inner products of their predictions over the covariance.
+    rewards : ndarray (n, n)
+        Reward of naming each (row) while each is missing (column).
+
+    Examples
+    --------
+    >>> equal = np.full(2, 0.5)  # two sets 4 standard deviations apart: 2 Φ(2) - 1 = 0.954
+    >>> round(value_of_information(equal, np.diag([16.0, 0.0]), 2 * np.eye(2) - 1), 1)
+    1.0
+    """
     values, vectors = np.linalg.eigh(products)
     noise = _normal(len(weights)) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
     scores = np.log(weights) - np.diag(products) / 2 + products[:, None] + noise
