@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,11 @@ from numpy.typing import NDArray
 
 from loose_agents.core.base import EpisodeAgent
 from loose_env.envs import GapObservation, ModelGapEnv
-from loose_env.errors import UnknownName
+from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap import battery
 from loose_env.typing import Array
 
-__all__ = ["GAP_AGENTS", "GapAgent", "make_gap_agent"]
+__all__ = ["GAP_AGENTS", "GapAgent", "LearnedGapAgent", "make_gap_agent"]
 
 GAP_AGENTS = ("random", "battery", "brief", "greedy")
 """Names of the agents."""
@@ -28,6 +29,8 @@ _SETUP_S = 0.5
 """Time to set up a motion [s], so that motions of almost no length are not preferred."""
 _NAT = 1e-3
 """Reward that a nat of information counts as: it decides where no motion changes the verdict."""
+_UNKNOWN = 1.1e-6
+"""Probability up to which a rank of the posterior counts as empty."""
 _BRIEF = ("slow_triangle", "multisine", "steps")
 """Kinds of the battery in its brief form."""
 
@@ -94,6 +97,51 @@ class GapAgent(EpisodeAgent):
         rate = worth / (self.seconds + _SETUP_S)
         fresh = observation[self.layout.taken] < _REPEATS
         return int(np.argmax(np.where(fresh, rate, rate - 1e3)))
+
+
+class LearnedGapAgent(EpisodeAgent):
+    """Agent that acts by a maskable PPO of stable-baselines3 on the belief.
+
+    Parameters
+    ----------
+    weights : Path
+        Weights that scripts/model_gap/train.py wrote.
+    layout : GapObservation
+        Layout of the observation.
+    most : int
+        Motions after which a verdict is all that is left.
+
+    Raises
+    ------
+    InvalidSetting
+        If there are no such weights, or they were trained on another library or other candidates.
+    """
+
+    def __init__(self, weights: Path, layout: GapObservation, *, most: int) -> None:
+        from sb3_contrib import MaskablePPO
+
+        if not weights.is_file():
+            raise InvalidSetting(f"no weights {weights}: scripts/model_gap/train.py writes them")
+        self.model, self.layout, self.most = MaskablePPO.load(weights, device="cpu"), layout, most
+        self.seed = 0  # nothing is drawn
+        size, actions = layout.size, layout.motions + layout.ranks
+        expects = self.model.observation_space.shape[0], int(self.model.action_space.n)
+        if expects != (size, actions):
+            raise InvalidSetting(
+                f"{weights} expects {expects[0]} numbers and {expects[1]} actions; the environment "
+                f"has {size} and {actions}: train anew on its library and candidates"
+            )
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Return the initial state of an episode: none."""
+
+    def act(self, observation: NDArray[np.float32], memory: Any) -> Any:
+        """Choose the most probable action among those that make sense."""
+        taken = float(observation[self.layout.taken].sum())
+        mask = np.full(self.layout.motions + self.layout.ranks, taken < self.most)
+        known = 10.0 ** observation[self.layout.sets] > _UNKNOWN
+        mask[self.layout.motions :] = known & (taken > 0)
+        return np.int64(self.model.predict(observation, action_masks=mask, deterministic=True)[0])
 
 
 def make_gap_agent(
