@@ -41,6 +41,7 @@ from scripts.model_gap.tables import (
     best_stopping,
     calibration_table,
     confusion_table,
+    ratio_table,
     stopping_table,
     time_table,
 )
@@ -108,6 +109,7 @@ def show(rows: list[Row], settings: Settings, path: Path, run: Run) -> None:
     if settings.seed == TUNING_SEED:
         print(f"best stopping on these episodes: {sure}\n")
     parts = [accuracy_table(rows), time_table(rows), stopping_table(rows, sure)]
+    parts += [ratio_table(rows, sure)]
     parts += [calibration_table(rows), confusion_table(rows, "greedy")]
     print("\n\n".join("\n".join(lines) for lines in parts))
 

@@ -20,7 +20,7 @@ __all__ = ["GAP_AGENTS", "GapAgent", "LearnedGapAgent", "make_gap_agent"]
 
 GAP_AGENTS = ("random", "battery", "brief", "greedy")
 """Names of the agents."""
-STOPPING = {"random": 0.6, "battery": 0.8, "greedy": 0.5}
+STOPPING = {"random": 0.6, "battery": 0.8, "brief": 0.8, "greedy": 0.8}
 """Probability of the best set from which each agent names it; scripts/model_gap/evaluate.py finds
 the best one on development episodes."""
 _REPEATS = 2
@@ -44,7 +44,7 @@ class _Memory:
 
 
 class GapAgent(EpisodeAgent):
-    """Agent that takes motions by a rule and names the most probable set once it is sure.
+    """Agent that takes motions by a rule and names the most probable set once it is sure enough.
 
     Parameters
     ----------
@@ -58,6 +58,8 @@ class GapAgent(EpisodeAgent):
         Motions of the battery, in order; repeated when they are through.
     sure : float
         Probability of the best set from which it is named; above 1 never.
+    prices : ndarray (M,), optional
+        Prices of the motions: greedy also stops where none is expected to gain more than its own.
     most : int
         Motions after which it is named anyway.
     seed : int
@@ -66,12 +68,13 @@ class GapAgent(EpisodeAgent):
 
     def __init__(
         self, rule: str, layout: GapObservation, seconds: Array, order: Sequence[int], *,
-        sure: float, most: int, seed: int = 0,
+        sure: float, most: int, seed: int = 0, prices: Array | None = None,
     ) -> None:  # fmt: skip
         if rule not in GAP_AGENTS:
             raise UnknownName(f"an agent of Gap-v0 is one of {list(GAP_AGENTS)}, got {rule!r}")
         self.rule, self.layout, self.seconds = rule, layout, seconds
         self.order, self.sure, self.most, self.seed = tuple(order), sure, most, seed
+        self.prices = np.zeros(len(seconds)) if prices is None else prices
 
     def begin(self, rng: np.random.Generator) -> _Memory:
         """Return the initial state of an episode."""
@@ -80,7 +83,9 @@ class GapAgent(EpisodeAgent):
     def act(self, observation: NDArray[np.float32], memory: Any) -> Any:
         """Choose a motion, or name the most probable set."""
         best = 10.0 ** float(observation[self.layout.sets][0])
-        if memory.taken and (best >= self.sure or memory.taken >= self.most):
+        worth = float(np.max(observation[self.layout.gain] - self.prices))
+        enough = best >= self.sure or (self.rule == "greedy" and worth <= 0 and self.sure <= 1)
+        if memory.taken and (enough or memory.taken >= self.most):
             return np.int64(self.layout.motions)
         memory.taken += 1
         return np.int64(self._motion(observation, memory))
@@ -162,7 +167,7 @@ def make_gap_agent(
     return GapAgent(
         name, env.layout, env.bank.seconds, order,
         sure=STOPPING.get(name, 0.9) if sure is None else sure,
-        most=env.settings.max_motions, seed=seed,
+        most=env.settings.max_motions, seed=seed, prices=env.motion_prices,
     )  # fmt: skip
 
 

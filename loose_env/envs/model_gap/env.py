@@ -22,6 +22,7 @@ from loose_env.gap import (
     SignatureBank,
     outlook,
 )
+from loose_env.typing import Array
 
 __all__ = ["ModelGapEnv"]
 
@@ -156,9 +157,9 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
             self._over = True
             return self._observed(), prices.wrong, True, False, self._info()
         readings = self.machine.run(action, self.np_random)
-        seconds, wear = float(self.bank.seconds[action]), float(self.bank.wear[action])
-        self.seconds, self.wear = self.seconds + seconds, self.wear + wear
-        reward = -prices.second * seconds - prices.wear * wear
+        self.seconds += float(self.bank.seconds[action])
+        self.wear += float(self.bank.wear[action])
+        reward = -float(self.motion_prices[action])
         if not np.isfinite(readings).all():
             self._over = True
             info = {**self._info(), "failure": "the simulation of the machine diverged"}
@@ -202,6 +203,12 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         return float(np.mean(errors)) if errors else float(bool(hidden))
 
     @property
+    def motion_prices(self) -> Array:
+        """Price of each motion, for its machine time and its wear (M,)."""
+        prices = self.settings.prices
+        return np.asarray(prices.second * self.bank.seconds + prices.wear * self.bank.wear)
+
+    @property
     def taken(self) -> int:
         """Motions taken so far."""
         return sum(self.belief.counts.values())
@@ -224,7 +231,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         if self.belief.counts:
             return outlook(self.belief, self.settings.prices.named)
         if self._at_first is None:  # the same for every machine: nothing is known yet
-            self._at_first = outlook(self.belief, self.settings.prices.named, most=40)
+            self._at_first = outlook(self.belief, self.settings.prices.named)
         return self._at_first
 
     def _info(self) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -248,23 +249,26 @@ def _fitting(wanted: Sequence[Motion], arm: ServoArm) -> tuple[Motion, ...]:
 
 
 def _brief_motions(every: tuple[int, ...]) -> tuple[Motion, ...]:
-    """Excitations of 0.5 to 3 s about home: a second motion need not cost the way to a pose."""
+    """Excitations of 0.5 to 3 s about home: a second motion need not cost the way to a pose.
+
+    A servo settles in a tenth of a second.
+    """
+    brief = partial(Motion, joints=every, pause=0.1)
+    noise = partial(brief, kind="random", speed=1.8)
     return (
-        Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=3, seconds=0.5),
-        Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=3, seconds=1.0),
-        Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=9, seconds=1.0),
-        Motion(kind="random", joints=every, amplitude=0.6, speed=1.8, seed=9, seconds=1.5,
-               highest=2.5),
-        Motion(kind="random", joints=every, amplitude=0.6, speed=1.8, seed=5, seconds=2.5,
-               highest=2.0),
-        Motion(kind="multisine", joints=every, amplitude=0.4, speed=1.8, seconds=1.5),
-        Motion(kind="chirp", joints=every, amplitude=0.3, speed=1.2, seconds=1.5, highest=20.0),
-        Motion(kind="steps", joints=every, amplitude=0.06, speed=1.5, seconds=1.0),
-        Motion(kind="holds", joints=every, amplitude=0.5, speed=1.8, seconds=2.0, seed=1),
-        Motion(kind="holds", joints=every, amplitude=0.7, speed=1.8, seconds=3.0, seed=2),
-        Motion(kind="slow_triangle", joints=every, amplitude=0.1, speed=0.3, seconds=1.5),
-        Motion(kind="constant_speed", joints=every, amplitude=0.5, speed=1.2, seconds=2.0),
-    )  # fmt: skip
+        noise(amplitude=0.5, seconds=0.5, seed=3),
+        noise(amplitude=0.5, seconds=1.0, seed=3),
+        noise(amplitude=0.5, seconds=1.0, seed=9),
+        noise(amplitude=0.6, seconds=1.5, seed=9, highest=2.5),
+        noise(amplitude=0.6, seconds=2.5, seed=5, highest=2.0),
+        brief(kind="multisine", amplitude=0.4, speed=1.8, seconds=1.5),
+        brief(kind="chirp", amplitude=0.3, speed=1.2, seconds=1.5, highest=20.0),
+        brief(kind="steps", amplitude=0.06, speed=1.5, seconds=1.0),
+        brief(kind="holds", amplitude=0.5, speed=1.8, seconds=2.0, seed=1),
+        brief(kind="holds", amplitude=0.7, speed=1.8, seconds=3.0, seed=2),
+        brief(kind="slow_triangle", amplitude=0.1, speed=0.3, seconds=1.5),
+        brief(kind="constant_speed", amplitude=0.5, speed=1.2, seconds=2.0),
+    )
 
 
 def battery(arm: ServoArm) -> tuple[Motion, ...]:

@@ -32,10 +32,7 @@ class Outlook:
     """Expected gain in the reward of the best verdict (M,)."""
 
 
-def outlook(
-    belief: Belief, reward: Callable[[tuple[str, ...], tuple[str, ...]], float], *,
-    most: int = _OPEN,
-) -> Outlook:  # fmt: skip
+def outlook(belief: Belief, reward: Callable[[tuple[str, ...], tuple[str, ...]], float]) -> Outlook:
     """Expected information of each motion, and what it would add to the reward of a verdict.
 
     The information is a lower bound of the mutual information between set and readings, from the
@@ -58,10 +55,8 @@ def outlook(
         Belief about the machine.
     reward : callable
         Reward of naming one set while another one is missing.
-    most : int
-        Sets that are taken as open, by probability.
     """
-    weights, names, predictions = _predictions(belief, most)
+    weights, names, predictions = _predictions(belief)
     rewards = np.array([[reward(named, truth) for truth in names] for named in names])
     information, gain = [], []
     for motion in range(len(belief.bank.library)):
@@ -128,11 +123,13 @@ vectors in mean and columns (S, 1 + D - P)."""
 
 
 def _predictions(
-    belief: Belief, most: int
+    belief: Belief,
 ) -> tuple[Array, list[tuple[str, ...]], list[Prediction]]:
     """Probabilities of the open sets, their effects and their fitted parameters."""
+    if not belief.counts:
+        return _prior_predictions(belief)
     best = belief.posterior.best.probability
-    sets = [s for s in belief.posterior.sets[:most] if s.probability > _LEAST * best]
+    sets = [s for s in belief.posterior.sets[:_OPEN] if s.probability > _LEAST * best]
     weights = np.array([each.probability for each in sets])
     data, found = belief.data, []
     about = nominal(belief.models, data)
@@ -140,6 +137,27 @@ def _predictions(
         fit = linear_fit(belief.models, data, each.models, about, belief.settings.linearisation)
         found.append((fit.parameters, fit.covariance, belief.models.columns(each.models)))
     return weights / weights.sum(), [each.names for each in sets], found
+
+
+def _prior_predictions(
+    belief: Belief,
+) -> tuple[Array, list[tuple[str, ...]], list[Prediction]]:
+    """Before any motion: no effect, and each candidate about the middle of its sizes."""
+    models, settings = belief.models, belief.settings
+    p = belief.bank.nuisances
+    own: list[tuple[int, ...]] = [()]
+    for candidate in range(len(models.names)):
+        those = np.flatnonzero(models.candidate == candidate)
+        own.append((int(those[len(those) // 2]),))
+    weights = np.full(len(own), settings.single / max(len(own) - 1, 1))
+    weights[0] = settings.none
+    found: list[Prediction] = []
+    for each in own:
+        columns = models.columns(each)
+        count = p + columns.shape[1] - 1
+        found.append((np.zeros(count), np.eye(count), columns))
+    names = [tuple(models.names[models.candidate[h]] for h in each) for each in own]
+    return weights / weights.sum(), names, found
 
 
 def _products(
