@@ -3,7 +3,7 @@
 Few kinds of effects and the brief library keep the signatures to some minutes an arm. The agents
 stop at the probabilities that were tuned on the three-joint arm.
 
-Usage: python scripts/model_gap/arms.py --episodes 24
+Usage: python scripts/model_gap/arms.py --episodes 12
 
 The UR5e is skipped where its file is absent: one with a `<position>` servo at each joint and a key
 "home", such as MuJoCo Menagerie's with its general actuators written so, in the folder `--models`.
@@ -34,10 +34,7 @@ from scripts.model_gap.tables import GROUPS, of, stopped
 
 ARMS = ("six_axis", "ur5e")
 """Arms: `loose_env.arms.SIX_AXIS_SERVO_ARM`, and a file of others."""
-KINDS = (
-    "coulomb_friction", "viscous_friction", "payload", "joint_compliance", "actuator_gain",
-    "encoder_offset", "link_mass", "rotor_inertia",
-)  # fmt: skip
+KINDS = ("coulomb_friction", "payload", "joint_compliance", "encoder_offset")
 Case = tuple[str, str, int]
 """Arm, agent and number of the episode."""
 
@@ -47,7 +44,7 @@ class Settings:
     """Settings that every row depends on."""
 
     seed: int = option(EVALUATION_SEED + 2, "seed of the machines")
-    most: Count = option(4, "motions of an episode")
+    most: Count = option(3, "motions of an episode")
     kinds: tuple[str, ...] = option(KINDS, "kinds of effects")
 
 
@@ -57,7 +54,7 @@ class Run(StudyRun):
 
     arms: tuple[str, ...] = option(ARMS, "arms", choices=ARMS)
     agents: tuple[str, ...] = option(GAP_AGENTS, "agents to play", choices=GAP_AGENTS)
-    episodes: Count = option(24, "episodes of each agent on each arm")
+    episodes: Count = option(12, "episodes of each agent on each arm")
     models: Path = option(Path("../shared/models"), "folder of ur5e_bare.xml")
 
 
