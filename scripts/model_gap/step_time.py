@@ -55,7 +55,8 @@ def times(options: Options) -> list[list[float]]:
     for number in range(options.episodes):
         hidden = {"count": COUNTS[number % len(COUNTS)]}
         observation, _ = env.reset(seed=options.seed + 1000 * number, options=hidden)
-        state, over, own = None, False, []
+        state, over = None, False
+        own: list[float] = []
         while not over:
             action, state = agent.predict(observation, state, np.array([not own]))
             begun = time.process_time()

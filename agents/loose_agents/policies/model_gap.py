@@ -130,7 +130,9 @@ class LearnedGapAgent(EpisodeAgent):
         self.model, self.layout, self.most = MaskablePPO.load(weights, device="cpu"), layout, most
         self.seed = 0  # nothing is drawn
         size, actions = layout.size, layout.motions + layout.ranks
-        expects = self.model.observation_space.shape[0], int(self.model.action_space.n)
+        seen: Any = self.model.observation_space
+        acts: Any = self.model.action_space
+        expects = int(seen.shape[0]), int(acts.n)
         if expects != (size, actions):
             raise InvalidSetting(
                 f"{weights} expects {expects[0]} numbers and {expects[1]} actions; the environment "

@@ -65,8 +65,11 @@ class SizedRays:
 
     def only(self, kept: Sequence[int]) -> SizedRays:
         """Those of some indices."""
-        every = (self.rays, self.sizes, self.visibilities)
-        return SizedRays(*(tuple(each[k] for k in kept) for each in every))
+        return SizedRays(
+            tuple(self.rays[k] for k in kept),
+            tuple(self.sizes[k] for k in kept),
+            tuple(self.visibilities[k] for k in kept),
+        )
 
     def write(self, path: Path) -> None:
         """Write them to an .npz file."""

@@ -70,7 +70,7 @@ def outlook(belief: Belief, reward: Callable[[tuple[str, ...], tuple[str, ...]],
 
 def pair_gains(belief: Belief, motion: int) -> Array:
     """Expected difference of log evidence between open sets on a motion [nats] (sets, sets)."""
-    weights, _, predictions = _predictions(belief, _OPEN)
+    weights, _, predictions = _predictions(belief)
     products = _products(belief, weights, predictions, motion)
     squares = np.diag(products)
     return np.asarray(0.5 * np.maximum(squares[:, None] + squares - 2 * products, 0.0))
