@@ -39,7 +39,8 @@ PAIRS = (
 )
 """Confusable pairs."""
 _APART = ("backlash", "joint_compliance")
-"""Kinds with signatures of their own: play is no candidate of the whole task."""
+"""Kinds with signatures of their own, on the brief library: play is no candidate of the whole
+task."""
 AHEAD = 5.0
 """Log evidence ahead at which two effects count as separated [nats]."""
 _SETUP_S = 0.5
@@ -61,17 +62,19 @@ class Run(StudyRun):
     """Rows that are asked for."""
 
     machines: Count = option(4, "machines for each hidden effect")
+    only: str = option("", "kind that one effect of a pair has; all pairs by default")
 
 
 def cases_of(settings: Settings, run: Run) -> list[Case]:
     """Cases: both effects of every pair are hidden in turn."""
-    ways = [way for pair in PAIRS for way in (pair, pair[::-1])]
+    wanted = [pair for pair in PAIRS if f"{run.only}@" in " ".join(pair) or not run.only]
+    ways = [way for pair in wanted for way in (pair, pair[::-1])]
     return [(*way, n) for n in range(run.machines) for way in ways]
 
 
 @cache
 def _env(kinds: tuple[str, ...]) -> ModelGapEnv:
-    return made(kinds=kinds)
+    return made(kinds=kinds, library="brief" if kinds else "whole")
 
 
 def _env_of(hidden: str, other: str) -> ModelGapEnv:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -87,7 +88,7 @@ def motion_signatures(
     checked, commands = check_motion(motion, arm), motion.commands(arm)
     rays, sizes = sized.rays, sized.sizes
     base = residuals(arm, commands, [Hypothesis()])[0]
-    columns: list[NDArray[np.floating]] = [nuisance_columns(arm, commands, base)]
+    columns: list[NDArray[np.floating[Any]]] = [nuisance_columns(arm, commands, base)]
     points = [
         ray.hypothesis(ray.values(float(size)))
         for ray, own in zip(rays, sizes, strict=True)
