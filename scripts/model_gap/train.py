@@ -12,6 +12,7 @@ from __future__ import annotations
 import csv
 import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,23 +55,31 @@ def main() -> None:
 
 def train(options: Options, env: ModelGapEnv) -> None:
     """Train from the stored weights on, and store weights and learning curve."""
+    import torch
     from sb3_contrib import MaskablePPO
 
-    weights = options.out / "model.zip"
+    weights = options.out / "policy.pt"
+    model = MaskablePPO(
+        "MlpPolicy", env, n_steps=min(256, options.every), batch_size=64, gamma=1.0,
+        ent_coef=0.01, learning_rate=1e-3, seed=options.seed, device="cpu",
+    )  # fmt: skip
     if weights.is_file():
-        model = MaskablePPO.load(weights, env=env, device="cpu")
-    else:
-        model = MaskablePPO(
-            "MlpPolicy", env, n_steps=min(256, options.every), batch_size=64, gamma=1.0,
-            ent_coef=0.01, learning_rate=1e-3, seed=options.seed, device="cpu",
-        )  # fmt: skip
+        stored = torch.load(weights, map_location="cpu", weights_only=True)
+        model.policy.load_state_dict(stored["policy"])
+        model.policy.optimizer.load_state_dict(stored["optimizer"])
+        model.num_timesteps = stored["steps"]
     options.out.mkdir(parents=True, exist_ok=True)
     while model.num_timesteps < options.steps:
         done = model.num_timesteps
         ends = _Ends()
         ahead = min(options.every, options.steps - done)
         model.learn(ahead, reset_num_timesteps=done == 0, callback=ends)
-        written_beside(weights, model.save)
+        state = {
+            "policy": model.policy.state_dict(),
+            "optimizer": model.policy.optimizer.state_dict(),
+            "steps": model.num_timesteps,
+        }
+        written_beside(weights, partial(torch.save, state))
         ends.append(options.out / "curve.csv", model.num_timesteps)
     print(f"written: {weights}")
 

@@ -123,21 +123,23 @@ class LearnedGapAgent(EpisodeAgent):
     """
 
     def __init__(self, weights: Path, layout: GapObservation, *, most: int) -> None:
-        from sb3_contrib import MaskablePPO
+        import torch
+        from gymnasium import spaces
+        from sb3_contrib.common.maskable.policies import MaskableActorCriticPolicy
 
         if not weights.is_file():
             raise InvalidSetting(f"no weights {weights}: scripts/model_gap/train.py writes them")
-        self.model, self.layout, self.most = MaskablePPO.load(weights, device="cpu"), layout, most
-        self.seed = 0  # nothing is drawn
-        size, actions = layout.size, layout.motions + layout.ranks
-        seen: Any = self.model.observation_space
-        acts: Any = self.model.action_space
-        expects = int(seen.shape[0]), int(acts.n)
-        if expects != (size, actions):
+        self.layout, self.most, self.seed = layout, most, 0  # nothing is drawn
+        actions = spaces.Discrete(layout.motions + layout.ranks)
+        self.policy = MaskableActorCriticPolicy(layout.space, actions, lambda _: 0.0)
+        stored = torch.load(weights, map_location="cpu", weights_only=True)
+        try:
+            self.policy.load_state_dict(stored["policy"])
+        except (RuntimeError, KeyError, TypeError) as error:
             raise InvalidSetting(
-                f"{weights} expects {expects[0]} numbers and {expects[1]} actions; the environment "
-                f"has {size} and {actions}: train anew on its library and candidates"
-            )
+                f"{weights} is not of an observation of {layout.size} numbers and {actions.n} "
+                "actions: train anew on this library and these candidates"
+            ) from error
 
     def begin(self, rng: np.random.Generator) -> None:
         """Return the initial state of an episode: none."""
@@ -148,7 +150,7 @@ class LearnedGapAgent(EpisodeAgent):
         mask = np.full(self.layout.motions + self.layout.ranks, taken < self.most)
         known = 10.0 ** observation[self.layout.sets] > _UNKNOWN
         mask[self.layout.motions :] = known & (taken > 0)
-        return np.int64(self.model.predict(observation, action_masks=mask, deterministic=True)[0])
+        return np.int64(self.policy.predict(observation, action_masks=mask, deterministic=True)[0])
 
 
 def make_gap_agent(

@@ -23,7 +23,7 @@ def test_training_goes_on_and_its_agent_plays(tmp_path: Path) -> None:
     curve = (tmp_path / "curve.csv").read_text().splitlines()
     assert curve[0] == "steps,episodes,reward,success,seconds"
     assert [row.split(",")[0] for row in curve[1:]] == ["8", "16", "24"]
-    agent = LearnedGapAgent(tmp_path / "model.zip", env.layout, most=2)
+    agent = LearnedGapAgent(tmp_path / "policy.pt", env.layout, most=2)
     observation, info = env.reset(seed=1)
     state, start, over = None, True, False
     while not over:
@@ -34,7 +34,7 @@ def test_training_goes_on_and_its_agent_plays(tmp_path: Path) -> None:
     assert "success" in info
 
     other = GapObservation(candidates=4, motions=2, ranks=5)
-    with pytest.raises(InvalidSetting, match="train anew on its library"):
-        LearnedGapAgent(tmp_path / "model.zip", other, most=2)
+    with pytest.raises(InvalidSetting, match="train anew on this library"):
+        LearnedGapAgent(tmp_path / "policy.pt", other, most=2)
     with pytest.raises(InvalidSetting, match="no weights"):
         LearnedGapAgent(tmp_path / "none.zip", env.layout, most=2)

@@ -148,15 +148,12 @@ class _Round:
         self._steps: Counter[tuple[int, ...]] = Counter()
         self._anew: set[Members] = set()
         self._begun: dict[tuple[int, ...], ExactFit] = {}
-        evidence = first.evidence
-        self._single = {
-            (int(self.models.candidate[h]),): (int(h),) for h in np.argsort(evidence)
-        }  # the best local model of each candidate, the last one written
+        candidate = self.models.candidate  # the last one written is the best local model of each
+        self._single = {(int(candidate[h]),): (int(h),) for h in np.argsort(first.evidence)}
 
     def run(self) -> None:
         """Fit sets exactly until the leading ones are, or the simulations are spent."""
-        fits = [self.state.fits.get(self._key(own)) for own in self.state.carried]
-        self._simulate_ahead([fit for fit in fits if fit is not None])
+        self._simulate_ahead([self.state.fits.get(self._key(own)) for own in self.state.carried])
         for own in self.state.carried:
             self._fit(own, _WITHIN)
         while self.simulations.left > 0:
@@ -239,20 +236,17 @@ class _Round:
 
     def _begin(self, wanted: Sequence[tuple[int, ...]]) -> None:
         """Begin the fits of single effects that are wanted, and simulate them together."""
-        state = self.state
-        for own in wanted:
-            key = self._key(own)
-            if len(own) == 1 and key not in state.fits and key not in self._begun:
-                self._begun[key] = state.begun(self.data, own)
+        keys = {self._key(own): own for own in wanted if len(own) == 1}
+        for key in keys.keys() - self.state.fits.keys() - self._begun.keys():
+            self._begun[key] = self.state.begun(self.data, keys[key])
         if self._key(wanted[0]) in self._begun:
-            keys = map(self._key, wanted)
             self._simulate_ahead([self._begun[key] for key in keys if key in self._begun])
 
-    def _simulate_ahead(self, fits: Sequence[ExactFit]) -> None:
+    def _simulate_ahead(self, fits: Sequence[ExactFit | None]) -> None:
         """Simulate the motions that some fits lack, together."""
         lacking: dict[tuple[int, ...], list[ExactFit]] = {}
         for fit in fits:
-            if not fit.diverged and (new := fit.lacks(self.data)):
+            if fit is not None and not fit.diverged and (new := fit.lacks(self.data)):
                 lacking.setdefault(tuple(new), []).append(fit)
         for motions, own in lacking.items():
             self.simulations.ahead(motions, [fit.hypothesis(fit.parameters) for fit in own])
