@@ -9,6 +9,7 @@ from loose_env.arms.engine_warnings import quiet
 from loose_env.arms.files.load import (
     DESK_ARM,
     SERVO_ARM,
+    SIX_AXIS_SERVO_ARM,
     arm_from_file,
     arm_of_model_file,
     describe_file,
@@ -66,6 +67,7 @@ __all__ = [
     "LINK2_MASS",
     "LINK_LENGTH",
     "SERVO_ARM",
+    "SIX_AXIS_SERVO_ARM",
     "Arm",
     "BendingLink2",
     "Chain",

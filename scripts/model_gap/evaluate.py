@@ -24,7 +24,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from loose_agents.execution.command import option
 from loose_agents.execution.study import Row, Study, StudyRun
-from loose_agents.policies.model_gap import GAP_AGENTS, STOPPING, make_gap_agent
+from loose_agents.policies.model_gap import (
+    GAP_AGENTS,
+    STOPPING,
+    GapAgent,
+    LearnedGapAgent,
+    make_gap_agent,
+)
 
 from loose_env.envs import ModelGapEnv
 from loose_env.io import Count
@@ -35,6 +41,7 @@ from scripts.model_gap.tables import (
     best_stopping,
     calibration_table,
     confusion_table,
+    ratio_table,
     stopping_table,
     time_table,
 )
@@ -58,11 +65,13 @@ class Run(StudyRun):
 
     agents: tuple[str, ...] = option(GAP_AGENTS, "agents to play", choices=GAP_AGENTS)
     episodes: Count = option(60, "episodes of each agent")
+    ppo: Path | None = option(None, "weights of train.py: the agent ppo, which stops by itself")
 
 
 def cases_of(settings: Settings, run: Run) -> list[Case]:
     """Cases, episode by episode, so that an interrupted study is paired."""
-    return [(agent, n) for n in range(run.episodes) for agent in run.agents]
+    agents = (*run.agents, *(("ppo",) if run.ppo else ()))
+    return [(agent, n) for n in range(run.episodes) for agent in agents]
 
 
 @cache
@@ -70,11 +79,21 @@ def _env(model: str) -> ModelGapEnv:
     return made(model or None)
 
 
+def _agent(
+    env: ModelGapEnv, agent: str, number: int, weights: Path | None
+) -> GapAgent | LearnedGapAgent:
+    """An agent that does not stop, but for ppo."""
+    if agent != "ppo":
+        return make_gap_agent(agent, env, sure=2.0, seed=number)
+    assert weights is not None
+    return LearnedGapAgent(weights, env.layout, most=env.settings.max_motions)
+
+
 def play(case: Case, *, settings: Settings, run: Run, say: Callable[[str], None]) -> list[Row]:
     """Play one episode of one agent."""
     agent, number = case
     env = _env(settings.model)
-    never = make_gap_agent(agent, env, sure=2.0, seed=number)
+    never = _agent(env, agent, number, run.ppo)
     row = played(env, never, seed=settings.seed, number=number, most=settings.most)
     return [{"agent": agent, **row}]
 
@@ -86,10 +105,11 @@ def case_of(row: Row) -> Case:
 
 def show(rows: list[Row], settings: Settings, path: Path, run: Run) -> None:
     """Print the tables."""
-    sure = best_stopping(rows) if settings.seed == TUNING_SEED else dict(STOPPING)
+    sure = best_stopping(rows) if settings.seed == TUNING_SEED else {**STOPPING, "ppo": 2.0}
     if settings.seed == TUNING_SEED:
         print(f"best stopping on these episodes: {sure}\n")
     parts = [accuracy_table(rows), time_table(rows), stopping_table(rows, sure)]
+    parts += [ratio_table(rows, sure)]
     parts += [calibration_table(rows), confusion_table(rows, "greedy")]
     print("\n\n".join("\n".join(lines) for lines in parts))
 

@@ -13,7 +13,13 @@ from scripts.model_gap.tables import curves
 
 __all__ = ["draw", "write_curves"]
 
-_COLOURS = {"greedy": "#0b6e99", "battery": "#c4622d", "random": "#7a7a7a", "ppo": "#5b8c3a"}
+_COLOURS = {
+    "greedy": "#0b6e99",
+    "battery": "#c4622d",
+    "random": "#7a7a7a",
+    "brief": "#8e5ba6",
+    "ppo": "#5b8c3a",
+}
 
 
 def write_curves(rows: Sequence[dict[str, Any]], path: Path) -> None:

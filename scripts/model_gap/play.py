@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -34,12 +35,12 @@ class Step:
     probability: float
     parameter_error: float
     covered: float
+    worth: float
 
 
-def made(model: str | None = None) -> ModelGapEnv:
-    """Make the environment."""
-    arguments: dict[str, Any] = {} if model is None else {"model": model}
-    env = gymnasium.make(GAP_ID, **arguments)
+def made(model: str | Path | None = None, **settings: Any) -> ModelGapEnv:
+    """Make the environment of an arm, with fields of its settings."""
+    env = gymnasium.make(GAP_ID, model=model, **settings)
     unwrapped = env.unwrapped
     assert isinstance(unwrapped, ModelGapEnv)
     return unwrapped
@@ -92,6 +93,7 @@ def played(
                 right=best.names == truth,
                 probability=best.probability,
                 parameter_error=env.parameter_error(best),
+                worth=float(np.max(observation[env.layout.gain] - env.motion_prices)),
                 covered=float(np.mean(inside)) if inside else float("nan"),
             )
         )
@@ -107,6 +109,7 @@ def played(
         "wear": [s.wear for s in steps],
         "right": [int(s.right) for s in steps],
         "probability": [s.probability for s in steps],
+        "worth": [s.worth for s in steps],
         "parameter_error": [s.parameter_error for s in steps],
         "covered": [-1.0 if np.isnan(s.covered) else s.covered for s in steps],
     }

@@ -15,12 +15,15 @@ from loose_env.typing import Array
 
 __all__ = [
     "GRID",
+    "GROUPS",
     "accuracy_at",
     "accuracy_table",
     "best_stopping",
     "calibration_table",
     "confusion_table",
     "curves",
+    "of",
+    "ratio_table",
     "seconds_for",
     "stopped",
     "stopping_table",
@@ -28,10 +31,12 @@ __all__ = [
 ]
 
 Row = dict[str, Any]
-GRID = (3.0, 5.0, 8.0, 12.0, 18.0, 25.0, 40.0, 60.0, 90.0)
+GRID = (1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0, 25.0, 40.0)
 """Machine times of the table [s]."""
 GROUPS = (("one effect", 1), ("two effects", 2), ("none", 0))
 """Groups of episodes by the number of hidden effects."""
+LEVELS = (0.9, 0.8)
+"""Accuracies asked for, of one effect and of two."""
 THRESHOLDS = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
 """Probabilities among which the stopping is tuned."""
 
@@ -64,7 +69,7 @@ def agents_in(rows: Sequence[Row]) -> list[str]:
 
 def curves(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Accuracy by machine second, for each agent and number of effects."""
-    grid = np.arange(1.0, 91.0)
+    grid = np.arange(1.0, 91.0, 0.5)
     return [
         {
             "agent": agent,
@@ -128,9 +133,13 @@ def time_table(rows: Sequence[Row]) -> list[str]:
 
 
 def stopped(row: Row, sure: float, prices: GapPrices | None = None) -> dict[str, float]:
-    """Right or not, seconds and reward of an episode stopped once the best set is probable."""
+    """Right or not, seconds and reward of an episode that stops as its agent does."""
     prices = prices or GapPrices()
-    k = next((k for k, p in enumerate(row["probability"]) if p >= sure), len(row["seconds"]) - 1)
+    enough = np.array(row["probability"]) >= sure
+    if row["agent"] == "greedy":
+        enough |= np.array(row["worth"]) <= 0
+    enough[-1] = True
+    k = int(np.argmax(enough))
     right = bool(row["right"][k])
     verdict = prices.wrong
     if right:
@@ -174,6 +183,27 @@ def stopping_table(rows: Sequence[Row], sure: dict[str, float]) -> list[str]:
             f"{np.mean([o['seconds'] for o in every]):.1f} s | "
             f"{rewards.mean():+.2f} ± {error:.2f} |"
         )
+    return lines
+
+
+def ratio_table(rows: Sequence[Row], sure: dict[str, float]) -> list[str]:
+    """Machine time of greedy over that of the battery for the accuracies that are asked for."""
+    lines = [
+        "| hidden | accuracy | battery | greedy | ratio | greedy, stopped | right | ratio |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for (words, effects), level in zip(GROUPS, LEVELS, strict=False):
+        chosen, fixed = of(rows, "greedy", effects), of(rows, "battery", effects)
+        if chosen and fixed:
+            times = seconds_for(fixed, level), seconds_for(chosen, level)
+            ends = [stopped(row, sure["greedy"]) for row in chosen]
+            mean = float(np.mean([end["seconds"] for end in ends]))
+            right = float(np.mean([end["right"] for end in ends]))
+            lines.append(
+                f"| {words} | {100 * level:.0f} % | {times[0]:.1f} s | {times[1]:.1f} s | "
+                f"{times[1] / times[0]:.2f} | {mean:.1f} s | {100 * right:.0f} % | "
+                f"{mean / times[0]:.2f} |"
+            )
     return lines
 
 

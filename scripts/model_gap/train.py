@@ -1,22 +1,35 @@
 """Trains maskable PPO on loose_env/Gap-v0, on the belief as observation.
 
+Weights and the learning curve are written every `--every` steps; the same command goes on where it
+was stopped. In training the belief screens by the bank's signatures alone unless `--simulations`
+says otherwise: exact fits cost most of a step.
+
 Usage: python scripts/model_gap/train.py --steps 100000 --out out/gap_ppo
 """
 
 from __future__ import annotations
 
+import csv
 import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import numpy as np
 from loose_agents.execution.command import add_options, new_parser, option, options_of
 from loose_agents.execution.script_errors import errors_in_one_line
 
-from loose_env.io import Count
+from loose_env.envs import ModelGapEnv
+from loose_env.gap import BeliefSettings
+from loose_env.io import Count, written_beside
 from scripts.model_gap.play import made
+
+CURVE = ("steps", "episodes", "reward", "success", "seconds")
+"""Columns of the learning curve: means since the row before."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,31 +37,78 @@ class Options:
     """Options of a training."""
 
     out: Path = option(Path("out/gap_ppo"), "folder of the weights")
-    steps: Count = option(100_000, "motions and verdicts to train on")
+    steps: Count = option(100_000, "motions and verdicts to train on, earlier ones included")
+    every: Count = option(2_048, "steps between two states that are kept")
+    simulations: int = option(0, "simulations of the belief after a motion")
     seed: int = option(1, "seed of the training")
 
 
 def main() -> None:
     """Train by the options of the command line."""
-    with errors_in_one_line("train"):
+    with errors_in_one_line("train", interrupted="the same command goes on"):
         parser = new_parser(__doc__)
         add_options(parser, Options)
         options = options_of(Options, parser.parse_args())
-        train(options)
+        belief = BeliefSettings(simulations=options.simulations)
+        train(options, made(belief=belief))
 
 
-def train(options: Options) -> None:
-    """Train and store the weights."""
+def train(options: Options, env: ModelGapEnv) -> None:
+    """Train from the stored weights on, and store weights and learning curve."""
+    import torch
     from sb3_contrib import MaskablePPO
 
+    weights = options.out / "policy.pt"
     model = MaskablePPO(
-        "MlpPolicy", made(), n_steps=256, batch_size=64, gamma=1.0, ent_coef=0.01,
-        learning_rate=1e-3, seed=options.seed, verbose=1,
+        "MlpPolicy", env, n_steps=min(256, options.every), batch_size=64, gamma=1.0,
+        ent_coef=0.01, learning_rate=1e-3, seed=options.seed, device="cpu",
     )  # fmt: skip
-    model.learn(options.steps)
+    if weights.is_file():
+        stored = torch.load(weights, map_location="cpu", weights_only=True)
+        model.policy.load_state_dict(stored["policy"])
+        model.policy.optimizer.load_state_dict(stored["optimizer"])
+        model.num_timesteps = stored["steps"]
     options.out.mkdir(parents=True, exist_ok=True)
-    model.save(options.out / "model.zip")
-    print(f"written: {options.out / 'model.zip'}")
+    while model.num_timesteps < options.steps:
+        done = model.num_timesteps
+        ends = _Ends()
+        ahead = min(options.every, options.steps - done)
+        model.learn(ahead, reset_num_timesteps=done == 0, callback=ends)
+        state = {
+            "policy": model.policy.state_dict(),
+            "optimizer": model.policy.optimizer.state_dict(),
+            "steps": model.num_timesteps,
+        }
+        written_beside(weights, partial(torch.save, state))
+        ends.append(options.out / "curve.csv", model.num_timesteps)
+    print(f"written: {weights}")
+
+
+class _Ends:
+    """Results of the episodes that ended, kept by a callback."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[float, float, float]] = []
+
+    def __call__(self, local: dict[str, Any], _: dict[str, Any]) -> bool:
+        """Keep the episodes that ended at a step."""
+        for info in local["infos"]:
+            if "episode" in info:
+                success = float(info.get("success", False))
+                self.rows.append((float(info["episode"]["r"]), success, float(info["seconds"])))
+        return True
+
+    def append(self, path: Path, steps: int) -> None:
+        """Append their means to the learning curve, and print them."""
+        means = np.mean(self.rows, axis=0) if self.rows else np.full(3, np.nan)
+        row = dict(zip(CURVE, (steps, len(self.rows), *np.round(means, 4)), strict=True))
+        begun = path.is_file()
+        with path.open("a", newline="", encoding="utf-8") as out:
+            writer = csv.DictWriter(out, CURVE, lineterminator="\n")
+            if not begun:
+                writer.writeheader()
+            writer.writerow(row)
+        print(" ".join(f"{name} {value}" for name, value in row.items()), flush=True)
 
 
 if __name__ == "__main__":

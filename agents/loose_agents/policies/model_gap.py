@@ -1,9 +1,10 @@
-"""Agents for loose_env/Gap-v0: random motions, a fixed battery, greedy by expected information."""
+"""Agents for loose_env/Gap-v0: random motions, fixed batteries, greedy by expected reward."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,21 +12,27 @@ from numpy.typing import NDArray
 
 from loose_agents.core.base import EpisodeAgent
 from loose_env.envs import GapObservation, ModelGapEnv
-from loose_env.errors import UnknownName
+from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap import battery
 from loose_env.typing import Array
 
-__all__ = ["GAP_AGENTS", "GapAgent", "make_gap_agent"]
+__all__ = ["GAP_AGENTS", "GapAgent", "LearnedGapAgent", "make_gap_agent"]
 
-GAP_AGENTS = ("random", "battery", "greedy")
+GAP_AGENTS = ("random", "battery", "brief", "greedy")
 """Names of the agents."""
-STOPPING = {"random": 0.6, "battery": 0.8, "greedy": 0.5}
+STOPPING = {"random": 0.6, "battery": 0.8, "brief": 0.8, "greedy": 0.8}
 """Probability of the best set from which each agent names it; scripts/model_gap/evaluate.py finds
 the best one on development episodes."""
 _REPEATS = 2
 """Times that greedy takes a motion: a repetition does not average out the linearisation error."""
 _SETUP_S = 0.5
 """Time to set up a motion [s], so that motions of almost no length are not preferred."""
+_NAT = 1e-3
+"""Reward that a nat of information counts as: it decides where no motion changes the verdict."""
+_UNKNOWN = 1.1e-6
+"""Probability up to which a rank of the posterior counts as empty."""
+_BRIEF = ("slow_triangle", "multisine", "steps")
+"""Kinds of the battery in its brief form."""
 
 
 @dataclass(eq=False)
@@ -37,11 +44,11 @@ class _Memory:
 
 
 class GapAgent(EpisodeAgent):
-    """Agent that takes motions by a rule and names the most probable set once it is sure.
+    """Agent that takes motions by a rule and names the most probable set once it is sure enough.
 
     Parameters
     ----------
-    rule : {"random", "battery", "greedy"}
+    rule : {"random", "battery", "brief", "greedy"}
         Choice of motions.
     layout : GapObservation
         Layout of the observation.
@@ -51,6 +58,8 @@ class GapAgent(EpisodeAgent):
         Motions of the battery, in order; repeated when they are through.
     sure : float
         Probability of the best set from which it is named; above 1 never.
+    prices : ndarray (M,), optional
+        Prices of the motions: greedy also stops where none is expected to gain more than its own.
     most : int
         Motions after which it is named anyway.
     seed : int
@@ -59,12 +68,13 @@ class GapAgent(EpisodeAgent):
 
     def __init__(
         self, rule: str, layout: GapObservation, seconds: Array, order: Sequence[int], *,
-        sure: float, most: int, seed: int = 0,
+        sure: float, most: int, seed: int = 0, prices: Array | None = None,
     ) -> None:  # fmt: skip
         if rule not in GAP_AGENTS:
             raise UnknownName(f"an agent of Gap-v0 is one of {list(GAP_AGENTS)}, got {rule!r}")
         self.rule, self.layout, self.seconds = rule, layout, seconds
         self.order, self.sure, self.most, self.seed = tuple(order), sure, most, seed
+        self.prices = np.zeros(len(seconds)) if prices is None else prices
 
     def begin(self, rng: np.random.Generator) -> _Memory:
         """Return the initial state of an episode."""
@@ -73,19 +83,74 @@ class GapAgent(EpisodeAgent):
     def act(self, observation: NDArray[np.float32], memory: Any) -> Any:
         """Choose a motion, or name the most probable set."""
         best = 10.0 ** float(observation[self.layout.sets][0])
-        if memory.taken and (best >= self.sure or memory.taken >= self.most):
+        worth = float(np.max(observation[self.layout.gain] - self.prices))
+        enough = best >= self.sure or (self.rule == "greedy" and worth <= 0 and self.sure <= 1)
+        if memory.taken and (enough or memory.taken >= self.most):
             return np.int64(self.layout.motions)
         memory.taken += 1
         return np.int64(self._motion(observation, memory))
 
     def _motion(self, observation: NDArray[np.float32], memory: _Memory) -> int:
-        if self.rule == "battery":
+        if self.rule in ("battery", "brief"):
             return self.order[(memory.taken - 1) % len(self.order)]
         if self.rule == "random":
             return int(memory.rng.integers(self.layout.motions))
-        rate = observation[self.layout.information] / (self.seconds + _SETUP_S)
+        if not memory.taken - 1:  # no verdict to gain from yet
+            worth = observation[self.layout.information]
+        else:
+            worth = observation[self.layout.gain] + _NAT * observation[self.layout.information]
+        rate = worth / (self.seconds + _SETUP_S)
         fresh = observation[self.layout.taken] < _REPEATS
         return int(np.argmax(np.where(fresh, rate, rate - 1e3)))
+
+
+class LearnedGapAgent(EpisodeAgent):
+    """Agent that acts by a maskable PPO of stable-baselines3 on the belief.
+
+    Parameters
+    ----------
+    weights : Path
+        Weights that scripts/model_gap/train.py wrote.
+    layout : GapObservation
+        Layout of the observation.
+    most : int
+        Motions after which a verdict is all that is left.
+
+    Raises
+    ------
+    InvalidSetting
+        If there are no such weights, or they were trained on another library or other candidates.
+    """
+
+    def __init__(self, weights: Path, layout: GapObservation, *, most: int) -> None:
+        import torch
+        from gymnasium import spaces
+        from sb3_contrib.common.maskable.policies import MaskableActorCriticPolicy
+
+        if not weights.is_file():
+            raise InvalidSetting(f"no weights {weights}: scripts/model_gap/train.py writes them")
+        self.layout, self.most, self.seed = layout, most, 0  # nothing is drawn
+        actions = spaces.Discrete(layout.motions + layout.ranks)
+        self.policy = MaskableActorCriticPolicy(layout.space, actions, lambda _: 0.0)
+        stored = torch.load(weights, map_location="cpu", weights_only=True)
+        try:
+            self.policy.load_state_dict(stored["policy"])
+        except (RuntimeError, KeyError, TypeError) as error:
+            raise InvalidSetting(
+                f"{weights} is not of an observation of {layout.size} numbers and {actions.n} "
+                "actions: train anew on this library and these candidates"
+            ) from error
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Return the initial state of an episode: none."""
+
+    def act(self, observation: NDArray[np.float32], memory: Any) -> Any:
+        """Choose the most probable action among those that make sense."""
+        taken = float(observation[self.layout.taken].sum())
+        mask = np.full(self.layout.motions + self.layout.ranks, taken < self.most)
+        known = 10.0 ** observation[self.layout.sets] > _UNKNOWN
+        mask[self.layout.motions :] = known & (taken > 0)
+        return np.int64(self.policy.predict(observation, action_masks=mask, deterministic=True)[0])
 
 
 def make_gap_agent(
@@ -102,9 +167,22 @@ def make_gap_agent(
     sure : float, optional
         Probability from which it stops; by default the tuned one.
     """
-    order = [env.bank.index_of(motion) for motion in battery(env.bank.arm)]
+    order = _briefest(env) if name == "brief" else _battery(env)
     return GapAgent(
         name, env.layout, env.bank.seconds, order,
         sure=STOPPING.get(name, 0.9) if sure is None else sure,
-        most=env.settings.max_motions, seed=seed,
+        most=env.settings.max_motions, seed=seed, prices=env.motion_prices,
     )  # fmt: skip
+
+
+def _battery(env: ModelGapEnv) -> list[int]:
+    return [env.bank.index_of(motion) for motion in battery(env.bank.arm)]
+
+
+def _briefest(env: ModelGapEnv) -> list[int]:
+    """The shortest motion of all joints of each kind in the battery."""
+    every, found = len(env.bank.arm.joints), []
+    for kind in _BRIEF:
+        own = [k for k, m in enumerate(env.motions) if m.kind == kind and len(m.joints) == every]
+        found.append(min(own, key=lambda k: float(env.bank.seconds[k])))
+    return found

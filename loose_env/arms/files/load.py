@@ -33,6 +33,7 @@ from loose_env.typing import Array
 __all__ = [
     "DESK_ARM",
     "SERVO_ARM",
+    "SIX_AXIS_SERVO_ARM",
     "FileReport",
     "FoundJoint",
     "Payload",
@@ -46,6 +47,8 @@ DESK_ARM = Path(__file__).parents[1] / "models" / "desk_arm.xml"
 """A small arm of six joints with a gripper, to try things on."""
 SERVO_ARM = Path(__file__).parents[1] / "models" / "servo_arm.xml"
 """A waist, a shoulder and an elbow on position servos."""
+SIX_AXIS_SERVO_ARM = Path(__file__).parents[1] / "models" / "six_axis_servo_arm.xml"
+"""The arm of `loose_env.arms.six_axis` on position servos."""
 
 _POSES = 24
 """Poses at which loads, inertias and levels are looked at."""

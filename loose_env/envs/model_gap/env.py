@@ -18,8 +18,9 @@ from loose_env.gap import (
     Belief,
     HypothesisSet,
     LocalModels,
+    Outlook,
     SignatureBank,
-    expected_information,
+    outlook,
 )
 from loose_env.typing import Array
 
@@ -56,6 +57,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     | M | `taken` | repetitions of each motion |
     | M | `rest` | rms of the residual that no candidate spans, less 1 [noise sd] |
     | M | `information` | expected information of each motion about the set [nats] |
+    | M | `gain` | expected gain of each motion in the reward of the best verdict |
     | 4 | `spent` | machine time [min], wear [s], motions over the most, log10 of the misfit |
 
     ## Rewards
@@ -103,7 +105,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         """Belief about it."""
         self.seconds, self.wear = 0.0, 0.0
         self._over = True
-        self._prior_information: Array | None = None
+        self._at_first: Outlook | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -155,9 +157,9 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
             self._over = True
             return self._observed(), prices.wrong, True, False, self._info()
         readings = self.machine.run(action, self.np_random)
-        seconds, wear = float(self.bank.seconds[action]), float(self.bank.wear[action])
-        self.seconds, self.wear = self.seconds + seconds, self.wear + wear
-        reward = -prices.second * seconds - prices.wear * wear
+        self.seconds += float(self.bank.seconds[action])
+        self.wear += float(self.bank.wear[action])
+        reward = -float(self.motion_prices[action])
         if not np.isfinite(readings).all():
             self._over = True
             info = {**self._info(), "failure": "the simulation of the machine diverged"}
@@ -201,6 +203,12 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         return float(np.mean(errors)) if errors else float(bool(hidden))
 
     @property
+    def motion_prices(self) -> Array:
+        """Price of each motion, for its machine time and its wear (M,)."""
+        prices = self.settings.prices
+        return np.asarray(prices.second * self.bank.seconds + prices.wear * self.bank.wear)
+
+    @property
     def taken(self) -> int:
         """Motions taken so far."""
         return sum(self.belief.counts.values())
@@ -215,14 +223,16 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         return mask
 
     def _observed(self) -> NDArray[np.float32]:
-        if self.belief.counts:
-            information = expected_information(self.belief)
-        else:  # the same for every machine: nothing is known yet
-            if self._prior_information is None:
-                self._prior_information = expected_information(self.belief, most=40)
-            information = self._prior_information
         spent = (self.seconds / 60, self.wear, self.taken / self.settings.max_motions)
-        return self.layout.of(self.belief, information, spent)
+        return self.layout.of(self.belief, self._outlook(), spent)
+
+    def _outlook(self) -> Outlook:
+        """Expected information and gain of the motions."""
+        if self.belief.counts:
+            return outlook(self.belief, self.settings.prices.named)
+        if self._at_first is None:  # the same for every machine: nothing is known yet
+            self._at_first = outlook(self.belief, self.settings.prices.named)
+        return self._at_first
 
     def _info(self) -> dict[str, Any]:
         return {

@@ -16,6 +16,7 @@ from loose_env.gap import (
     BankSettings,
     LocalModels,
     battery,
+    brief_library,
     motion_library,
     read_servo_arm,
     signature_bank,
@@ -44,20 +45,20 @@ def make_model_gap(*, model: str | Path | None = None, **arguments: Any) -> Mode
     settings = ModelGapSettings(**arguments)
     path = SERVO_ARM if model is None else Path(model)
     models = _models(
-        str(path), settings.tolerance, settings.max_speed, tuple(settings.kinds), settings.short
+        str(path), settings.tolerance, settings.max_speed, tuple(settings.kinds), settings.library
     )
     return ModelGapEnv(models.bank, settings, models=models)
 
 
 @lru_cache(maxsize=4)
 def _models(
-    path: str, tolerance: float, max_speed: float, kinds: tuple[str, ...], short: bool
+    path: str, tolerance: float, max_speed: float, kinds: tuple[str, ...], library: str
 ) -> LocalModels:
     """Local models of an arm, shared by the environments of a process."""
     arm = read_servo_arm(path, tolerance=tolerance, max_speed=max_speed)
-    library = battery(arm) if short else motion_library(arm)
+    motions = {"whole": motion_library, "brief": brief_library, "battery": battery}[library](arm)
     settings = BankSettings(kinds=kinds or None)
-    bank = signature_bank(arm, library, settings, say=_say)
+    bank = signature_bank(arm, motions, settings, say=_say)
     return LocalModels(bank)
 
 

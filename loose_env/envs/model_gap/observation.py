@@ -8,8 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from loose_env.gap import Belief
-from loose_env.typing import Array
+from loose_env.gap import Belief, Outlook
 
 __all__ = ["GapObservation"]
 
@@ -27,7 +26,7 @@ class GapObservation:
     --------
     >>> layout = GapObservation(candidates=3, motions=2, ranks=5)
     >>> layout.size, layout.information
-    (32, slice(26, 28, None))
+    (34, slice(26, 28, None))
     """
 
     candidates: int
@@ -84,9 +83,14 @@ class GapObservation:
         return slice(self.taken.stop, self.taken.stop + self.motions)
 
     @property
+    def gain(self) -> slice:
+        """Expected gain in the reward of the best verdict by each motion (M)."""
+        return slice(self.information.stop, self.information.stop + self.motions)
+
+    @property
     def spent(self) -> slice:
         """Minutes of machine time, wear [s], motions over the most, log10 of the misfit (4)."""
-        return slice(self.information.stop, self.information.stop + 4)
+        return slice(self.gain.stop, self.gain.stop + 4)
 
     @property
     def size(self) -> int:
@@ -99,9 +103,9 @@ class GapObservation:
         return spaces.Box(-_MOST, _MOST, (self.size,), np.float32)
 
     def of(
-        self, belief: Belief, information: Array, spent: tuple[float, float, float]
+        self, belief: Belief, ahead: Outlook, spent: tuple[float, float, float]
     ) -> NDArray[np.float32]:
-        """Observation of a belief, the expected information (M,), and what was spent."""
+        """Observation of a belief, the outlook of the motions, and what was spent."""
         found = np.zeros(self.size)
         posterior = belief.posterior
         found[self.probability] = np.log10(np.maximum(posterior.marginal, _FLOOR))
@@ -116,6 +120,6 @@ class GapObservation:
         for motion, count in belief.counts.items():
             found[self.taken.start + motion] = count
             found[self.rest.start + motion] = belief.rest[motion] - 1.0
-        found[self.information] = information
+        found[self.information], found[self.gain] = ahead.information, ahead.gain
         found[self.spent] = (*spent, np.log10(posterior.misfit))
         return np.clip(found, -_MOST, _MOST).astype(np.float32)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 from loose_env.envs.model_gap.hidden_machine import MachineDraw
 from loose_env.gap import BeliefSettings
@@ -47,8 +47,15 @@ class GapPrices(Checked):
         self, named: tuple[str, ...], truth: tuple[str, ...], *, parameter_error: float
     ) -> float:
         """Reward of a verdict."""
+        reward = self.named(named, truth)
         if set(named) == set(truth):
-            return self.correct - self.parameter * min(parameter_error, 1.0) * bool(truth)
+            return reward - self.parameter * min(parameter_error, 1.0) * bool(truth)
+        return reward
+
+    def named(self, named: tuple[str, ...], truth: tuple[str, ...]) -> float:
+        """Reward of the names alone."""
+        if set(named) == set(truth):
+            return self.correct
         if named and set(named) < set(truth):
             return self.partly
         return self.wrong
@@ -73,8 +80,8 @@ class ModelGapSettings(Checked):
     kinds: Annotated[tuple[str, ...], _KINDS] = ()
     """Kinds of effect that are hidden and considered; none for the whole catalogue but those that
     the sensors cannot show."""
-    short: bool = False
-    """True for the three motions of the fixed battery only, False for the whole library."""
+    library: Literal["whole", "brief", "battery"] = "whole"
+    """Motions: the whole library; the brief ones and the fixed battery; the battery alone."""
     max_motions: Count = 12
     """Motions an episode may take; after the last one only a verdict is left."""
     ranks: Count = 5

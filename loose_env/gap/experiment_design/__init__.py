@@ -1,18 +1,15 @@
 """Choice of motions: experiments that tell candidate effects of an arm apart.
 
-Data flow: servo_arm -> motions -> library -> candidates -> sizing -> bank -> inference ->
-next_motion.
+Data flow: servo_arm -> motions -> library -> candidates -> sizing -> signatures -> bank ->
+inference -> next_motion.
 """
 
-from loose_env.gap.experiment_design.bank import (
-    MotionSignatures,
-    SignatureBank,
-    signature_bank,
-)
+from loose_env.gap.experiment_design.bank import SignatureBank, signature_bank
 from loose_env.gap.experiment_design.candidates import Ray, rays_of
 from loose_env.gap.experiment_design.inference.belief import Belief
 from loose_env.gap.experiment_design.inference.information import (
-    expected_information,
+    Outlook,
+    outlook,
     pair_gains,
 )
 from loose_env.gap.experiment_design.inference.local_models import LocalModels
@@ -25,12 +22,14 @@ from loose_env.gap.experiment_design.inference.posterior import (
 from loose_env.gap.experiment_design.library import (
     MotionCheck,
     battery,
+    brief_library,
     check_motion,
     motion_library,
     scaled_to_fit,
 )
 from loose_env.gap.experiment_design.motions import Motion
 from loose_env.gap.experiment_design.servo_arm import Sensing, ServoArm, read_servo_arm
+from loose_env.gap.experiment_design.signatures import MotionSignatures
 from loose_env.gap.experiment_design.sizing import BankSettings
 
 __all__ = [
@@ -43,15 +42,17 @@ __all__ = [
     "Motion",
     "MotionCheck",
     "MotionSignatures",
+    "Outlook",
     "Posterior",
     "Ray",
     "Sensing",
     "ServoArm",
     "SignatureBank",
     "battery",
+    "brief_library",
     "check_motion",
-    "expected_information",
     "motion_library",
+    "outlook",
     "pair_gains",
     "rays_of",
     "read_servo_arm",

@@ -12,34 +12,26 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.gap.experiment_design.candidates import Ray, rays_of
-from loose_env.gap.experiment_design.library import battery, check_motion
+from loose_env.gap.experiment_design.library import battery
 from loose_env.gap.experiment_design.motions import Motion
 from loose_env.gap.experiment_design.servo_arm import ServoArm
-from loose_env.gap.experiment_design.sizing import (
-    STEP,
-    BankSettings,
-    nuisance_columns,
-    residuals,
-    sized_rays,
-)
-from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.experiment_design.signatures import MotionSignatures, motion_signatures
+from loose_env.gap.experiment_design.sizing import BankSettings, SizedRays, sized_rays
 from loose_env.io import written_beside
 from loose_env.typing import Array
 
-__all__ = ["MotionSignatures", "SignatureBank", "signature_bank"]
+__all__ = ["SignatureBank", "signature_bank"]
 
-_FORMAT = "gap signatures 2"
+_FORMAT = "gap signatures 3"
 """Version of what is stored; a change of the computation changes it."""
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored banks."""
@@ -52,50 +44,51 @@ Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class MotionSignatures:
-    """Signatures on one motion, in its own directions.
-
-    V base vectors: the nominal parameters, the points of all rays, their shape derivatives.
-    """
-
-    basis: NDArray[np.float32]
-    """Orthonormal directions (n C, K)."""
-    nominal: NDArray[np.float32]
-    """Readings of the nominal model (n, C) [rad, m, N·m, N]."""
-    vectors: NDArray[np.float32]
-    """Base vectors (K, V)."""
-    outside: float
-    """Largest length of a base vector beyond the directions [noise standard deviations]."""
-
-    def projected(self, readings: Array, noise: Array) -> tuple[Array, float]:
-        """Residual of readings (n, C): its coordinates (K,) and the rms of the rest."""
-        residual = ((readings - self.nominal) / noise).ravel()
-        inside = self.basis.T @ residual
-        rest = float(residual @ residual - inside @ inside)
-        return np.asarray(inside), float(np.sqrt(max(rest, 0.0) / max(len(residual), 1)))
-
-
-@dataclass(frozen=True, eq=False)
 class SignatureBank:
     """Candidates of an arm, a library of motions, and the signatures of ones on the others."""
 
     arm: ServoArm
     library: tuple[Motion, ...]
     settings: BankSettings
-    rays: tuple[Ray, ...]
-    """Rays that can be seen on the battery."""
-    sizes: tuple[Array, ...]
-    """Sizes of each ray's linearisation points."""
-    visibilities: tuple[Array, ...]
-    """Visibilities there [noise standard deviations]."""
+    sized: SizedRays
+    """Rays that can be seen on the battery, with their sizes."""
     signatures: tuple[MotionSignatures, ...]
     """By motion."""
-    seconds: Array
-    """Machine time of each motion [s] (M,)."""
-    wear: Array
-    """Integral of the squared torque shares of each motion [s] (M,)."""
-    shape_columns: tuple[tuple[int, ...], ...] = field(default=())
-    """Base vectors of each ray's shape derivatives, at its middle point."""
+
+    @property
+    def rays(self) -> tuple[Ray, ...]:
+        """Rays that can be seen on the battery."""
+        return self.sized.rays
+
+    @property
+    def sizes(self) -> tuple[Array, ...]:
+        """Sizes of each ray's linearisation points."""
+        return self.sized.sizes
+
+    @property
+    def visibilities(self) -> tuple[Array, ...]:
+        """Visibilities there [noise standard deviations]."""
+        return self.sized.visibilities
+
+    @cached_property
+    def seconds(self) -> Array:
+        """Machine time of each motion [s] (M,)."""
+        return np.array([found.seconds for found in self.signatures])
+
+    @cached_property
+    def wear(self) -> Array:
+        """Integral of the squared torque shares of each motion [s] (M,)."""
+        return np.array([found.wear for found in self.signatures])
+
+    @cached_property
+    def shape_columns(self) -> tuple[tuple[int, ...], ...]:
+        """Base vectors of each ray's shape derivatives, at its middle point."""
+        at, found = self.nuisances + sum(map(len, self.sizes)), []
+        for ray in self.rays:
+            count = len(ray.shape_parameters)
+            found.append(tuple(range(at, at + count)))
+            at += count
+        return tuple(found)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -152,38 +145,48 @@ def signature_bank(
     reference : sequence of Motion, optional
         Motions on which sizes are sought; the fixed battery by default.
     cache : Path, optional
-        Folder of stored banks; None to store nothing. The name of a stored one is a digest of arm,
-        library, settings and format; its configuration lies beside it as JSON.
+        Folder of stored banks; None to store nothing. A bank is a folder in it, named by a digest
+        of arm, candidates, settings and format, with these as JSON. Each motion is a file of its
+        own: a computation that was cut short goes on, and a library may grow.
     say : callable, optional
         Receives lines of progress.
     """
-    settings = settings or BankSettings()
+    settings, say = settings or BankSettings(), say or (lambda words: None)
+    found = rays_of(arm, settings.kinds)
     configuration: dict[str, object] = {
         "format": _FORMAT,
         "arm": arm.key,
         "settings": asdict(settings),
-        "rays": [
-            [ray.name, ray.effect.variant, *ray.start.tolist()]
-            for ray in rays_of(arm, settings.kinds)
-        ],
-        "library": [asdict(motion) for motion in library],
+        "rays": [[ray.name, ray.effect.variant, *ray.start.tolist()] for ray in found],
     }
     if reference is not None:
         configuration["reference"] = [asdict(motion) for motion in reference]
     text = json.dumps(configuration, sort_keys=True, indent=1)
-    key = hashlib.sha256(text.encode()).hexdigest()[:16]
-    file = None if cache is None else Path(cache) / f"{key}.npz"
-    if file is not None and file.is_file():
-        stored = _read(file, arm, tuple(library), settings)
-        if stored is not None:
-            return _distinct(stored)
-    sized_on = battery(arm) if reference is None else tuple(reference)
-    bank = _computed(arm, tuple(library), sized_on, settings, say or (lambda words: None))
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        written_beside(file, lambda path: _write(path, bank))
-        written_beside(file.with_suffix(".json"), lambda path: path.write_text(text))
-    return _distinct(bank)
+    folder = None if cache is None else Path(cache) / _digest(text)
+    sized = SizedRays.read(folder / "sizes.npz", found) if folder else None
+    if sized is None:
+        sized_on = battery(arm) if reference is None else tuple(reference)
+        sized = sized_rays(arm, found, sized_on, settings, say)
+        if folder is not None:
+            written_beside(folder / "bank.json", lambda path: path.write_text(text))
+            sized.write(folder / "sizes.npz")
+    if not sized.rays:
+        raise InvalidData("no candidate effect can be seen on the battery of this arm")
+    signatures = []
+    for k, motion in enumerate(library):
+        file = folder / f"{_digest(json.dumps(asdict(motion)))}.npz" if folder else None
+        own = MotionSignatures.read(file) if file else None
+        if own is None:
+            say(f"signatures, motion {k + 1} of {len(library)}: {motion.description}")
+            own = motion_signatures(arm, motion, sized, settings.rank)
+            if file is not None:
+                own.write(file)
+        signatures.append(own)
+    return _distinct(SignatureBank(arm, tuple(library), settings, sized, tuple(signatures)))
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _distinct(bank: SignatureBank) -> SignatureBank:
@@ -215,151 +218,7 @@ def _distinct(bank: SignatureBank) -> SignatureBank:
     for k in kept:
         columns += range(bank.point(k, 0), bank.point(k, 0) + len(bank.sizes[k]))
     columns += [column for k in kept for column in bank.shape_columns[k]]
-    rays, sizes = tuple(bank.rays[k] for k in kept), tuple(bank.sizes[k] for k in kept)
     return replace(
-        bank, rays=rays, sizes=sizes,
-        visibilities=tuple(bank.visibilities[k] for k in kept),
+        bank, sized=bank.sized.only(kept),
         signatures=tuple(replace(s, vectors=s.vectors[:, columns]) for s in bank.signatures),
-        shape_columns=_shape_columns(rays, bank.arm, sizes),
     )  # fmt: skip
-
-
-def _write(path: Path, bank: SignatureBank) -> None:
-    which = [_key(ray) for ray in bank.rays]
-    arrays: dict[str, NDArray[Any]] = {
-        "rays": np.array(which),
-        "points": np.array([len(own) for own in bank.sizes]),
-        "sizes": np.concatenate(bank.sizes),
-        "visibilities": np.concatenate(bank.visibilities),
-        "seconds": bank.seconds,
-        "wear": bank.wear,
-    }
-    for k, found in enumerate(bank.signatures):
-        arrays |= {
-            f"basis{k}": found.basis,
-            f"nominal{k}": found.nominal,
-            f"vectors{k}": found.vectors,
-            f"outside{k}": np.array(found.outside),
-        }
-    with path.open("wb") as out:
-        np.savez(out, **arrays)  # type: ignore[arg-type]
-
-
-def _key(ray: Ray) -> str:
-    return json.dumps([ray.name, ray.effect.variant, *np.round(ray.start, 9).tolist()])
-
-
-def _read(
-    file: Path, arm: ServoArm, library: tuple[Motion, ...], settings: BankSettings
-) -> SignatureBank | None:
-    """A stored bank; None if it cannot be read, such as one cut short."""
-    try:
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as stored:
-            found = {name: stored[name] for name in stored.files}
-        every = {_key(ray): ray for ray in rays_of(arm, settings.kinds)}
-        rays = tuple(every[str(name)] for name in found["rays"])
-        signatures = tuple(
-            MotionSignatures(
-                found[f"basis{k}"],
-                found[f"nominal{k}"],
-                found[f"vectors{k}"],
-                float(found[f"outside{k}"]),
-            )
-            for k in range(len(library))
-        )
-        ends = np.cumsum(found["points"])[:-1]
-        sizes, seen = (tuple(np.split(found[of], ends)) for of in ("sizes", "visibilities"))
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        return None
-    return SignatureBank(
-        arm, library, settings, rays, sizes, seen, signatures, found["seconds"], found["wear"],
-        _shape_columns(rays, arm, sizes),
-    )  # fmt: skip
-
-
-def _shape_columns(
-    rays: Sequence[Ray], arm: ServoArm, sizes: Sequence[Array]
-) -> tuple[tuple[int, ...], ...]:
-    at = len(arm.nominal.entries) + sum(map(len, sizes))
-    found = []
-    for ray in rays:
-        count = len(ray.shape_parameters)
-        found.append(tuple(range(at, at + count)))
-        at += count
-    return tuple(found)
-
-
-def _computed(
-    arm: ServoArm,
-    library: tuple[Motion, ...],
-    reference: tuple[Motion, ...],
-    settings: BankSettings,
-    say: Say,
-) -> SignatureBank:
-    rays, sizes, seen = sized_rays(arm, rays_of(arm, settings.kinds), reference, settings, say)
-    if not rays:
-        raise InvalidData("no candidate effect can be seen on the battery of this arm")
-    signatures, seconds, wear = [], [], []
-    for k, motion in enumerate(library):
-        say(f"signatures, motion {k + 1} of {len(library)}: {motion.description}")
-        checked = check_motion(motion, arm)
-        seconds.append(checked.seconds)
-        wear.append(checked.wear)
-        signatures.append(_of_motion(arm, motion.commands(arm), rays, sizes, settings))
-    return SignatureBank(
-        arm, library, settings, rays, sizes, seen, tuple(signatures), np.array(seconds),
-        np.array(wear), _shape_columns(rays, arm, sizes),
-    )  # fmt: skip
-
-
-def _of_motion(
-    arm: ServoArm,
-    commands: Array,
-    rays: Sequence[Ray],
-    sizes: Sequence[Array],
-    settings: BankSettings,
-) -> MotionSignatures:
-    base = residuals(arm, commands, [Hypothesis()])[0]
-    columns: list[NDArray[Any]] = [nuisance_columns(arm, commands, base)]
-    points = [
-        ray.hypothesis(ray.values(float(size)))
-        for ray, own in zip(rays, sizes, strict=True)
-        for size in own
-    ]
-    moved = np.array(residuals(arm, commands, points), dtype=np.float32)
-    shaped, origins, begun = [], [], 0
-    for ray, own in zip(rays, sizes, strict=True):
-        middle = len(own) // 2
-        for which in range(len(ray.shape_parameters)):
-            off = np.zeros(len(ray.shape_parameters))
-            off[which] = STEP
-            shaped.append(ray.hypothesis(ray.values(float(own[middle]), off)))
-            origins.append(begun + middle)
-        begun += len(own)
-    columns.append((moved - base).T)
-    if shaped:
-        there = np.array(residuals(arm, commands, shaped), dtype=np.float32)
-        columns.append(((there - moved[origins]) / STEP).T)
-    vectors = np.nan_to_num(np.concatenate(columns, axis=1)).astype(np.float32)
-    vectors = np.clip(vectors, -1e5, 1e5)
-    basis = _basis(vectors, settings.rank)
-    inside = basis.T @ vectors
-    outside = np.sqrt(np.maximum(np.sum(vectors**2, axis=0) - np.sum(inside**2, axis=0), 0.0))
-    nominal = (base.reshape(-1, len(arm.channels)) * arm.noise).astype(np.float32)
-    return MotionSignatures(basis, nominal, inside.astype(np.float32), float(outside.max()))
-
-
-def _basis(vectors: NDArray[np.float32], rank: int) -> NDArray[np.float32]:
-    """Orthonormal directions of base vectors, the large ones bounded in weight (N, K).
-
-    A randomised range finder with one power iteration (Halko, Martinsson and Tropp, SIAM Review 53,
-    2011, 217).
-    """
-    lengths = np.linalg.norm(vectors, axis=0)
-    weighted = vectors / np.sqrt(np.maximum(lengths, 1.0))
-    rng = np.random.default_rng(0)
-    count = min(rank + 20, weighted.shape[0], weighted.shape[1])
-    first = weighted @ rng.normal(size=(weighted.shape[1], count)).astype(np.float32)
-    rough = np.linalg.qr(weighted @ (weighted.T @ np.linalg.qr(first)[0]))[0]
-    left, _, _ = np.linalg.svd(rough.T @ weighted, full_matrices=False)
-    return np.asarray((rough @ left)[:, :rank], dtype=np.float32)

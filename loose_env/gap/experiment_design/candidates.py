@@ -31,8 +31,9 @@ EXCLUDED = (
 )
 """Kinds that are no candidates of encoders and torque sensors on the drives' side: looseness needs
 an accelerometer beyond the joint; play under a load that keeps its side shows the stiffness of its
-stops alone; quantisation changes nothing but the noise; the torque constant acts where torque is
-compared with motion; limits do nothing until they are reached, which no linear model describes."""
+stops alone (named as a kind, it is one); quantisation changes nothing but the noise; the torque
+constant acts where torque is compared with motion; limits do nothing until they are reached, which
+no linear model describes."""
 _AXES = ("base_compliance", "link_flexibility")
 """Kinds whose variants are directions in the arm; those of others are richer laws of one effect,
 of which the plain one is a candidate."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -12,7 +14,14 @@ from loose_env.gap.experiment_design.motions import Motion
 from loose_env.gap.experiment_design.servo_arm import ServoArm
 from loose_env.typing import Array
 
-__all__ = ["MotionCheck", "battery", "check_motion", "motion_library", "scaled_to_fit"]
+__all__ = [
+    "MotionCheck",
+    "battery",
+    "brief_library",
+    "check_motion",
+    "motion_library",
+    "scaled_to_fit",
+]
 
 _TORQUE_SHARE = 0.8
 """Share of a torque limit that a motion may take in the nominal model."""
@@ -170,17 +179,19 @@ def loaded_poses(arm: ServoArm) -> tuple[Array, Array]:
     return found[int(np.argmin(loads))], found[int(np.argmax(loads))]
 
 
-def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
+def motion_library(arm: ServoArm, *, brief: bool = True) -> tuple[Motion, ...]:
     """Motions of an arm that fit its limits.
 
     For each joint: slow triangles under small and large load, several constant speeds, a chirp
     and steps. For all joints together: multisines, chirps, random excitations,
-    steps, triangles and poses held, under small and large load.
+    steps, triangles and poses held, under small and large load; and brief ones of each kind.
 
     Parameters
     ----------
     arm : ServoArm
         The arm.
+    brief : bool
+        False without the brief motions: excitations of 0.5 to 3 s.
 
     Returns
     -------
@@ -211,7 +222,19 @@ def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
         Motion(kind="chirp", joints=every, amplitude=0.2, speed=0.8, highest=20.0),
         Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=9),
         Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=3, seconds=1.5),
+        *(_brief_motions(every) if brief else ()),
     ]  # fmt: skip
+    return _fitting(wanted, arm)
+
+
+def brief_library(arm: ServoArm) -> tuple[Motion, ...]:
+    """Brief motions of an arm and its battery: a library of few motions, soon computed."""
+    every = tuple(range(len(arm.joints)))
+    return _fitting([*battery(arm), *_brief_motions(every)], arm)
+
+
+def _fitting(wanted: Sequence[Motion], arm: ServoArm) -> tuple[Motion, ...]:
+    """Motions that fit the limits of an arm, reduced where need be, each once."""
     fitting = []
     for motion in wanted:
         try:
@@ -223,6 +246,29 @@ def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
             "no motion fits the arm: its home pose touches something or takes its torque limits"
         )
     return tuple(dict.fromkeys(fitting))
+
+
+def _brief_motions(every: tuple[int, ...]) -> tuple[Motion, ...]:
+    """Excitations of 0.5 to 3 s about home: a second motion need not cost the way to a pose.
+
+    A servo settles in a tenth of a second.
+    """
+    brief = partial(Motion, joints=every, pause=0.1)
+    noise = partial(brief, kind="random", speed=1.8)
+    return (
+        noise(amplitude=0.5, seconds=0.5, seed=3),
+        noise(amplitude=0.5, seconds=1.0, seed=3),
+        noise(amplitude=0.5, seconds=1.0, seed=9),
+        noise(amplitude=0.6, seconds=1.5, seed=9, highest=2.5),
+        noise(amplitude=0.6, seconds=2.5, seed=5, highest=2.0),
+        brief(kind="multisine", amplitude=0.4, speed=1.8, seconds=1.5),
+        brief(kind="chirp", amplitude=0.3, speed=1.2, seconds=1.5, highest=20.0),
+        brief(kind="steps", amplitude=0.06, speed=1.5, seconds=1.0),
+        brief(kind="holds", amplitude=0.5, speed=1.8, seconds=2.0, seed=1),
+        brief(kind="holds", amplitude=0.7, speed=1.8, seconds=3.0, seed=2),
+        brief(kind="slow_triangle", amplitude=0.1, speed=0.3, seconds=1.5),
+        brief(kind="constant_speed", amplitude=0.5, speed=1.2, seconds=2.0),
+    )
 
 
 def battery(arm: ServoArm) -> tuple[Motion, ...]:

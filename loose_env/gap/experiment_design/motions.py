@@ -20,8 +20,6 @@ MotionKind = Literal[
 """Kinds of excitation."""
 _RAMP = 0.25
 """Fade of an excitation at either end [s]."""
-_PAUSE = 0.3
-"""Rest at home, and in the centre pose, before and after [s]."""
 _STEP_S = 0.04
 """Time that a step takes [s]: what a servo's controller lets through."""
 _LOWEST = 0.5
@@ -56,6 +54,8 @@ class Motion:
     """Highest frequency of chirps, multisines and random excitation [Hz]."""
     centre: tuple[float, ...] | None = None
     """Pose about which it moves [rad, m] (J,); None for home. It sets the load by gravity."""
+    pause: float = 0.3
+    """Rest at home, and in the centre pose, before and after [s]."""
     seed: int = 0
     """Seed of a random excitation and of poses that are held."""
 
@@ -78,6 +78,7 @@ class Motion:
             ("speed", "rad/s"),
             ("seconds", "s"),
             ("highest", "Hz"),
+            ("pause", "s"),
         ):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
@@ -123,7 +124,7 @@ class Motion:
             off = unit[joint] * shape
             fastest = float(np.max(np.abs(np.diff(off)))) * rate
             excited[:, joint] += off * min(1.0, arm.speed_limits[joint] / max(fastest, 1e-12))
-        pause = round(_PAUSE * rate)
+        pause = round(self.pause * rate)
         parts = [np.tile(arm.home, (pause, 1))]
         if self.centre is not None:
             there = _way(arm.home, centre, arm.speed_limits, rate)

@@ -275,10 +275,15 @@ class ServoArm:
         list of ndarray (n, 2 J)
             Positions and torques; NaN where a simulation diverged.
         """
-        simulator = Simulator(self.machine, [self._trial(commands)], self.channels, threads=1)
+        return self.simulate_motions(hypotheses, [commands])[0]
 
-        def predicted(each: Sequence[Hypothesis]) -> list[Array]:
-            return [found[0] for found in simulator.predict(each)]
+    def simulate_motions(
+        self, hypotheses: Sequence[Hypothesis], motions: Sequence[Array]
+    ) -> list[list[Array]]:
+        """Simulate the noise-free readings of several motions, by motion and by hypothesis."""
+        trials = [self._trial(commands) for commands in motions]
+        simulator = Simulator(self.machine, trials, self.channels, threads=1)
+        predicted = simulator.predict
 
         readings = predicted(hypotheses)
         within = [
@@ -294,8 +299,8 @@ class ServoArm:
             for k, each in zip(within, plain, strict=True)
         ]
         for k, at, of in zip(within, predicted(plain), predicted(alike), strict=True):
-            readings[k] = readings[k] - of + at
-        return readings
+            readings[k] = [y - b + a for y, b, a in zip(readings[k], of, at, strict=True)]
+        return [[found[k] for found in readings] for k in range(len(motions))]
 
     def _trial(self, commands: Array) -> Trial:
         count = len(commands)

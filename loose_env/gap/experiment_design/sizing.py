@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -11,9 +14,10 @@ from loose_env.gap.experiment_design.candidates import Ray
 from loose_env.gap.experiment_design.motions import Motion
 from loose_env.gap.experiment_design.servo_arm import ServoArm
 from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.io import written_beside
 from loose_env.typing import Array
 
-__all__ = ["STEP", "BankSettings", "nuisance_columns", "residuals", "sized_rays"]
+__all__ = ["STEP", "BankSettings", "SizedRays", "nuisance_columns", "residuals", "sized_rays"]
 
 STEP = 0.3
 """Step of a derivative by a nominal parameter over the tolerance, and by a shape parameter over its
@@ -49,6 +53,57 @@ class BankSettings:
     """Directions that are kept of each motion."""
 
 
+@dataclass(frozen=True, eq=False)
+class SizedRays:
+    """Rays with the sizes at which they are linearised."""
+
+    rays: tuple[Ray, ...]
+    sizes: tuple[Array, ...]
+    """Sizes of each ray's points."""
+    visibilities: tuple[Array, ...]
+    """Visibilities there [noise standard deviations]."""
+
+    def only(self, kept: Sequence[int]) -> SizedRays:
+        """Those of some indices."""
+        return SizedRays(
+            tuple(self.rays[k] for k in kept),
+            tuple(self.sizes[k] for k in kept),
+            tuple(self.visibilities[k] for k in kept),
+        )
+
+    def write(self, path: Path) -> None:
+        """Write them to an .npz file."""
+
+        def stored(beside: Path) -> None:
+            with beside.open("wb") as out:
+                np.savez(
+                    out,
+                    rays=np.array([_key(ray) for ray in self.rays]),
+                    points=np.array([len(own) for own in self.sizes]),
+                    sizes=np.concatenate(self.sizes),
+                    visibilities=np.concatenate(self.visibilities),
+                )
+
+        written_beside(path, stored)
+
+    @classmethod
+    def read(cls, path: Path, rays: Sequence[Ray]) -> SizedRays | None:
+        """Stored ones among some rays; None where there are none, or none that can be read."""
+        every = {_key(ray): ray for ray in rays}
+        try:
+            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as stored:
+                ends = np.cumsum(stored["points"])[:-1]
+                sizes, seen = (np.split(stored[k], ends) for k in ("sizes", "visibilities"))
+                shown = tuple(every[str(key)] for key in stored["rays"])
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+            return None
+        return cls(shown, tuple(sizes), tuple(seen))
+
+
+def _key(ray: Ray) -> str:
+    return json.dumps([ray.name, ray.effect.variant, *np.round(ray.start, 9).tolist()])
+
+
 def residuals(arm: ServoArm, commands: Array, hypotheses: Sequence[Hypothesis]) -> list[Array]:
     """Readings in noise standard deviations, flat (n C,), of hypotheses in small batches."""
     found = []
@@ -77,8 +132,8 @@ def sized_rays(
     reference: Sequence[Motion],
     settings: BankSettings,
     say: Say,
-) -> tuple[tuple[Ray, ...], tuple[Array, ...], tuple[Array, ...]]:
-    """Rays that can be seen, sizes of their points and visibilities there, by ray."""
+) -> SizedRays:
+    """Rays that can be seen, with the sizes of their points and visibilities there."""
     motions = [motion.commands(arm) for motion in reference]
     bases = [residuals(arm, commands, [Hypothesis()])[0] for commands in motions]
     columns = [nuisance_columns(arm, c, b) for c, b in zip(motions, bases, strict=True)]
@@ -137,7 +192,7 @@ def sized_rays(
         found = np.array([visibility(s, [shown[k] for k in curved]) for s in np.array(finer).T])
         for k, ends, values in zip(curved, finer, found.T, strict=True):
             own[k], their[k] = ends, np.nan_to_num(values)
-    return tuple(shown), tuple(own), tuple(their)
+    return SizedRays(tuple(shown), tuple(own), tuple(their))
 
 
 def _next_size(tried: Sequence[tuple[Array, Array]], target: Array) -> Array:

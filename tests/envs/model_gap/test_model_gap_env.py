@@ -1,18 +1,24 @@
 """loose_env/Gap-v0 keeps Gymnasium's contract, and its rewards are as documented."""
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium
+import mujoco
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from loose_agents.policies.model_gap import GAP_AGENTS, GapAgent
 
+from loose_env.arms import SIX_AXIS_SERVO_ARM, six_axis
 from loose_env.envs import GapPrices, ModelGapEnv, ModelGapSettings
 from loose_env.errors import InvalidAction, UnknownName
+from loose_env.gap import BankSettings, brief_library, read_servo_arm, signature_bank
 from loose_env.registration import GAP_ID
 from tests.gap.experiment_design.small_bank import small_bank, small_models
+
+UR5E = Path(__file__).parents[4] / "shared" / "models" / "ur5e_bare.xml"
 
 
 def env(**settings: Any) -> ModelGapEnv:
@@ -90,6 +96,41 @@ def test_agents_find_a_large_effect(rule: str) -> None:
 
     assert info["success"] and info["probability"] > 0.8
     assert 1 <= info["motions"] <= 4
+
+
+@pytest.mark.parametrize("file", [SIX_AXIS_SERVO_ARM, UR5E], ids=["six_axis", "ur5e"])
+def test_arms_of_six_axes_have_episodes(file: Path) -> None:
+    if not file.is_file():
+        pytest.skip("the model lies beside the repository, not in it")
+    arm = read_servo_arm(file)
+    motions = brief_library(arm)[3:5]
+    settings = BankSettings(kinds=("viscous_friction",), points=2, rank=40)
+    bank = signature_bank(arm, motions, settings, reference=motions[:1], cache=None)
+    made = ModelGapEnv(bank)
+    hidden = bank.names[0]
+
+    made.reset(seed=1, options={"names": [hidden]})
+    for motion in (0, 1):
+        observation, *_ = made.step(motion)
+
+    assert len(arm.joints) == 6 and len(bank.names) == 6
+    assert made.belief.posterior.best.names == (hidden,)
+    assert made.observation_space.contains(observation)
+
+
+def test_the_six_axis_servo_arm_is_the_six_axis_arm() -> None:
+    pose = np.array([0.3, -0.9, 1.9, 0.4, 0.6, 0.2])
+    found = []
+    for spec in (read_servo_arm(SIX_AXIS_SERVO_ARM).spec, six_axis().spec):
+        model = spec.copy().compile()
+        data, mass = mujoco.MjData(model), np.zeros((6, 6))
+        data.qpos[:] = pose
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, mass)
+        found.append((mass, data.qfrc_bias.copy(), model.dof_damping.copy()))
+
+    for one, other in zip(*found, strict=True):
+        assert one == pytest.approx(other, rel=1e-2, abs=1e-3)
 
 
 def test_bad_input_is_told_what_is_allowed() -> None:

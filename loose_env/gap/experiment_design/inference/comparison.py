@@ -9,11 +9,12 @@ decides; their probability together is that of the screening.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from loose_env.gap.experiment_design.inference.exact_fit import ExactFit, Spent
+from loose_env.gap.experiment_design.inference.exact_fit import ExactFit
 from loose_env.gap.experiment_design.inference.expansion import (
     Data,
     Solution,
@@ -35,6 +36,7 @@ from loose_env.gap.experiment_design.inference.screening import (
     log_prior,
     screened,
 )
+from loose_env.gap.experiment_design.inference.simulations import Simulations
 
 __all__ = ["Comparison"]
 
@@ -93,7 +95,7 @@ class Comparison:
         eta, count = self.settings.linearisation, self.models.bank.nuisances
         about = equations(self.models, data, nominal(self.models, data), eta, count)
         first = screened(self.models, about, self.settings)
-        return _Round(self, data, first, Spent(simulations))
+        return _Round(self, data, first, Simulations(self.models, simulations))
 
     def begun(self, data: Data, own: tuple[int, ...]) -> ExactFit:
         """Exact fit of local models, begun at their fit by the bank's signatures.
@@ -135,24 +137,26 @@ class _Family:
 class _Round:
     """Comparison after one motion."""
 
-    def __init__(self, state: Comparison, data: Data, first: ScreenedSets, spent: Spent) -> None:
-        self.state, self.data, self.first, self.spent = state, data, first, spent
+    def __init__(
+        self, state: Comparison, data: Data, first: ScreenedSets, simulations: Simulations
+    ) -> None:
+        self.state, self.data, self.first, self.simulations = state, data, first, simulations
         self.models, self.settings = state.models, state.settings
         self.fitted: dict[Members, _Compared] = {}
         self.families: dict[int, _Family] = {}
         self.misfit, self.excess = first.misfit, 0.0
         self._steps: Counter[tuple[int, ...]] = Counter()
         self._anew: set[Members] = set()
-        evidence = first.evidence
-        self._single = {
-            (int(self.models.candidate[h]),): (int(h),) for h in np.argsort(evidence)
-        }  # the best local model of each candidate, the last one written
+        self._begun: dict[tuple[int, ...], ExactFit] = {}
+        candidate = self.models.candidate  # the last one written is the best local model of each
+        self._single = {(int(candidate[h]),): (int(h),) for h in np.argsort(first.evidence)}
 
     def run(self) -> None:
         """Fit sets exactly until the leading ones are, or the simulations are spent."""
+        self._simulate_ahead([self.state.fits.get(self._key(own)) for own in self.state.carried])
         for own in self.state.carried:
             self._fit(own, _WITHIN)
-        while self.spent.left > 0:
+        while self.simulations.left > 0:
             following = self._next()
             if following is None:
                 break
@@ -186,7 +190,7 @@ class _Round:
         assert best.fit is not None
         if self.misfit > 1 or not best.own or not (blunt := best.fit[0].blunt(self.data)):
             return
-        best.fit[0].sharpen(blunt, self.spent)
+        best.fit[0].sharpen(blunt, self.simulations)
         self._score(best.own, best.fit[0])
         for _ in range(_POLISHED):
             if best.fit[0].unsettled(self.data) > _BEST_WITHIN:
@@ -214,21 +218,38 @@ class _Round:
                 return each.own, within
         shares, compared = self._shares(self.misfit), self._compared()
         leading = [m for m in sorted(shares, key=lambda m: -shares[m]) if shares[m] >= _OPEN]
+        wanted: list[tuple[int, ...]] = []
         for members in leading:
-            for own in self._alone(members):
-                if not self._steps[self._key(own)]:
-                    return own, _WITHIN
+            wanted += self._alone(members)
             if members not in self.fitted:
-                own = compared[members].own if members in compared else self.first.best[members]
-                if not self._steps[self._key(own)]:
-                    return own, _WITHIN
+                known = members in compared
+                wanted.append(compared[members].own if known else self.first.best[members])
         if self.misfit > 1:
             evidence = self.first.evidence
             alone = sorted(self._single.values(), key=lambda own: -evidence[own[0]])
-            for own in alone[:_SINGLES]:
-                if not self._steps[self._key(own)]:
-                    return own, _WITHIN
-        return None
+            wanted += alone[:_SINGLES]
+        wanted = [own for own in dict.fromkeys(wanted) if not self._steps[self._key(own)]]
+        if not wanted:
+            return None
+        self._begin(wanted)
+        return wanted[0], _WITHIN
+
+    def _begin(self, wanted: Sequence[tuple[int, ...]]) -> None:
+        """Begin the fits of single effects that are wanted, and simulate them together."""
+        keys = {self._key(own): own for own in wanted if len(own) == 1}
+        for key in keys.keys() - self.state.fits.keys() - self._begun.keys():
+            self._begun[key] = self.state.begun(self.data, keys[key])
+        if self._key(wanted[0]) in self._begun:
+            self._simulate_ahead([self._begun[key] for key in keys if key in self._begun])
+
+    def _simulate_ahead(self, fits: Sequence[ExactFit | None]) -> None:
+        """Simulate the motions that some fits lack, together."""
+        lacking: dict[tuple[int, ...], list[ExactFit]] = {}
+        for fit in fits:
+            if fit is not None and not fit.diverged and (new := fit.lacks(self.data)):
+                lacking.setdefault(tuple(new), []).append(fit)
+        for motions, own in lacking.items():
+            self.simulations.ahead(motions, [fit.hypothesis(fit.parameters) for fit in own])
 
     def _alone(self, members: Members) -> list[tuple[int, ...]]:
         """Members of a pair alone, the better one first, but those that fell behind."""
@@ -240,11 +261,11 @@ class _Round:
 
     def _fit(self, own: tuple[int, ...], within: float) -> None:
         state, key = self.state, self._key(own)
-        fit = state.fits.get(key) or state.begun(self.data, own)
+        fit = state.fits.get(key) or self._begun.pop(key, None) or state.begun(self.data, own)
         state.fits[key] = fit
         self._steps[key] += 1
         if not fit.diverged:
-            fit.step(self.data, self.spent, within)
+            fit.step(self.data, self.simulations, within)
         if fit.diverged:
             return
         self._score(own, fit)

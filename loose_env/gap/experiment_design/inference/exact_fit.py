@@ -25,10 +25,11 @@ from loose_env.gap.experiment_design.inference.local_models import (
     parabola,
 )
 from loose_env.gap.experiment_design.inference.posterior import BeliefSettings, EffectEstimate
+from loose_env.gap.experiment_design.inference.simulations import Simulations
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.typing import Array
 
-__all__ = ["ExactFit", "Spent"]
+__all__ = ["ExactFit"]
 
 _REACH, _SHRINK = 1.2, 0.4
 """Largest step in the logarithm of a size, and its factor after a step that made the fit worse."""
@@ -44,13 +45,6 @@ _WITHIN, _SHAPES_WITHIN = 1.7, 3.0
 """Bounds of nominal parameters (the tolerance) and of shape parameters [prior sd]."""
 _BELOW, _ABOVE = 0.1, 3.0
 """Bounds of a size over the smallest and largest of the bank."""
-
-
-@dataclass
-class Spent:
-    """Simulations that are left."""
-
-    left: int
 
 
 @dataclass(eq=False)
@@ -157,40 +151,32 @@ class ExactFit:
             factors=1 + sds * parameters[: bank.nuisances],
         )
 
-    def _simulated(self, motion: int, parameters: Array, spent: Spent) -> list[Array | None]:
-        """Projected readings at each of some parameters (n, D); None where one diverged."""
-        bank = self.models.bank
-        spent.left -= len(parameters)
-        commands = bank.library[motion].commands(bank.arm)
-        found = bank.arm.simulate([self.hypothesis(each) for each in parameters], commands)
-        signatures = bank.signatures[motion]
-        return [
-            signatures.projected(readings, bank.arm.noise)[0]
-            if np.isfinite(readings).all()
-            else None
-            for readings in found
-        ]
+    def lacks(self, data: Data) -> list[int]:
+        """Measured motions that are not simulated yet."""
+        return [motion for motion in data if motion not in self.about]
 
     def solution(self, data: Data) -> Solution:
         """Least squares about the latest simulations."""
         return solve(data, self.about, self.settings.linearisation, len(self.parameters))
 
-    def step(self, data: Data, spent: Spent, within: float) -> None:
+    def step(self, data: Data, simulations: Simulations, within: float) -> None:
         """Simulate motions that are new; if there are none, take one step of the fit.
 
         Parameters
         ----------
         data : mapping
             Measured motions.
-        spent : Spent
+        simulations : Simulations
             Simulations, counted down.
         within : float
             Change of a motion's readings by the step [noise standard deviations] above which it is
             simulated again; that with the largest change is in any case.
         """
-        new = [motion for motion in data if motion not in self.about]
+        new = self.lacks(data)
+        here = self.hypothesis(self.parameters)
+        simulations.ahead(new, [here])
         for motion in new:
-            found = self._simulated(motion, self.parameters[None], spent)[0]
+            found = simulations.readings(motion, [here])[0]
             if found is None:
                 self.diverged = True
                 return
@@ -204,7 +190,7 @@ class ExactFit:
         blunt = [k for k in far if k not in self._sloped]
         if self._slow and blunt:
             for motion in blunt:
-                self._difference(motion, [], spent)
+                self._difference(motion, [], simulations)
             self._slow = False
             return
         way = target - self.parameters
@@ -213,13 +199,13 @@ class ExactFit:
         )
         step = min(1.0, self._reach / max(longest, 1e-9))
         tried = self._bounded(self.parameters + step * way)
-        if self._moved(data, far, tried, spent):
+        if self._moved(data, far, tried, simulations):
             self.parameters = tried
         else:
             self._reach = _SHRINK * min(longest * step, self._reach)
         self._slow = self.unsettled(data) > _SLOW * before
 
-    def sharpen(self, motions: Iterable[int], spent: Spent) -> None:
+    def sharpen(self, motions: Iterable[int], simulations: Simulations) -> None:
         """Replace the derivatives of motions by differences of simulations.
 
         Those by sizes and shapes, and by the nominal parameters that resemble one of them: of a
@@ -232,17 +218,18 @@ class ExactFit:
             own = jacobian[:, first:]
             along = jacobian[:, :first].T @ (own / (np.linalg.norm(own, axis=0) + 1e-9))
             alike = np.flatnonzero((np.abs(along) > _RESEMBLES).any(axis=1))
-            self._difference(motion, alike.tolist(), spent)
+            self._difference(motion, alike.tolist(), simulations)
             self._sharp.add(motion)
 
-    def _difference(self, motion: int, nuisances: Sequence[int], spent: Spent) -> None:
+    def _difference(self, motion: int, nuisances: Sequence[int], simulations: Simulations) -> None:
         """Derivatives of a motion by some nominal parameters and all sizes and shapes."""
         about = self.about[motion]
         which = [*nuisances, *range(self.models.bank.nuisances, len(self.parameters))]
         steps = np.where(about.at[which] > 0, -_DIFFERENCE, _DIFFERENCE)  # off the bounds
         moved = about.at + np.eye(len(about.at))[which] * steps[:, None]
         jacobian = about.jacobian.copy()
-        for k, step, found in zip(which, steps, self._simulated(motion, moved, spent), strict=True):
+        simulated = simulations.readings(motion, [self.hypothesis(each) for each in moved])
+        for k, step, found in zip(which, steps, simulated, strict=True):
             if found is not None:
                 jacobian[:, k] = (found - about.readings) / step
         self.about[motion] = replace(about, jacobian=jacobian)
@@ -270,12 +257,16 @@ class ExactFit:
         about = self.about[motion]
         return float(np.linalg.norm(about.jacobian @ (target - about.at)))
 
-    def _moved(self, data: Data, far: Sequence[int], tried: Array, spent: Spent) -> bool:
+    def _moved(
+        self, data: Data, far: Sequence[int], tried: Array, simulations: Simulations
+    ) -> bool:
         """Simulate motions at new parameters; whether the fit got better there.
 
         The derivatives learn from it in any case.
         """
-        found = {k: self._simulated(k, tried[None], spent)[0] for k in far}
+        there = self.hypothesis(tried)
+        simulations.ahead(far, [there])
+        found = {k: simulations.readings(k, [there])[0] for k in far}
         before, after = float(self.parameters @ self.parameters), float(tried @ tried)
         for motion, readings in found.items():
             if readings is None:

@@ -1,8 +1,10 @@
-"""Expected information of motions between the hypotheses that are still open."""
+"""Expected information and value of motions between the hypotheses that are still open."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -10,49 +12,68 @@ from loose_env.gap.experiment_design.inference.belief import Belief
 from loose_env.gap.experiment_design.inference.expansion import linear_fit, nominal
 from loose_env.typing import Array
 
-__all__ = ["expected_information", "pair_gains"]
+__all__ = ["Outlook", "outlook", "pair_gains", "value_of_information"]
 
 _OPEN = 16
 """Sets of effects that count as open at most."""
+_SAMPLES = 32
+"""Readings that are drawn from the prediction of each open set."""
 _LEAST = 1e-3
 """Probability of an open set over that of the most probable one, at least."""
 
 
-def expected_information(
-    belief: Belief, motions: Sequence[int] | None = None, *, most: int = _OPEN
-) -> Array:
-    """Expected information of each motion about which set of effects is missing [nats].
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """Expected result of each motion."""
 
-    A lower bound of the mutual information between set and readings, from the Bhattacharyya
-    distances between the predictions of the sets (Kolchinsky and Tracey, Entropy 19, 2017, 361):
+    information: Array
+    """Expected information about which set of effects is missing [nats] (M,)."""
+    gain: Array
+    """Expected gain in the reward of the best verdict (M,)."""
+
+
+def outlook(belief: Belief, reward: Callable[[tuple[str, ...], tuple[str, ...]], float]) -> Outlook:
+    """Expected information of each motion, and what it would add to the reward of a verdict.
+
+    The information is a lower bound of the mutual information between set and readings, from the
+    Bhattacharyya distances between the predictions of the sets (Kolchinsky and Tracey, Entropy 19,
+    2017, 361):
 
         I ≥ − Σ_i p_i ln Σ_j p_j exp(−B_ij),    B_ij = (1/8) Δᵀ S⁻¹ Δ
 
     Δ is the difference of two predictions at the fitted parameters and S their mean covariance: the
     noise, the linearisation error, and what the parameters are still uncertain by.
 
+    The gain is the value of information: with readings y drawn from the predictions, and the
+    verdict v* that is best now,
+
+        E_y [ max_v Σ_j p(j | y) R(v, j) − Σ_j p(j | y) R(v*, j) ]
+
     Parameters
     ----------
     belief : Belief
         Belief about the machine.
-    motions : sequence of int, optional
-        Indices in the library; all by default.
-    most : int
-        Sets that are taken as open, by probability.
-
-    Returns
-    -------
-    ndarray (motions,)
+    reward : callable
+        Reward of naming one set while another one is missing.
     """
-    which = range(len(belief.bank.library)) if motions is None else motions
-    weights, predictions = _predictions(belief, most)
-    return np.array([_bound(weights, _distances(belief, weights, predictions, m)) for m in which])
+    weights, names, predictions = _predictions(belief)
+    rewards = np.array([[reward(named, truth) for truth in names] for named in names])
+    information, gain = [], []
+    for motion in range(len(belief.bank.library)):
+        products = _products(belief, weights, predictions, motion)
+        squares = np.diag(products)
+        distances = np.maximum(squares[:, None] + squares - 2 * products, 0.0)
+        information.append(_bound(weights, distances))
+        gain.append(value_of_information(weights, products, rewards))
+    return Outlook(np.array(information), np.array(gain))
 
 
 def pair_gains(belief: Belief, motion: int) -> Array:
     """Expected difference of log evidence between open sets on a motion [nats] (sets, sets)."""
-    weights, predictions = _predictions(belief, _OPEN)
-    return 0.5 * _distances(belief, weights, predictions, motion)
+    weights, _, predictions = _predictions(belief)
+    products = _products(belief, weights, predictions, motion)
+    squares = np.diag(products)
+    return np.asarray(0.5 * np.maximum(squares[:, None] + squares - 2 * products, 0.0))
 
 
 def _bound(weights: Array, distances: Array) -> float:
@@ -60,28 +81,89 @@ def _bound(weights: Array, distances: Array) -> float:
     return float(max(-np.sum(weights * np.log(np.maximum(mixed, 1e-300))), 0.0))
 
 
+def value_of_information(weights: Array, products: Array, rewards: Array) -> float:
+    """Expected gain in reward by a motion.
+
+    Parameters
+    ----------
+    weights : ndarray (n,)
+        Probabilities of the open sets.
+    products : ndarray (n, n)
+        Inner products of their predictions over the covariance.
+    rewards : ndarray (n, n)
+        Reward of naming each (row) while each is missing (column).
+
+    Examples
+    --------
+    >>> equal = np.full(2, 0.5)  # two sets 4 standard deviations apart: 2 Φ(2) - 1 = 0.954
+    >>> round(value_of_information(equal, np.diag([16.0, 0.0]), 2 * np.eye(2) - 1), 1)
+    1.0
+    """
+    values, vectors = np.linalg.eigh(products)
+    noise = _normal(len(weights)) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    scores = np.log(weights) - np.diag(products) / 2 + products[:, None] + noise
+    scores -= scores.max(axis=2, keepdims=True)
+    posterior = np.exp(scores)
+    posterior /= posterior.sum(axis=2, keepdims=True)
+    verdicts = posterior @ rewards.T
+    now = int(np.argmax(rewards @ weights))
+    return float(weights @ np.mean(verdicts.max(axis=2) - verdicts[:, :, now], axis=1))
+
+
+@cache
+def _normal(count: int) -> Array:
+    """Standard normal numbers in pairs of either sign (_SAMPLES, count)."""
+    half = np.random.default_rng(0).normal(size=(_SAMPLES // 2, count))
+    return np.concatenate([half, -half])
+
+
 Prediction = tuple[Array, Array, Array]
 """Nominal parameters and coefficients (D,), their covariance (D, D), and the weights of the base
 vectors in mean and columns (S, 1 + D - P)."""
 
 
-def _predictions(belief: Belief, most: int) -> tuple[Array, list[Prediction]]:
-    """Probabilities of the open sets and their fitted parameters."""
+def _predictions(
+    belief: Belief,
+) -> tuple[Array, list[tuple[str, ...]], list[Prediction]]:
+    """Probabilities of the open sets, their effects and their fitted parameters."""
+    if not belief.counts:
+        return _prior_predictions(belief)
     best = belief.posterior.best.probability
-    sets = [s for s in belief.posterior.sets[:most] if s.probability > _LEAST * best]
+    sets = [s for s in belief.posterior.sets[:_OPEN] if s.probability > _LEAST * best]
     weights = np.array([each.probability for each in sets])
     data, found = belief.data, []
     about = nominal(belief.models, data)
     for each in sets:
         fit = linear_fit(belief.models, data, each.models, about, belief.settings.linearisation)
         found.append((fit.parameters, fit.covariance, belief.models.columns(each.models)))
-    return weights / weights.sum(), found
+    return weights / weights.sum(), [each.names for each in sets], found
 
 
-def _distances(
+def _prior_predictions(
+    belief: Belief,
+) -> tuple[Array, list[tuple[str, ...]], list[Prediction]]:
+    """Before any motion: no effect, and each candidate about the middle of its sizes."""
+    models, settings = belief.models, belief.settings
+    p = belief.bank.nuisances
+    own: list[tuple[int, ...]] = [()]
+    for candidate in range(len(models.names)):
+        those = np.flatnonzero(models.candidate == candidate)
+        own.append((int(those[len(those) // 2]),))
+    weights = np.full(len(own), settings.single / max(len(own) - 1, 1))
+    weights[0] = settings.none
+    found: list[Prediction] = []
+    for each in own:
+        columns = models.columns(each)
+        count = p + columns.shape[1] - 1
+        found.append((np.zeros(count), np.eye(count), columns))
+    names = [tuple(models.names[models.candidate[h]] for h in each) for each in own]
+    return weights / weights.sum(), names, found
+
+
+def _products(
     belief: Belief, weights: Array, predictions: Sequence[Prediction], motion: int
 ) -> Array:
-    """Squared Mahalanobis distances between the predictions on a motion (sets, sets)."""
+    """Inner products of the predictions on a motion over their covariance (sets, sets)."""
     p = belief.bank.nuisances
     vectors = belief.bank.signatures[motion].vectors
     nominal, beyond = vectors[:, :p], vectors[:, p:]
@@ -96,5 +178,4 @@ def _distances(
         spread[np.diag_indices(count)] += weight * eta**2 * float(mean @ mean) / count
     root = np.linalg.cholesky(spread)
     white = np.linalg.solve(root, np.array(expected).T).T
-    squares = np.sum(white**2, axis=1)
-    return np.asarray(np.maximum(squares[:, None] + squares - 2 * white @ white.T, 0.0))
+    return np.asarray(white @ white.T)

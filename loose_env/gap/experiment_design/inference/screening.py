@@ -44,10 +44,15 @@ class Beside:
     equations: Equations
 
     @cached_property
+    def _gram(self) -> Array:
+        """Products of the base vectors, with the one that is none (S + 1, S + 1)."""
+        return np.pad(self.equations.gram, ((0, 1), (0, 1)))
+
+    @cached_property
     def _blocks(self) -> tuple[Array, Array]:
         """Products of mean and columns of each local model (H, 1 + Q, 1 + Q), and right sides."""
         models = self.models
-        gram = np.pad(self.equations.gram, ((0, 1), (0, 1)))  # the base vector that is none
+        gram = self._gram
         right = np.pad(self.equations.right, (0, 1))
         at, weights = models.support, models.weights
         inner = np.swapaxes(weights, 1, 2) @ gram[at[:, :, None], at[:, None, :]] @ weights
@@ -61,8 +66,7 @@ class Beside:
 
     def with_first(self, first: int) -> tuple[Array, Array]:
         """χ² and half log-determinant of every local model beside a given one (H,)."""
-        models, (inner, right) = self.models, self._blocks
-        gram = np.pad(self.equations.gram, ((0, 0), (0, 1)))
+        models, (inner, right), gram = self.models, self._blocks, self._gram
         rows = np.zeros((inner.shape[1], models.base + 1))
         for weight, b in zip(models.weights[first], models.support[first], strict=True):
             if b < models.base:

@@ -205,7 +205,7 @@ def choose_motion(
 def motions_for(arm: ServoArm, settings: NextMotionSettings) -> tuple[Motion, ...]:
     """The library of an arm, each motion long enough, without those that are too long."""
     least = min(settings.next_least_seconds, settings.next_seconds)
-    found = (replace(m, seconds=max(m.seconds, least)) for m in motion_library(arm))
+    found = (replace(m, seconds=max(m.seconds, least)) for m in motion_library(arm, brief=False))
     return tuple(m for m in dict.fromkeys(found) if m.seconds <= settings.next_seconds)
 
 
