@@ -74,8 +74,8 @@ def play(arm: Arm, settings: DiagnosisSettings, fault: str, number: int) -> list
         if alone is not None:  # the record that it asks for, then the one that it judges
             moved = f"joint {alone} driven alone" if verdict else moved
             decision = verdict or f"drive {alone} alone"
-        if memory.records:
-            x, y = memory.records[-1].direction
+        if memory.pool.records:
+            x, y = memory.pool.records[-1].direction
             steps.append(
                 Step(
                     pose=pose,
