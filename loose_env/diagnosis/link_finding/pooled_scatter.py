@@ -38,9 +38,6 @@ __all__ = ["PlaceDirections", "PooledScatter", "RecordScatter", "scatter_of"]
 
 _AXES = {2: 60, 3: 300}
 """Sliding directions tried for each link by dimension: 3 and 8 degrees apart."""
-_SECOND_ORDER = 0.02
-"""Error of each element over the rms nominal motion [1]: products of two model errors, which the
-covariance to first order lacks. Without it single records of healthy arms stand out 60-fold."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -158,17 +155,20 @@ def scatter_of(
     opened = np.concatenate([c.open.reshape(len(c.open), -1, joints) for c in changes], axis=1)
     own = sampling.copy()
     shared = np.concatenate([_rows(change.arm_errors, change) for change in changes], axis=1)
+    first = np.sum(shared**2) / len(measured)
     begin = 0
     for change in changes:
         part = slice(begin, begin := begin + len(change.measured))
         sensor = _rows(change.sensor_errors, change)
+        first += np.sum(sensor**2) / len(measured)
         if len(changes) == 1:
             shared = np.concatenate([shared, sensor])
         else:
             own[part, part] += sensor.T @ sensor
     # With sensors on links too, the errors of each are left among those of the record: as shared
     # ones they would be a hundred.
-    own += _SECOND_ORDER**2 * np.mean(nominal**2) * np.eye(len(measured))
+    # Products of two errors, to second order: as large as the square of all to first order.
+    own += (2 * first) ** 2 / max(np.mean(nominal**2), 1e-300) * np.eye(len(measured))
     axes = len(changes[0].measured) // joints
     at_tool = measured.reshape(-1, joints)[:axes]
     lines = _leading(opened)
