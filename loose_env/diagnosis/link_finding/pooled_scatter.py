@@ -213,8 +213,7 @@ class _Left:
     """Half of its second derivative (P + 1, K, K)."""
 
     def after(self, record: RecordScatter, changes: Array) -> _Left:
-        """Add a record with changes (B, D m), the joints' shares in each place's motion eliminated.
-        """
+        """Add a record with changes (B, D m), the joints' shares in each place's motion eliminated."""
         m, line, w = record.joints, record.lines, record.precision
         d, count = len(w) // m, len(changes)
         known = np.concatenate([changes, record.shared])
@@ -326,9 +325,7 @@ class PooledScatter:
         """Most change that one place explains, chi-square [1]; zero before any record."""
         return float(self.misfit[-1] - self.misfit[:-1].min())
 
-    def stands_out(
-        self, significance: float, rng: np.random.Generator, *, draws: int = 64
-    ) -> bool:
+    def stands_out(self, significance: float, rng: np.random.Generator, *, draws: int = 64) -> bool:
         """Tell whether errors alone make so much change along one place with less probability.
 
         How much they make of it depends on all that the records are: their number, their lengths,

@@ -58,7 +58,9 @@ class SeatCoverage:
         slides = [drive.slide(link, tuple(u)) for link in range(1, arm.n + 1) for u in self.axes]
         hinges = [drive.hinge(joint) for joint in range(1, arm.n + 1)]
         top = np.array([*slides, *hinges])
-        self._friction = np.maximum(top, 1e-9 * top.max())[:, None] * np.geomspace(*friction, _STEPS)
+        self._friction = np.maximum(top, 1e-9 * top.max())[:, None] * np.geomspace(
+            *friction, _STEPS
+        )
         wide = np.abs(OPENINGS) > _SHOWS - 0.01
         self._shows = [part[:, :, wide].sum(axis=(2, 3)).ravel() for part in
                        (table.slide, table.hinge)]  # fmt: skip
