@@ -65,7 +65,7 @@ class ClassicalSettings(Checked):
     duration: int = 2
     """Index of the records' length; the longest by default."""
     significance: Positive = 0.01
-    """Probability at which errors alone make the change seen, below which something is loose [1]."""
+    """Probability that errors alone make the change seen, below which something is loose [1]."""
     clear: Positive = 5.0
     """Scatter above the best place's from which a place is ruled out, chi-square [1]."""
     outlier: Positive = 42.5

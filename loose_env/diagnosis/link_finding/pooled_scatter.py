@@ -167,8 +167,8 @@ def scatter_of(
             own[part, part] += sensor.T @ sensor
     # With sensors on links too, the errors of each are left among those of the record: as shared
     # ones they would be a hundred.
-    # Products of two errors, to second order: as large as the square of all to first order.
-    own += (2 * first) ** 2 / max(np.mean(nominal**2), 1e-300) * np.eye(len(measured))
+    # Products of two errors, twice the square of all to first order; no more than twice these.
+    own += (2 * first) ** 2 / max(np.mean(nominal**2), first, 1e-300) * np.eye(len(measured))
     axes = len(changes[0].measured) // joints
     at_tool = measured.reshape(-1, joints)[:axes]
     lines = _leading(opened)
@@ -213,7 +213,7 @@ class _Left:
     """Half of its second derivative (P + 1, K, K)."""
 
     def after(self, record: RecordScatter, changes: Array) -> _Left:
-        """Add a record with changes (B, D m), the joints' shares in each place's motion eliminated."""
+        """Add a record with changes (B, D m), the joints' shares in each motion eliminated."""
         m, line, w = record.joints, record.lines, record.precision
         d, count = len(w) // m, len(changes)
         known = np.concatenate([changes, record.shared])
@@ -325,8 +325,29 @@ class PooledScatter:
         """Most change that one place explains, chi-square [1]; zero before any record."""
         return float(self.misfit[-1] - self.misfit[:-1].min())
 
-    def stands_out(self, significance: float, rng: np.random.Generator, *, draws: int = 64) -> bool:
+    def stands_out(self, significance: float, rng: np.random.Generator) -> bool:
         """Tell whether errors alone make so much change along one place with less probability.
+
+        Nothing is drawn where one place alone decides, its gain chi-square with a degree of
+        freedom for each joint shaken: errors along several places make more than along one, and
+        at most as much as the sum of their probabilities says.
+
+        Parameters
+        ----------
+        significance : float
+            The probability [1].
+        rng : numpy.random.Generator
+            Draws the errors, see `chance`.
+        """
+        if not self.records:
+            return False
+        by_one = float(stats.chi2.sf(self.gain, sum(record.joints for record in self.records)))
+        if by_one >= significance or by_one * len(self.scatter) < significance:
+            return by_one < significance
+        return self.chance(rng) < significance
+
+    def chance(self, rng: np.random.Generator, *, draws: int = 64) -> float:
+        """Probability that errors alone make so much change along one place [1].
 
         How much they make of it depends on all that the records are: their number, their lengths,
         the joints shaken and the poses, which places these tell apart, and what errors they share.
@@ -334,24 +355,15 @@ class PooledScatter:
         against, and the largest gain of each draw is noted. A gamma distribution with the mean and
         the variance of these gains gives the tail that so few draws do not reach.
 
-        Nothing is drawn where one place alone decides, its gain chi-square with a degree of
-        freedom for each joint shaken: errors of several places make more than those of one, and at
-        most their sum.
-
         Parameters
         ----------
-        significance : float
-            The probability [1].
         rng : numpy.random.Generator
             Draws the errors.
         draws : int
             Number of draws.
         """
         if not self.records:
-            return False
-        by_one = float(stats.chi2.sf(self.gain, sum(record.joints for record in self.records)))
-        if by_one >= significance or by_one * len(self.scatter) < significance:
-            return by_one < significance
+            return 1.0
         left = _Left()
         shared = rng.standard_normal((draws, len(self.records[0].shared)))
         for record in self.records:
@@ -361,8 +373,7 @@ class PooledScatter:
         misfit = left.misfit()
         gains = misfit[-1] - misfit[:-1].min(axis=0)
         mean, variance = gains.mean(), gains.var()
-        tail = stats.gamma.sf(self.gain, mean**2 / variance, scale=variance / mean)
-        return bool(tail < significance)
+        return float(stats.gamma.sf(self.gain, mean**2 / variance, scale=variance / mean))
 
     @property
     def by_hypothesis(self) -> Array:

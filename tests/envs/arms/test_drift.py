@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def test_the_first_record_is_of_the_arm_as_drawn_and_later_ones_of_one_that_walk
     walked, seen = played(DRIFTING)
     np.testing.assert_array_equal(walked[0], steady[0])
     np.testing.assert_array_equal(seen[0], as_drawn[0])
-    for before, after in zip(walked[:-1], walked[1:], strict=True):
+    for before, after in itertools.pairwise(walked):
         assert np.all(before != after)
         assert np.all(np.abs(after - before) <= np.radians(3 * 0.5))
     assert not np.array_equal(seen[2], as_drawn[2])
