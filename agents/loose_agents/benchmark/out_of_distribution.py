@@ -190,7 +190,8 @@ def settings_for(kind: str, problem: Problem) -> DiagnosisSettings:
     if kind in SCALED:
         name, factor = SCALED[kind]
         low, high = getattr(usual, name)
-        return replace(rules, difficulty=replace(usual, **{name: (factor * low, factor * high)}))
+        scaled: dict[str, Any] = {name: (factor * low, factor * high)}
+        return replace(rules, difficulty=replace(usual, **scaled))
     return replace(rules, drift=DRIFT) if kind == "drift" else rules
 
 

@@ -110,4 +110,4 @@ class SeatSearch:
         price = prices.record + prices.second * duration
         price += prices.level * most * len(self.problem.arm.levels)
         found = opened / (self._healthy + float(missed.sum()))
-        return found * better > price
+        return bool(found * better > price)

@@ -68,7 +68,7 @@ class SeatCoverage:
     @property
     def frictions(self) -> int:
         """Number of frictions, F."""
-        return self._friction.shape[1]
+        return int(self._friction.shape[1])
 
     def shown(self, pose: Array, levels: Array) -> Array:
         """Probability that a record shows each seat, at each of its possible frictions.

@@ -169,13 +169,14 @@ def test_kinds_change_what_they_name_and_nothing_else() -> None:
         changed = difficulty_named(settings_for(kind, problem).difficulty)
         low, high = getattr(usual, name)
         assert getattr(changed, name) == (factor * low, factor * high)
-        assert replace(changed, **{name: (low, high)}) == usual
+        before: dict[str, Any] = {name: (low, high)}
+        assert replace(changed, **before) == usual
     rig = rig_for("noise_2x", problem, 1)
     assert isinstance(rig, ReducedRig)
-    before, after = problem.settings.sensors, rig.sensors
-    assert after.encoder.noise == 2 * before.encoder.noise
-    assert after.accelerometer.noise_density == 2 * before.accelerometer.noise_density
-    assert after.rate == before.rate
+    usual_sensors, after = problem.settings.sensors, rig.sensors
+    assert after.encoder.noise == 2 * usual_sensors.encoder.noise
+    assert after.accelerometer.noise_density == 2 * usual_sensors.accelerometer.noise_density
+    assert after.rate == usual_sensors.rate
     assert settings_for("noise_2x", problem) == problem.settings
 
 
