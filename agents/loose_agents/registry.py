@@ -133,9 +133,7 @@ def _classical_literal(problem: Problem, seed: int) -> Agent:
 
 def _images(problem: Problem, seed: int) -> Agent:
     shared = classical_settings(problem)
-    settings = SpaceLinkFindingSettings(
-        change=shared.seen, chance=shared.chance, healthy_poses=shared.healthy_poses
-    )
+    settings = SpaceLinkFindingSettings(significance=shared.significance, healthy_poses=2)
     return SpaceLinkFindingAgent(problem, settings, seed=seed)
 
 

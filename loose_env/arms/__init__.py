@@ -40,7 +40,7 @@ from loose_env.arms.library.vera import (
     vera_spec,
 )
 from loose_env.arms.response.linear import LinearArm, LinearPose, Response
-from loose_env.arms.response.mismatch import Mismatch, MismatchDraw, MismatchIndices
+from loose_env.arms.response.mismatch import Drift, Mismatch, MismatchDraw, MismatchIndices
 from loose_env.arms.response.sensor_sites import LinkSite, Place, link_site
 from loose_env.arms.response.shaken import ShakenArm
 from loose_env.arms.response.stiffness import inertance_rate
@@ -71,6 +71,7 @@ __all__ = [
     "Arm",
     "BendingLink2",
     "Chain",
+    "Drift",
     "FileReport",
     "Gears",
     "HoldKind",

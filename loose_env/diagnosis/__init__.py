@@ -91,6 +91,7 @@ from loose_env.diagnosis.link_finding.pooled_scatter import (
 from loose_env.diagnosis.link_finding.search import (
     TurnSearch,
 )
+from loose_env.diagnosis.link_finding.seat_coverage import SeatCoverage
 from loose_env.diagnosis.link_finding.sensed_places import SensedPlaces
 from loose_env.diagnosis.link_finding.spatial import (
     DirectionSighting,
@@ -213,6 +214,7 @@ __all__ = [
     "RecordScatter",
     "RecordStatistics",
     "Repeated",
+    "SeatCoverage",
     "SeatFeatures",
     "SeatNetwork",
     "Seen",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, get_args
 
-from loose_env.arms import Arm
+from loose_env.arms import Arm, Drift
 from loose_env.envs.faults.difficulty import Difficulty, difficulty_named
 from loose_env.errors import UnknownName
 from loose_env.faults import DEFAULT_KINDS, UNSURE, FaultKind
@@ -125,6 +125,8 @@ class DiagnosisSettings(Checked):
     """Record lengths to choose from [s]."""
     sensors: SensorSuite = field(default_factory=SensorSuite)
     """Sensors of the arm."""
+    drift: Drift = field(default_factory=Drift)
+    """Drift of joint zeros and drive gains of the true arm between records; none by default."""
     engine: Engine = "mujoco"
     """Simulation engine: MuJoCo's batched one, or "reduced", the same equations about
     the pose in a compiled loop: over 20 times faster, for faults of one degree of freedom. It

@@ -45,8 +45,8 @@ class Step:
     """Direction of the change of motion, tool frame, 0 to 180 [deg]."""
     moved: str
     """Joints that moved before the record, and by how much."""
-    excess: float
-    """Pooled excess of the change after it [1]."""
+    gain: float
+    """Change along the best place in all records up to it, chi-square [1]."""
     left: tuple[str, ...]
     """Places left, best first; empty if nothing is seen."""
     decision: str
@@ -74,14 +74,14 @@ def play(arm: Arm, settings: DiagnosisSettings, fault: str, number: int) -> list
         if alone is not None:  # the record that it asks for, then the one that it judges
             moved = f"joint {alone} driven alone" if verdict else moved
             decision = verdict or f"drive {alone} alone"
-        if memory.records:
-            x, y = memory.records[-1].direction
+        if memory.pool.records:
+            x, y = memory.pool.records[-1].direction
             steps.append(
                 Step(
                     pose=pose,
                     direction=float(np.degrees(np.arctan2(y, x)) % 180.0),
                     moved=moved,
-                    excess=memory.pool.excess,
+                    gain=memory.pool.gain,
                     left=memory.left,
                     decision=decision,
                 )
@@ -118,7 +118,7 @@ def text_of(fault: str, steps: Sequence[Step]) -> str:
     """A line for each record."""
     lines = [
         f"hidden: {fault}",
-        f"{'record':>6}  {'moved':24} {'direction':>9} {'turned':>7} {'excess':>7}  "
+        f"{'record':>6}  {'moved':24} {'direction':>9} {'turned':>7} {'gain':>7}  "
         f"{'left, best first':34} decision",
     ]
     for k, step in enumerate(steps):
@@ -128,7 +128,7 @@ def text_of(fault: str, steps: Sequence[Step]) -> str:
             turned = f"{turn:+.0f}°"
         left = ", ".join(short(name) for name in step.left[:5]) or "nothing seen"
         lines.append(
-            f"{k + 1:>6}  {step.moved:24} {step.direction:>8.0f}° {turned:>7} {step.excess:>7.1f}  "
+            f"{k + 1:>6}  {step.moved:24} {step.direction:>8.0f}° {turned:>7} {step.gain:>7.1f}  "
             f"{left:34} {short(step.decision)}"
         )
     return "\n".join(lines)

@@ -23,6 +23,7 @@ __all__ = [
     "RESULTS",
     "agent_rows",
     "leaderboard",
+    "outside_table",
     "results_path",
     "stored_results",
     "value_tables",
@@ -39,7 +40,6 @@ _HEAD = (
     "| entry | arms | return | over greedy | right % (95 %) | unsure % | false alarms % | missed % "
     "| records | calibration error | training records | ms a record |"
 )
-_OUTSIDE_HEAD = "| task | entry | episodes | arms | right % | wrong % | unsure % | return |"
 
 ByEntry = Mapping[str, Results]
 """Results of one set of one task, by entry."""
@@ -101,11 +101,41 @@ def leaderboard(results: Sequence[Results]) -> str:
             continue
         lines = [_HEAD, "|---|" + "---:|" * (_HEAD.count("|") - 2), *agent_rows(own)]
         parts.append(f"### {task}\n\n" + "\n".join(lines) + _bound_words(task, own))
-    outside = [_outside_row(each) for each in results if each.set != "test"]
+    outside = outside_table(results)
     if outside:
-        lines = [_OUTSIDE_HEAD, "|---|---|---|" + "---:|" * 5, *outside]
-        parts.append("### Out of distribution\n\n" + "\n".join(lines))
+        parts.append(f"### Out of distribution\n\n{outside}")
     return "\n\n".join(parts)
+
+
+def outside_table(results: Sequence[Results]) -> str:
+    """Return and share right of the entries in and out of distribution, as Markdown.
+
+    A row for every set that an entry has played, an entry a column; empty without any.
+    """
+    outside = [each for each in results if each.set != "test"]
+    if not outside:
+        return ""
+    entries = sorted({each.entry for each in outside}, key=lambda name: (name != ADAPTIVE, name))
+    lines = [
+        f"| task | episodes | arms | {' | '.join(entries)} |",
+        "|---|---|---:|" + "---:|" * len(entries),
+    ]
+    for task in TASKS:
+        if not any(each.task == task for each in outside):
+            continue
+        for set_name in SETS:
+            own = _entries(results, task, set_name)
+            played = [own[name] for name in entries if name in own]
+            if not played:
+                continue
+            arms = sorted({len(each.truth) for each in played})
+            cells = [
+                f"{_signed(own[name].returns)}, {_share(_right(own[name]))}" if name in own else "-"
+                for name in entries
+            ]
+            words = played[0].episodes.words
+            lines.append(_line([_short(task), words, " to ".join(map(str, arms)), *cells]))
+    return "\n".join(lines)
 
 
 def agent_rows(own: ByEntry) -> list[str]:
@@ -138,22 +168,6 @@ def _row(results: Results, greedy: Array | None) -> str:
             _calibration(results),
             "-" if training is None else f"{training:,}",
             "-" if results.cpu_seconds is None else f"{1e3 * results.cpu_seconds:.0f}",
-        ]
-    )
-
-
-def _outside_row(results: Results) -> str:
-    right, unsure = _right(results), _unsure(results)
-    return _line(
-        [
-            _short(results.task),
-            _name(results),
-            results.episodes.words,
-            str(len(right)),
-            _share(right),
-            _share(~(right | unsure)),
-            _share(unsure),
-            _signed(results.returns),
         ]
     )
 

@@ -1,8 +1,8 @@
 """Out-of-distribution episodes: a test of whether agents abstain when they should.
 
 Two faults at once, a mismatch three times as large, an arm of other lengths and masses, a load
-that presses every loose seat against its stop, friction beyond the range. None of them is used in
-any training.
+that presses every loose seat against its stop, friction beyond the range, noisier sensors, less
+play than drawn, an arm that drifts between records. None of them is used in any training.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ from loose_agents.core.base import Agent, Problem
 from loose_agents.evaluation.evaluate import EpisodeRow, evaluate
 from loose_agents.execution.shards import Shard
 from loose_agents.registry import make_agent
-from loose_env.arms import MismatchDraw
+from loose_env.arms import Drift, MismatchDraw
 from loose_env.envs import BatchRig, DiagnosisSettings, difficulty_named
 from loose_env.errors import UnknownName
 from loose_env.faults import SEVERAL_FAULTS, Fault
 from loose_env.rig import Job, Measurement, ReducedRig, SimulatedRig
+from loose_env.sensors import SensorSuite
 
 __all__ = [
     "UNLIKE",
@@ -43,11 +44,27 @@ UNLIKE: dict[str, tuple[str, Mapping[str, Any]]] = {
     "other": ("lengths and masses 15 % off", {}),
     "preload": ("1 g of preload", {"preload_g": 1.0}),
     "friction": ("friction of 1 to 3 times the highest", {}),
+    "friction_2x": ("twice the friction", {}),
+    "noise_2x": ("twice the sensor noise", {}),
+    "small_play": ("a quarter of the play", {}),
+    "drift": ("zeros and gains drift between records", {}),
 }
 """Kinds of episodes: what each is in a few words, and its options."""
 
 STICKIER = 3.0
 """Highest friction of the kind "friction", over the highest that the difficulty draws."""
+
+SCALED: Mapping[str, tuple[str, float]] = {
+    "friction_2x": ("friction", 2.0),
+    "small_play": ("gap", 0.25),
+}
+"""Range of the difficulty that a kind multiplies, and the factor."""
+
+NOISIER = 2.0
+"""Noise of the sensors of the kind "noise_2x", over the task's."""
+
+DRIFT = Drift(joint_zero=0.2, gain=0.01)
+"""Drift of the kind "drift" per record: as much as the default mismatch of a whole arm."""
 
 OFF = 0.15
 """Relative deviation of each length and mass of another arm, up or down."""
@@ -165,20 +182,49 @@ def evaluate_kind(
 
 def settings_for(kind: str, problem: Problem) -> DiagnosisSettings:
     """Rules by which episodes of a kind are drawn; the agent's problem keeps its own."""
-    if kind != "friction":
-        return problem.settings
-    usual = difficulty_named(problem.settings.difficulty)
-    highest = usual.friction[1]
-    return replace(
-        problem.settings, difficulty=replace(usual, friction=(highest, STICKIER * highest))
-    )
+    rules = problem.settings
+    usual = difficulty_named(rules.difficulty)
+    if kind == "friction":
+        highest = usual.friction[1]
+        return replace(rules, difficulty=replace(usual, friction=(highest, STICKIER * highest)))
+    if kind in SCALED:
+        name, factor = SCALED[kind]
+        low, high = getattr(usual, name)
+        scaled: dict[str, Any] = {name: (factor * low, factor * high)}
+        return replace(rules, difficulty=replace(usual, **scaled))
+    return replace(rules, drift=DRIFT) if kind == "drift" else rules
 
 
-def rig_for(kind: str, problem: Problem, slots: int) -> OtherArmRig | None:
+def rig_for(kind: str, problem: Problem, slots: int) -> BatchRig | None:
     """Rig of episodes of a kind; None for the environment's own."""
-    if kind != "other":
+    if kind not in ("other", "noise_2x"):
         return None
     sensors = problem.settings.sensors
-    if problem.settings.engine == "reduced":
-        return OtherArmRig(ReducedRig(problem.arm, slots=slots, sensors=sensors))
-    return OtherArmRig(SimulatedRig(problem.arm, slots=slots, sensors=sensors, threads=1))
+    if kind == "noise_2x":
+        sensors = noisier(sensors, NOISIER)
+    rig: BatchRig = (
+        ReducedRig(problem.arm, slots=slots, sensors=sensors)
+        if problem.settings.engine == "reduced"
+        else SimulatedRig(problem.arm, slots=slots, sensors=sensors, threads=1)
+    )
+    return OtherArmRig(rig) if kind == "other" else rig
+
+
+def noisier(sensors: SensorSuite, factor: float) -> SensorSuite:
+    """The same sensors with more noise; the nominal columns of an observation know nothing of it.
+
+    Parameters
+    ----------
+    sensors : SensorSuite
+        Sensors of the task.
+    factor : float
+        Factor on the standard deviations of the noise [1].
+    """
+    encoder, tool = sensors.encoder, sensors.accelerometer
+    return replace(
+        sensors,
+        encoder=replace(
+            encoder, noise=factor * encoder.noise, linear_noise=factor * encoder.linear_noise
+        ),
+        accelerometer=replace(tool, noise_density=factor * tool.noise_density),
+    )

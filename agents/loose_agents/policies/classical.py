@@ -8,6 +8,7 @@ motion against the nominal arm (3.34), and every judgement uses all poses so far
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from loose_agents.core.base import EpisodeAgent, Problem
 from loose_agents.core.belief_agent import records_taken
+from loose_agents.policies.seat_search import SeatSearch
 from loose_env.diagnosis import (
     Order,
     PlaceDirections,
@@ -29,7 +31,7 @@ from loose_env.diagnosis import (
 )
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
-from loose_env.io import Checked, Count, NonNegative, Positive
+from loose_env.io import Checked, NonNegative, Positive
 from loose_env.typing import Array
 from loose_env.wrappers import record_from
 
@@ -62,12 +64,8 @@ class ClassicalSettings(Checked):
     `loose_env.diagnosis.propose_excitation` proposes for each joint in the pose."""
     duration: int = 2
     """Index of the records' length; the longest by default."""
-    seen: Positive = 0.9
-    """Change along one place, over what errors make of it, from which something is loose [1]."""
-    chance: NonNegative = 0.3
-    """Change that errors make of every further record in the mean, which is not counted [1]."""
-    healthy_poses: Count = 2
-    """Records that show nothing before the verdict healthy."""
+    significance: Positive = 0.01
+    """Probability that errors alone make the change seen, below which something is loose [1]."""
     clear: Positive = 5.0
     """Scatter above the best place's from which a place is ruled out, chi-square [1]."""
     outlier: Positive = 42.5
@@ -80,6 +78,10 @@ class ClassicalSettings(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.significance >= 1:
+            raise InvalidSetting(
+                f"significance is a probability between 0 and 1, got {self.significance}"
+            )
         if self.order not in get_args(Order):
             raise InvalidSetting(f"order is one of {list(get_args(Order))}, got {self.order!r}")
         if self.level not in get_args(Level):
@@ -105,10 +107,10 @@ class Search:
     rng: np.random.Generator
     pool: PooledScatter
     level: int
-    records: list[RecordScatter] = field(default_factory=list)
-    """Records that hold something, in order."""
+    missed: Array
+    """Weights of the seats that no record has shown, see `SeatSearch` (P, F)."""
     tried: list[tuple[float, int]] = field(default_factory=list)
-    """What each of them added to the excess, and its level."""
+    """What each of them added to the gain, and its level."""
     driven: int | None = None
     """Joint driven alone in the latest record, to tell its play from a slide, from 0."""
     left: tuple[str, ...] = ()
@@ -149,13 +151,16 @@ class ClassicalAgent(EpisodeAgent):
                 "link finding needs structural looseness or backlash among the hypotheses, got "
                 f"{problem.hypotheses}"
             )
+        self.search = SeatSearch(problem)
 
     def begin(self, rng: np.random.Generator) -> Any:
         """Start with every place in question, at the top level."""
-        pool = PooledScatter.none(
-            self.places, outlier=self.settings.outlier, chance=self.settings.chance
+        return Search(
+            rng=rng,
+            pool=PooledScatter.none(self.places, outlier=self.settings.outlier),
+            level=len(self.problem.arm.levels),
+            missed=self.search.prior,
         )
-        return Search(rng=rng, pool=pool, level=len(self.problem.arm.levels))
 
     def act(self, observation: NDArray[np.float32], memory: Search) -> NDArray[np.int64]:
         """Process the latest record, then move on or decide."""
@@ -167,14 +172,17 @@ class ClassicalAgent(EpisodeAgent):
         if memory.driven is not None:
             return problem.verdict(self._by_shape(observation, taken - 1, memory))
         self._look(observation, taken - 1, memory)
-        if memory.pool.excess < settings.seen:
-            memory.left = ()
-            if taken >= min(settings.healthy_poses, most):
-                return problem.verdict("healthy")
+        if not memory.pool.stands_out(settings.significance, memory.rng):
+            memory.left, memory.moved = (), None
             if settings.level == "falling":
                 memory.level = 1 + (memory.level - 2) % len(problem.arm.levels)
-            memory.moved = None
-            return self._measure(memory, taken, pose, self._random_move(pose, memory))
+            seconds = problem.settings.durations[self._duration]
+            moves, opened = self.search.next(
+                memory.rng, pose, partial(self._levels, memory), memory.missed
+            )
+            if taken >= most or not self.search.pays(memory.missed, opened, seconds):
+                return problem.verdict("healthy")
+            return self._measure(memory, taken, pose, moves)
         memory.level = max(memory.tried)[1]
         left = self._left(memory.pool)
         memory.left = tuple(memory.pool.names[k] for k in left)
@@ -206,10 +214,9 @@ class ClassicalAgent(EpisodeAgent):
         if record is None:
             return
         seen = self._scatter(observation, slot, record)
-        before = memory.pool.excess
+        before = memory.pool.gain
         memory.pool = memory.pool.after(seen)
-        memory.records.append(seen)
-        memory.tried.append((memory.pool.excess - before, memory.level))
+        memory.tried.append((memory.pool.gain - before, memory.level))
 
     def _scatter(
         self, observation: NDArray[np.float32], slot: int, record: RecordStatistics
@@ -233,7 +240,7 @@ class ClassicalAgent(EpisodeAgent):
         if best >= n:
             return best
         slides = memory.pool.scatter[best * count : (best + 1) * count]
-        shown = np.stack([record.directions for record in memory.records])  # (T, P, d)
+        shown = np.stack([record.directions for record in memory.pool.records])  # (T, P, d)
         slide, lines = shown[:, best * count + int(slides.argmin())], shown[:, n * count :]
         off = np.sqrt(np.mean(_angle(np.einsum("tjd,td->tj", lines, slide)) ** 2, axis=0))
         off[~self.among[n:]] = np.inf
@@ -295,22 +302,32 @@ class ClassicalAgent(EpisodeAgent):
     def _stay(self) -> NDArray[np.intp]:
         return np.full(self.problem.arm.n, self.problem.settings.stay, dtype=np.intp)
 
-    def _random_move(self, pose: Array, memory: Search) -> NDArray[np.intp]:
-        allowed = self.problem.actions.allowed_moves(pose)
-        return np.array([memory.rng.choice(np.flatnonzero(row)) for row in allowed])
+    @property
+    def _duration(self) -> int:
+        return min(self.settings.duration, len(self.problem.settings.durations) - 1)
+
+    def _levels(self, memory: Search, pose: Array) -> NDArray[np.intp]:
+        """Levels of all joints, from 1, in a pose."""
+        if self.settings.level == "proposed":
+            return self.proposed_levels(pose)
+        return np.full(self.problem.arm.n, memory.level, dtype=np.intp)
 
     def _measure(
         self, memory: Search, taken: int, pose: Array, moves: NDArray[np.intp]
     ) -> NDArray[np.int64]:
-        n, settings = self.problem.arm.n, self.settings
-        levels = np.full(n, memory.level, dtype=np.intp)
-        if settings.level == "proposed":
-            levels = self.proposed_levels(pose + self.problem.actions.steps[np.arange(n), moves])
-        alone = taken % n if settings.in_turn else memory.driven
+        n = self.problem.arm.n
+        there = pose + self.problem.actions.steps[np.arange(n), moves]
+        levels = self._levels(memory, there)
+        alone = taken % n if self.settings.in_turn else memory.driven
         if alone is not None:
             levels[np.arange(n) != alone] = 0
-        duration = min(settings.duration, len(self.problem.settings.durations) - 1)
-        return self.problem.actions.encode(moves=moves, levels=levels, duration=duration)
+        else:
+            known = memory.pool.names
+            asked = self.search.spread([float(name in memory.left) for name in known])
+            weights = asked if memory.left else memory.missed
+            levels = self.search.excited(there, levels, weights)
+        memory.missed = memory.missed * (1.0 - self.search.shown(there, levels))
+        return self.problem.actions.encode(moves=moves, levels=levels, duration=self._duration)
 
 
 def _angle(cosine: Array) -> Array:

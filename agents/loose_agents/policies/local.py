@@ -6,8 +6,6 @@ these tell the places apart in one pose, joints hardly move.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,10 +16,6 @@ from loose_env.diagnosis import RecordScatter, RecordStatistics, SensedPlaces
 from loose_env.envs import difficulty_named
 
 __all__ = ["LocalAgent"]
-
-
-_SEEN, _CHANCE = 2.0, 1.0
-"""Least change from which something is loose, and what errors make of it in further records [1]."""
 
 
 class LocalAgent(ClassicalAgent):
@@ -47,9 +41,6 @@ class LocalAgent(ClassicalAgent):
         self, problem: Problem, settings: ClassicalSettings | None = None, *, seed: int = 0
     ) -> None:
         super().__init__(problem, settings, seed=seed)
-        # The sensors' own errors are counted anew in each record here (`scatter_of`).
-        seen = max(self.settings.seen, _SEEN)
-        self.settings = replace(self.settings, chance=_CHANCE, seen=seen)
         rules = problem.settings
         mismatch = difficulty_named(rules.difficulty).mismatch
         self.places = SensedPlaces(problem.linear, rules.sensors, mismatch)

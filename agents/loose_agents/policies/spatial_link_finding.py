@@ -39,7 +39,7 @@ from loose_env.diagnosis import (
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
-from loose_env.io import Checked, Count, NonNegative, Positive, Probability
+from loose_env.io import Checked, Count, Positive, Probability
 from loose_env.wrappers import record_from
 
 __all__ = ["Policy", "SpaceLinkFindingAgent", "SpaceLinkFindingSettings"]
@@ -57,11 +57,9 @@ class SpaceLinkFindingSettings(Checked):
     """Probability, of a hypothesis and those confusable with it together, at which it stops."""
     seen: Positive = 1.8
     """For turns: change over what errors leave from which a record shows something loose [1]."""
-    change: Positive = 0.9
-    """For images: change along one place in all records together, over what errors make of it,
-    from which something is loose [1]."""
-    chance: NonNegative = 0.3
-    """For images: part of that which errors make of every further record in the mean [1]."""
+    significance: Probability = 0.01
+    """For images: probability at which errors alone make the change of all records, below which
+    something is loose [1]."""
     healthy_poses: Count = 5
     """Records that show nothing before the verdict healthy."""
     scales: tuple[float, ...] = (1.0, 2.0, 4.0)
@@ -121,7 +119,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
     def begin(self, rng: np.random.Generator) -> Any:
         """Start with every link as a candidate, at the top level."""
         arm = self.problem.arm
-        pool = PooledScatter.none(self.places, outlier=1.0, chance=self.settings.chance)
+        pool = PooledScatter.none(self.places, outlier=1.0)
         return _Search(rng=rng, search=TurnSearch.over(arm.n), level=len(arm.levels), pool=pool)
 
     def act(self, observation: NDArray[np.float32], memory: _Search) -> NDArray[np.int64]:
@@ -140,13 +138,15 @@ class SpaceLinkFindingAgent(EpisodeAgent):
             if turns:
                 self._judge(memory, seen, visible)
             else:
-                before, memory.pool = memory.pool.excess, memory.pool.after(self.places.of(record))
-                gained = memory.pool.excess - before
+                before, memory.pool = memory.pool.gain, memory.pool.after(self.places.of(record))
+                gained = memory.pool.gain - before
             memory.tried.append((gained, memory.level))
             # Faint sightings count for the little they say.
             if visible or not turns:
                 memory.sightings.append(seen)
-        if not memory.sightings or not (turns or memory.pool.excess >= settings.change):
+        if not memory.sightings or not (
+            turns or memory.pool.stands_out(settings.significance, memory.rng)
+        ):
             if taken >= min(settings.healthy_poses, most):
                 return self._name("healthy", None)
             # Another level, and gravity from another side.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import mujoco
@@ -14,7 +14,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.io import Checked, NonNegative
 from loose_env.typing import Array
 
-__all__ = ["Mismatch", "MismatchDraw", "MismatchIndices"]
+__all__ = ["Drift", "Mismatch", "MismatchDraw", "MismatchIndices"]
 
 _CUT = 3.0  # draws beyond three standard deviations are cut off
 _RELATIVE = ("length", "mass", "inertia", "stiffness", "damping", "gain", "cross_axis")
@@ -178,6 +178,35 @@ class MismatchDraw:
         gravity = model.opt.gravity
         gravity[:] = rotation.reshape(3, 3).T @ gravity
         mujoco.mj_setConst(model, data)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drift(Checked):
+    """Standard deviations of what changes of the true arm from record to record, a random walk.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> arm, rng = planar(2), np.random.default_rng(0)
+    >>> first = MismatchDraw.none(arm)
+    >>> later = Drift(joint_zero=0.1).after(first, rng)
+    >>> bool(np.any(later.joint_zero)), later.drive_gain.tolist()
+    (True, [1.0, 1.0])
+    """
+
+    joint_zero: NonNegative = 0.0
+    """Zero of each joint encoder, per record [deg]."""
+    gain: NonNegative = 0.0
+    """Gain of each drive, relative, per record."""
+
+    def after(self, draw: MismatchDraw, rng: np.random.Generator) -> MismatchDraw:
+        """Return the true arm one record later."""
+        steps = _normal(rng, 2, len(draw.joint_zero))
+        return replace(
+            draw,
+            joint_zero=draw.joint_zero + np.radians(self.joint_zero) * steps[0],
+            drive_gain=draw.drive_gain * np.exp(self.gain * steps[1]),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import stats
 
 from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.learned.features import SeatFeatures
@@ -37,9 +38,6 @@ __all__ = ["PlaceDirections", "PooledScatter", "RecordScatter", "scatter_of"]
 
 _AXES = {2: 60, 3: 300}
 """Sliding directions tried for each link by dimension: 3 and 8 degrees apart."""
-_SECOND_ORDER = 0.02
-"""Error of each element over the rms nominal motion [1]: products of two model errors, which the
-covariance to first order lacks. Without it single records of healthy arms stand out 60-fold."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,7 +62,7 @@ class RecordScatter:
     @property
     def gain(self) -> Array:
         """Part of the change that lies along each place's direction, chi-square [1] (P,)."""
-        misfit = _Left().after(self).misfit()
+        misfit = _Left().after(self, self.measured[None]).misfit()[:, 0]
         return np.asarray(misfit[-1] - misfit[:-1])
 
 
@@ -157,17 +155,20 @@ def scatter_of(
     opened = np.concatenate([c.open.reshape(len(c.open), -1, joints) for c in changes], axis=1)
     own = sampling.copy()
     shared = np.concatenate([_rows(change.arm_errors, change) for change in changes], axis=1)
+    first = np.sum(shared**2) / len(measured)
     begin = 0
     for change in changes:
         part = slice(begin, begin := begin + len(change.measured))
         sensor = _rows(change.sensor_errors, change)
+        first += np.sum(sensor**2) / len(measured)
         if len(changes) == 1:
             shared = np.concatenate([shared, sensor])
         else:
             own[part, part] += sensor.T @ sensor
     # With sensors on links too, the errors of each are left among those of the record: as shared
     # ones they would be a hundred.
-    own += _SECOND_ORDER**2 * np.mean(nominal**2) * np.eye(len(measured))
+    # Products of two errors, twice the square of all to first order; no more than twice these.
+    own += (2 * first) ** 2 / max(np.mean(nominal**2), first, 1e-300) * np.eye(len(measured))
     axes = len(changes[0].measured) // joints
     at_tool = measured.reshape(-1, joints)[:axes]
     lines = _leading(opened)
@@ -199,41 +200,51 @@ def _leading(matrices: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Left:
-    """Misfit of every place, and of none, as a quadratic form in the shared errors."""
+    """Misfit of every place, and of none, as a quadratic form in the shared errors.
+
+    Of B sets of changes: those measured, or draws of what errors alone make of the same records.
+    """
 
     constant: Array | float = 0.0
-    """At shared errors of zero (P + 1,)."""
+    """At shared errors of zero (P + 1, B)."""
     slope: Array | float = 0.0
-    """Half of minus its slope there (P + 1, K)."""
+    """Half of minus its slope there (P + 1, B, K)."""
     curvature: Array | float = 0.0
     """Half of its second derivative (P + 1, K, K)."""
 
-    def after(self, record: RecordScatter) -> _Left:
-        """Add a record, the joints' shares in each place's motion eliminated."""
+    def after(self, record: RecordScatter, changes: Array) -> _Left:
+        """Add a record with changes (B, D m), the joints' shares in each motion eliminated."""
         m, line, w = record.joints, record.lines, record.precision
-        d = len(w) // m
-        # Columns: the measured change, then the shared errors.
-        known = np.concatenate([record.measured[None], record.shared])
+        d, count = len(w) // m, len(changes)
+        known = np.concatenate([changes, record.shared])
         whole = known @ w @ known.T
         weighted = np.einsum("pi,iajb->pajb", line, w.reshape(d, m, d, m), optimize=True)
         normal = np.einsum("pajb,pj->pab", weighted, line, optimize=True)
         # A place that moves no sensor explains nothing.
         normal = normal + np.where(np.any(line, axis=1), 0.0, 1.0)[:, None, None] * np.eye(m)
-        toward = weighted.reshape(-1, d * m) @ known.T
-        toward = toward.reshape(len(line), m, len(known))
-        taken = np.swapaxes(toward, 1, 2) @ np.linalg.solve(normal, toward)
-        form = np.concatenate([whole - taken, whole[None]])
+        toward = (weighted.reshape(-1, d * m) @ known.T).reshape(len(line), m, len(known))
+        solved = np.linalg.solve(normal, toward)
+
+        def added(first: slice, second: slice) -> Array:
+            """Part of the quadratic form, for every place and for none."""
+            taken = toward[..., first].mT @ solved[..., second]
+            part = whole[first, second]
+            return np.concatenate([part - taken, part[None]])
+
+        sets, errors = slice(0, count), slice(count, None)
+        own = np.diagonal(whole)[:count]
+        taken = np.einsum("pmb,pmb->pb", toward[..., sets], solved[..., sets])
         return _Left(
-            constant=self.constant + form[:, 0, 0],
-            slope=self.slope + form[:, 0, 1:],
-            curvature=self.curvature + form[:, 1:, 1:],
+            constant=self.constant + np.concatenate([own - taken, own[None]]),
+            slope=self.slope + added(sets, errors),
+            curvature=self.curvature + added(errors, errors),
         )
 
     def misfit(self) -> Array:
-        """Smallest misfit over the shared errors, their own size counted (P + 1,)."""
+        """Smallest misfit over the shared errors, their own size counted (P + 1, B)."""
         slope, curvature = np.asarray(self.slope), np.asarray(self.curvature)
-        best = np.linalg.solve(np.eye(slope.shape[1]) + curvature, slope[..., None])
-        return np.asarray(self.constant - np.einsum("pk,pk->p", slope, best[..., 0]))
+        best = np.linalg.solve(np.eye(slope.shape[-1]) + curvature, slope.mT)
+        return np.asarray(self.constant - np.einsum("pbk,pkb->pb", slope, best))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -259,9 +270,11 @@ class PooledScatter:
     ...     shared=np.zeros((0, 4)),
     ...     joints=2,
     ... )
-    >>> pool = PooledScatter.none(places, outlier=20.0, chance=1.0).after(seen)
-    >>> pool.names[int(np.argmin(pool.by_hypothesis))], round(pool.excess, 6)
-    ('structural_looseness@link2', 8.0)
+    >>> pool = PooledScatter.none(places, outlier=20.0).after(seen)
+    >>> pool.names[int(np.argmin(pool.by_hypothesis))], round(pool.gain, 6)
+    ('structural_looseness@link2', 18.0)
+    >>> pool.stands_out(0.01, np.random.default_rng(0))
+    True
     """
 
     names: tuple[str, ...]
@@ -270,28 +283,23 @@ class PooledScatter:
     """Sliding directions in a link's frame (A, d)."""
     outlier: float
     """Scatter at which a record begins to count as an outlier [1]."""
-    chance: float
-    """Change that errors make in each record beyond the first, chi-square per joint [1]."""
     scatter: Array
     """Scatter about each place's direction, outliers bounded [1] (P,)."""
     misfit: Array
     """Misfit of each place, then of no place: chi-square with the best shared errors (P + 1,)."""
     left: _Left
     """What the records leave to the shared errors."""
-    records: int = 0
-    """Number of records."""
-    joints: int = 0
-    """Joints shaken, summed over the records."""
+    records: tuple[RecordScatter, ...] = ()
+    """The records."""
 
     @classmethod
-    def none(cls, places: PlaceDirections, *, outlier: float, chance: float) -> PooledScatter:
+    def none(cls, places: PlaceDirections, *, outlier: float) -> PooledScatter:
         """Begin without any record."""
         count = places.features.locations
         return cls(
             names=places.names,
             axes=places.axes,
             outlier=outlier,
-            chance=chance,
             scatter=np.zeros(count),
             misfit=np.zeros(count + 1),
             left=_Left(),
@@ -299,8 +307,8 @@ class PooledScatter:
 
     def after(self, record: RecordScatter) -> PooledScatter:
         """Add a record."""
-        left = self.left.after(record)
-        misfit = left.misfit()
+        left = self.left.after(record, record.measured[None])
+        misfit = left.misfit()[:, 0]
         # What the record adds, given those before it.
         off = (misfit - self.misfit)[:-1]
         off = self.outlier * np.log1p((off - off.min()) / self.outlier)
@@ -309,20 +317,63 @@ class PooledScatter:
             scatter=self.scatter + off,
             misfit=misfit,
             left=left,
-            records=self.records + 1,
-            joints=self.joints + record.joints,
+            records=(*self.records, record),
         )
 
     @property
-    def excess(self) -> float:
-        """Most change along one place, beyond what errors make of it by chance [1].
+    def gain(self) -> float:
+        """Most change that one place explains, chi-square [1]; zero before any record."""
+        return float(self.misfit[-1] - self.misfit[:-1].min())
 
-        Before any record it is zero.
+    def stands_out(self, significance: float, rng: np.random.Generator) -> bool:
+        """Tell whether errors alone make so much change along one place with less probability.
+
+        Nothing is drawn where one place alone decides, its gain chi-square with a degree of
+        freedom for each joint shaken: errors along several places make more than along one, and
+        at most as much as the sum of their probabilities says.
+
+        Parameters
+        ----------
+        significance : float
+            The probability [1].
+        rng : numpy.random.Generator
+            Draws the errors, see `chance`.
         """
         if not self.records:
-            return 0.0
-        gain = float(self.misfit[-1] - self.misfit[:-1].min()) * self.records / self.joints
-        return gain - 1.0 - self.chance * (self.records - 1)
+            return False
+        by_one = float(stats.chi2.sf(self.gain, sum(record.joints for record in self.records)))
+        if by_one >= significance or by_one * len(self.scatter) < significance:
+            return by_one < significance
+        return self.chance(rng) < significance
+
+    def chance(self, rng: np.random.Generator, *, draws: int = 64) -> float:
+        """Probability that errors alone make so much change along one place [1].
+
+        How much they make of it depends on all that the records are: their number, their lengths,
+        the joints shaken and the poses, which places these tell apart, and what errors they share.
+        So errors are drawn for these very records, by the covariances that the changes are held
+        against, and the largest gain of each draw is noted. A gamma distribution with the mean and
+        the variance of these gains gives the tail that so few draws do not reach.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Draws the errors.
+        draws : int
+            Number of draws.
+        """
+        if not self.records:
+            return 1.0
+        left = _Left()
+        shared = rng.standard_normal((draws, len(self.records[0].shared)))
+        for record in self.records:
+            own = rng.standard_normal((len(record.measured), draws))
+            own = np.linalg.solve(np.linalg.cholesky(record.precision).T, own).T
+            left = left.after(record, own + shared @ record.shared)
+        misfit = left.misfit()
+        gains = misfit[-1] - misfit[:-1].min(axis=0)
+        mean, variance = gains.mean(), gains.var()
+        return float(stats.gamma.sf(self.gain, mean**2 / variance, scale=variance / mean))
 
     @property
     def by_hypothesis(self) -> Array:

@@ -20,7 +20,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, LinearArm, MismatchDraw
+from loose_env.arms import Arm, Drift, LinearArm, MismatchDraw
 from loose_env.diagnosis import (
     SensorFloor,
 )
@@ -46,7 +46,7 @@ from loose_env.typing import Array
 
 __all__ = ["BatchRig", "EpisodeBatch"]
 
-_FAULT, _MISMATCH, _POSE, _RECORD = range(4)
+_FAULT, _MISMATCH, _POSE, _RECORD, _DRIFT = range(5)
 
 
 class BatchRig(Protocol):
@@ -252,6 +252,8 @@ class EpisodeBatch:
         """Excite and measure all arms that ask for a record, and work out what they show."""
         if not asked:
             return
+        for each in asked:
+            self._drift(each.slot, each.episode)
         excitations, shares = all_at_levels(
             [each.at for each in asked],
             self._levels[np.array([each.action.levels for each in asked])],
@@ -265,6 +267,14 @@ class EpisodeBatch:
                 played.append(each)
         measured = self._measured(jobs)
         self._writer.write((played[k], measurement) for k, measurement in measured)
+
+    def _drift(self, slot: int, episode: Episode) -> None:
+        """Let the true arm drift since the record before, if there was one and it does."""
+        if self.settings.drift == Drift() or not episode.records or episode.mismatch is None:
+            return
+        rng = episode.stream(_DRIFT, episode.records)
+        episode.mismatch = self.settings.drift.after(episode.mismatch, rng)
+        self.rig.mount(slot, episode.fault, episode.mismatch)
 
     def _measured(self, jobs: Sequence[Job]) -> Iterable[tuple[int, Measurement]]:
         """Measure; a simulated rig gives each record out while it works on the next ones."""

@@ -14,9 +14,11 @@ from loose_agents.benchmark.leaderboard import (
     RESULTS,
     agent_rows,
     leaderboard,
+    outside_table,
     stored_results,
     value_tables,
 )
+from loose_agents.benchmark.out_of_distribution import rig_for, settings_for
 from loose_agents.benchmark.results import (
     Results,
     read_results,
@@ -26,7 +28,9 @@ from loose_agents.benchmark.results import (
 )
 from loose_agents.benchmark.submission import check_results, play_results
 
+from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidData, UnknownName
+from loose_env.rig import ReducedRig
 
 TASK = "loose_env/ControlTier-v0"
 TOLD: dict[str, Any] = {"entry": "blind", "about": "says healthy"}
@@ -143,7 +147,40 @@ def test_tables_pair_entries_on_the_same_arms(results: Results) -> None:
     assert f"### {TASK}" in leaderboard(own)
 
 
-@pytest.mark.parametrize("kind", ["other", "preload", "friction"])
+def test_what_is_out_of_distribution_stands_beside_what_is_not(results: Results) -> None:
+    assert outside_table([results]) == ""
+    entry = replace(results, entry="blind", reward=(0.5,) * 4)
+    drifted = replace(entry, set="drift", reward=(0.25,) * 4)
+    other = replace(entry, entry="greedy", set="noise_2x", reward=(0.75,) * 4)
+    head, _, *rows = outside_table([entry, drifted, other]).split("\n")
+    assert head == "| task | episodes | arms | greedy | blind |"
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    assert [row[1] for row in cells] == [
+        "as trained", "twice the sensor noise", "zeros and gains drift between records",
+    ]  # fmt: skip
+    assert cells[0][3] == "-" and cells[0][4].startswith("+0.500 ± 0.000")
+    assert cells[1][3].startswith("+0.750") and cells[2][4].startswith("+0.250")
+
+
+def test_kinds_change_what_they_name_and_nothing_else() -> None:
+    problem = tasks.task_problem(TASK, tasks.SETS["test"])
+    usual = difficulty_named(problem.settings.difficulty)
+    for kind, name, factor in (("friction_2x", "friction", 2.0), ("small_play", "gap", 0.25)):
+        changed = difficulty_named(settings_for(kind, problem).difficulty)
+        low, high = getattr(usual, name)
+        assert getattr(changed, name) == (factor * low, factor * high)
+        before: dict[str, Any] = {name: (low, high)}
+        assert replace(changed, **before) == usual
+    rig = rig_for("noise_2x", problem, 1)
+    assert isinstance(rig, ReducedRig)
+    usual_sensors, after = problem.settings.sensors, rig.sensors
+    assert after.encoder.noise == 2 * usual_sensors.encoder.noise
+    assert after.accelerometer.noise_density == 2 * usual_sensors.accelerometer.noise_density
+    assert after.rate == usual_sensors.rate
+    assert settings_for("noise_2x", problem) == problem.settings
+
+
+@pytest.mark.parametrize("kind", ["other", "preload", "friction", "noise_2x", "drift"])
 def test_sets_out_of_distribution_are_replayed_too(tmp_path: Path, kind: str) -> None:
     found = play_results(TASK, kind, "always_healthy", told=TOLD, folder=tmp_path)
     assert found.set == kind and "always" in check_results(found, episodes=4, rng=rng())

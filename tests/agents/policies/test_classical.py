@@ -108,13 +108,38 @@ def test_the_proposed_level_follows_the_pose() -> None:
     assert len(np.unique(levels, axis=0)) > 1
 
 
+def test_one_exciter_shakes_the_joint_that_opens_most_and_rarely_alarms() -> None:
+    arm, rules = planar(3), DiagnosisSettings(engine="reduced", max_excited=1, durations=(0.2,))
+    agent = ClassicalAgent(Problem.of(arm, rules))
+    row = evaluate(
+        agent, "", arm, rules, episodes=40, seed=5, width=40, threads=1,
+        options={"fault": "healthy"},
+    )  # fmt: skip
+    assert sum(r.verdict != "healthy" for r in row) <= 3
+    pose = np.array([0.0, 0.4, 0.8])
+    levels = np.full(3, len(arm.levels))
+    search = agent.search
+    chosen = search.excited(pose, levels, search.prior)
+    opened = [
+        np.sum(search.prior * search.shown(pose, np.where(np.arange(3) == j, levels, 0)))
+        for j in range(3)
+    ]
+    assert np.flatnonzero(chosen).tolist() == [int(np.argmax(opened))]
+
+
+def test_a_search_ends_once_a_record_would_cost_more_than_it_finds() -> None:
+    search = ClassicalAgent(Problem.of(planar(3), SETTINGS)).search
+    assert search.pays(search.prior, 0.3, 1.2)
+    assert not search.pays(0.01 * search.prior, 0.003, 1.2)
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
         {"order": "sideways"},
         {"level": "highest"},
-        {"seen": 0.0},
-        {"healthy_poses": 0},
+        {"significance": 0.0},
+        {"significance": 1.0},
         {"line": -1.0},
         {"driven": -1.0},
     ],

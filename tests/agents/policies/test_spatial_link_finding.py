@@ -68,7 +68,7 @@ def test_turns_move_one_joint_and_images_move_several() -> None:
         for _ in range(EASY.max_records + 1):
             action, state = agent.predict(batch.observe(0), state)
             search = state[0]
-            loose = search.pool.excess >= agent.settings.change
+            loose = search.pool.stands_out(agent.settings.significance, np.random.default_rng(0))
             seen = loose if name == "images" else bool(search.sightings)
             outcome = batch.step([0], [action])[0]
             if outcome.terminated:
