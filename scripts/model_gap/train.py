@@ -94,7 +94,7 @@ class _Ends:
         """Keep the episodes that ended at a step."""
         for info in local["infos"]:
             if "episode" in info:
-                success = float(info.get("success", False))
+                success = float(info.get("is_success", False))
                 self.rows.append((float(info["episode"]["r"]), success, float(info["seconds"])))
         return True
 

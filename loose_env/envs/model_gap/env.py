@@ -72,7 +72,8 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     battery; nominal parameters uniform within the tolerance. Nothing is measured.
 
     ## Episode End
-    A verdict terminates, and so does going on after the last motion. A simulation that diverges
+    A verdict terminates, and so does going on after the last motion; one that names no set of the
+    belief, as before the first motion, is wrong. A simulation that diverges
     truncates.
 
     ## Arguments
@@ -169,8 +170,10 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     def _verdict(self, rank: int) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         assert self.machine is not None
-        if not self.action_masks()[len(self.motions) + rank]:  # ignored: a motion is not run either
-            return self._observed(), 0.0, False, False, self._info()
+        if not self.action_masks()[len(self.motions) + rank]:  # it names nothing
+            self._over = True
+            missed = {**self._info(), "truth": self.machine.names, "is_success": False}
+            return self._observed(), self.settings.prices.wrong, True, False, missed
         named = self.belief.posterior.sets[rank]
         truth, error = self.machine.names, self.parameter_error(named)
         reward = self.settings.prices.verdict(named.names, truth, parameter_error=error)
@@ -179,7 +182,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
             **self._info(),
             "verdict": named.names,
             "truth": truth,
-            "success": named.names == truth,
+            "is_success": named.names == truth,
             "parameter_error": error,
             "probability": named.probability,
         }

@@ -31,7 +31,7 @@ def test_training_goes_on_and_its_agent_plays(tmp_path: Path) -> None:
         assert info["action_mask"][int(action)]
         observation, _, over, _, info = env.step(action)
         start = False
-    assert "success" in info
+    assert "is_success" in info
 
     other = GapObservation(candidates=4, motions=2, ranks=5)
     with pytest.raises(InvalidSetting, match="train anew on this library"):

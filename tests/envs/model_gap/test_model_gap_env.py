@@ -94,7 +94,7 @@ def test_agents_find_a_large_effect(rule: str) -> None:
         observation, _, terminated, _, info = made.step(action)
         start = False
 
-    assert info["success"] and info["probability"] > 0.8
+    assert info["is_success"] and info["probability"] > 0.8
     assert 1 <= info["motions"] <= 4
 
 
