@@ -1,6 +1,6 @@
 """Train a posterior by neural ratio estimation with the library sbi, on a bank of records.
 
-Usage: python scripts/agents/train_ratio.py --env loose_env/Vera-v0 --out banks/vera
+Usage: python scripts/agents/train_ratio.py --env loose_env/ControlTier-v0 --out banks/vera
 
 What a general library gives on the same simulator, as estimator "ratio": `compare.py --agents
 ratio/together`. The bank is built first where it is missing, and a stopped bank goes on; the
