@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from posixpath import normpath
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from loose_env.arms import files_of
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.recording.csv_file import write_csv
-from loose_env.recording.description import DESCRIPTION, FORMAT
+from loose_env.recording.description import DESCRIPTION, FORMAT, read_description
 from loose_env.recording.folder import inside
 from loose_env.recording.parquet_file import write_parquet
 from loose_env.recording.recording import ENDINGS, Recording, read_recording
@@ -56,7 +57,8 @@ def write_recording(
     file_format : {"parquet", "csv"}
         Format of the runs' tables. Both keep every number to the last bit.
     overwrite : bool
-        Whether a recording that is there is replaced, the whole of its folder.
+        Whether a recording that is there is replaced, its runs and its model. A folder that holds
+        other files beside them is refused.
 
     Returns
     -------
@@ -109,7 +111,8 @@ def check_target(folder: str | Path, *, overwrite: bool = False) -> None:
     Raises
     ------
     InvalidSetting
-        If it is a file, or holds something; with ``overwrite``, if that is no recording.
+        If it is a file, or holds something; with ``overwrite``, if that is no recording, or
+        something besides the files of one.
     """
     target = Path(folder).resolve()
     if not target.exists():
@@ -127,6 +130,32 @@ def check_target(folder: str | Path, *, overwrite: bool = False) -> None:
         raise InvalidSetting(
             f"{target} holds no {DESCRIPTION} and is no recording; it is not overwritten"
         )
+    others = _other_files(target)
+    if others:
+        more = f" and {len(others) - 3} more" if len(others) > 3 else ""
+        raise InvalidSetting(
+            f"{target} holds {', '.join(others[:3])}{more}, which the recording there does not "
+            "name and overwriting would delete; move them away, or give a new folder"
+        )
+
+
+def _other_files(folder: Path) -> list[str]:
+    """Files in a recording's folder that belong neither to its runs nor to its model."""
+    try:
+        said = read_description(folder / DESCRIPTION)
+    except InvalidData as error:
+        raise InvalidSetting(
+            f"{folder} is not overwritten, for it cannot be told which of its files are the "
+            f"recording's: {error}; move it away, or give a new folder"
+        ) from None
+    own = {folder / normpath(name) for name in (DESCRIPTION, *(run.file for run in said.runs))}
+    model = folder / normpath(said.model)
+    own.add(model)
+    # A model that does not read names no other files.
+    with suppress(InvalidData, OSError):
+        own |= files_of(model)
+    there = (each for each in folder.rglob("*") if each.is_symlink() or not each.is_dir())
+    return sorted(str(each.relative_to(folder)) for each in there if each not in own)
 
 
 def _write_model(folder: Path, model_xml: str | Path) -> str:
