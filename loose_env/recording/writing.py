@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from loose_env.arms import files_of
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.recording.csv_file import write_csv
-from loose_env.recording.description import DESCRIPTION, FORMAT, read_description
+from loose_env.recording.description import DESCRIPTION, FORMAT, RunEntry, read_description
 from loose_env.recording.folder import inside
 from loose_env.recording.parquet_file import write_parquet
 from loose_env.recording.recording import ENDINGS, Recording, read_recording
@@ -37,7 +37,8 @@ def write_recording(
     *,
     model_xml: str | Path,
     runs: Iterable[Run],
-    file_format: FileFormat = "parquet",
+    planned: Iterable[RunEntry] = (),
+    file_format: FileFormat | None = "parquet",
     overwrite: bool = False,
 ) -> Recording:
     """Write runs and their model as a recording.
@@ -54,8 +55,11 @@ def write_recording(
         name with all it refers to. A string without ``<`` is a path.
     runs : iterable of Run
         The runs. A name gets the ending of the format in the place of another one.
-    file_format : {"parquet", "csv"}
-        Format of the runs' tables. Both keep every number to the last bit.
+    planned : iterable of RunEntry
+        Runs that are still to be measured.
+    file_format : {"parquet", "csv"} or None
+        Format of the runs' tables; None for that of each run's name, Parquet where it has none.
+        Both keep every number to the last bit.
     overwrite : bool
         Whether a recording that is there is replaced, its runs and its model. A folder that holds
         other files beside them is refused.
@@ -74,7 +78,7 @@ def write_recording(
     UnknownName
         If there is no such format.
     """
-    if file_format not in get_args(FileFormat):
+    if file_format is not None and file_format not in get_args(FileFormat):
         raise UnknownName(f"runs are kept as {list(get_args(FileFormat))}, not {file_format!r}")
     target = Path(folder).resolve()
     check_target(target, overwrite=overwrite)
@@ -87,6 +91,7 @@ def write_recording(
         beside.joinpath(DESCRIPTION).touch()  # its name is taken: no run may have it
         model = _write_model(beside, model_xml)
         entries = [_write_run(beside, run, file_format) for run in runs]
+        entries += [_entry(each.file, each) | {"planned": True} for each in planned]
         whole = {"format": FORMAT, "model": model, "runs": entries}
         text = json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
         beside.joinpath(DESCRIPTION).write_text(text, encoding="utf-8")
@@ -123,7 +128,8 @@ def check_target(folder: str | Path, *, overwrite: bool = False) -> None:
         return
     if not overwrite:
         raise InvalidSetting(
-            f"{target} is not empty; give a new folder, or overwrite=True to replace a recording"
+            f"{target} is not empty; give a new or empty folder: a recording is overwritten only "
+            "where that is asked for"
         )
     # Nobody's other folder is deleted by a slip.
     if not target.joinpath(DESCRIPTION).is_file():
@@ -172,9 +178,12 @@ def _write_model(folder: Path, model_xml: str | Path) -> str:
     return file.name
 
 
-def _write_run(folder: Path, run: Run, file_format: FileFormat) -> dict[str, Any]:
+def _write_run(folder: Path, run: Run, file_format: FileFormat | None) -> dict[str, Any]:
     name = PurePosixPath(run.name)
-    if name.suffix.lower() in ENDINGS:
+    ending = name.suffix.lower()
+    if file_format is None:
+        file_format = "csv" if ending == ".csv" else "parquet"
+    if ending in ENDINGS:
         name = name.with_suffix("")
     given = normpath(f"{name}.{file_format}")
     path = inside(folder, given, f"run {run.name!r}")
@@ -188,7 +197,11 @@ def _write_run(folder: Path, run: Run, file_format: FileFormat) -> dict[str, Any
             "and no folder; rename the run"
         ) from None
     _WRITERS[file_format](path, table_of(run))
-    entry: dict[str, Any] = {"file": given}
+    return _entry(given, run)
+
+
+def _entry(file: str, run: Run | RunEntry) -> dict[str, Any]:
+    entry: dict[str, Any] = {"file": file}
     if run.excited:
         entry["excited"] = list(run.excited)
     if run.pose is not None:

@@ -137,7 +137,7 @@ def test_a_folder_that_holds_something_is_kept(tmp_path: Path, swing: Swing) -> 
     place = tmp_path / "made"
     place.mkdir()
     first = write_recording(place, model_xml=ARM, runs=[swing()])  # empty: taken
-    with pytest.raises(InvalidSetting, match=r"not empty.*overwrite=True"):
+    with pytest.raises(InvalidSetting, match=r"not empty; give a new"):
         write_recording(place, model_xml=ARM, runs=[swing(seed=1)])
     assert_same(read_recording(place).runs[0], first.runs[0])
     write_recording(place, model_xml=ARM, runs=[swing("b", seed=1)], overwrite=True)
