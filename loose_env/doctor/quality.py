@@ -29,7 +29,6 @@ from loose_env.doctor.thresholds import (
     LOST_VALUE,
     NOTED_NAN,
     REPEATING_SHARE,
-    WEAK_AXIS,
 )
 from loose_env.importing import median_step
 from loose_env.recording import Run, without_corrupt
@@ -40,6 +39,8 @@ __all__ = ["check_quality", "without_absurd"]
 _NOISY = ("acceleration", "turning", "torque", "velocity")
 """Kinds whose readings never repeat for long on a machine that runs."""
 _SITE = ("acceleration", "turning")
+_ROUNDING = 1e-6
+"""Motion of an axis over that of its sensor, below which it is rounding [1]."""
 _AXES = ("", ".x", ".y", ".z")
 
 
@@ -135,7 +136,10 @@ def _moving(
 
 
 def _reached(machine: Machine, run: Run, channels: Sequence[Channel]) -> set[str]:
-    """Axes of accelerometers along which the excited joints move them, in the run's pose."""
+    """Axes of accelerometers along which the excited joints move them, in the run's pose.
+
+    However little it is, a reading of it is not constant; a plane arm has axes without any.
+    """
     model, data = machine.model, mujoco.MjData(machine.model)
     for joint, q in (run.pose or {}).items():
         data.qpos[int(model.jnt_qposadr[model.joint(joint).id])] = q
@@ -150,7 +154,7 @@ def _reached(machine: Machine, run: Run, channels: Sequence[Channel]) -> set[str
         site, turned = int(model.sensor_objid[model.sensor(sensor).id]), np.zeros((3, model.nv))
         mujoco.mj_jacSite(model, data, turned, None, site)
         moved = np.linalg.norm(data.site_xmat[site].reshape(3, 3).T @ turned[:, dofs], axis=1)
-        seen = moved > WEAK_AXIS * np.linalg.norm(moved)
+        seen = moved > _ROUNDING * np.linalg.norm(moved)
         found |= {f"sensor.{sensor}.{letter}" for letter, s in zip("xyz", seen, strict=True) if s}
     return found
 

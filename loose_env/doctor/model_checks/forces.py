@@ -71,8 +71,8 @@ def check_forces(machine: Machine, blocks: Blocks) -> Iterator[Finding]:
             gathered.setdefault(joint, {})[run.name] = column, mean, motion.torques[:, dof]
     for joint, parts in gathered.items():
         usual = _rms(np.concatenate([needed for _, _, needed in parts.values()]))
-        for run, some in judged_runs(parts, partial(_alone, usual)):
-            yield from _judged(machine, joint, some, run, usual)
+        for name, some in judged_runs(parts, partial(_alone, usual)):
+            yield from _judged(machine, joint, some, name, usual)
 
 
 def _ratio(parts: Sequence[_Part], usual: float) -> Ratio | None:

@@ -60,7 +60,11 @@ def check_positions(
             for run, channels in runs
             if joint in (c := positions(channels))
         }
-        for name, parts in judged_runs(own, lambda run, _, joint=joint: told.get((run, joint))):
+
+        def verdict(run: str, _: object, joint: str = joint) -> str | None:
+            return told.get((run, joint))
+
+        for name, parts in judged_runs(own, verdict):
             reason = _by_pose(machine, joint, parts) or _unit(machine, joint, parts)
             if reason is None and name and told[name, joint] == _UNIT:
                 reason = _as_others(machine, joint, parts[0][1])

@@ -106,7 +106,7 @@ def assigned_by_signal(
     positions = [i for i in positions if any(_is_position(moving[i], t) for t in targets)]
     if not related and len(positions) != len(targets):
         return []
-    found = []
+    found: list[Assigned] = []
     for place, i in enumerate(positions, 1):
         taken = {each.joint.name for each in found}
         free = [t for t in targets if t.name not in taken and _is_position(moving[i], t)]

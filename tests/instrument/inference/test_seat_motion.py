@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from loose_env.instrument.inference.seat_motion import explained
+from loose_env.instrument.inference.seat_motion import Products, explained
 
 
-def products(g11: float, g22: float, coherence: float, b: tuple[complex, complex]):
-    """Inner products of two regressors of one channel and the residual, (1, 1) each."""
+def products(g11: float, g22: float, coherence: float, b: tuple[complex, complex]) -> Products:
+    """Inner products of two regressors and the residual, (1, 1) each."""
     g12 = coherence * np.sqrt(g11 * g22) * np.exp(0.3j)
-    return tuple(np.array([[value]]) for value in (g11, g22, g12, *b))
+    mixed, first, second = (np.array([[value]], dtype=complex) for value in (g12, *b))
+    return np.array([[g11]]), np.array([[g22]]), mixed, first, second
 
 
 def test_collinear_regressors_keep_the_evidence_finite_at_any_power() -> None:
