@@ -161,17 +161,17 @@ def _by_factors(
     if as_is <= UNEXPLAINED or corrected > as_is / CLEARER:
         return
     for (joint, factor), own in found.items():
-        some = () if set(own) >= set(names) else tuple(own)
-        fix = Correction(kind="scale", columns=(positions[joint],), factor=factor, runs=some)
-        yield _finding(
-            check="units" if factor > 0 else "sign",
-            channel=positions[joint],
-            run=", ".join(some),
-            found=f"multiplied by {factor:.4g}, the model leaves {corrected:.1%} of the torques' "
-            f"variance, as recorded {_part(as_is)}",
-            value=factor,
-            fix=fix,
-        )
+        fix = Correction(kind="scale", columns=(positions[joint],), factor=factor)
+        for run in [""] if set(own) >= set(names) else own:
+            yield _finding(
+                check="units" if factor > 0 else "sign",
+                channel=positions[joint],
+                run=run,
+                found=f"multiplied by {factor:.4g}, the model leaves {corrected:.1%} of the "
+                f"torques' variance, as recorded {_part(as_is)}",
+                value=factor,
+                fix=fix.of(run),
+            )
 
 
 def _columns(machine: Machine, runs: Runs) -> tuple[dict[str, str], dict[str, str]] | None:
