@@ -39,6 +39,8 @@ def words_of(error: BaseException) -> str:
     --------
     >>> words_of(OSError(errno.ENOSPC, "No space left on device", "out/rows.parquet"))
     "the disk is full, or the file too large for it: 'out/rows.parquet'; free some ..."
+    >>> words_of(OSError(errno.EACCES, "Permission denied", "run-01.csv"))
+    "no permission: 'run-01.csv'; choose another folder, or change who may read or write there"
     """
     said = " ".join(str(error).split())
     if not isinstance(error, OSError):
@@ -50,7 +52,7 @@ def words_of(error: BaseException) -> str:
             "elsewhere"
         )
     if error.errno in _CLOSED:
-        return f"no permission{where}; choose another folder, or change who may write there"
+        return f"no permission{where}; choose another folder, or change who may read or write there"
     if error.errno in (errno.ENOTDIR, errno.EEXIST):
         return f"a file lies where a folder is needed{where}; choose another folder"
     return said

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from loose_env.cli.console import Console, Outcome, add_recording_options
@@ -44,13 +45,18 @@ def run(options: argparse.Namespace, console: Console) -> Outcome:
     settings = settings_of(options, DoctorSettings)
     recording = read_recording(options.recording, model=options.model)
     report = examine(recording, settings)
-    text = report.text()
-    if options.fix is not None:
-        found = (*report.errors, *report.warnings)
-        fixes = list(dict.fromkeys(each.fix for each in found if each.fix is not None))
+    outcome = Outcome(text=report.text(), json=report.to_json, code=1 if report.errors else 0)
+    if options.fix is None:
+        return outcome
+    found = (*report.errors, *report.warnings)
+    fixes = list(dict.fromkeys(each.fix for each in found if each.fix is not None))
+    try:
         made = write_corrected(recording, fixes, options.fix)
-        text += f"\nwritten: {made.folder}, with {'; '.join(fix.words for fix in fixes)}"
-    return Outcome(text=text, json=report.to_json, code=1 if report.errors else 0)
+    except BaseException:
+        console.show(outcome)  # the findings are worth their time without the copy, too
+        raise
+    written = f"written: {made.folder}, with {'; '.join(fix.words for fix in fixes)}"
+    return replace(outcome, text=f"{outcome.text}\n{written}")
 
 
 def add_preflight(parser: argparse.ArgumentParser) -> None:

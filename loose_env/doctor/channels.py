@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -13,7 +13,16 @@ import numpy as np
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["Channel", "Kind", "Machine", "Runs", "channels_of", "filled", "positions"]
+__all__ = [
+    "Channel",
+    "Factors",
+    "Kind",
+    "Machine",
+    "Runs",
+    "channels_of",
+    "filled",
+    "positions",
+]
 
 Kind = Literal["position", "velocity", "acceleration", "turning", "torque", "command", "other"]
 """Quantity of a channel."""
@@ -130,6 +139,10 @@ class Machine:
 
 Runs = Sequence[tuple[Run, Sequence[Channel]]]
 """Runs with their channels."""
+
+Factors = Mapping[tuple[str, str], float]
+"""Run and joint -> factor that brings its positions to rad or m and to the model's sign; 1 where
+there is none."""
 
 
 def channels_of(machine: Machine, run: Run) -> list[Channel]:

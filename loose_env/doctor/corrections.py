@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from posixpath import normpath
 from tempfile import TemporaryDirectory
 from typing import Literal
 
@@ -13,7 +15,14 @@ import numpy as np
 
 from loose_env.arms import files_of
 from loose_env.errors import InvalidSetting
-from loose_env.recording import Recording, Run, write_recording
+from loose_env.recording import (
+    DESCRIPTION,
+    Recording,
+    Run,
+    RunEntry,
+    read_description,
+    write_recording,
+)
 from loose_env.typing import Array
 
 __all__ = ["Correction", "write_corrected"]
@@ -36,11 +45,19 @@ class Correction:
     """Lateness of the columns, taken out by ``"shift"`` [s]."""
     vector: tuple[float, float, float] | None = None
     """Gravity of ``"gravity"`` [m/s²]."""
+    runs: tuple[str, ...] = ()
+    """Runs whose columns are changed; all where it is empty."""
+
+    def of(self, run: str) -> Correction:
+        """Return the same change of one run alone; of all runs for ""."""
+        return replace(self, runs=(run,)) if run else self
 
     @property
     def words(self) -> str:
         """The change, as a reader is told of it."""
         names = " and ".join(self.columns)
+        if self.runs:
+            names += f" of {' and '.join(self.runs)}"
         if self.kind == "scale":
             return f"{names} multiplied by {self.factor:.6g}"
         if self.kind == "unwrap":
@@ -62,14 +79,15 @@ def write_corrected(
     recording : Recording
         The recording as read; it is not changed.
     corrections : iterable of Correction
-        Changes; equal ones count once.
+        Changes; equal ones count once for each run.
     folder : str or Path
         New or empty folder.
 
     Returns
     -------
     Recording
-        The corrected one.
+        The corrected one. Its runs keep their format and the time of measurement, that of their
+        files; runs that are planned and not measured yet stay planned.
 
     Raises
     ------
@@ -95,17 +113,37 @@ def write_corrected(
             f"no finding on {recording.folder.name} offers a correction; nothing is written"
         )
     runs = [_corrected(run, chosen) for run in recording.runs]
+    planned = _planned(recording)
     gravity = [each.vector for each in chosen if each.vector is not None]
     with TemporaryDirectory() as place:
         model = recording.model_path
         if gravity:
             model = _with_gravity(model, gravity[-1], Path(place))
-        return write_recording(folder, model_xml=model, runs=runs)
+        made = write_recording(
+            folder, model_xml=model, runs=runs, planned=planned, file_format=None
+        )
+    for before, after in zip(recording.runs, made.runs, strict=True):
+        source = recording.folder / before.name
+        if source.is_file():
+            read = source.stat()
+            os.utime(made.folder / after.name, ns=(read.st_atime_ns, read.st_mtime_ns))
+    return made
+
+
+def _planned(recording: Recording) -> list[RunEntry]:
+    """Entries of the runs that are still to be measured."""
+    file = recording.folder / DESCRIPTION
+    if not file.is_file():
+        return []
+    measured = {run.name for run in recording.runs}
+    entries = read_description(file).runs
+    return [each for each in entries if each.planned and normpath(each.file) not in measured]
 
 
 def _corrected(run: Run, corrections: Sequence[Correction]) -> Run:
     groups = {"ctrl": dict(run.controls), "sensor": dict(run.sensors), "torque": dict(run.torques)}
-    for each in corrections:
+    own = (replace(c, runs=()) for c in corrections if not c.runs or run.name in c.runs)
+    for each in dict.fromkeys(own):
         parts = [column.partition(".") for column in each.columns]
         there = [(groups[p], name) for p, _, name in parts if name in groups[p]]
         if each.kind == "exchange" and len(there) == 2:
@@ -127,13 +165,13 @@ def _corrected(run: Run, corrections: Sequence[Correction]) -> Run:
 
 
 def _shifted(time: Array, values: Array, seconds: float) -> Array:
-    """Values that were recorded some time later; the ends keep theirs."""
+    """Values that were recorded some time later, missing where none was recorded."""
     if values.ndim > 1:
         return np.stack([_shifted(time, column, seconds) for column in values.T], axis=1)
     good = np.isfinite(values)
     if not good.any():
         return values
-    moved = np.interp(time + seconds, time[good], values[good])
+    moved = np.interp(time + seconds, time[good], values[good], left=np.nan, right=np.nan)
     return np.where(np.interp(time + seconds, time, good.astype(float)) > 0.5, moved, np.nan)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy import signal
 
-from loose_env.doctor.channels import Channel, Machine, Runs, filled, positions
+from loose_env.doctor.channels import Channel, Factors, Machine, Runs, filled, positions
 from loose_env.doctor.findings import Finding
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import POSE_SPREAD, SILENT_COMMAND
@@ -18,12 +18,10 @@ __all__ = ["check_entries", "positions_in"]
 _RECORD = "note the pose that was held, or record the run again in that pose"
 
 
-def positions_in(
-    run: Run, channels: Sequence[Channel], factors: Mapping[str, float]
-) -> dict[str, np.ndarray]:
+def positions_in(run: Run, channels: Sequence[Channel], factors: Factors) -> dict[str, np.ndarray]:
     """Measured position of each joint, brought to rad or m by the factors found."""
     return {
-        joint: filled(run.time, channel.values) * factors.get(joint, 1.0)
+        joint: filled(run.time, channel.values) * factors.get((run.name, joint), 1.0)
         for joint, channel in positions(channels).items()
     }
 
@@ -31,7 +29,7 @@ def positions_in(
 def check_entries(
     machine: Machine,
     pairs: Runs,
-    factors: Mapping[str, float],
+    factors: Factors,
     settings: DoctorSettings,
 ) -> Iterator[Finding]:
     """Compare the entries of all runs with their columns."""
@@ -62,7 +60,7 @@ def _pose(
     channels: Sequence[Channel],
     mean: Mapping[str, float],
     runs: Sequence[Run],
-    factors: Mapping[str, float],
+    factors: Factors,
     settings: DoctorSettings,
 ) -> Iterator[Finding]:
     assert run.pose is not None

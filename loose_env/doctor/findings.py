@@ -212,8 +212,9 @@ def _lines(severity: str, group: list[Finding]) -> list[str]:
     lines += [f"  also {_observed(each)}" for each in group[1:_SHOWN]]
     if len(group) > _SHOWN:
         more = group[_SHOWN:]
-        runs = len({each.run for each in more})
-        lines.append(f"  and {len(more)} more of this kind, in {runs} run{'s' * (runs != 1)}")
+        runs = len({each.run for each in more if each.run})  # one without holds for all
+        place = f", in {runs} run{'s' * (runs != 1)}" if runs else ""
+        lines.append(f"  and {len(more)} more of this kind{place}")
     return [*lines, f"  consequence: {group[0].consequence}", f"  remedy: {group[0].remedy}"]
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from loose_env.arms import quiet
-from loose_env.doctor.channels import Channel, Machine, channels_of
+from loose_env.doctor.channels import Channel, Factors, Machine, channels_of
 from loose_env.doctor.corrections import Correction
 from loose_env.doctor.entries import check_entries
 from loose_env.doctor.findings import Finding, Report
@@ -107,11 +107,16 @@ def _together(
     wrong, factors = check_positions(machine, runs, settings)
     encoders = list(check_encoders(machine, runs))
     yield from encoders
-    ticks = {each.channel: each.fix for each in encoders if each.check == "units"}
-    for column, fix in ticks.items():
-        sensor = machine.model.sensor(column.removeprefix("sensor."))
-        factors[machine.model.joint(int(sensor.objid[0])).name] = fix.factor if fix else 1.0
-    yield from (_with_fix(machine, each, factors) for each in wrong if each.channel not in ticks)
+    counted = [each for each in encoders if each.check == "units"]
+    for each in counted:
+        sensor = machine.model.sensor(each.channel.removeprefix("sensor."))
+        joint = machine.model.joint(int(sensor.objid[0])).name
+        for run, _ in runs:
+            if each.run in ("", run.name):
+                factors[run.name, joint] = each.fix.factor if each.fix else 1.0
+    for each in wrong:
+        if not any(c.channel == each.channel and c.run in ("", each.run) for c in counted):
+            yield _with_fix(machine, each, factors)
     yield from check_entries(machine, runs, factors, settings)
     if _needs_motion(machine, [run for run, _ in runs]):
         say("checking gravity and torques")
@@ -127,16 +132,19 @@ def _together(
     yield from check_clocks(machine, runs, factors, settings)
 
 
-def _with_fix(machine: Machine, finding: Finding, factors: Mapping[str, float]) -> Finding:
+def _with_fix(machine: Machine, finding: Finding, factors: Factors) -> Finding:
     """Finding on a position column with the factor that was found for its joint."""
     model, name = machine.model, finding.channel.removeprefix("sensor.")
     sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
     if name == finding.channel or sensor < 0 or finding.check not in ("units", "sign"):
         return finding
-    factor = factors.get(model.joint(int(model.sensor_objid[sensor])).name, 1.0)
+    joint = model.joint(int(model.sensor_objid[sensor])).name
+    own = (f for (run, of), f in factors.items() if of == joint and finding.run in ("", run))
+    factor = next(own, 1.0)
     if factor == 1.0:
         return finding
-    return replace(finding, fix=Correction(kind="scale", columns=(finding.channel,), factor=factor))
+    fix = Correction(kind="scale", columns=(finding.channel,), factor=factor)
+    return replace(finding, fix=fix.of(finding.run))
 
 
 def _needs_motion(machine: Machine, runs: Sequence[Run]) -> bool:

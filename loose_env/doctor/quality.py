@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,6 +39,8 @@ __all__ = ["check_quality", "without_absurd"]
 _NOISY = ("acceleration", "turning", "torque", "velocity")
 """Kinds whose readings never repeat for long on a machine that runs."""
 _SITE = ("acceleration", "turning")
+_ROUNDING = 1e-6
+"""Motion of an axis over that of its sensor, below which it is rounding [1]."""
 _AXES = ("", ".x", ".y", ".z")
 
 
@@ -82,13 +85,14 @@ def check_quality(machine: Machine, run: Run, channels: Sequence[Channel]) -> It
     moves = {c.name: bool(c.there.size) and bool(np.ptp(c.there) > 0) for c in channels}
     alive = {c.of: any(moves[d.name] for d in channels if d.of == c.of) for c in channels}
     moving = _moving(machine, channels, moves)
+    reached = _reached(machine, run, channels)
     for channel in channels:
         yield from _missing(run, channel)
         values, there = channel.there, np.isfinite(channel.values)
         if not values.size:
             continue
         if not moves[channel.name]:
-            yield from _stuck(run, channel, alive, moving)
+            yield from _stuck(run, channel, alive, moving, reached)
             continue
         starts, lengths = _repeats(values)
         yield from _held(run, channel, lengths)
@@ -131,11 +135,36 @@ def _moving(
     return {drive.joint for drive in drives if drive.follows}, moved
 
 
+def _reached(machine: Machine, run: Run, channels: Sequence[Channel]) -> set[str]:
+    """Axes of accelerometers along which the excited joints move them, in the run's pose.
+
+    However little it is, a reading of it is not constant; a plane arm has axes without any.
+    """
+    model, data = machine.model, mujoco.MjData(machine.model)
+    for joint, q in (run.pose or {}).items():
+        data.qpos[int(model.jnt_qposadr[model.joint(joint).id])] = q
+    for c in channels:
+        if c.kind == "position" and c.there.size:
+            data.qpos[int(model.jnt_qposadr[model.joint(c.of).id])] = float(np.mean(c.there))
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    dofs = [int(model.jnt_dofadr[model.joint(joint).id]) for joint in run.excited]
+    found = set()
+    for sensor in {c.of for c in channels if c.kind == "acceleration"} if dofs else ():
+        site, turned = int(model.sensor_objid[model.sensor(sensor).id]), np.zeros((3, model.nv))
+        mujoco.mj_jacSite(model, data, turned, None, site)
+        moved = np.linalg.norm(data.site_xmat[site].reshape(3, 3).T @ turned[:, dofs], axis=1)
+        seen = moved > _ROUNDING * np.linalg.norm(moved)
+        found |= {f"sensor.{sensor}.{letter}" for letter, s in zip("xyz", seen, strict=True) if s}
+    return found
+
+
 def _stuck(
     run: Run,
     channel: Channel,
     alive: Mapping[str, bool],
     moving: tuple[set[str], set[str]],
+    reached: set[str],
 ) -> Iterator[Finding]:
     """Judge a channel that holds one value through the run."""
     if channel.kind in ("command", "other"):
@@ -149,17 +178,22 @@ def _stuck(
         return  # a joint at rest behind a coarse encoder, or a brake
     if channel.kind in _SITE and not run.excited and not alive[channel.of]:
         return  # nothing is known to move
-    dead = channel.kind in _SITE and not alive[channel.of]
+    dead = channel.kind in _SITE and (not alive[channel.of] or channel.name in reached)
+    axis = channel.kind in _SITE and alive[channel.of]
     yield Finding(
         check="stuck",
         severity="error" if excited or dead else "warning",
         run=run.name,
         channel=channel.name,
         found=f"every sample is {value:.6g}"
-        + (f", and joint {channel.of} is excited in this run" if excited else ""),
+        + (f", and joint {channel.of} is excited in this run" if excited else "")
+        + (", and the other axes of the sensor move" if axis else ""),
         value=value,
         consequence="the channel carries no signal, and its silence is taken for a measurement",
-        remedy="check cable and recorder; leave the column out where the sensor is dead",
+        remedy="repair the axis and record the run again: a sensor is read with all its axes or "
+        "none; for 'loose gap' its three columns may be left out of the run"
+        if axis
+        else "check cable and recorder; leave the column out where the sensor is dead",
     )
 
 

@@ -14,9 +14,9 @@ PAUSE_S = 0.02
 LEAST_RATE_HZ = 20.0
 """Sampling rate below which the motion of an arm is not resolved [Hz]: its servos reach 5 to 10
 Hz."""
-SLOWEST_RATE_HZ = 1.0
+SLOWEST_RATE_HZ = 4.5
 """Sampling rate below which times are not in seconds [Hz]: the slowest recorders of arms have 5
-Hz."""
+Hz, and the 1 to 4 kHz of usual drives read so where their times are in milliseconds."""
 BAND_SHARE = 0.4
 """Highest frequency of an excitation over the sampling rate: anti-aliasing filters need the
 rest."""
@@ -256,11 +256,11 @@ LARGEST_LAG_S = 0.4
 
 # Entries
 POSE_OFFSET = 0.05
-"""Distance of a measured from a noted position, above which it is a finding [rad or m]: servos sag
-by less."""
+"""Distance of a measured from a noted position, above which it is a finding, and a diagnosis tells
+that it uses the measured one [rad or m]: servos sag by less."""
 POSE_SPREAD = 0.2
-"""Rms motion of a joint in a run with a noted pose, above which it is a finding [rad or m]: shaking
-about a pose stays within 0.1."""
+"""Rms motion of a joint in a run with a noted pose, above which it is a finding, and a diagnosis
+refuses the run [rad or m]: shaking about a pose stays within 0.1."""
 SILENT_COMMAND = 0.01
 """Force of a command over that of the strongest [rms ratio], below which its joint was not excited:
 as much leaks in from a controller that holds the joint."""

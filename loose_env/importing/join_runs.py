@@ -15,13 +15,19 @@ from loose_env.importing.mapping.units import UNITS, column_quantity, unit_named
 from loose_env.importing.samples import ChannelKey, Samples
 from loose_env.importing.timing.clock_alignment import shift_between
 from loose_env.importing.timing.resampling import bridged, held, median_step, resampled, rows_of
-from loose_env.recording import FEWEST_SAMPLES, MOST_VALUES, ModelColumns, Run, joint_sensors
+from loose_env.recording import (
+    FEWEST_SAMPLES,
+    MOST_MISSING,
+    MOST_VALUES,
+    ModelColumns,
+    Run,
+    joint_sensors,
+)
 from loose_env.typing import Array
 
 Pool = Mapping[tuple[str, Path, ChannelKey], Samples]
 """Samples by source, file and channel."""
 
-_MOST_MISSING = 0.2
 _PREFIX = {"ctrl": "controls", "sensor": "sensors", "torque": "torques"}
 
 
@@ -115,14 +121,14 @@ def joined_run(
     for column in columns:
         values, how = column.at(rows)
         missing = int(np.count_nonzero(np.isnan(values)))
-        if missing > _MOST_MISSING * len(rows):
+        if missing > MOST_MISSING * len(rows):
             first = rows[int(np.flatnonzero(np.isnan(values))[0])] - rows[0]
             raise InvalidData(
                 f"{plan.place}: column {column.entry.column!r}, from {column.samples.place}: "
                 f"{missing / len(rows):.0%} of {len(rows)} rows have no sample, the first "
-                f"{first:.3f} s after the start; a column may miss 20 %. Cut the run by start and "
-                "stop; or, where pauses belong to the channel, set its gap_s (now "
-                f"{column.longest:.4g})"
+                f"{first:.3f} s after the start; a column may miss {100 * MOST_MISSING:g} %. Cut "
+                "the run by start and stop; or, where pauses belong to the channel, set its gap_s "
+                f"(now {column.longest:.4g})"
             )
         table[column.entry.column] = values
         note = f", {missing} missing" if missing else ""

@@ -42,7 +42,7 @@ def write_bytes(path: Path, data: bytes) -> Path:
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write a text as utf-8.
+    """Write a text as utf-8, as `write_bytes`.
 
     Examples
     --------
@@ -51,4 +51,4 @@ def write_text(path: Path, text: str) -> Path:
     ...     write_text(Path(place, "a", "b.txt"), "words").read_text("utf-8")
     'words'
     """
-    return written_beside(path, lambda beside: beside.write_bytes(text.encode("utf-8")))
+    return write_bytes(path, text.encode("utf-8"))

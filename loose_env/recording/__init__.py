@@ -48,6 +48,7 @@ from loose_env.recording.sensor_roles import (
 )
 from loose_env.recording.table import (
     FEWEST_SAMPLES,
+    MOST_MISSING,
     MOST_VALUES,
 )
 from loose_env.recording.writing import (
@@ -62,6 +63,7 @@ __all__ = [
     "FEWEST_SAMPLES",
     "FORMAT",
     "LARGEST_VALUE",
+    "MOST_MISSING",
     "MOST_VALUES",
     "Comparison",
     "Condition",

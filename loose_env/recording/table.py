@@ -13,6 +13,7 @@ from loose_env.typing import Array
 
 __all__ = [
     "FEWEST_SAMPLES",
+    "MOST_MISSING",
     "MOST_VALUES",
     "CheckHeader",
     "Table",
@@ -29,8 +30,8 @@ FEWEST_SAMPLES = 10
 """Shortest run of the format."""
 MOST_VALUES = 100_000_000
 """Largest table that is read, rows times columns: 0.8 GB."""
-_MISSING_IN_FIVE = 1
-"""A column may miss one sample in five, 20 %."""
+MOST_MISSING = 0.2
+"""Share of its samples that a column may miss [1]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,7 +73,7 @@ def check_numbers(table: Table) -> None:
     ------
     InvalidData
         If it is shorter than `FEWEST_SAMPLES`, its time is missing somewhere or does not
-        increase, a value is infinite, or more than 20 % of a column is missing.
+        increase, a value is infinite, or a column misses more than `MOST_MISSING`.
     """
     time = table.columns["time"]
     rows = len(time)
@@ -105,10 +106,11 @@ def check_numbers(table: Table) -> None:
         )
     for name, values in table.columns.items():
         missing = np.flatnonzero(np.isnan(values))
-        if 5 * missing.size > _MISSING_IN_FIVE * rows:
+        if missing.size > MOST_MISSING * rows:
             raise InvalidData(
                 f"{table.place(name, int(missing[0]))} is the first of {missing.size} missing "
-                f"samples, {missing.size / rows:.1%} of {rows}; a column may miss 20 %. Leave the "
-                "column out, cut the run to where it was recorded or, where its sensor is slower "
-                "than the others, interpolate it at their times, as 'loose import' does"
+                f"samples, {missing.size / rows:.1%} of {rows}; a column may miss "
+                f"{100 * MOST_MISSING:g} %. Leave the column out, cut the run to where it was "
+                "recorded or, where its sensor is slower than the others, interpolate it at their "
+                "times, as 'loose import' does"
             )

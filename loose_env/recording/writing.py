@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from posixpath import normpath
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from loose_env.arms import files_of
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.recording.csv_file import write_csv
-from loose_env.recording.description import DESCRIPTION, FORMAT
+from loose_env.recording.description import DESCRIPTION, FORMAT, RunEntry, read_description
 from loose_env.recording.folder import inside
 from loose_env.recording.parquet_file import write_parquet
 from loose_env.recording.recording import ENDINGS, Recording, read_recording
@@ -36,7 +37,8 @@ def write_recording(
     *,
     model_xml: str | Path,
     runs: Iterable[Run],
-    file_format: FileFormat = "parquet",
+    planned: Iterable[RunEntry] = (),
+    file_format: FileFormat | None = "parquet",
     overwrite: bool = False,
 ) -> Recording:
     """Write runs and their model as a recording.
@@ -53,10 +55,14 @@ def write_recording(
         name with all it refers to. A string without ``<`` is a path.
     runs : iterable of Run
         The runs. A name gets the ending of the format in the place of another one.
-    file_format : {"parquet", "csv"}
-        Format of the runs' tables. Both keep every number to the last bit.
+    planned : iterable of RunEntry
+        Runs that are still to be measured.
+    file_format : {"parquet", "csv"} or None
+        Format of the runs' tables; None for that of each run's name, Parquet where it has none.
+        Both keep every number to the last bit.
     overwrite : bool
-        Whether a recording that is there is replaced, the whole of its folder.
+        Whether a recording that is there is replaced, its runs and its model. A folder that holds
+        other files beside them is refused.
 
     Returns
     -------
@@ -72,7 +78,7 @@ def write_recording(
     UnknownName
         If there is no such format.
     """
-    if file_format not in get_args(FileFormat):
+    if file_format is not None and file_format not in get_args(FileFormat):
         raise UnknownName(f"runs are kept as {list(get_args(FileFormat))}, not {file_format!r}")
     target = Path(folder).resolve()
     check_target(target, overwrite=overwrite)
@@ -85,6 +91,7 @@ def write_recording(
         beside.joinpath(DESCRIPTION).touch()  # its name is taken: no run may have it
         model = _write_model(beside, model_xml)
         entries = [_write_run(beside, run, file_format) for run in runs]
+        entries += [_entry(each.file, each) | {"planned": True} for each in planned]
         whole = {"format": FORMAT, "model": model, "runs": entries}
         text = json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
         beside.joinpath(DESCRIPTION).write_text(text, encoding="utf-8")
@@ -109,7 +116,8 @@ def check_target(folder: str | Path, *, overwrite: bool = False) -> None:
     Raises
     ------
     InvalidSetting
-        If it is a file, or holds something; with ``overwrite``, if that is no recording.
+        If it is a file, or holds something; with ``overwrite``, if that is no recording, or
+        something besides the files of one.
     """
     target = Path(folder).resolve()
     if not target.exists():
@@ -120,13 +128,40 @@ def check_target(folder: str | Path, *, overwrite: bool = False) -> None:
         return
     if not overwrite:
         raise InvalidSetting(
-            f"{target} is not empty; give a new folder, or overwrite=True to replace a recording"
+            f"{target} is not empty; give a new or empty folder: a recording is overwritten only "
+            "where that is asked for"
         )
     # Nobody's other folder is deleted by a slip.
     if not target.joinpath(DESCRIPTION).is_file():
         raise InvalidSetting(
             f"{target} holds no {DESCRIPTION} and is no recording; it is not overwritten"
         )
+    others = _other_files(target)
+    if others:
+        more = f" and {len(others) - 3} more" if len(others) > 3 else ""
+        raise InvalidSetting(
+            f"{target} holds {', '.join(others[:3])}{more}, which the recording there does not "
+            "name and overwriting would delete; move them away, or give a new folder"
+        )
+
+
+def _other_files(folder: Path) -> list[str]:
+    """Files in a recording's folder that belong neither to its runs nor to its model."""
+    try:
+        said = read_description(folder / DESCRIPTION)
+    except InvalidData as error:
+        raise InvalidSetting(
+            f"{folder} is not overwritten, for it cannot be told which of its files are the "
+            f"recording's: {error}; move it away, or give a new folder"
+        ) from None
+    own = {folder / normpath(name) for name in (DESCRIPTION, *(run.file for run in said.runs))}
+    model = folder / normpath(said.model)
+    own.add(model)
+    # A model that does not read names no other files.
+    with suppress(InvalidData, OSError):
+        own |= files_of(model)
+    there = (each for each in folder.rglob("*") if each.is_symlink() or not each.is_dir())
+    return sorted(str(each.relative_to(folder)) for each in there if each not in own)
 
 
 def _write_model(folder: Path, model_xml: str | Path) -> str:
@@ -143,9 +178,12 @@ def _write_model(folder: Path, model_xml: str | Path) -> str:
     return file.name
 
 
-def _write_run(folder: Path, run: Run, file_format: FileFormat) -> dict[str, Any]:
+def _write_run(folder: Path, run: Run, file_format: FileFormat | None) -> dict[str, Any]:
     name = PurePosixPath(run.name)
-    if name.suffix.lower() in ENDINGS:
+    ending = name.suffix.lower()
+    if file_format is None:
+        file_format = "csv" if ending == ".csv" else "parquet"
+    if ending in ENDINGS:
         name = name.with_suffix("")
     given = normpath(f"{name}.{file_format}")
     path = inside(folder, given, f"run {run.name!r}")
@@ -159,7 +197,11 @@ def _write_run(folder: Path, run: Run, file_format: FileFormat) -> dict[str, Any
             "and no folder; rename the run"
         ) from None
     _WRITERS[file_format](path, table_of(run))
-    entry: dict[str, Any] = {"file": given}
+    return _entry(given, run)
+
+
+def _entry(file: str, run: Run | RunEntry) -> dict[str, Any]:
+    entry: dict[str, Any] = {"file": file}
     if run.excited:
         entry["excited"] = list(run.excited)
     if run.pose is not None:

@@ -146,6 +146,26 @@ def test_a_change_of_the_recording_is_named_and_corrected(tmp_path: Path, change
                 np.testing.assert_allclose(own.sensors[name], values, atol=1e-9)
 
 
+def test_degrees_of_one_run_are_confirmed_by_its_torques(tmp_path: Path) -> None:
+    pose = dict.fromkeys(JOINTS, 0.5)
+    made = [replace(run, pose=pose) for run in SOUND]
+    shifted = [
+        replace(run, sensors={n: q - q.mean() + 0.5 for n, q in run.sensors.items()})
+        for run in made
+    ]
+    wrong = replace(shifted[1], sensors={n: np.degrees(q) for n, q in shifted[1].sensors.items()})
+    report = examine(recorded(tmp_path / "one", [shifted[0], wrong]))
+    offered = [each for each in report.errors if each.fix is not None]
+    assert {each.run for each in offered} == {wrong.name.replace("csv", "parquet")}
+    assert any("of the torques' variance" in each.found for each in offered)
+    fixes_ = [each.fix for each in offered if each.fix is not None]
+    read = read_recording(tmp_path / "one")
+    corrected = write_corrected(read, fixes_, tmp_path / "corrected")
+    for run, true in zip(corrected.runs, shifted, strict=True):
+        for name, values in true.sensors.items():
+            np.testing.assert_allclose(run.sensors[name], values, atol=1e-9)
+
+
 def test_gravity_that_points_elsewhere_is_named_with_its_direction(tmp_path: Path) -> None:
     truth = MODEL.format(gravity='gravity="6.937 0 -6.937"', mass=4)
     report = examine(recorded(tmp_path / "tilted", runs(truth)))

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loose_env.doctor import examine
+from loose_env.doctor import Finding, Report, examine
 from loose_env.recording import Recording, Run
 from loose_env.typing import Array
 from tests.doctor.machine import each_run, with_sensors
@@ -67,6 +67,17 @@ def test_a_stuck_encoder_of_the_excited_joint_is_an_error(servo: Recording) -> N
     assert [(one.run, one.channel) for one in found] == [("run-0.parquet", "sensor.q_base")]
 
 
+def test_a_dead_axis_of_an_accelerometer_is_an_error_where_its_joint_is_shaken(
+    servo: Recording,
+) -> None:
+    found = examine(with_sensors(servo, "acc", lambda v: v * [1, 1, 0]))
+    dead = [one for one in found.errors if one.check == "stuck"]
+    # The first joint turns about the vertical: it moves the tool sideways alone.
+    assert {(one.run, one.channel) for one in dead} >= {("run-1.parquet", "sensor.acc.z")}
+    assert all("all its axes or none" in one.remedy for one in dead)
+    assert all("other axes of the sensor move" in one.found for one in dead)
+
+
 def test_an_encoder_too_coarse_for_the_motion_is_told(servo: Recording) -> None:
     wrong = with_sensors(servo, "q_", lambda v: np.round(v / 0.03) * 0.03)
     assert ("quantisation", "warning") in seen(wrong)
@@ -77,10 +88,11 @@ def test_an_encoder_too_coarse_for_the_motion_is_told(servo: Recording) -> None:
     [
         (lambda t: t + 0.3 * (t > 1.0), ("pauses", "warning")),
         (lambda t: t * 1000, ("rate", "error")),
+        (lambda t: t * 4000, ("rate", "error")),
         (lambda t: t * 1e-9, ("rate", "error")),
         (lambda t: t * 8, ("rate", "warning")),
     ],
-    ids=["pause", "milliseconds", "nanoseconds", "slow"],
+    ids=["pause", "milliseconds", "milliseconds at 4 Hz", "nanoseconds", "slow"],
 )
 def test_a_defect_of_the_time_is_found(
     servo: Recording, change: Callable[[Array], Array], expected: tuple[str, str]
@@ -157,3 +169,18 @@ def test_the_json_lists_every_finding(servo: Recording) -> None:
     whole = json.loads(report.to_json())
     assert whole["format"] == "loose-doctor/1"
     assert (whole["errors"], whole["warnings"], len(whole["findings"])) == (0, 9, 9)
+
+
+def test_findings_of_the_whole_recording_are_counted_in_no_run() -> None:
+    whole = Finding(
+        check="units",
+        severity="error",
+        channel="sensor.q",
+        found="in degrees",
+        consequence="wrong",
+        remedy="convert",
+    )
+    report = Report(recording="arm", runs=2, seconds=4.0, findings=(whole,) * 5)
+    assert "  and 2 more of this kind" in report.lines()
+    some = replace(report, findings=(whole,) * 4 + (replace(whole, run="a.csv"),))
+    assert "  and 2 more of this kind, in 1 run" in some.lines()

@@ -137,7 +137,7 @@ def test_a_folder_that_holds_something_is_kept(tmp_path: Path, swing: Swing) -> 
     place = tmp_path / "made"
     place.mkdir()
     first = write_recording(place, model_xml=ARM, runs=[swing()])  # empty: taken
-    with pytest.raises(InvalidSetting, match=r"not empty.*overwrite=True"):
+    with pytest.raises(InvalidSetting, match=r"not empty; give a new"):
         write_recording(place, model_xml=ARM, runs=[swing(seed=1)])
     assert_same(read_recording(place).runs[0], first.runs[0])
     write_recording(place, model_xml=ARM, runs=[swing("b", seed=1)], overwrite=True)
@@ -155,6 +155,33 @@ def test_a_folder_that_holds_something_is_kept(tmp_path: Path, swing: Swing) -> 
     with pytest.raises(InvalidSetting, match="is a file"):
         write_recording(other / "chapter.tex", model_xml=ARM, runs=[swing()], overwrite=True)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["made", "thesis"]
+
+
+def test_overwriting_deletes_no_file_that_the_recording_does_not_name(
+    tmp_path: Path, swing: Swing
+) -> None:
+    place = tmp_path / "made"
+    model = tmp_path / "cad" / "arm.xml"
+    model.parent.mkdir()
+    model.with_name("m.stl").write_bytes(tetrahedron())
+    asset = '<asset><mesh name="m" file="m.stl"/></asset><worldbody>'
+    model.write_text(ARM.replace("<worldbody>", asset))
+    runs = [swing("day.1/a")]
+    write_recording(place, model_xml=model, runs=runs)
+    write_recording(place, model_xml=model, runs=runs, overwrite=True)  # its own, mesh and all
+    notes = [place / "notes.txt", place / "day.1" / "raw.csv"]
+    for each in notes:
+        each.write_text("of the user")
+    with pytest.raises(InvalidSetting, match=r"day\.1/raw\.csv, notes\.txt, which") as error:
+        write_recording(place, model_xml=model, runs=runs, overwrite=True)
+    assert "\n" not in str(error.value)
+    assert all(each.read_text() == "of the user" for each in notes)
+    for each in notes:
+        each.unlink()
+    place.joinpath("recording.json").write_text("{")
+    with pytest.raises(InvalidSetting, match="cannot be told which"):
+        write_recording(place, model_xml=model, runs=runs, overwrite=True)
+    assert place.joinpath("day.1", "a.parquet").exists()
 
 
 def test_wrong_arguments_are_named(tmp_path: Path, swing: Swing) -> None:

@@ -16,13 +16,13 @@ error of the model leaves: what a payload or a gain explains is left to `loose g
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
-from loose_env.doctor.channels import Machine, Runs, filled, positions
+from loose_env.doctor.channels import Factors, Machine, Runs, filled, positions
 from loose_env.doctor.corrections import Correction
 from loose_env.doctor.findings import Finding
 from loose_env.doctor.model_checks.forces import recorded_forces
@@ -71,7 +71,7 @@ class _Alternative:
 def check_alternatives(
     machine: Machine,
     runs: Runs,
-    factors: Mapping[str, float],
+    factors: Factors,
 ) -> Iterator[Finding]:
     """Name the change of a recording by which the model explains its torques."""
     yield from _exchanged_servos(machine, runs)
@@ -84,7 +84,8 @@ def check_alternatives(
         return
     dofs = [int(machine.model.jnt_dofadr[machine.model.joint(j).id]) for j in torques]
     as_is = left_as_recorded(machine, data, dofs)
-    yield from _by_factors(machine, data, dofs, positions, factors, as_is)
+    measured = [run.name for run, _ in runs]
+    yield from _by_factors(machine, data, dofs, positions, factors, as_is, measured)
     if as_is <= UNEXPLAINED:
         return
     tried = [*_reversed(machine, data, dofs, positions, torques)]
@@ -118,11 +119,14 @@ def _part(share: float) -> str:
     return f"{share:.0%}" if share < 10 else f"{share:.3g} times as much"
 
 
-def _finding(*, check: str, channel: str, found: str, value: float, fix: Correction) -> Finding:
+def _finding(
+    *, check: str, channel: str, found: str, value: float, fix: Correction, run: str = ""
+) -> Finding:
     """Error that a correction of the recording mends."""
     return Finding(
         check=check,
         severity="error",
+        run=run,
         channel=channel,
         found=found,
         value=value,
@@ -138,27 +142,36 @@ def _by_factors(
     data: TorqueData,
     dofs: list[int],
     positions: Mapping[str, str],
-    factors: Mapping[str, float],
+    factors: Factors,
     corrected: float,
+    names: Sequence[str],
 ) -> Iterator[Finding]:
     """Confirm by the torques what limits and poses say of a position's unit or sign."""
-    found = {j: f for j, f in factors.items() if f != 1.0}
-    if not found:
+    found: dict[tuple[str, float], list[str]] = {}
+    for (run, joint), factor in factors.items():
+        if factor != 1.0:
+            found.setdefault((joint, factor), []).append(run)
+    scales = [
+        np.array([factors.get((run, joint), 1.0) for joint in machine.joints]) for run in data.runs
+    ]
+    if not found or all((scale == 1.0).all() for scale in scales):
         return
-    back = np.diag([1 / found.get(joint, 1.0) for joint in machine.joints])
-    as_is = left_as_recorded(machine, mapped(data, positions=back), dofs)
+    recorded = [q / scale for q, scale in zip(data.positions, scales, strict=True)]
+    as_is = left_as_recorded(machine, replace(data, positions=recorded), dofs)
     if as_is <= UNEXPLAINED or corrected > as_is / CLEARER:
         return
-    for joint, factor in found.items():
+    for (joint, factor), own in found.items():
         fix = Correction(kind="scale", columns=(positions[joint],), factor=factor)
-        yield _finding(
-            check="units" if factor > 0 else "sign",
-            channel=positions[joint],
-            found=f"multiplied by {factor:.4g}, the model leaves {corrected:.1%} of the torques' "
-            f"variance, as recorded {_part(as_is)}",
-            value=factor,
-            fix=fix,
-        )
+        for run in [""] if set(own) >= set(names) else own:
+            yield _finding(
+                check="units" if factor > 0 else "sign",
+                channel=positions[joint],
+                run=run,
+                found=f"multiplied by {factor:.4g}, the model leaves {corrected:.1%} of the "
+                f"torques' variance, as recorded {_part(as_is)}",
+                value=factor,
+                fix=fix.of(run),
+            )
 
 
 def _columns(machine: Machine, runs: Runs) -> tuple[dict[str, str], dict[str, str]] | None:

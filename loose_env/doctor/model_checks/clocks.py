@@ -6,13 +6,13 @@ phase up to a factor; see `loose_env.statistics.phase_delay`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy import signal
 
-from loose_env.doctor.channels import Channel, Machine, Runs, filled, positions
+from loose_env.doctor.channels import Channel, Factors, Machine, Runs, filled, positions
 from loose_env.doctor.corrections import Correction
 from loose_env.doctor.entries import positions_in
 from loose_env.doctor.findings import Finding
@@ -138,7 +138,7 @@ def delay_between(
 def check_clocks(
     machine: Machine,
     runs: Runs,
-    factors: Mapping[str, float],
+    factors: Factors,
     settings: DoctorSettings,
 ) -> Iterator[Finding]:
     """Compare accelerometers, gyroscopes, velocities, torques and commands with the encoders."""
@@ -200,7 +200,7 @@ def _followed(
     run: Run,
     channels: Sequence[Channel],
     motion: Motion,
-    factors: Mapping[str, float],
+    factors: Factors,
 ) -> Iterator[_Seen]:
     """Delays of joints behind the commands of their position servos."""
     measured = positions_in(run, channels, factors)

@@ -9,6 +9,7 @@ import numpy as np
 from loose_env.doctor.channels import Machine, Runs, filled, positions
 from loose_env.doctor.corrections import Correction
 from loose_env.doctor.findings import Finding
+from loose_env.doctor.model_checks.by_run import judged_runs
 from loose_env.doctor.thresholds import (
     FOLLOWS_COMMAND,
     LARGEST_STEP_RAD,
@@ -46,9 +47,12 @@ def check_encoders(machine: Machine, runs: Runs) -> Iterator[Finding]:
                 remedy=f"--fix DIR writes the recording with {fix.words}",
                 fix=fix,
             )
-        values = np.concatenate([c.there for _, c in own])
-        if values.size and np.ptp(values) > LEAST_TICKS and np.all(values == np.round(values)):
-            yield _ticks(machine, joint, column, values, runs)
+        parts = {run.name: c.there for run, c in own}
+        for name, some in judged_runs(parts, _counts):
+            values = np.concatenate(some)
+            if _counts("", values):
+                of = [each for each in runs if name in ("", each[0].name)]
+                yield _ticks(machine, joint, column, values, of, name)
 
 
 def _wraps(values: Array) -> int:
@@ -60,16 +64,26 @@ def _wraps(values: Array) -> int:
     return int(turn.sum())
 
 
-def _ticks(machine: Machine, joint: str, column: str, values: Array, runs: Runs) -> Finding:
+def _counts(_: str, values: Array) -> bool | None:
+    """Return whether positions are encoder ticks; None for values that tell nothing."""
+    if not values.size or np.all(values == values[0]):
+        return None
+    return bool(np.ptp(values) > LEAST_TICKS and np.all(values == np.round(values)))
+
+
+def _ticks(
+    machine: Machine, joint: str, column: str, values: Array, runs: Runs, name: str
+) -> Finding:
     """Finding on counts, with ticks per turn where a servo's command tells them."""
     per_turn = _per_turn(machine, joint, runs)
     fix, told = None, "ticks per turn unknown"
     if per_turn is not None:
-        fix = Correction(kind="scale", columns=(column,), factor=2 * np.pi / per_turn)
+        fix = Correction(kind="scale", columns=(column,), factor=2 * np.pi / per_turn).of(name)
         told = f"{abs(per_turn):.0f} ticks per turn by the commands"
     return Finding(
         check="units",
         severity="error",
+        run=name,
         channel=column,
         found=f"holds whole numbers from {values.min():.0f} to {values.max():.0f}: encoder ticks "
         f"({told})",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -10,8 +12,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.doctor.channels import Machine, filled
+from loose_env.doctor.channels import Factors, Machine, filled
 from loose_env.doctor.findings import Finding
+from loose_env.doctor.model_checks.by_run import judged_runs
 from loose_env.doctor.model_checks.motion import Blocks, block_means, block_motion, carried
 from loose_env.doctor.model_checks.units import ACCELERATION, named_unit
 from loose_env.doctor.settings import DoctorSettings
@@ -42,14 +45,34 @@ class _Pair(NamedTuple):
 
 
 def check_gravity(
-    machine: Machine, blocks: Blocks, factors: Mapping[str, float], settings: DoctorSettings
+    machine: Machine, blocks: Blocks, factors: Factors, settings: DoctorSettings
 ) -> Iterator[Finding]:
     """Compare the slow part of every accelerometer with gravity and motion."""
     for sensor in _accelerometers(machine, blocks):
-        pair = _pair(machine, sensor, blocks)
-        if pair is None:
-            continue
-        yield from _judged(machine, sensor, pair, blocks, factors, settings)
+        alone = {run.name: [each] for each in blocks for run in each[:1]}
+        for name, some in judged_runs(alone, partial(_unit_alone, machine, sensor)):
+            own = [each for part in some for each in part]
+            pair = _pair(machine, sensor, own)
+            if pair is not None:
+                found = _judged(machine, sensor, pair, own, factors, settings)
+                yield from (replace(each, run=name) for each in found)
+
+
+def _unit_alone(machine: Machine, sensor: str, _: str, block: Blocks) -> str | None:
+    """Judge the unit of one run: "" for the right one; None where it tells nothing."""
+    pair = _pair(machine, sensor, block)
+    if pair is None or _size(pair.implied) < LEAST_GRAVITY:
+        return None
+    ratio = _size(pair.measured) / _size(pair.implied)
+    words = _wrong_unit(pair, ratio)
+    return "" if words is None and abs(ratio - 1) <= SCALE_NOTED else words
+
+
+def _wrong_unit(pair: _Pair, ratio: float) -> str | None:
+    words = named_unit(ratio, ACCELERATION)
+    if ratio < UNCOUPLED and _angle(pair.measured, pair.implied, pair.runs) > WRONG_AXES_DEG:
+        return None  # a small mean that does not point along gravity is no acceleration in g
+    return words
 
 
 def _accelerometers(machine: Machine, blocks: Blocks) -> list[str]:
@@ -84,7 +107,7 @@ def _judged(
     sensor: str,
     pair: _Pair,
     blocks: Blocks,
-    factors: Mapping[str, float],
+    factors: Factors,
     settings: DoctorSettings,
 ) -> Iterator[Finding]:
     expected = _size(pair.implied)
@@ -92,10 +115,8 @@ def _judged(
         return  # a model without gravity
     ratio = _size(pair.measured) / expected
     channel = f"sensor.{sensor}"
-    words = named_unit(ratio, ACCELERATION)
+    words = _wrong_unit(pair, ratio)
     turned = _angle(pair.measured, pair.implied, pair.runs)
-    if ratio < UNCOUPLED and words is not None and turned > WRONG_AXES_DEG:
-        words = None  # a small mean that does not point along gravity is no acceleration in g
     if words is not None:
         yield Finding(
             check="units",
@@ -153,7 +174,7 @@ def _turned(
     pair: _Pair,
     turned: float,
     blocks: Blocks,
-    factors: Mapping[str, float],
+    factors: Factors,
 ) -> Finding:
     """Finding for gravity in a wrong direction, with what would explain it."""
     reasons = [*_by_axes(pair), *_by_joints(machine, sensor, pair, blocks, factors)]
@@ -199,7 +220,7 @@ def _by_joints(
     sensor: str,
     pair: _Pair,
     blocks: Blocks,
-    factors: Mapping[str, float],
+    factors: Factors,
 ) -> Iterator[tuple[float, str]]:
     """Angles left with the encoder of one joint reversed."""
     for joint in machine.joints:
@@ -213,10 +234,15 @@ def _by_joints(
                 )
 
 
-def _reversed(machine: Machine, joint: str, blocks: Blocks, factors: Mapping[str, float]) -> Blocks:
+def _reversed(machine: Machine, joint: str, blocks: Blocks, factors: Factors) -> Blocks:
     found = []
     for run, channels, _, _ in blocks:
-        made = block_motion(machine, run, channels, {**factors, joint: -factors.get(joint, 1.0)})
+        made = block_motion(
+            machine,
+            run,
+            channels,
+            {**factors, (run.name, joint): -factors.get((run.name, joint), 1.0)},
+        )
         if made is not None:
             found.append((run, channels, *made))
     return found

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.doctor.channels import Channel, Machine
+from loose_env.doctor.channels import Channel, Factors, Machine
 from loose_env.doctor.entries import positions_in
 from loose_env.doctor.thresholds import BLOCK_S, MOST_BLOCKS, MOST_SAMPLES, UNEVEN_BLOCK
 from loose_env.importing import median_step
@@ -65,7 +65,7 @@ def carried(machine: Machine, sensor: str, known: frozenset[str]) -> bool:
 
 
 def block_motion(
-    machine: Machine, run: Run, channels: Sequence[Channel], factors: Mapping[str, float]
+    machine: Machine, run: Run, channels: Sequence[Channel], factors: Factors
 ) -> tuple[Motion, Array] | None:
     """Motion by block means; None for a run of fewer than four blocks.
 
@@ -97,7 +97,7 @@ def block_motion(
 
 
 def sampled_motion(
-    machine: Machine, run: Run, channels: Sequence[Channel], factors: Mapping[str, float]
+    machine: Machine, run: Run, channels: Sequence[Channel], factors: Factors
 ) -> Motion:
     """Motion at the rate of the run, of its first samples, brought to an even grid."""
     step = median_step(run.time)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from loose_env.doctor.channels import Channel, Machine, Runs, filled, positions
+from loose_env.doctor.channels import Channel, Factors, Machine, Runs, filled, positions
 from loose_env.doctor.entries import positions_in
 from loose_env.doctor.findings import Finding
-from loose_env.doctor.model_checks.units import ANGLE, LENGTH, inverse, named_unit, ratio_of
+from loose_env.doctor.model_checks.by_run import judged_runs
+from loose_env.doctor.model_checks.units import ANGLE, LENGTH, Ratio, inverse, named_unit, ratio_of
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import (
     LEAST_POSE,
@@ -29,39 +31,120 @@ from loose_env.typing import Array
 __all__ = ["check_positions"]
 
 _WRONG_UNIT = "every pose and every prediction of the model is wrong by that factor"
+_CONVERT = 'import the column with its unit (unit = "deg" or "mm"), or convert it'
 _WRONG_SIGN = "the model is compared in another pose, and its motion runs backwards"
+_UNIT, _SIGN, _NOTED = "unit", "sign", "unit of the pose"
 _POINTS = 200
 """Samples of a run that are looked at."""
 
 
 def check_positions(
     machine: Machine, runs: Runs, settings: DoctorSettings
-) -> tuple[list[Finding], dict[str, float]]:
-    """Check positions and position commands of all runs together.
+) -> tuple[list[Finding], dict[tuple[str, str], float]]:
+    """Check positions and position commands, of all runs together where they agree.
 
     Returns
     -------
     list of Finding
         Findings.
     dict
-        Factor that brings the positions of a joint to rad or m and to the model's sign, of the
-        joints that need one.
+        Factor that brings the positions of a run and joint to rad or m and to the model's sign,
+        where one is needed.
     """
     found: list[Finding] = []
-    factors: dict[str, float] = {}
+    factors: dict[tuple[str, str], float] = {}
+    told = _told(machine, runs, settings)
     for joint in machine.joints:
-        own = [(run, c[joint]) for run, channels in runs if joint in (c := positions(channels))]
-        if not own:
-            continue
-        reason = _by_pose(machine, joint, own) or _unit(machine, joint, own)
-        if reason is not None:
-            factors[joint], finding = reason
-            found.append(finding)
-        else:
-            found += _range(machine, joint, own)
+        own = {
+            run.name: (run, c[joint])
+            for run, channels in runs
+            if joint in (c := positions(channels))
+        }
+
+        def verdict(run: str, _: object, joint: str = joint) -> str | None:
+            return told.get((run, joint))
+
+        for name, parts in judged_runs(own, verdict):
+            reason = _by_pose(machine, joint, parts) or _unit(machine, joint, parts)
+            if reason is None and name and told[name, joint] == _UNIT:
+                reason = _as_others(machine, joint, parts[0][1])
+            if reason is None:
+                found += _range(machine, joint, parts)
+                continue
+            factor, finding = reason
+            factors |= {(run.name, joint): factor for run, _ in parts}
+            found.append(replace(finding, run=name))
     found += _fast(machine, runs, settings)
     found += _commands(machine, runs, factors)
     return found, factors
+
+
+def _told(machine: Machine, runs: Runs, settings: DoctorSettings) -> dict[tuple[str, str], str]:
+    """Unit and sign that a run by itself tells of its positions: "" for the right ones."""
+    told: dict[tuple[str, str], str] = {}
+    for run, channels in runs:
+        measured = positions(channels)
+        said = {joint: _alone(machine, joint, run, c, settings) for joint, c in measured.items()}
+        noted = [j for j in measured if abs((run.pose or {}).get(j, 0.0)) >= LEAST_POSE]
+        # An entry that fits no joint but for its sign is that of another run.
+        believed = all(said[joint] is not None for joint in noted)
+        for joint, words in said.items():
+            if words is not None and (believed or words != _SIGN):
+                told[run.name, joint] = words
+    for hinge in (True, False):
+        _by_other_joints({j for j in machine.joints if machine.hinge(j) == hinge}, runs, told)
+    return told
+
+
+def _by_other_joints(joints: set[str], runs: Runs, told: dict[tuple[str, str], str]) -> None:
+    """Add what a run's other joints tell: a recorder has one unit for all of one kind."""
+    for run, channels in runs:
+        own = joints & set(positions(channels))
+        said = [told.get((run.name, joint)) for joint in own]
+        if said.count(_UNIT) > len(own) / 2 and set(said) <= {_UNIT, None}:
+            told |= {(run.name, joint): _UNIT for joint in own}
+    wrong = {joint for (_, joint), words in told.items() if words == _UNIT} & joints
+    for run, channels in runs:
+        judged = {j: c.there for j, c in positions(channels).items() if j in wrong}
+        if not any(v.size and abs(np.mean(v)) >= LEAST_POSE for v in judged.values()):
+            continue  # near zero in any unit
+        words = _UNIT if any(told.get((run.name, j)) == _UNIT for j in judged) else ""
+        for joint in judged:
+            told.setdefault((run.name, joint), words)
+
+
+def _alone(
+    machine: Machine, joint: str, run: Run, channel: Channel, settings: DoctorSettings
+) -> str | None:
+    """Judge one joint of one run by its pose and its limits; None where they tell nothing."""
+    part = [(run, channel)]
+    noted = (run.pose or {}).get(joint, 0.0)
+    values = channel.there
+    if values.size and abs(noted) >= LEAST_POSE:
+        mean = float(np.mean(values))
+        if abs(mean - noted) <= max(settings.pose_offset, UNIT_MATCH * abs(noted)):
+            return ""
+        if abs(mean + noted) <= settings.pose_offset:
+            return _SIGN
+        by_pose = _by_pose(machine, joint, part)
+        if by_pose is not None and by_pose[1].check == "units":
+            return _UNIT if by_pose[0] != 1.0 else _NOTED
+    return _UNIT if _unit(machine, joint, part) is not None else None
+
+
+def _as_others(machine: Machine, joint: str, channel: Channel) -> tuple[float, Finding]:
+    """Wrong unit of a joint near zero, by that of the other joints of its run."""
+    (words, factor), *_ = _units(machine, joint).items()
+    return 1 / factor, Finding(
+        check="units",
+        severity="error",
+        channel=channel.name,
+        found=f"reaches {channel.reach:.4g}, and other positions of this run are {words}",
+        value=channel.reach,
+        unit=machine.unit(joint),
+        consequence=_WRONG_UNIT,
+        remedy=_CONVERT,
+    )
 
 
 def _thin(values: Array) -> Array:
@@ -114,7 +197,7 @@ def _unit(
         value=reach,
         unit=machine.unit(joint),
         consequence=_WRONG_UNIT,
-        remedy='import the column with its unit (unit = "deg" or "mm"), or convert it',
+        remedy=_CONVERT,
     )
 
 
@@ -218,9 +301,9 @@ def _fast(machine: Machine, runs: Runs, settings: DoctorSettings) -> Iterator[Fi
                 )
 
 
-def _commands(machine: Machine, runs: Runs, factors: Mapping[str, float]) -> Iterator[Finding]:
+def _commands(machine: Machine, runs: Runs, factors: Factors) -> Iterator[Finding]:
     for name, drive in machine.drives.items():
-        pairs: list[tuple[Array, Array]] = []
+        pairs: dict[str, tuple[Array, Array]] = {}
         over: tuple[float, Run] | None = None
         for run, channels in runs:
             command = next((c for c in channels if c.name == f"ctrl.{name}"), None)
@@ -233,10 +316,17 @@ def _commands(machine: Machine, runs: Runs, factors: Mapping[str, float]) -> Ite
             read = positions_in(run, channels, factors).get(drive.joint)
             if read is not None and drive.follows:
                 given = filled(run.time, command.values)
-                pairs.append((_thin(given), _thin(read) * drive.gear))
-        wrong = _following(machine, name, drive.joint, pairs)
-        if wrong is not None:
-            yield wrong
+                pairs[run.name] = _thin(given), _thin(read) * drive.gear
+
+        def unit(_: str, pair: tuple[Array, Array], joint: str = drive.joint) -> str | None:
+            return _followed(machine, joint, [pair])
+
+        wrong = []
+        for of, some in judged_runs(pairs, unit):
+            made = _following(machine, name, drive.joint, some)
+            wrong += [] if made is None else [replace(made, run=of)]
+        if wrong:
+            yield from wrong
         elif over is not None:
             yield Finding(
                 check="range",
@@ -251,17 +341,31 @@ def _commands(machine: Machine, runs: Runs, factors: Mapping[str, float]) -> Ite
             )
 
 
-def _following(
-    machine: Machine, name: str, joint: str, pairs: Sequence[tuple[Array, Array]]
-) -> Finding | None:
-    """Position command in another unit, or with the opposite sign, of the position."""
-    if not pairs:
+def _followed(machine: Machine, joint: str, pairs: Sequence[tuple[Array, Array]]) -> str | None:
+    """Judge the command of one run: "" for the right unit; None where it tells nothing."""
+    found = _command_ratio(pairs)
+    if found is None:
         return None
+    wrong = _following(machine, "", joint, pairs)
+    if wrong is not None:
+        return wrong.check if wrong.severity == "error" else None
+    return ""
+
+
+def _command_ratio(pairs: Sequence[tuple[Array, Array]]) -> Ratio | None:
     command, read = (np.concatenate(each) for each in zip(*pairs, strict=True))
     if np.sqrt(np.mean(read**2)) < LEAST_SPREAD_RAD:
         return None
     found = ratio_of(command, read)
-    if found is None or abs(found.correlation) < SURE_CORRELATION:
+    return None if found is None or abs(found.correlation) < SURE_CORRELATION else found
+
+
+def _following(
+    machine: Machine, name: str, joint: str, pairs: Sequence[tuple[Array, Array]]
+) -> Finding | None:
+    """Position command in another unit, or with the opposite sign, of the position."""
+    found = _command_ratio(pairs)
+    if found is None:
         return None
     units = _units(machine, joint)
     words = named_unit(found.ratio, units) or named_unit(inverse(found.ratio), units)

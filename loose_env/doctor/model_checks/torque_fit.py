@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.signal import butter, sosfiltfilt
 
-from loose_env.doctor.channels import Machine, Runs, filled
+from loose_env.doctor.channels import Factors, Machine, Runs, filled
 from loose_env.doctor.entries import positions_in
 from loose_env.doctor.model_checks.forces import recorded_forces
 from loose_env.doctor.thresholds import STANDARD_SPEED, TORQUE_BAND_HZ, TORQUE_POINTS, TORQUE_RUNS
@@ -39,6 +39,7 @@ __all__ = [
 class TorqueData:
     """Smoothed motion and torque of all runs: arrays by run, (T, joints)."""
 
+    runs: list[str]
     steps: list[float]
     positions: list[Array]
     torques: list[Array]
@@ -47,11 +48,11 @@ class TorqueData:
 def torque_data(
     machine: Machine,
     runs: Runs,
-    factors: Mapping[str, float],
+    factors: Factors,
     joints: list[str],
 ) -> TorqueData | None:
     """Smoothed positions of all joints and torques of some, of the first runs that have them."""
-    steps, positions, torques = [], [], []
+    names, steps, positions, torques = [], [], [], []
     for run, channels in runs:
         forces = recorded_forces(machine, run, channels)
         places = positions_in(run, channels, factors)
@@ -68,6 +69,7 @@ def torque_data(
             whole = sosfiltfilt(low, np.interp(grid, run.time, filled(run.time, values)))
             return np.asarray(whole)[: TORQUE_POINTS * max(1, len(grid) // TORQUE_POINTS)]
 
+        names.append(run.name)
         steps.append(step)
         positions.append(np.stack([smooth(places[j]) for j in machine.joints], axis=1))
         torques.append(np.stack([smooth(forces[j][1]) for j in joints], axis=1))
@@ -75,7 +77,7 @@ def torque_data(
             break
     if not steps or np.concatenate(torques).std(axis=0).max() == 0:
         return None
-    return TorqueData(steps=steps, positions=positions, torques=torques)
+    return TorqueData(runs=names, steps=steps, positions=positions, torques=torques)
 
 
 def needed_torque(
@@ -163,6 +165,7 @@ def mapped(
 ) -> TorqueData:
     """Data with columns mapped by matrices (J, J)."""
     return TorqueData(
+        runs=data.runs,
         steps=data.steps,
         positions=data.positions if positions is None else [q @ positions for q in data.positions],
         torques=data.torques if torques is None else [t @ torques for t in data.torques],

@@ -51,8 +51,9 @@ class Meaning:
 
     @property
     def axis(self) -> str:
-        """Axis x, y or z where the last part of the name is one, else ""."""
-        return _AXES.get(self.words[-1], "") if self.words else ""
+        """Axis x, y or z that the name ends with, alone or as in ``ax``; else ""."""
+        last = self.words[-1] if self.words else ""
+        return _AXES.get(last, last[1:] if last in ("ax", "ay", "az") else "")
 
 
 def meaning_of(key: ChannelKey) -> Meaning:

@@ -19,6 +19,7 @@ from loose_env.importing.guessing.joint_targets import (
     accelerometer_axes,
     joint_targets,
 )
+from loose_env.importing.guessing.quantities import admits, quantity_of
 from loose_env.importing.guessing.roles import (
     Assigned,
     Candidate,
@@ -26,7 +27,7 @@ from loose_env.importing.guessing.roles import (
     assigned_by_signal,
 )
 from loose_env.importing.guessing.signals import correlation, derivative, moves, slope
-from loose_env.importing.guessing.source_signals import LogSource, read_signals
+from loose_env.importing.guessing.source_signals import LogSource, other_channels, read_signals
 from loose_env.importing.guessing.units_by_range import (
     Scaling,
     group_unit,
@@ -34,6 +35,8 @@ from loose_env.importing.guessing.units_by_range import (
     position_scaling,
     rate_unit,
 )
+from loose_env.importing.mapping.units import unit_named
+from loose_env.importing.samples import Channel
 from loose_env.recording import ModelColumns
 from loose_env.typing import Array
 
@@ -65,6 +68,8 @@ class Proposal:
     logs: Mapping[str, LogSource]
     columns: tuple[ProposedColumn, ...]
     notes: tuple[str, ...]
+    unassigned: tuple[tuple[str, Channel], ...] = ()
+    """Sources and channels for which no column was found."""
 
 
 def propose(
@@ -131,10 +136,13 @@ class _Guess:
         self._take_accelerometer()
         if not self.columns and not self.open:
             self.notes.append("no channel was recognised; name columns by loose import --describe")
+        lines = [*self.columns.values(), *self.open]
+        taken = {(each.candidate.source, each.candidate.key) for each in lines}
         return Proposal(
             logs=self.logs,
             columns=(*self.columns.values(), *self.open),
             notes=tuple(self.notes),
+            unassigned=other_channels(self.logs, taken),
         )
 
     def _direct(self) -> list[Assigned]:
@@ -237,7 +245,7 @@ class _Guess:
             if normalised and not each.candidate.unit:
                 scaling = normalised_scaling(each.joint, each.candidate.values) or scaling
             if scaling is None:
-                words = f"its values fit no unit of {each.joint.name!r}"
+                words = f"its values or unit fit no unit of {each.joint.name!r}"
                 self._leave_open(each, each.joint.position, Scaling(""), 1, words)
                 continue
             self.positions[each.joint.name] = _si(each.candidate.values, scaling)
@@ -313,12 +321,16 @@ class _Guess:
         if torques is None:
             return
         rest = [c for c in self.candidates if id(c) not in self.used and c.meaning.role == ""]
+        rest = [c for c in rest if quantity_of(c.unit) in ("", "torque", "force", "current")]
         for each, value in torques_by_signal(rest, self.targets, torques, self.model):
-            self.used.add(id(each.candidate))
             drives = each.joint.drive == "torque" and each.joint.command
             free = bool(drives) and each.joint.command not in self.columns
             column = each.joint.command if free else each.joint.torque
             sign = 1 if value > 0 else -1
+            unit, slide = each.candidate.unit, each.joint.slide
+            if not admits(unit, "torque", slide=slide) and quantity_of(unit) != "current":
+                continue
+            self.used.add(id(each.candidate))
             own = torques[:, self.model.joint(each.joint.name).dofadr[0]]
             ratio = abs(slope(each.candidate.values, own))
             words = "taken as the command of its motor" if free else ""
@@ -351,10 +363,13 @@ class _Guess:
         axes = accelerometer_axes(self.model)
         own: dict[str, Candidate] = {}
         for each in self.candidates:
-            if each.meaning.role == "acceleration" and id(each) not in self.used and axes:
-                words = set(each.meaning.words)
-                if each.meaning.axis and words & {"acc", "accel", "acceleration", "accelerometer"}:
-                    own.setdefault(each.meaning.axis, each)
+            if id(each) in self.used or not axes or not each.meaning.axis:
+                continue
+            stated = quantity_of(each.unit)
+            words = set(each.meaning.words) & {"acc", "accel", "acceleration", "accelerometer"}
+            named = each.meaning.role == "acceleration" and bool(words) and stated == ""
+            if named or stated == "acceleration":
+                own.setdefault(each.meaning.axis, each)
         if len(own) == 3:
             for axis in "xyz":
                 unit = own[axis].unit or "m/s^2"
@@ -373,5 +388,5 @@ def _fits(each: Assigned, unit: str) -> bool:
 
 
 def _si(values: Array, scaling: Scaling) -> Array:
-    factor = {"rad": 1.0, "deg": np.pi / 180, "m": 1.0, "mm": 1e-3}[scaling.unit]
+    factor = unit_named(scaling.unit, "").factor
     return np.asarray(values * scaling.scale * factor + scaling.offset)

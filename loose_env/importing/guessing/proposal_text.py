@@ -5,6 +5,10 @@ from __future__ import annotations
 from loose_env.importing.guessing.proposal import Proposal, ProposedColumn
 from loose_env.importing.mapping.mapping_file import MAPPING_FORMAT
 from loose_env.importing.readers.csv_list import quoted
+from loose_env.importing.samples import Channel, ChannelKey
+
+_MOST = 40
+"""Channels without a column that are listed, at most."""
 
 
 def proposal_text(proposal: Proposal, model: str) -> str:
@@ -32,6 +36,13 @@ def proposal_text(proposal: Proposal, model: str) -> str:
         lines.append(f"# {_plain(each.reason)}")
         lines.append(f"{'# ' if each.open else ''}{_line(each, len(proposal.logs) > 1)}")
     lines += [f"# {_plain(note)}" for note in proposal.notes]
+    if proposal.unassigned:
+        lines.append("# Not assigned:")
+    for name, channel in proposal.unassigned[:_MOST]:
+        lines.append(f"# {_left(name, channel, len(proposal.logs) > 1)}")
+    if len(proposal.unassigned) > _MOST:
+        more = len(proposal.unassigned) - _MOST
+        lines.append(f"# and {more} more: loose import --describe lists them")
     first = next(iter(proposal.logs))
     lines += ["", "[[runs]]", f"file = {quoted(first)}", 'condition = "suspect"  # or "healthy"']
     episodes = sum(len(log.file.episodes) for log in proposal.logs.values())
@@ -40,11 +51,20 @@ def proposal_text(proposal: Proposal, model: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _line(each: ProposedColumn, several: bool) -> str:
-    key = each.candidate.key
-    parts = [f"source = {quoted(each.candidate.source)}"] if several else []
+def _left(source: str, channel: Channel, several: bool) -> str:
+    parts = _place(source, channel.key, several)
+    parts += [f"unit = {quoted(channel.unit)}"] if channel.unit else []
+    return f'"sensor.?" = {{ {", ".join(parts)} }}'
+
+
+def _place(source: str, key: ChannelKey, several: bool) -> list[str]:
+    parts = [f"source = {quoted(source)}"] if several else []
     parts += [f"topic = {quoted(key.topic)}"] if key.topic else []
-    parts.append(f"channel = {quoted(key.channel)}")
+    return [*parts, f"channel = {quoted(key.channel)}"]
+
+
+def _line(each: ProposedColumn, several: bool) -> str:
+    parts = _place(each.candidate.source, each.candidate.key, several)
     scaling = each.scaling
     parts += [f"unit = {quoted(scaling.unit)}"] if scaling.unit else []
     parts += [f"scale = {scaling.scale:.9g}"] if scaling.scale != 1.0 else []

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from loose_env.importing.guessing.channel_names import Meaning, Role, names_joint
 from loose_env.importing.guessing.joint_targets import JointTarget
+from loose_env.importing.guessing.quantities import admits, is_rate, same_quantity
 from loose_env.importing.guessing.signals import correlation, derivative, likeness, moves
 from loose_env.importing.samples import ChannelKey
 from loose_env.typing import Array
@@ -61,7 +62,9 @@ def assigned_by_name(
     for each in candidates:
         meaning = each.meaning
         if meaning.role in ("position", "velocity", "torque", "current", "command"):
-            alone = meaning.index is None and not each.key.channel.endswith("]")
+            # "position[elbow]" is an entry of a vector, "elbow [deg]" has a unit.
+            entry = each.key.channel.endswith("]") and " " not in each.key.channel
+            alone = meaning.index is None and not entry
             vector = "" if alone else meaning.group[1]  # shoulder_pos, elbow_pos: one vector
             group = (each.source, meaning.role, meaning.of, meaning.group[0], vector)
             groups.setdefault(group, []).append(each)
@@ -79,8 +82,9 @@ def assigned_by_signal(
 ) -> list[Assigned]:
     """Assign channels without telling names by their derivatives and delays.
 
-    A channel that correlates with the derivative of another is its velocity. Of two channels that
-    correlate, the one that leads is the command. Positions are taken in the order of the joints.
+    A channel whose stated unit is that of another quantity is none of them. One that correlates
+    with the derivative of another is its velocity. Of two channels that correlate, the one that
+    leads is the command. Positions are taken in the order of the joints.
 
     Parameters
     ----------
@@ -91,7 +95,7 @@ def assigned_by_signal(
     step : float
         Time between samples [s].
     """
-    moving = [each for each in candidates if moves(each.values)]
+    moving = [each for each in candidates if moves(each.values) and _of_a_joint(each, targets)]
     rates = _rates(moving, step)
     left = [i for i in range(len(moving)) if i not in rates.values()]
     commands = _commands(moving, left, rates, step)
@@ -99,10 +103,16 @@ def assigned_by_signal(
     driving = {command for _, command, _, _ in commands}
     related = [i for i in left if i not in driving and (i in rates or i in followed)]
     positions = related or [i for i in left if i not in driving]
+    positions = [i for i in positions if any(_is_position(moving[i], t) for t in targets)]
     if not related and len(positions) != len(targets):
         return []
-    found = []
-    for place, (i, joint) in enumerate(zip(positions, targets, strict=False), 1):
+    found: list[Assigned] = []
+    for place, i in enumerate(positions, 1):
+        taken = {each.joint.name for each in found}
+        free = [t for t in targets if t.name not in taken and _is_position(moving[i], t)]
+        if not free:
+            continue
+        joint = free[0]
         order = f"position {place} of {len(positions)} in the file's order"
         found.append(
             Assigned(candidate=moving[i], role="position", joint=joint, reason=f"{order}, assumed")
@@ -121,6 +131,16 @@ def assigned_by_signal(
                     Assigned(candidate=moving[command], role="command", joint=joint, reason=words)
                 )
     return found
+
+
+def _is_position(each: Candidate, joint: JointTarget) -> bool:
+    return admits(each.unit, "position", slide=joint.slide)
+
+
+def _of_a_joint(each: Candidate, targets: Sequence[JointTarget]) -> bool:
+    """Return whether a stated unit allows a channel to be motion or command of any joint."""
+    roles: tuple[Role, ...] = ("position", "velocity", "command")
+    return any(admits(each.unit, role, slide=t.slide) for role in roles for t in targets)
 
 
 def _rank(found: Sequence[Assigned]) -> tuple[int, int, int]:
@@ -143,6 +163,8 @@ def _of_vector(own: Sequence[Candidate], targets: Sequence[JointTarget]) -> list
         most = max(sizes.values(), default=0)
         fitting = [t for t in targets if sizes[t.name] == most > 0]
         role = each.meaning.role
+        if fitting and not any(admits(each.unit, role, slide=t.slide) for t in fitting):
+            continue
         if len(fitting) == 1 and fitting[0].name not in taken:
             joint = fitting[0]
             words = f"name has {role} of {joint.name!r}"
@@ -154,6 +176,8 @@ def _of_vector(own: Sequence[Candidate], targets: Sequence[JointTarget]) -> list
             if place >= len(targets) or targets[place].name in taken:
                 continue
             joint = targets[place]
+            if not admits(each.unit, role, slide=joint.slide):
+                continue
             words = f"entry {place + 1} of {role} {each.meaning.group[1]!r}, in the joints' order"
             found.append(Assigned(candidate=each, role=role, joint=joint, reason=words))
         else:
@@ -169,7 +193,7 @@ def _rates(moving: Sequence[Candidate], step: float) -> dict[int, int]:
         (correlation(slopes[i], moving[j].values), i, j)
         for i in range(len(moving))
         for j in range(len(moving))
-        if i != j
+        if i != j and is_rate(moving[j].unit, moving[i].unit)
     ]
     found: dict[int, int] = {}
     # The exact derivative goes first; of equal ones the one with the same sign.
@@ -188,6 +212,8 @@ def _commands(
     pairs = []
     for at, i in enumerate(left):
         for j in left[at + 1 :]:
+            if not same_quantity(moving[i].unit, moving[j].unit):
+                continue
             found = likeness(moving[i].values, moving[j].values, step)
             lead, follow, lag = (i, j, found.lag) if found.lag > 0 else (j, i, -found.lag)
             if lag < step / 2 or (follow not in rates and lead in rates):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,16 +16,14 @@ from loose_env.importing.guessing.roles import Candidate
 from loose_env.importing.guessing.signals import on_one_base
 from loose_env.importing.mapping.mapping import SourceEntry, TimeSource
 from loose_env.importing.mapping.mapping_file import source_of
-from loose_env.importing.readers.csv_list import quoted
+from loose_env.importing.readers.csv_list import quoted, time_unit
 from loose_env.importing.readers.sources import given_files, read_source
-from loose_env.importing.samples import ChannelKey, FileList, Samples
+from loose_env.importing.samples import Channel, ChannelKey, FileList, Samples
 from loose_env.typing import Array
 
 _MOST_CHANNELS = 500
 _JITTER = 0.2
 """Part of the median step by which most steps of a column of times may differ [1]."""
-_UNITS = ((1e5, "ns"), (100.0, "us"), (0.9, "ms"), (0.0, "s"))
-"""Smallest step of a column of times -> its unit, for rates from 1 Hz to 10 kHz."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +32,8 @@ class LogSource:
 
     file: FileList
     lines: tuple[str, ...]
+    time: str
+    """Column of its times; "" where it has none."""
 
 
 def read_signals(
@@ -71,7 +71,7 @@ def read_signals(
     paths = given_files(sources).values()
     for (name, file), path in zip(list_sources(sources).items(), paths, strict=True):
         entry, lines = _entry(name, file, path, rate_hz)
-        logs[name] = LogSource(file, lines)
+        logs[name] = LogSource(file, lines, entry.time.column)
         for topic in dict.fromkeys(stream.topic for stream in file.streams):
             channels = [c for s in file.streams if s.topic == topic for c in s.channels if c.first]
             channels = [c for c in channels if c.key.channel != entry.time.column]
@@ -106,6 +106,19 @@ def read_signals(
     return logs, candidates, step, notes
 
 
+def other_channels(
+    logs: Mapping[str, LogSource], taken: Container[tuple[str, ChannelKey]]
+) -> tuple[tuple[str, Channel], ...]:
+    """Sources and channels that are neither times nor taken."""
+    return tuple(
+        (name, channel)
+        for name, log in logs.items()
+        for stream in log.file.streams
+        for channel in stream.channels
+        if (name, channel.key) not in taken and channel.key.channel != log.time
+    )
+
+
 def _entry(
     name: str, file: FileList, path: Path, rate_hz: float | None
 ) -> tuple[SourceEntry, tuple[str, ...]]:
@@ -123,7 +136,10 @@ def _entry(
                 f"{file.name}: its times are not known: no column advances in even steps; give "
                 "the sampling rate by --rate-hz, or a mapping with time = { column = ... }"
             )
-        lines.append(f'time = {{ column = {quoted(column)}, unit = "{unit}" }}  # even steps')
+        lines.append(
+            f'time = {{ column = {quoted(column)}, unit = "{unit}" }}  # even steps, {unit} by '
+            "their size"
+        )
         entry = replace(entry, time=TimeSource(column=column, unit=unit))
     return entry, tuple(lines)
 
@@ -141,5 +157,5 @@ def _time_column(file: FileList, path: Path, entry: SourceEntry) -> tuple[str, s
         step = float(np.median(steps))
         even = np.mean(np.abs(steps - step) <= _JITTER * step) > 0.5
         if even and not np.all(steps == 1):
-            return key.channel, next(unit for least, unit in _UNITS if step >= least)
+            return key.channel, time_unit(step)
     return "", ""

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from loose_env.importing.guessing.joint_targets import JointTarget
+from loose_env.importing.guessing.quantities import quantity_of
+from loose_env.importing.mapping.units import unit_named
 from loose_env.typing import Array
 
 _MARGIN = 0.05
@@ -37,7 +39,7 @@ class Scaling:
 def position_scaling(
     joint: JointTarget, values: Array, unit: str = "", why: str = "as given"
 ) -> Scaling | None:
-    """Scaling of a position; None where the values fit no unit that is known.
+    """Scaling of a position; None where no unit fits, or the stated one is of another quantity.
 
     Parameters
     ----------
@@ -56,8 +58,12 @@ def position_scaling(
     ends = "" if joint.limits is None else f" {joint.limits[0]:.4g} to {joint.limits[1]:.4g}"
     about = f"limits{ends} {units[0]}" if ends else "no limits in the model"
     fitting = [each for each in units if _fits(joint, low, high, each)]
-    if unit in units and (unit in fitting or not fitting):
-        note = "" if unit in fitting else ", which they exceed"
+    stated = quantity_of(unit)
+    if stated not in ("", "number", quantity_of(units[0])):
+        return None
+    other = stated == quantity_of(units[0]) and unit not in units  # such as cm or mrad
+    if other or (unit in units and (unit in fitting or not fitting)):
+        note = "" if _fits(joint, low, high, unit) else ", which they exceed"
         return Scaling(unit, reason=f"{unit} {why}; {seen}, {about}{note}")
     if fitting:
         also = (
@@ -116,7 +122,7 @@ def rate_unit(ratio: float, slide: bool) -> str:
 
 
 def _fits(joint: JointTarget, low: float, high: float, unit: str) -> bool:
-    factor = {"rad": 1.0, "m": 1.0, "deg": math.pi / 180, "mm": 1e-3}[unit]
+    factor = unit_named(unit, "").factor
     if joint.limits is None:
         return max(abs(low), abs(high)) * factor <= (1.0 if joint.slide else _TURNS)
     margin = _MARGIN * (joint.limits[1] - joint.limits[0])

@@ -17,9 +17,8 @@ from loose_env.importing.mapping.units import unit_named
 from loose_env.importing.readers.csv_lines import cells, header_of, open_text
 from loose_env.importing.samples import ChannelKey, Samples, checked
 from loose_env.importing.timing.dates import date_format_of, date_ns, looks_like_a_date
-from loose_env.recording import nearest
+from loose_env.recording import MOST_VALUES, nearest
 
-_MOST_VALUES = 100_000_000
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE | re.ASCII)
 _PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d{1,3})?", re.IGNORECASE | re.ASCII)
 _LATEST_NS = 2**63
@@ -84,7 +83,7 @@ def read_csv_logger(
             next(rows, None)
         if not layout.header:
             rows = chain([first], rows)
-        most = _MOST_VALUES // (len(wanted) + 2)
+        most = MOST_VALUES // (len(wanted) + 2)
         for line, row in rows:
             if len(row) < len(header) and not _only_ending(row, header):
                 raise InvalidData(

@@ -8,6 +8,8 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from loose_env.errors import InvalidData
 from loose_env.importing.mapping.mapping import CsvLayout
 from loose_env.importing.mapping.units import UNITS, unit_named
@@ -22,6 +24,8 @@ _PREAMBLE = 40  # lines above a table, at most
 _ENCODINGS = ("utf-8", "utf-16", "cp1252", "latin-1")
 _MARKED = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 _TAILED = re.compile(r"_([a-zA-Z/0-9^]+)$")
+_TIME_UNITS = ((1e5, "ns"), (100.0, "us"), (0.9, "ms"), (0.0, "s"))
+"""Smallest step of a column of times -> its unit, for rates from 1 Hz to 10 kHz."""
 _TIME_NAMES = ("time", "t", "timestamp", "stamp", "zeit", "datetime", "date", "temps", "tid")
 
 
@@ -146,8 +150,10 @@ def _time_line(names: list[str], rows: list[list[str]], layout: CsvLayout) -> st
         if _numbers([cell], layout):
             unit = _unit_in(each)
             known = bool(unit) and unit_named(unit, each).quantity == "time" if unit else False
-            if bare in _TIME_NAMES or known or "time" in bare:
-                return f'time = {{ column = {quoted(each)}, unit = "{unit if known else "s"}" }}'
+            if known:
+                return f'time = {{ column = {quoted(each)}, unit = "{unit}" }}'
+            if bare in _TIME_NAMES or "time" in bare:
+                return _unit_by_steps(each, [row[i] for row in rows if i < len(row)], layout)
             continue
         if not looks_like_a_date(cell):
             continue
@@ -161,6 +167,26 @@ def _time_line(names: list[str], rows: list[list[str]], layout: CsvLayout) -> st
         "# no column of time was found; name it, or give the recorder's rate: "
         "time = { rate_hz = ... } [Hz]"
     )
+
+
+def _unit_by_steps(name: str, column: list[str], layout: CsvLayout) -> str:
+    """Line for times without a unit: that which their steps tell."""
+    steps = np.diff(_numbers(column, layout))
+    steps = steps[steps > 0]
+    step = float(np.median(steps)) if steps.size else 0.0
+    unit, words = time_unit(step), f"by its median step of {step:.4g}: no unit is stated"
+    return f'time = {{ column = {quoted(name)}, unit = "{unit}" }}  # {unit} {words}'
+
+
+def time_unit(step: float) -> str:
+    """Unit of a column of times by its step.
+
+    Examples
+    --------
+    >>> time_unit(0.002), time_unit(2.0), time_unit(2e6)
+    ('s', 'ms', 'ns')
+    """
+    return next(unit for least, unit in _TIME_UNITS if step >= least)
 
 
 def _options(layout: CsvLayout) -> list[str]:

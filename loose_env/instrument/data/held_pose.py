@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from loose_env.doctor import POSE_OFFSET, POSE_SPREAD
 from loose_env.errors import InvalidData
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
-from loose_env.instrument.settings.thresholds import EXCITED_SHARE, POSE_OFFSET, POSE_SPREAD
+from loose_env.instrument.settings.thresholds import EXCITED_SHARE
 from loose_env.recording import Run
 from loose_env.typing import Array
 
@@ -92,8 +93,8 @@ def run_setup(arm: InstrumentedArm, run: Run) -> RunSetup:
             f"tool; those are {list(arm.joints)}"
         )
     if not known and not tool_force_in(arm, run):
-        known = _shaken(arm, run)
-        notes.append(f"{run.name}: no 'excited' is noted; taken from the commands: {known}")
+        known, source = _shaken(arm, run)
+        notes.append(f"{run.name}: no 'excited' is noted; taken from the {source}: {known}")
     excited = np.array(sorted(arm.joints.index(joint) for joint in known), dtype=np.intp)
     return RunSetup(pose=pose, excited=excited, notes=tuple(notes))
 
@@ -111,19 +112,21 @@ def _positions(arm: InstrumentedArm, run: Run) -> list[Array | None]:
     return found
 
 
-def _shaken(arm: InstrumentedArm, run: Run) -> list[str]:
-    """Joints whose actuators are excited with noise."""
-    power = np.zeros(arm.n)
+def _shaken(arm: InstrumentedArm, run: Run) -> tuple[list[str], str]:
+    """Joints whose actuators are excited with noise, and the columns that tell it."""
+    power, source = np.zeros(arm.n), "commands"
     drives = arm.actuators
     for a, name in enumerate(drives.names):
         if name in run.controls:
             j = arm.actuators.driven_joint(name)
             power[j] += float(drives.force[j, a]) ** 2 * _wobble(run.controls[name])
     if not power.any():
+        source = "torques"
         for j, joint in enumerate(arm.joints):
             if joint in run.torques:
                 power[j] = _wobble(run.torques[joint])
     if not power.any():
+        source = "positions"
         for j, q in enumerate(_positions(arm, run)):
             power[j] = 0.0 if q is None else _wobble(q)
     if not power.any():
@@ -131,7 +134,7 @@ def _shaken(arm: InstrumentedArm, run: Run) -> list[str]:
             f'{run.name}: nothing says which joint was excited: note "excited" in '
             "recording.json, or record the commands"
         )
-    return [arm.joints[j] for j in np.flatnonzero(power > EXCITED_SHARE * power.max())]
+    return [arm.joints[j] for j in np.flatnonzero(power > EXCITED_SHARE * power.max())], source
 
 
 def _wobble(values: Array) -> float:

@@ -175,12 +175,13 @@ def explained(terms: Products, first: Array, second: Array) -> tuple[Array, Arra
     """
     g11, g22, g12, b1, b2 = terms
     a, b = first, second
-    d1, d2 = 1 + a * g11, 1 + b * g22
-    cross = np.abs(g12) ** 2
-    determinant = d1 * d2 - a * b * cross
+    # Written without differences of large products: both terms in brackets are never negative
+    # (Cauchy-Schwarz), and rounding alone would make them so where the regressors are collinear.
+    determinant = 1 + a * g11 + b * g22 + a * b * np.maximum(g11 * g22 - np.abs(g12) ** 2, 0.0)
     # b^H (P^-1 + G)^-1 b with P = diag(a, b)
-    mixed = (b1.conj() * g12 * b2).real
-    found = (a * d2 * np.abs(b1) ** 2 + b * d1 * np.abs(b2) ** 2 - 2 * a * b * mixed) / determinant
+    own, other = np.abs(b1) ** 2, np.abs(b2) ** 2
+    both = np.maximum(g22 * own + g11 * other - 2 * (b1.conj() * g12 * b2).real, 0.0)
+    found = (a * own + b * other + a * b * both) / determinant
     return found, np.log(determinant)
 
 

@@ -20,11 +20,6 @@ LARGEST_COMMAND = 1000000000.0
 EXCITED_SHARE = 0.1
 """Power of a joint's command over that of the most excited joint, from which it counts as
 excited."""
-POSE_SPREAD = 0.2
-"""Rms motion up to which a joint counts as holding its pose [rad or m]."""
-POSE_OFFSET = 0.05
-"""Distance of the measured from the noted joint position, above which the reader is told [rad or
-m]."""
 SAME_POSE = 0.02
 """Distance of the joint positions up to which two runs hold the same pose [rad or m]."""
 SAME_SIGNAL = 0.8

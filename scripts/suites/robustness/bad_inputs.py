@@ -130,6 +130,7 @@ INPUTS: tuple[BadInput, ...] = (
     _column("a time stamp comes twice", "time", _twice),
     _column("time runs backwards", "time", lambda t: _later(t, -2.0)),
     _column("times in milliseconds", "time", lambda t: 1e3 * t),
+    _column("times in milliseconds, at 1 kHz", "time", lambda t: RATE * t),
     _column("a saturated channel", "torque.lift", _clipped),
     _column("a stuck channel", "sensor.q_lift", lambda v: np.full_like(v, v[0])),
     _column("an encoder of 0.05 rad steps", "sensor.q_lift", lambda v: 0.05 * np.round(20 * v)),

@@ -12,6 +12,7 @@ import pytest
 from loose_env.cli.main import main
 from loose_env.importing import propose
 from loose_env.importing.guessing.channel_names import meaning_of
+from loose_env.importing.guessing.proposal_text import proposal_text
 from loose_env.importing.samples import ChannelKey
 from tests.importing.formats.arm_log import ARM, JOINTS, Motion, write_lerobot, write_rtde
 
@@ -117,6 +118,69 @@ def test_joints_without_a_sensor_are_noted_with_the_line_to_add(home: Path, moti
     )
     proposal = propose([str(write_rtde(home / "log.csv", motion))], bare)
     assert any('<jointpos name="elbow_position" joint="elbow"/>' in note for note in proposal.notes)
+
+
+WITH_TOOL = mujoco.MjModel.from_xml_string(
+    ARM.replace('<inertial pos=".1 0 0"', '<site name="tool"/><inertial pos=".1 0 0"').replace(
+        "</sensor>", '<accelerometer name="tip" site="tool"/></sensor>'
+    )
+)
+
+
+def written(path: Path, columns: dict[str, np.ndarray]) -> str:
+    table, header = np.stack(list(columns.values()), axis=1), ",".join(columns)
+    np.savetxt(path, table, delimiter=",", fmt="%.10g", header=header, comments="")
+    return str(path)
+
+
+def logged(path: Path, motion: Motion, *, time: str = "Zeit") -> str:
+    """Table of a logger with units in its names, times in milliseconds, and vibration."""
+    vibration = np.gradient(np.gradient(motion.position, axis=0), axis=0)
+    columns = {time: 1e3 * motion.time}
+    columns |= {f"Achse {'ABC'[i]} [deg]": np.degrees(motion.position[:, i]) for i in range(3)}
+    columns |= {f"Soll {'ABC'[i]} [deg]": np.degrees(motion.command[:, i]) for i in range(3)}
+    columns |= {f"a{'xyz'[i]} [g]": vibration[:, i] for i in range(3)}
+    columns["Druck [V]"] = motion.position[:, 1] ** 2
+    return written(path, columns)
+
+
+def test_channels_have_the_quantity_of_their_stated_units(home: Path, motion: Motion) -> None:
+    proposal = propose([logged(home / "log.csv", motion)], WITH_TOOL)
+    found = {each.column: each for each in proposal.columns if not each.open}
+    units = {column: each.scaling.unit for column, each in found.items()}
+    assert {f"sensor.tip.{axis}": "g" for axis in "xyz"}.items() <= units.items()
+    for i, joint in enumerate(JOINTS):
+        assert found[f"sensor.{joint}_pos"].candidate.key.channel == f"Achse {'ABC'[i]} [deg]"
+    assert not any("[g]" in e.candidate.key.channel for e in proposal.columns if e.open)
+    assert [channel.key.channel for _, channel in proposal.unassigned] == ["Druck [V]"]
+    text = proposal_text(proposal, "arm.xml")
+    assert '# "sensor.?" = { channel = "Druck [V]", unit = "V" }' in text.splitlines()
+
+
+@pytest.mark.parametrize("name", ["Zeit", "counter"])
+def test_times_without_a_unit_get_it_from_their_steps(
+    home: Path, motion: Motion, name: str
+) -> None:
+    proposal = propose([logged(home / "log.csv", motion, time=name)], WITH_TOOL)
+    (line,) = (each for each in proposal.logs["log"].lines if each.startswith("time"))
+    assert f'column = "{name}", unit = "ms" }}  # ' in line
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mrad", 1e3), ("arcmin", 60 * 180 / np.pi)])
+def test_a_stated_unit_of_the_quantity_stays(
+    home: Path, motion: Motion, unit: str, factor: float
+) -> None:
+    columns = {f"{j}_pos [{unit}]": factor * motion.position[:, i] for i, j in enumerate(JOINTS)}
+    found = lines(written(home / "log.csv", {"time": motion.time, **columns}))
+    assert [found[f"sensor.{joint}_pos"][1] for joint in JOINTS] == [unit] * 3
+
+
+def test_a_position_with_the_unit_of_another_quantity_is_left(home: Path, motion: Motion) -> None:
+    units = ("rad", "g", "rad")
+    columns = {f"{JOINTS[i]}_pos [{units[i]}]": motion.position[:, i] for i in range(3)}
+    proposal = propose([written(home / "log.csv", {"time": motion.time, **columns})], MODEL)
+    assert "sensor.shoulder_lift_pos" not in {e.column for e in proposal.columns if not e.open}
+    assert [c.key.channel for _, c in proposal.unassigned] == ["shoulder_lift_pos [g]"]
 
 
 @pytest.mark.parametrize(

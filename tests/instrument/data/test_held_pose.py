@@ -46,6 +46,21 @@ def test_a_pose_that_leaves_out_a_joint_that_nothing_reads_is_refused(tmp_path: 
         run_setup(machine, without(run, "joint2_pos"))
 
 
+@pytest.mark.parametrize(
+    ("without_commands", "torque", "source"),
+    [(False, False, "commands"), (True, True, "torques"), (True, False, "positions")],
+)
+def test_a_note_says_which_columns_tell_the_excited_joint(
+    tmp_path: Path, without_commands: bool, torque: bool, source: str
+) -> None:
+    machine = read_recorded_arm(write_model(tmp_path))
+    run = dataclasses.replace(runs("healthy", 1)[0], excited=())
+    noise = max(run.controls.values(), key=lambda u: float(u.std()))
+    if without_commands:
+        run = dataclasses.replace(run, controls={}, torques={"joint1": noise} if torque else {})
+    assert any(f"taken from the {source}: " in note for note in run_setup(machine, run).notes)
+
+
 def test_the_pose_of_a_record_is_the_one_that_was_reckoned_with(tmp_path: Path) -> None:
     run = runs("healthy", 1)[0]
     assert run.pose is not None

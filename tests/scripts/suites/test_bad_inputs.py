@@ -14,6 +14,7 @@ GOES_ON = (
 STOPS = {
     "70 % of a channel is 1e12": "are corrupt",
     "times in milliseconds": "sampled at 0.2 Hz",
+    "times in milliseconds, at 1 kHz": "sampled at 1 Hz",
     "positions in ticks (4096 a turn)": "encoder ticks",
     "two joints are exchanged": "sensor.q_lift and sensor.q_bend exchanged",
     "gravity opposite to the model's": "180 degrees from the model's",

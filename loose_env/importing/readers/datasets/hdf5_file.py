@@ -21,10 +21,9 @@ from loose_env.importing.readers.datasets.vector_entry import (
     vector_channels,
 )
 from loose_env.importing.samples import ChannelKey, FileList, Samples, Stream, checked
-from loose_env.recording import nearest
+from loose_env.recording import MOST_VALUES, nearest
 from loose_env.typing import Array
 
-_MOST_VALUES = 100_000_000
 _MOST_DATASETS = 1000
 _NUMBER = re.compile(r"(\d+)")
 _NO_CLOCK = (
@@ -201,8 +200,8 @@ def _values(demo: Any, dataset: str, place: str, most: int | None = None) -> Arr
         raise InvalidData(f"{place}: its values lie in another file; copy them into this one")
     if len(here.shape) not in (1, 2) or here.dtype.kind not in "fiub":
         raise InvalidData(f"{place}: {here.dtype} of shape {here.shape}; no numbers or vectors")
-    if here.size > _MOST_VALUES:
-        raise InvalidData(f"{place}: {here.size} values; at most {_MOST_VALUES} are read")
+    if here.size > MOST_VALUES:
+        raise InvalidData(f"{place}: {here.size} values; at most {MOST_VALUES} are read")
     if most is None and len(here) < 2:
         raise InvalidData(
             f"{place}: it has {len(here)} samples; choose others by episodes of the run, such as "

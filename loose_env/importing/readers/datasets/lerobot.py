@@ -28,7 +28,7 @@ from loose_env.importing.samples import (
     checked,
     file_within,
 )
-from loose_env.recording import nearest, read_text
+from loose_env.recording import MOST_VALUES, nearest, read_text
 from loose_env.typing import Array
 
 INFO = "meta/info.json"
@@ -42,7 +42,6 @@ UNITS = (
 """The choices of unit for a column, as the error for a missing one gives them."""
 
 _MOST_BYTES = 2**28
-_MOST_VALUES = 100_000_000
 _VERSIONS = {"v2.0": 2, "v2.1": 2, "v3.0": 3}
 _FIELD = re.compile(r"\{(\w+)(?::0(\d)d)?\}")
 _NUMBERS = re.compile(r"(float|int|uint)\d+|bool")
@@ -355,8 +354,8 @@ def _table(path: Path, place: str, columns: Sequence[str]) -> dict[str, Array]:
             width = next(iter(widths), 1)
         else:
             flat, width = column, 1
-        if len(flat) > _MOST_VALUES:
-            raise InvalidData(f"{own}: more than {_MOST_VALUES} values; take fewer episodes a file")
+        if len(flat) > MOST_VALUES:
+            raise InvalidData(f"{own}: more than {MOST_VALUES} values; take fewer episodes a file")
         values = as_matrix(flat.to_numpy(), own)
         if len(values) != rows * width:
             raise InvalidData(f"{own}: {len(values)} values in {rows} rows of {width}")

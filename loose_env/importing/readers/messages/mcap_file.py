@@ -18,9 +18,8 @@ from loose_env.importing.readers.messages.field_path import FieldPath, fields_of
 from loose_env.importing.readers.messages.mcap_messages import Decoder, decoder_of, encoding_of
 from loose_env.importing.readers.messages.mcap_records import Message, walk
 from loose_env.importing.samples import Channel, ChannelKey, FileList, Samples, Stream, checked
-from loose_env.recording import nearest
+from loose_env.recording import MOST_VALUES, nearest
 
-_MOST_SAMPLES = 100_000_000
 _MOST_LISTED = 200
 """Channels listed of one topic."""
 _LATEST_NS = 2**63 - 1
@@ -136,8 +135,8 @@ class _Topic:
                 value = self._number(path, path.find(decoded))
                 if value is None:
                     continue
-                if len(values) == _MOST_SAMPLES:
-                    raise self._refused(f"more than {_MOST_SAMPLES} samples; cut the file")
+                if len(values) == MOST_VALUES:
+                    raise self._refused(f"more than {MOST_VALUES} samples; cut the file")
                 values.append(value)
                 stamps.append(stamp)
                 numbers.append(self.count)

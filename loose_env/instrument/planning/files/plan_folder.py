@@ -212,9 +212,22 @@ def _usual_files() -> frozenset[str]:
 
 
 def read_plan(path: Path) -> dict[str, Any] | None:
-    """Content of a plan; None where there is none, or it is none of the format."""
+    """Content of a plan; None where there is none, or a JSON file of another format.
+
+    Raises
+    ------
+    InvalidData
+        If it cannot be read or is no JSON: it may be a plan whose limits protect the arm.
+    """
     try:
         whole = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError):
+    except (FileNotFoundError, NotADirectoryError):
         return None
+    except OSError as error:
+        raise InvalidData(f"{path}: the plan cannot be read: {error.strerror or error}") from None
+    except (ValueError, RecursionError) as error:
+        raise InvalidData(
+            f"{path}: the plan is damaged, no JSON: {' '.join(str(error).split())}; its limits are "
+            "not known: bring it back, or delete it and make the plan anew"
+        ) from None
     return whole if isinstance(whole, dict) and whole.get("format") == FORMAT else None

@@ -49,7 +49,9 @@ class SessionSettings:
 
 
 def session_beside(recording: str | Path) -> SessionSettings:
-    """Settings of the plan that lies beside a recording; the usual ones where none does.
+    """Settings of the plan in the session's folder; the usual ones where there is none.
+
+    They hold for every recording in that folder: that of the plan, and a corrected copy of it.
 
     A limit that was given to the first plan of a session, such as ``most_tool``, holds in this
     way for what a diagnosis asks for next, and for the next plan.
@@ -62,12 +64,12 @@ def session_beside(recording: str | Path) -> SessionSettings:
     Raises
     ------
     InvalidData
-        If the plan has settings that make no sense.
+        If the plan is damaged, or has settings that make no sense.
     """
     folder = Path(recording).resolve()
     path = folder.parent / PLAN
     whole = read_plan(path)
-    if whole is None or whole.get("recording") != folder.name:
+    if whole is None:
         return SessionSettings()
     settings, place = whole.get("settings"), f"{path}: settings"
     if not isinstance(settings, dict):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,34 @@ def test_the_limits_of_a_plan_hold_for_the_recording_beside_it(session: Path) ->
 
 def test_without_a_plan_no_limits_are_known(session: Path, tmp_path: Path) -> None:
     assert session_beside(tmp_path / "elsewhere").limits is None
-    assert session_beside(session / "another").limits is None
+
+
+def test_the_limits_hold_for_every_recording_of_the_session(session: Path) -> None:
+    corrected = session_beside(session / "corrected")
+    assert corrected.limits is not None and corrected == session_beside(session / "recording")
+
+
+@pytest.mark.parametrize("damage", [lambda raw: raw[: len(raw) // 2], lambda raw: b"\xff" + raw])
+def test_a_damaged_plan_is_refused_in_one_line(
+    session: Path, damage: Callable[[bytes], bytes]
+) -> None:
+    path = session / "plan.json"
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(InvalidData, match=r"plan\.json: the plan is damaged") as error:
+        session_beside(session / "recording")
+    assert "\n" not in str(error.value)
+
+
+def test_a_plan_that_cannot_be_read_is_refused(session: Path) -> None:
+    (session / "plan.json").unlink()
+    (session / "plan.json").mkdir()
+    with pytest.raises(InvalidData, match="cannot be read"):
+        session_beside(session / "recording")
+
+
+def test_a_plan_of_another_program_is_no_plan(session: Path) -> None:
+    (session / "plan.json").write_text('{"format": "another"}', "utf-8")
+    assert session_beside(session / "recording").limits is None
 
 
 @pytest.mark.parametrize(
