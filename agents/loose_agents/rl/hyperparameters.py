@@ -107,7 +107,7 @@ def whole(value: Any, name: str) -> int:
 
 
 def value_of(text: str) -> Any:
-    """Parse a Python literal or ``dict(...)``; what has no brackets and quotes is else a string.
+    """Parse a Python literal or ``dict(...)``; words and paths without brackets are strings.
 
     Nothing is run.
 
@@ -128,7 +128,7 @@ def value_of(text: str) -> Any:
         return tree.id if isinstance(tree, ast.Name) else _value(tree)
     except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError) as error:
         plain = text.strip()
-        if plain and not set(plain) & set("()[]{}'\""):
+        if (plain[:1].isalpha() or plain[:1] in set("/.~_")) and not set(plain) & set("()[]{}'\""):
             return plain
         raise InvalidSetting(
             f"cannot read {text!r}: a value is a number, a string, a list, a dict or "
