@@ -267,6 +267,7 @@ def content_of(name: str) -> str:
     if place.exists():
         files = sorted(place.rglob("*")) if place.is_dir() else [place]
     elif ":" in name:
+        _look_beside_the_command()
         try:
             found = importlib.util.find_spec(name.partition(":")[0])
         except (ImportError, ValueError):
@@ -294,8 +295,7 @@ def _from_outside(name: str, problem: Problem, seed: int) -> Agent:
 
         return LearnedAgent.load(problem, name)
     module, _, attribute = name.partition(":")
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())  # a class beside the command, as python itself finds it
+    _look_beside_the_command()
     try:
         kind = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError, TypeError) as error:
@@ -314,6 +314,12 @@ def _from_outside(name: str, problem: Problem, seed: int) -> Agent:
         )
     found: Agent = agent
     return found
+
+
+def _look_beside_the_command() -> None:
+    """Let a module beside the command be found, as python itself finds it."""
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
 
 
 def _require(name: str, estimator: str, policy: str) -> None:

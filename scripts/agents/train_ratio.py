@@ -84,14 +84,12 @@ def train(options: Options) -> None:
 
 def scores(posterior: RatioPosterior, bank: RecordBank) -> list[dict[str, Any]]:
     """Accuracy and mean log score of the truth on held-out episodes, by number of records."""
-    slots, truth = episode_parts(bank)
-    most = posterior.problem.layout.slots
-    padded = np.pad(slots, ((0, 0), (0, most - slots.shape[1]), (0, 0)))
+    slots, truth = episode_parts(bank, posterior.problem.layout.slots)
     lengths = (slots[:, :, 0] > 0.5).sum(axis=1)
     found = []
     for length in np.unique(lengths).tolist():
         own = lengths == length
-        p = posterior.probabilities(padded[own])
+        p = posterior.probabilities(slots[own])
         right = p.argmax(axis=1) == truth[own]
         score = np.log(np.maximum(p[np.arange(len(p)), truth[own]], 1e-6))
         found.append(

@@ -132,6 +132,11 @@ class RatioPosterior:
                 f"those of arm {problem.arm.name!r} here; train one with "
                 "scripts/agents/train_ratio.py"
             )
+        if not all(np.isfinite(values).all() for values in tensors.values()):
+            raise InvalidData(
+                f"the network in {folder} holds numbers that are not finite; train it again with "
+                "scripts/agents/train_ratio.py"
+            )
         network = ratio_network(problem, _settings_of(configuration, folder))
         try:
             network.load_state_dict({name: torch.from_numpy(v) for name, v in tensors.items()})

@@ -33,10 +33,17 @@ class RatioTraining:
     """Seed of the training."""
 
 
-def episode_parts(bank: RecordBank) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+def episode_parts(bank: RecordBank, records: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Beginnings of every episode: its first record, its first two, and so on.
 
     A posterior is asked after any number of records.
+
+    Parameters
+    ----------
+    bank : RecordBank
+        The episodes.
+    records : int
+        Most records that an observation holds.
 
     Returns
     -------
@@ -53,7 +60,9 @@ def episode_parts(bank: RecordBank) -> tuple[NDArray[np.float32], NDArray[np.int
         part[:, length:] = 0.0
         slots.append(part)
         truth.append(bank.truth[own])
-    return np.concatenate(slots), np.concatenate(truth)
+    every = np.concatenate(slots)
+    room = ((0, 0), (0, records - every.shape[1]), (0, 0))
+    return np.pad(every, room), np.concatenate(truth)
 
 
 def train_ratio(
@@ -93,9 +102,7 @@ def train_ratio(
     from torch.utils.tensorboard.writer import SummaryWriter
 
     torch.manual_seed(how.seed)
-    slots, truth = episode_parts(bank)
-    most = problem.layout.slots
-    padded = np.pad(slots, ((0, 0), (0, most - slots.shape[1]), (0, 0)))
+    slots, truth = episode_parts(bank, problem.layout.slots)
     codes = hypothesis_codes(len(problem.hypotheses))[truth]
     with (
         tempfile.TemporaryDirectory() as logs,  # the library's default is the working folder
@@ -110,7 +117,7 @@ def train_ratio(
             tracker=TensorBoardTracker(writer),
             show_progress_bars=False,
         )
-        inference.append_simulations(torch.from_numpy(codes), torch.from_numpy(padded))
+        inference.append_simulations(torch.from_numpy(codes), torch.from_numpy(slots))
         return inference.train(
             num_atoms=len(problem.hypotheses),
             training_batch_size=how.batch,

@@ -45,18 +45,15 @@ def bank_of(problem, episodes, seed):
     )  # fmt: skip
 
 
-def padded(problem, slots):
-    most = problem.layout.slots
-    return np.pad(slots, ((0, 0), (0, most - slots.shape[1]), (0, 0)))
-
-
 def test_beginnings_of_episodes_end_where_the_records_do(problem):
     bank = bank_of(problem, 10, 0)
-    slots, truth = episode_parts(bank)
+    slots, truth = episode_parts(bank, 5)
+    assert slots.shape[1] == 5
+    assert not slots[:, 3:].any()
     assert len(slots) == 10 + 10 + 5
     taken = (slots[:, :, 0] > 0.5).sum(axis=1)
     assert np.bincount(taken).tolist() == [0, 10, 10, 5]
-    assert np.array_equal(slots[20:], bank.slots[5:])
+    assert np.array_equal(slots[20:, :3], bank.slots[5:])
     assert np.array_equal(truth[20:], bank.truth[5:])
 
 
@@ -69,8 +66,7 @@ def test_it_learns_and_more_records_say_more(problem, tmp_path):
         RatioTraining(epochs=10, batch=100, learning_rate=3e-3),
     )
     posterior = RatioPosterior(problem, network)
-    slots, truth = episode_parts(bank_of(problem, 1000, 2))
-    slots = padded(problem, slots)
+    slots, truth = episode_parts(bank_of(problem, 1000, 2), problem.layout.slots)
     taken = (slots[:, :, 0] > 0.5).sum(axis=1)
     p = posterior.probabilities(slots)
     assert p.sum(axis=1) == pytest.approx(1.0)
@@ -94,6 +90,10 @@ def test_it_learns_and_more_records_say_more(problem, tmp_path):
     other = Problem.of(planar(3), DiagnosisSettings())
     with pytest.raises(InvalidData, match="other observations"):
         RatioPosterior.load(tmp_path, other)
+    broken = {name: np.full_like(values, np.nan) for name, values in tensors.items()}
+    write_network(tmp_path, configuration, broken)
+    with pytest.raises(InvalidData, match="not finite"):
+        RatioPosterior.load(tmp_path, problem)
     write_network(tmp_path, configuration | {"network": {"hidden": 7}}, tensors)
     with pytest.raises(InvalidData, match="does not say hidden, features"):
         RatioPosterior.load(tmp_path, problem)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import shutil
+import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -173,7 +174,8 @@ def test_rows_depend_on_what_the_agent_is_made_of(
     assert named.configuration != with_shipped
     module = tmp_path / "an_agent_of_mine.py"
     module.write_text("class Mine: ...", encoding="utf-8")
-    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)  # beside the command, as a user's own
+    monkeypatch.setattr("sys.path", list(sys.path))
     outside = content_of("an_agent_of_mine:Mine")
     module.write_text("class Mine: one = 1", encoding="utf-8")
     assert content_of("an_agent_of_mine:Mine") != outside
