@@ -67,8 +67,6 @@ def train(options: Options) -> None:
 
     torch.set_num_threads(1)
     plan, folder = options.plan, Path(options.out)
-    build_bank(plan, folder, options)
-    store = build_features(plan, folder, options)
     problem = plan.problem()
     if problem.hypotheses != hypotheses(problem.arm, DEFAULT_KINDS):
         raise InvalidSetting(
@@ -76,6 +74,8 @@ def train(options: Options) -> None:
             "as they are by default"
         )
     held_shards, training_shards = plan.split
+    build_bank(plan, folder, options)
+    store = build_features(plan, folder, options)
     out = Path(options.weights or WEIGHTS / f"posterior-{setting_name(problem)}")
     directions = axes_grid(directions_of(plan), len(problem.arm.axes))
     if options.reference_only:

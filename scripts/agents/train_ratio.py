@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from loose_agents.core.estimators import WEIGHTS, tuning_name
-from loose_agents.core.ratio_posterior import FORMAT, RatioPosterior, RatioSettings
+from loose_agents.core.ratio_posterior import FORMAT, RatioPosterior, RatioSettings, ratio_network
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.command import command, option
 from loose_agents.posterior_training.bank_storage import BankOptions, build_bank, read_bank
@@ -53,10 +53,11 @@ def train(options: Options) -> None:
 
     torch.set_num_threads(1)
     plan, folder = options.plan, Path(options.out)
-    build_bank(plan, folder, options)
     problem = plan.problem()
     held_shards, training_shards = plan.split
     settings = RatioSettings(hidden=options.hidden)
+    ratio_network(problem, settings)  # what is missing is said before the bank is simulated
+    build_bank(plan, folder, options)
     training = RatioTraining(epochs=options.epochs, seed=options.training_seed)
     begin = time.perf_counter()
     seen = read_bank(plan, folder, training_shards)
