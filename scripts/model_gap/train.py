@@ -56,12 +56,18 @@ def main() -> None:
 def train(options: Options, env: ModelGapEnv) -> None:
     """Train from the stored weights on, and store weights and learning curve."""
     import torch
+    from loose_agents.rl.motion_policy import MotionPolicy
     from sb3_contrib import MaskablePPO
 
     weights = options.out / "policy.pt"
     model = MaskablePPO(
-        "MlpPolicy", env, n_steps=min(256, options.every), batch_size=64, gamma=1.0,
-        ent_coef=0.01, learning_rate=1e-3, seed=options.seed, device="cpu",
+        MotionPolicy, env, n_steps=min(512, options.every), batch_size=128, n_epochs=8, gamma=1.0,
+        ent_coef=0.003, learning_rate=5e-4, seed=options.seed, device="cpu",
+        policy_kwargs={
+            "layout": env.layout,
+            "seconds": env.bank.seconds,
+            "prices": env.motion_prices,
+        },
     )  # fmt: skip
     if weights.is_file():
         stored = torch.load(weights, map_location="cpu", weights_only=True)

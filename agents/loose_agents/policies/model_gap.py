@@ -125,13 +125,18 @@ class LearnedGapAgent(EpisodeAgent):
     def __init__(self, weights: Path, layout: GapObservation, *, most: int) -> None:
         import torch
         from gymnasium import spaces
-        from sb3_contrib.common.maskable.policies import MaskableActorCriticPolicy
+
+        from loose_agents.rl.motion_policy import MotionPolicy
 
         if not weights.is_file():
             raise InvalidSetting(f"no weights {weights}: scripts/model_gap/train.py writes them")
         self.layout, self.most, self.seed = layout, most, 0  # nothing is drawn
         actions = spaces.Discrete(layout.motions + layout.ranks)
-        self.policy = MaskableActorCriticPolicy(layout.space, actions, lambda _: 0.0)
+        unknown = np.zeros(layout.motions)  # the weights bring them
+        self.policy = MotionPolicy(
+            layout.space, actions, lambda _: 0.0,
+            layout=layout, seconds=unknown, prices=unknown,
+        )  # fmt: skip
         stored = torch.load(weights, map_location="cpu", weights_only=True)
         try:
             self.policy.load_state_dict(stored["policy"])

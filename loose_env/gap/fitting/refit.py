@@ -144,8 +144,8 @@ def fit_in_form(comparison: ResidualModel, fitted: Fit, effect: Effect, form: Ef
     effect : Effect
         One of its effects.
     form : Effect
-        The same kind at the same location in another form. Parameters of both start at their
-        fitted values, others where they change nothing, or at a start of the form.
+        The same kind at the same location in another form, which is listed last. Parameters of both
+        start at their fitted values, others where they change nothing, or at a start of the form.
     """
     own = fitted.structure.slice_of(effect)
     known = dict(
@@ -159,15 +159,9 @@ def fit_in_form(comparison: ResidualModel, fitted: Fit, effect: Effect, form: Ef
     values = [
         float(known.get(p.name, value)) for p, value in zip(form.parameters, otherwise, strict=True)
     ]
-    effects = [form if each is effect else each for each in fitted.effects]
-    start = np.concatenate(
-        [
-            fitted.free[: own.start],
-            free_of(form.parameters, np.array(values)),
-            fitted.free[own.stop :],
-        ]
-    )
-    return fit(comparison, fitted.structure.with_effects(effects), start)
+    structure, kept = _without(fitted, effect)
+    start = np.concatenate([fitted.free[kept], free_of(form.parameters, np.array(values))])
+    return fit(comparison, structure.plus(form), start, known=fitted.jacobian[:, kept])
 
 
 def fitted_on(comparison: ResidualModel, fitted: Fit) -> Fit:

@@ -218,7 +218,7 @@ class Acceptance:
         best = self.scorer.score(refit_with_new_jacobian(self.comparison, scored.fitted))
         best = self._pruned(best, self._new(scored))
         earlier = best.fitted.effects[: len(self.before.fitted.effects)]
-        for effect in self._weakest(best, earlier):
+        for effect in self.weakest(best, earlier):
             without = self._without(best, effect)
             if not self.significant(improvement_of(best, without)):
                 rather = self.earlier_form(best, effect)
@@ -251,7 +251,7 @@ class Acceptance:
     def _pruned(self, scored: ScoredFit, new: int) -> ScoredFit:
         """Drop those of several new effects that are insignificant by themselves."""
         while new > 1:
-            weak = self._weakest(scored, scored.fitted.effects[-new:])
+            weak = self.weakest(scored, scored.fitted.effects[-new:])
             without = [self._without(scored, effect) for effect in weak]
             improvements = [improvement_of(scored, each) for each in without]
             weakest = min(
@@ -262,7 +262,7 @@ class Acceptance:
             scored, new = without[weakest], new - 1
         return scored
 
-    def _weakest(self, scored: ScoredFit, effects: Sequence[Effect]) -> list[Effect]:
+    def weakest(self, scored: ScoredFit, effects: Sequence[Effect]) -> list[Effect]:
         """Return the few of some effects that seem to be needed least."""
         if len(effects) <= FURTHER:
             return list(effects)

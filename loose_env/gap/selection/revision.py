@@ -294,12 +294,17 @@ class SwapStep:
     def _without_insignificant(
         self, scored: ScoredFit, before: ScoredFit, best: ScoredFit, acceptance: Acceptance
     ) -> ScoredFit:
-        """Drop the effects of a hypothesis that its new one makes insignificant."""
-        for other in before.fitted.effects:
-            without = self._without(scored, other)
-            needed = acceptance.significant(improvement_of(scored, without))
-            if not needed and not acceptance.significant(improvement_of(best, without)):
-                scored = without
+        """Drop the effects that the new one makes insignificant, the one needed least first."""
+        others = list(before.fitted.effects)
+        while others:
+            for other in acceptance.weakest(scored, others):
+                without = self._without(scored, other)
+                needed = acceptance.significant(improvement_of(scored, without))
+                if not needed and not acceptance.significant(improvement_of(best, without)):
+                    scored, others = without, [each for each in others if each is not other]
+                    break
+            else:
+                break
         return scored
 
     def _without(self, scored: ScoredFit, effect: Effect) -> ScoredFit:
