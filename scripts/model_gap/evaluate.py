@@ -22,15 +22,10 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from loose_agents.core.base import EpisodeAgent
 from loose_agents.execution.command import option
 from loose_agents.execution.study import Row, Study, StudyRun
-from loose_agents.policies.model_gap import (
-    GAP_AGENTS,
-    STOPPING,
-    GapAgent,
-    LearnedGapAgent,
-    make_gap_agent,
-)
+from loose_agents.policies.model_gap import GAP_AGENTS, STOPPING, make_gap_agent
 
 from loose_env.envs import ModelGapEnv
 from loose_env.io import Count
@@ -79,14 +74,14 @@ def _env(model: str) -> ModelGapEnv:
     return made(model or None)
 
 
-def _agent(
-    env: ModelGapEnv, agent: str, number: int, weights: Path | None
-) -> GapAgent | LearnedGapAgent:
+def _agent(env: ModelGapEnv, agent: str, number: int, weights: Path | None) -> EpisodeAgent:
     """An agent that does not stop, but for ppo."""
     if agent != "ppo":
         return make_gap_agent(agent, env, sure=2.0, seed=number)
+    from loose_agents.rl.motion_policy import LearnedGapAgent  # torch where it is used
+
     assert weights is not None
-    return LearnedGapAgent(weights, env.layout, most=env.settings.max_motions)
+    return LearnedGapAgent(weights, env)
 
 
 def play(case: Case, *, settings: Settings, run: Run, say: Callable[[str], None]) -> list[Row]:

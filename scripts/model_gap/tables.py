@@ -179,11 +179,16 @@ def stopping_table(rows: Sequence[Row], sure: dict[str, float]) -> list[str]:
         rewards = np.array([o["reward"] for o in every])
         error = 1.96 * float(rewards.std()) / np.sqrt(len(rewards))
         lines.append(
-            f"| {agent} | {sure[agent]:g} | {' | '.join(shares)} | "
+            f"| {agent} | {_threshold(sure[agent])} | {' | '.join(shares)} | "
             f"{np.mean([o['seconds'] for o in every]):.1f} s | "
             f"{rewards.mean():+.2f} ± {error:.2f} |"
         )
     return lines
+
+
+def _threshold(sure: float) -> str:
+    """Probability that an agent stops at; one above 1 is that of an agent with its own rule."""
+    return f"{sure:g}" if sure <= 1 else "its choice"
 
 
 def ratio_table(rows: Sequence[Row], sure: dict[str, float]) -> list[str]:

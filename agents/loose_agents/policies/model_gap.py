@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +11,11 @@ from numpy.typing import NDArray
 
 from loose_agents.core.base import EpisodeAgent
 from loose_env.envs import GapObservation, ModelGapEnv
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.errors import UnknownName
 from loose_env.gap import battery
 from loose_env.typing import Array
 
-__all__ = ["GAP_AGENTS", "GapAgent", "LearnedGapAgent", "make_gap_agent"]
+__all__ = ["GAP_AGENTS", "GapAgent", "make_gap_agent"]
 
 GAP_AGENTS = ("random", "battery", "brief", "greedy")
 """Names of the agents."""
@@ -29,8 +28,6 @@ _SETUP_S = 0.5
 """Time to set up a motion [s], so that motions of almost no length are not preferred."""
 _NAT = 1e-3
 """Reward that a nat of information counts as: it decides where no motion changes the verdict."""
-_UNKNOWN = 1.1e-6
-"""Probability up to which a rank of the posterior counts as empty."""
 _BRIEF = ("slow_triangle", "multisine", "steps")
 """Kinds of the battery in its brief form."""
 
@@ -102,60 +99,6 @@ class GapAgent(EpisodeAgent):
         rate = worth / (self.seconds + _SETUP_S)
         fresh = observation[self.layout.taken] < _REPEATS
         return int(np.argmax(np.where(fresh, rate, rate - 1e3)))
-
-
-class LearnedGapAgent(EpisodeAgent):
-    """Agent that acts by a maskable PPO of stable-baselines3 on the belief.
-
-    Parameters
-    ----------
-    weights : Path
-        Weights that scripts/model_gap/train.py wrote.
-    layout : GapObservation
-        Layout of the observation.
-    most : int
-        Motions after which a verdict is all that is left.
-
-    Raises
-    ------
-    InvalidSetting
-        If there are no such weights, or they were trained on another library or other candidates.
-    """
-
-    def __init__(self, weights: Path, layout: GapObservation, *, most: int) -> None:
-        import torch
-        from gymnasium import spaces
-
-        from loose_agents.rl.motion_policy import MotionPolicy
-
-        if not weights.is_file():
-            raise InvalidSetting(f"no weights {weights}: scripts/model_gap/train.py writes them")
-        self.layout, self.most, self.seed = layout, most, 0  # nothing is drawn
-        actions = spaces.Discrete(layout.motions + layout.ranks)
-        unknown = np.zeros(layout.motions)  # the weights bring them
-        self.policy = MotionPolicy(
-            layout.space, actions, lambda _: 0.0,
-            layout=layout, seconds=unknown, prices=unknown,
-        )  # fmt: skip
-        stored = torch.load(weights, map_location="cpu", weights_only=True)
-        try:
-            self.policy.load_state_dict(stored["policy"])
-        except (RuntimeError, KeyError, TypeError) as error:
-            raise InvalidSetting(
-                f"{weights} is not of an observation of {layout.size} numbers and {actions.n} "
-                "actions: train anew on this library and these candidates"
-            ) from error
-
-    def begin(self, rng: np.random.Generator) -> None:
-        """Return the initial state of an episode: none."""
-
-    def act(self, observation: NDArray[np.float32], memory: Any) -> Any:
-        """Choose the most probable action among those that make sense."""
-        taken = float(observation[self.layout.taken].sum())
-        mask = np.full(self.layout.motions + self.layout.ranks, taken < self.most)
-        known = 10.0 ** observation[self.layout.sets] > _UNKNOWN
-        mask[self.layout.motions :] = known & (taken > 0)
-        return np.int64(self.policy.predict(observation, action_masks=mask, deterministic=True)[0])
 
 
 def make_gap_agent(

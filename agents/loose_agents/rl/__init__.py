@@ -1,5 +1,6 @@
 """Reinforcement learning: networks, training, checkpoints, hyperparameters.
 
 Data flow: checkpoint -> hyperparameters -> network -> learned_policy -> set_network ->
-model_agent -> training_env -> training_options -> training_run -> end_to_end.
+model_agent -> training_env -> training_options -> training_run -> end_to_end ->
+motion_policy.
 """

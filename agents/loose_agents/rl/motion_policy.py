@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from sb3_contrib.common.maskable.policies import MaskableActorCriticPolicy
 from torch import nn
 
-from loose_env.envs import GapObservation
+from loose_agents.core.base import EpisodeAgent
+from loose_env.envs import GapObservation, ModelGapEnv
+from loose_env.errors import InvalidSetting
 from loose_env.typing import Array
 
-__all__ = ["MotionPolicy"]
+__all__ = ["LearnedGapAgent", "MotionPolicy"]
 
 _TEMPERATURE = 0.05
 """Temperature of the first policy [reward]: how much worse an action is that falls 1/e as often."""
@@ -23,6 +27,9 @@ _SETUP_S = 0.5
 _NAT = 1e-3
 """Reward that a nat of information counts as at first, as for greedy."""
 _WIDTH = 32
+"""Units of each layer."""
+_UNKNOWN = 1.1e-6
+"""Probability up to which a rank of the posterior counts as empty."""
 
 
 class _Scores(nn.Module):
@@ -42,8 +49,10 @@ class _Scores(nn.Module):
     def __init__(self, layout: GapObservation, seconds: Array, prices: Array) -> None:
         super().__init__()
         self.layout = layout
-        self.register_buffer("seconds", torch.as_tensor(seconds, dtype=torch.float32))
-        self.register_buffer("prices", torch.as_tensor(prices, dtype=torch.float32))
+        # not stored with the weights, which serve any library
+        for name, given in (("seconds", seconds), ("prices", prices)):
+            found = torch.as_tensor(given, dtype=torch.float32)
+            self.register_buffer(name, found, persistent=False)
         seen = 2 * layout.ranks + 4 + 3
         self.motion = _network(8 + seen, 1)
         self.verdict = _network(3 + layout.ranks + seen, 1)
@@ -83,13 +92,8 @@ class _Scores(nn.Module):
              self.seconds.expand_as(gain) / 5, worth / time], 2,
         )  # fmt: skip
         rank = torch.eye(at.ranks, device=seen.device).expand(len(seen), -1, -1)
-        verdicts = torch.cat(
-            [
-                torch.stack([probability, torch.log10(probability.clamp(min=1e-6)) / 3, members], 2),
-                rank,
-            ],
-            2,
-        )
+        own = torch.stack([probability, observations[:, at.sets] / 3, members], 2)
+        verdicts = torch.cat([own, rank], 2)
         return torch.cat(
             [
                 first_motion + self.motion(_beside(motions, seen))[:, :, 0],
@@ -119,10 +123,11 @@ class MotionPolicy(MaskableActorCriticPolicy):
     """Maskable policy whose scores of motions do not depend on their place in the library.
 
     One small network scores each motion by its own elements of the observation (repetitions,
-    residual, expected information and gain, machine time, price), another each verdict by its
-    rank and probability; both see the leading probabilities. It begins as a soft form of the greedy agent:
-    the logit of a motion is the expected reward with it, that of a verdict the reward expected now,
-    over a temperature. What the networks add begins at zero.
+    residual, expected information and gain, machine time, price), another each verdict by its rank
+    and probability; both see the leading probabilities. So the weights serve any arm, candidates
+    and library. It begins as a soft form of the greedy agent: the logit of a motion is the expected
+    reward with it, that of a verdict the reward expected now, over a temperature. What the networks
+    add begins at zero.
 
     Parameters
     ----------
@@ -138,8 +143,7 @@ class MotionPolicy(MaskableActorCriticPolicy):
         self, *args: Any, layout: GapObservation, seconds: Array, prices: Array, **arguments: Any
     ) -> None:
         self.layout = layout
-        self.motion_seconds = np.asarray(seconds, dtype=np.float32)
-        self.motion_prices = np.asarray(prices, dtype=np.float32)
+        self.motion_seconds, self.motion_prices = seconds, prices
         super().__init__(*args, **arguments)
 
     def _build_mlp_extractor(self) -> None:
@@ -148,15 +152,60 @@ class MotionPolicy(MaskableActorCriticPolicy):
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
-        self.action_net = nn.Identity()  # type: ignore[assignment]
+        self.action_net = nn.Identity()
         # SB3 has initialised all layers anew, these too: nothing is added to the first policy.
         scores: Any = self.mlp_extractor
         for last in (scores.motion[-1], scores.verdict[-1]):
             nn.init.zeros_(last.weight)
             nn.init.zeros_(last.bias)
-        self.optimizer = self.optimizer_class(
-            self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs
-        )
+        make: Any = self.optimizer_class
+        self.optimizer = make(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+
+
+class LearnedGapAgent(EpisodeAgent):
+    """Agent that acts by a maskable PPO of sb3-contrib on the belief.
+
+    Parameters
+    ----------
+    weights : Path
+        Weights that scripts/model_gap/train.py wrote, for this arm and library or another.
+    env : ModelGapEnv
+        The environment, unwrapped; its hidden machine is not looked at.
+
+    Raises
+    ------
+    InvalidSetting
+        If there are no such weights, or they were trained with another number of ranks.
+    """
+
+    def __init__(self, weights: Path, env: ModelGapEnv) -> None:
+        if not weights.is_file():
+            raise InvalidSetting(f"no weights {weights}: scripts/model_gap/train.py writes them")
+        self.layout, self.most = env.layout, env.settings.max_motions
+        self.seed = 0  # nothing is drawn
+        self.policy = MotionPolicy(
+            env.observation_space, env.action_space, lambda _: 0.0,
+            layout=env.layout, seconds=env.bank.seconds, prices=env.motion_prices,
+        )  # fmt: skip
+        stored = torch.load(weights, map_location="cpu", weights_only=True)
+        try:
+            self.policy.load_state_dict(stored["policy"])
+        except (RuntimeError, KeyError, TypeError) as error:
+            raise InvalidSetting(
+                f"{weights} is not of a policy whose verdicts have {self.layout.ranks} ranks: "
+                "train anew with scripts/model_gap/train.py"
+            ) from error
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Return the initial state of an episode: none."""
+
+    def act(self, observation: NDArray[np.float32], memory: Any) -> Any:
+        """Choose the most probable action among those that make sense."""
+        taken = float(observation[self.layout.taken].sum())
+        mask = np.full(self.layout.motions + self.layout.ranks, taken < self.most)
+        known = 10.0 ** observation[self.layout.sets] > _UNKNOWN
+        mask[self.layout.motions :] = known & (taken > 0)
+        return np.int64(self.policy.predict(observation, action_masks=mask, deterministic=True)[0])
 
 
 def _network(size: int, out: int) -> nn.Sequential:
