@@ -24,12 +24,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from loose_agents.execution.command import option
 from loose_agents.execution.study import Row, Study, StudyRun
-from loose_agents.policies.model_gap import GAP_AGENTS, STOPPING, make_gap_agent
+from loose_agents.policies.model_gap import GAP_AGENTS, STOPPING
 
 from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.envs import ModelGapEnv
 from loose_env.io import Count
-from scripts.model_gap.play import EVALUATION_SEED, made, played
+from scripts.model_gap.play import EVALUATION_SEED, agent_of, made, played
 from scripts.model_gap.tables import GROUPS, of, stopped
 
 ARMS = ("six_axis", "ur5e")
@@ -55,6 +55,7 @@ class Run(StudyRun):
     arms: tuple[str, ...] = option(ARMS, "arms", choices=ARMS)
     agents: tuple[str, ...] = option(GAP_AGENTS, "agents to play", choices=GAP_AGENTS)
     episodes: Count = option(12, "episodes of each agent on each arm")
+    ppo: Path | None = option(None, "weights of train.py: the agent ppo, which stops by itself")
     models: Path = option(Path("../shared/models"), "folder of ur5e_bare.xml")
 
 
@@ -68,7 +69,8 @@ def cases_of(settings: Settings, run: Run) -> list[Case]:
     found: list[Case] = []
     for arm in run.arms:
         if file_of(arm, run).is_file():
-            found += [(arm, agent, n) for n in range(run.episodes) for agent in run.agents]
+            agents = (*run.agents, *(("ppo",) if run.ppo else ()))
+            found += [(arm, agent, n) for n in range(run.episodes) for agent in agents]
         else:
             print(f"{arm} is skipped: there is no {file_of(arm, run)}", file=sys.stderr)
     return found
@@ -83,7 +85,7 @@ def play(case: Case, *, settings: Settings, run: Run, say: Callable[[str], None]
     """Play one episode of one agent on one arm."""
     arm, agent, number = case
     env = _env(file_of(arm, run), settings.kinds)
-    never = make_gap_agent(agent, env, sure=2.0, seed=number)
+    never = agent_of(env, agent, number, run.ppo)
     row = played(env, never, seed=settings.seed, number=number, most=settings.most)
     return [{"arm": arm, "candidates": len(env.bank.names), "agent": agent, **row}]
 

@@ -22,15 +22,14 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from loose_agents.core.base import EpisodeAgent
 from loose_agents.execution.command import option
 from loose_agents.execution.study import Row, Study, StudyRun
-from loose_agents.policies.model_gap import GAP_AGENTS, STOPPING, make_gap_agent
+from loose_agents.policies.model_gap import GAP_AGENTS, STOPPING
 
 from loose_env.envs import ModelGapEnv
 from loose_env.io import Count
 from scripts.model_gap.figure import draw, write_curves
-from scripts.model_gap.play import EVALUATION_SEED, TUNING_SEED, made, played
+from scripts.model_gap.play import EVALUATION_SEED, TUNING_SEED, agent_of, made, played
 from scripts.model_gap.tables import (
     accuracy_table,
     best_stopping,
@@ -74,21 +73,11 @@ def _env(model: str) -> ModelGapEnv:
     return made(model or None)
 
 
-def _agent(env: ModelGapEnv, agent: str, number: int, weights: Path | None) -> EpisodeAgent:
-    """An agent that does not stop, but for ppo."""
-    if agent != "ppo":
-        return make_gap_agent(agent, env, sure=2.0, seed=number)
-    from loose_agents.rl.motion_policy import LearnedGapAgent  # torch where it is used
-
-    assert weights is not None
-    return LearnedGapAgent(weights, env)
-
-
 def play(case: Case, *, settings: Settings, run: Run, say: Callable[[str], None]) -> list[Row]:
     """Play one episode of one agent."""
     agent, number = case
     env = _env(settings.model)
-    never = _agent(env, agent, number, run.ppo)
+    never = agent_of(env, agent, number, run.ppo)
     row = played(env, never, seed=settings.seed, number=number, most=settings.most)
     return [{"agent": agent, **row}]
 
@@ -100,7 +89,7 @@ def case_of(row: Row) -> Case:
 
 def show(rows: list[Row], settings: Settings, path: Path, run: Run) -> None:
     """Print the tables."""
-    sure = best_stopping(rows) if settings.seed == TUNING_SEED else {**STOPPING, "ppo": 2.0}
+    sure = best_stopping(rows) if settings.seed == TUNING_SEED else STOPPING
     if settings.seed == TUNING_SEED:
         print(f"best stopping on these episodes: {sure}\n")
     parts = [accuracy_table(rows), time_table(rows), stopping_table(rows, sure)]

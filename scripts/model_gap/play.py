@@ -8,11 +8,13 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from loose_agents.core.base import EpisodeAgent
+from loose_agents.policies.model_gap import make_gap_agent
 
 from loose_env.envs import ModelGapEnv
 from loose_env.registration import GAP_ID
 
-__all__ = ["COUNTS", "EVALUATION_SEED", "TUNING_SEED", "made", "played"]
+__all__ = ["COUNTS", "EVALUATION_SEED", "TUNING_SEED", "agent_of", "made", "played"]
 
 EVALUATION_SEED, TUNING_SEED = 20_261_126, 20_081_000
 """Seeds of the judging episodes and of those on which stopping is tuned."""
@@ -44,6 +46,28 @@ def made(model: str | Path | None = None, **settings: Any) -> ModelGapEnv:
     unwrapped = env.unwrapped
     assert isinstance(unwrapped, ModelGapEnv)
     return unwrapped
+
+
+def agent_of(env: ModelGapEnv, name: str, number: int, weights: Path | None) -> EpisodeAgent:
+    """Make an agent that does not stop, but for ``ppo``, which has the weights and stops itself.
+
+    Parameters
+    ----------
+    env : ModelGapEnv
+        The environment.
+    name : str
+        Name of the agent.
+    number : int
+        Number of the episode: seed of what it draws.
+    weights : Path, optional
+        Weights of ``ppo``.
+    """
+    if name != "ppo":
+        return make_gap_agent(name, env, sure=2.0, seed=number)
+    from loose_agents.rl.motion_policy import LearnedGapAgent  # torch where it is used
+
+    assert weights is not None
+    return LearnedGapAgent(weights, env)
 
 
 def played(

@@ -19,9 +19,9 @@ __all__ = ["GAP_AGENTS", "GapAgent", "make_gap_agent"]
 
 GAP_AGENTS = ("random", "battery", "brief", "greedy")
 """Names of the agents."""
-STOPPING = {"random": 0.6, "battery": 0.8, "brief": 0.8, "greedy": 0.8}
+STOPPING = {"random": 0.6, "battery": 0.8, "brief": 0.8, "greedy": 0.8, "ppo": 2.0}
 """Probability of the best set from which each agent names it; scripts/model_gap/evaluate.py finds
-the best one on development episodes."""
+the best one on development episodes. Above 1: it stops by itself."""
 _REPEATS = 2
 """Times that greedy takes a motion: a repetition does not average out the linearisation error."""
 _SETUP_S = 0.5

@@ -11,6 +11,7 @@ import pytest
 from loose_env.arms import SERVO_ARM
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap import Motion, ServoArm, check_motion, read_servo_arm, scaled_to_fit
+from loose_env.gap.experiment_design.candidates import rays_of
 from loose_env.gap.experiment_design.motions import MotionKind
 
 
@@ -94,3 +95,23 @@ def test_bad_motions_and_arms_are_told_what_is_allowed(tmp_path: Path, arm: Serv
     )
     with pytest.raises(InvalidData, match="no position servo"):
         read_servo_arm(passive)
+
+
+def test_steps_are_stable_for_a_rotor_that_a_compliance_sets_free() -> None:
+    """Damping of 2000/s of the rotor inertia, as in files made for simulation alone."""
+    spec = mujoco.MjSpec.from_file(str(SERVO_ARM))
+    for joint in spec.joints:
+        joint.armature = 0.1
+        joint.damping = [200.0, 0.0, 0.0]
+    arm = ServoArm(spec)
+    assert arm.machine.model.opt.timestep == pytest.approx(5e-4)
+    motion = Motion(kind="slow_triangle", joints=(0, 1, 2), amplitude=0.2, speed=0.8)
+    soft = next(ray for ray in rays_of(arm, ["joint_compliance"]))
+
+    readings = [
+        arm.simulate([soft.hypothesis(soft.values(soft.smallest * size))], motion.commands(arm))[0]
+        for size in (1.0, 1.1)
+    ]
+
+    change = np.abs(readings[1] - readings[0]) / arm.noise
+    assert 0.0 < change.max() < 100.0  # an unstable rotor throws the readings off by thousands
