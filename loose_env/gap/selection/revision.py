@@ -86,6 +86,7 @@ class SwapStep:
         self.comparison, self.short, self.scorer = comparison, short, scorer
         self.candidates, self.base, self.settings = candidates, base, settings
         self._left: set[frozenset[_Key]] = set()
+        self._tried: set[tuple[frozenset[_Key], frozenset[_Key]]] = set()
 
     def improved(
         self,
@@ -130,6 +131,8 @@ class SwapStep:
                 continue  # an effect that a swap made insignificant
             if effect.has_stops and not self.settings.swap_stops:
                 continue
+            if self._was_tried(best, (effect,)):
+                continue
             before = self._before(best, (effect,))
             better = self._in_another_form(effect, best, before)
             if better is None:
@@ -138,6 +141,8 @@ class SwapStep:
         for two in combinations(best.fitted.effects, 2):
             there = {joint_of(effect) for effect in two}
             if _among(two, best.fitted.effects) and len(there) == 1 and None not in there:
+                if self._was_tried(best, two):
+                    continue
                 better = self._in_place_of(two, best, self._before(best, two))
                 best = self._said(best, better, say)
         return best
@@ -152,6 +157,19 @@ class SwapStep:
         before, after = (", ".join(map(repr, each.fitted.effects)) for each in (best, better))
         say(f"  swapped {before} for {after}")
         return better
+
+    def _was_tried(self, best: ScoredFit, replaced: Sequence[Effect]) -> bool:
+        """Return whether swaps for some effects were tried beside the same ones that matter to it.
+
+        Those are at the same joint or confusable: what another joint's effects have changed since
+        is not worth all fits once more.
+        """
+        beside = [e for e in best.fitted.effects if not _among((e,), replaced)]
+        near = [e for e in beside if any(_near(e, each) for each in replaced)]
+        key = _keys(replaced), _keys(near)
+        known = key in self._tried
+        self._tried.add(key)
+        return known
 
     def _was_left(self, best: ScoredFit, replaced: Sequence[Effect], by: Effect) -> bool:
         """Return whether a hypothesis with some effects replaced by one was left before."""
@@ -368,6 +386,11 @@ def refit_without(
 def _among(some: Sequence[Effect], effects: Sequence[Effect]) -> bool:
     """Return whether all of some effects are still among others, by identity."""
     return all(any(one is each for each in effects) for one in some)
+
+
+def _near(one: Effect, other: Effect) -> bool:
+    """Return whether two effects are at one joint, or confusable."""
+    return joint_of(one) == joint_of(other) is not None or confusable(one, other)
 
 
 def _keys(effects: Sequence[Effect]) -> frozenset[_Key]:
