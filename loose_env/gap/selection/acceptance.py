@@ -91,7 +91,7 @@ class Acceptance:
         Among hypotheses with equal residuals, such as a rotor inertia and a link inertia on a
         vertical axis, the one that changes the model least comes first.
         """
-        found, settings = sorted(tried, key=lambda j: j.total), self.settings
+        found = sorted(tried, key=lambda j: j.total)
         same = [j for j in found if j.total - found[0].total < EQUAL_LOG_LIKELIHOOD]
         same = [j for j in same if j.free_count == found[0].free_count]
         least = min(same, key=self._change, default=None)
@@ -99,16 +99,23 @@ class Acceptance:
         for scored in sorted(found[1:], key=lambda j: j.free_count):
             if scored.free_count >= found[0].free_count:
                 break
-            improvement = improvement_of(found[0], scored)
-            chance = improvement.held_out < TIE_Z and improvement.training < TIE_Z
-            small = abs(found[0].total - scored.total) < WORTH_PARAMETERS * found[0].total
-            small = (
-                small and min(improvement.held_out, improvement.training) < settings.sufficient_z
-            )
-            whole = scored.autocorrelation_z < SEARCH_Z
-            if chance or (small and (whole or improvement.share < WORTH_SHARE)):
+            if self.ties(found[0], scored):
                 return [scored, *(j for j in found if j is not scored)]
         return found
+
+    def ties(self, ahead: ScoredFit, behind: ScoredFit) -> bool:
+        """Return whether a hypothesis that fits better does so too little for further parameters.
+
+        What is dropped from the one behind only makes it fit worse: if it does not tie, no
+        simplification of it does.
+        """
+        improvement = improvement_of(ahead, behind)
+        chance = improvement.held_out < TIE_Z and improvement.training < TIE_Z
+        small = abs(ahead.total - behind.total) < WORTH_PARAMETERS * ahead.total
+        least = min(improvement.held_out, improvement.training)
+        small = small and least < self.settings.sufficient_z
+        whole = behind.autocorrelation_z < SEARCH_Z
+        return chance or (small and (whole or improvement.share < WORTH_SHARE))
 
     def accepts(self, scored: ScoredFit) -> bool:
         """Return whether a hypothesis improves significantly, and by enough."""

@@ -129,9 +129,8 @@ class SwapStep:
         for effect in () if white else best.fitted.effects:
             if not _among((effect,), best.fitted.effects):
                 continue  # an effect that a swap made insignificant
-            if effect.has_stops and not self.settings.swap_stops:
-                continue
-            if self._was_tried(best, (effect,)):
+            left_out = effect.has_stops and not self.settings.swap_stops
+            if left_out or self._was_tried(best, (effect,)):
                 continue
             before = self._before(best, (effect,))
             better = self._in_another_form(effect, best, before)
@@ -140,9 +139,8 @@ class SwapStep:
             best = self._said(best, better, say)
         for two in combinations(best.fitted.effects, 2):
             there = {joint_of(effect) for effect in two}
-            if _among(two, best.fitted.effects) and len(there) == 1 and None not in there:
-                if self._was_tried(best, two):
-                    continue
+            at_one_joint = len(there) == 1 and None not in there
+            if _among(two, best.fitted.effects) and at_one_joint and not self._was_tried(best, two):
                 better = self._in_place_of(two, best, self._before(best, two))
                 best = self._said(best, better, say)
         return best
@@ -299,6 +297,9 @@ class SwapStep:
         One that leaves as many effects is also ahead by ``min_gain`` in twice the log-likelihood.
         """
         for scored in tried:
+            close = scored.total - best.total <= EQUAL_LOG_LIKELIHOOD
+            if not close and not acceptance.ties(best, scored):
+                continue
             simpler = self._without_insignificant(scored, before, best, acceptance)
             fewer = len(simpler.fitted.effects) < len(best.fitted.effects)
             if not fewer and best.total - simpler.total < min_gain:
