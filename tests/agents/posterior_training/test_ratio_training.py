@@ -61,9 +61,9 @@ def test_it_learns_and_more_records_say_more(problem, tmp_path):
     pytest.importorskip("sbi")
     network = train_ratio(
         problem,
-        bank_of(problem, 1000, 1),
+        bank_of(problem, 3000, 1),
         SMALL,
-        RatioTraining(epochs=10, batch=100, learning_rate=3e-3),
+        RatioTraining(epochs=12, batch=100, learning_rate=2e-3),
     )
     posterior = RatioPosterior(problem, network)
     slots, truth = episode_parts(bank_of(problem, 1000, 2), problem.layout.slots)
