@@ -15,7 +15,7 @@ from loose_env.errors import UnknownName
 from loose_env.gap import battery
 from loose_env.typing import Array
 
-__all__ = ["GAP_AGENTS", "GapAgent", "make_gap_agent"]
+__all__ = ["GAP_AGENTS", "NAT", "SETUP_S", "GapAgent", "make_gap_agent"]
 
 GAP_AGENTS = ("random", "battery", "brief", "greedy")
 """Names of the agents."""
@@ -24,9 +24,9 @@ STOPPING = {"random": 0.6, "battery": 0.8, "brief": 0.8, "greedy": 0.8, "ppo": 2
 the best one on development episodes. Above 1: it stops by itself."""
 _REPEATS = 2
 """Times that greedy takes a motion: a repetition does not average out the linearisation error."""
-_SETUP_S = 0.5
+SETUP_S = 0.5
 """Time to set up a motion [s], so that motions of almost no length are not preferred."""
-_NAT = 1e-3
+NAT = 1e-3
 """Reward that a nat of information counts as: it decides where no motion changes the verdict."""
 _BRIEF = ("slow_triangle", "multisine", "steps")
 """Kinds of the battery in its brief form."""
@@ -95,8 +95,8 @@ class GapAgent(EpisodeAgent):
         if not memory.taken - 1:  # no verdict to gain from yet
             worth = observation[self.layout.information]
         else:
-            worth = observation[self.layout.gain] + _NAT * observation[self.layout.information]
-        rate = worth / (self.seconds + _SETUP_S)
+            worth = observation[self.layout.gain] + NAT * observation[self.layout.information]
+        rate = worth / (self.seconds + SETUP_S)
         fresh = observation[self.layout.taken] < _REPEATS
         return int(np.argmax(np.where(fresh, rate, rate - 1e3)))
 

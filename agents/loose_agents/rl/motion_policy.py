@@ -12,6 +12,7 @@ from sb3_contrib.common.maskable.policies import MaskableActorCriticPolicy
 from torch import nn
 
 from loose_agents.core.base import EpisodeAgent
+from loose_agents.policies.model_gap import NAT, SETUP_S
 from loose_env.envs import GapObservation, ModelGapEnv
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array
@@ -22,10 +23,6 @@ _TEMPERATURE = 0.05
 """Temperature of the first policy [reward]: how much worse an action is that falls 1/e as often."""
 _FIRST = 8.0
 """First motion: logit of the largest expected information a second over that of none."""
-_SETUP_S = 0.5
-"""Time to set up a motion [s], as for greedy."""
-_NAT = 1e-3
-"""Reward that a nat of information counts as at first, as for greedy."""
 _WIDTH = 32
 """Units of each layer."""
 _UNKNOWN = 1.1e-6
@@ -75,14 +72,14 @@ class _Scores(nn.Module):
         information, gain = observations[:, at.information], observations[:, at.gain]
         taken, rest = observations[:, at.taken], observations[:, at.rest]
         worth = gain - self.prices
-        time = self.seconds + _SETUP_S
+        time = self.seconds + SETUP_S
         rate = information / time
         relative = rate / rate.amax(1, keepdim=True).clamp(min=1e-6)
         begun = (taken.sum(1, keepdim=True) > 0).float()
         seen = self._seen(observations)
         # The first policy: by expected reward, as greedy; before any motion by information.
         named = 2.0 * probability - 1.0
-        go_on = named.amax(1, keepdim=True) + worth + _NAT * information
+        go_on = named.amax(1, keepdim=True) + worth + NAT * information
         reward = torch.exp(self.scale[0]) / _TEMPERATURE
         # Many motions, one verdict each: what all motions together weigh is one more action.
         first_motion = begun * (go_on * reward - np.log(at.motions))
@@ -187,13 +184,13 @@ class LearnedGapAgent(EpisodeAgent):
             env.observation_space, env.action_space, lambda _: 0.0,
             layout=env.layout, seconds=env.bank.seconds, prices=env.motion_prices,
         )  # fmt: skip
-        stored = torch.load(weights, map_location="cpu", weights_only=True)
         try:
+            stored = torch.load(weights, map_location="cpu", weights_only=True)
             self.policy.load_state_dict(stored["policy"])
-        except (RuntimeError, KeyError, TypeError) as error:
+        except Exception as error:  # torch, pickle and zipfile raise a dozen kinds
             raise InvalidSetting(
-                f"{weights} is not of a policy whose verdicts have {self.layout.ranks} ranks: "
-                "train anew with scripts/model_gap/train.py"
+                f"{weights} is damaged, or not of a policy whose verdicts have {self.layout.ranks} "
+                "ranks: train anew with scripts/model_gap/train.py"
             ) from error
 
     def begin(self, rng: np.random.Generator) -> None:

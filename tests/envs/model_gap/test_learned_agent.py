@@ -41,6 +41,10 @@ def test_training_goes_on_and_its_agent_plays(tmp_path: Path) -> None:
     other = ModelGapEnv(env.bank, replace(settings, ranks=3), models=env.models)
     with pytest.raises(InvalidSetting, match="3 ranks: train anew"):
         LearnedGapAgent(tmp_path / "policy.pt", other)
+    for damaged in (b"", SHIPPED.read_bytes()[:5000]):
+        (tmp_path / "cut.pt").write_bytes(damaged)
+        with pytest.raises(InvalidSetting, match="is damaged"):
+            LearnedGapAgent(tmp_path / "cut.pt", env)
     with pytest.raises(InvalidSetting, match="no weights"):
         LearnedGapAgent(tmp_path / "none.zip", env)
 
