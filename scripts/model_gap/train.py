@@ -56,7 +56,7 @@ def main() -> None:
 def train(options: Options, env: ModelGapEnv) -> None:
     """Train from the stored weights on, and store weights and learning curve."""
     import torch
-    from loose_agents.rl.motion_policy import MotionPolicy
+    from loose_agents.rl.motion_policy import MotionPolicy, load_policy
     from sb3_contrib import MaskablePPO
 
     weights = options.out / "policy.pt"
@@ -70,8 +70,7 @@ def train(options: Options, env: ModelGapEnv) -> None:
         },
     )  # fmt: skip
     if weights.is_file():
-        stored = torch.load(weights, map_location="cpu", weights_only=True)
-        model.policy.load_state_dict(stored["policy"])
+        stored = load_policy(weights, model.policy)
         model.policy.optimizer.load_state_dict(stored["optimizer"])
         model.num_timesteps = stored["steps"]
     options.out.mkdir(parents=True, exist_ok=True)

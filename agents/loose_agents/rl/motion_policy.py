@@ -17,7 +17,7 @@ from loose_env.envs import GapObservation, ModelGapEnv
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array
 
-__all__ = ["LearnedGapAgent", "MotionPolicy"]
+__all__ = ["LearnedGapAgent", "MotionPolicy", "load_policy"]
 
 _TEMPERATURE = 0.05
 """Temperature of the first policy [reward]: how much worse an action is that falls 1/e as often."""
@@ -159,6 +159,33 @@ class MotionPolicy(MaskableActorCriticPolicy):
         self.optimizer = make(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
+def load_policy(weights: Path, policy: nn.Module) -> dict[str, Any]:
+    """Load stored weights into a policy; return all that is stored beside them.
+
+    Raises
+    ------
+    InvalidSetting
+        If there are no such weights, they are damaged, or of a policy with other ranks.
+    """
+    if not weights.is_file():
+        raise InvalidSetting(f"no weights {weights}: scripts/model_gap/train.py writes them")
+    try:
+        stored: dict[str, Any] = torch.load(weights, map_location="cpu", weights_only=True)
+        finite = all(bool(torch.isfinite(each).all()) for each in stored["policy"].values())
+        policy.load_state_dict(stored["policy"])
+    except Exception as error:  # torch, pickle and zipfile raise a dozen kinds
+        raise InvalidSetting(
+            f"{weights} is damaged, or not of a policy with as many ranks of verdicts: train anew "
+            "with scripts/model_gap/train.py in another folder"
+        ) from error
+    if not finite:
+        raise InvalidSetting(
+            f"{weights} holds numbers that are not finite: train anew with "
+            "scripts/model_gap/train.py in another folder"
+        )
+    return stored
+
+
 class LearnedGapAgent(EpisodeAgent):
     """Agent that acts by a maskable PPO of sb3-contrib on the belief.
 
@@ -176,22 +203,13 @@ class LearnedGapAgent(EpisodeAgent):
     """
 
     def __init__(self, weights: Path, env: ModelGapEnv) -> None:
-        if not weights.is_file():
-            raise InvalidSetting(f"no weights {weights}: scripts/model_gap/train.py writes them")
         self.layout, self.most = env.layout, env.settings.max_motions
         self.seed = 0  # nothing is drawn
         self.policy = MotionPolicy(
             env.observation_space, env.action_space, lambda _: 0.0,
             layout=env.layout, seconds=env.bank.seconds, prices=env.motion_prices,
         )  # fmt: skip
-        try:
-            stored = torch.load(weights, map_location="cpu", weights_only=True)
-            self.policy.load_state_dict(stored["policy"])
-        except Exception as error:  # torch, pickle and zipfile raise a dozen kinds
-            raise InvalidSetting(
-                f"{weights} is damaged, or not of a policy whose verdicts have {self.layout.ranks} "
-                "ranks: train anew with scripts/model_gap/train.py"
-            ) from error
+        load_policy(weights, self.policy)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Return the initial state of an episode: none."""

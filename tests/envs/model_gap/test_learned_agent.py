@@ -39,12 +39,17 @@ def test_training_goes_on_and_its_agent_plays(tmp_path: Path) -> None:
     assert "is_success" in info
 
     other = ModelGapEnv(env.bank, replace(settings, ranks=3), models=env.models)
-    with pytest.raises(InvalidSetting, match="3 ranks: train anew"):
+    with pytest.raises(InvalidSetting, match="as many ranks of verdicts: train anew"):
         LearnedGapAgent(tmp_path / "policy.pt", other)
     for damaged in (b"", SHIPPED.read_bytes()[:5000]):
         (tmp_path / "cut.pt").write_bytes(damaged)
         with pytest.raises(InvalidSetting, match="is damaged"):
             LearnedGapAgent(tmp_path / "cut.pt", env)
+    stored = torch.load(SHIPPED, weights_only=True)
+    stored["policy"]["mlp_extractor.scale"][0] = float("nan")
+    torch.save(stored, tmp_path / "nan.pt")
+    with pytest.raises(InvalidSetting, match="not finite"):
+        LearnedGapAgent(tmp_path / "nan.pt", env)
     with pytest.raises(InvalidSetting, match="no weights"):
         LearnedGapAgent(tmp_path / "none.zip", env)
 
