@@ -6,6 +6,7 @@ python -m scripts.suites.gap.studies.measured RECORDING [RECORDING ...] --out FI
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,11 +33,15 @@ def row_of(folder: Path, settings: dict[str, Any]) -> Row:
     """Result of a recording under some `GapSettings`, and the time it took [s]."""
     begun = time.perf_counter()
     try:
-        found = loose_env.explain_gap(folder, ignore_doctor=True, **settings).result
+        found = loose_env.explain_gap(folder, ignore_doctor=True, say=_progress, **settings).result
     except LooseEnvError as error:
         return {"recording": folder.name, "error": str(error), "held_out": []}
     seconds = time.perf_counter() - begun
     return {"recording": folder.name, "seconds": seconds} | _of_result(found)
+
+
+def _progress(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 def _of_result(found: GapResult) -> Row:
