@@ -97,7 +97,7 @@ def taken(folder: Path) -> list[CaseEvidence]:
     Raises
     ------
     InvalidSetting
-        If it has no finished cases.
+        If it has no finished cases, or the truth of one is not there.
     """
     found = []
     for file in sorted((folder / "rows").glob("shard-*.json")):
@@ -105,7 +105,13 @@ def taken(folder: Path) -> list[CaseEvidence]:
             if row["error"]:
                 continue
             result = read_result(folder / "results" / row["case"])
-            truth = json.loads((folder / f"blind/truth/{row['case']}.json").read_text("utf-8"))
+            file_of_truth = folder / f"blind/truth/{row['case']}.json"
+            if not file_of_truth.is_file():
+                raise InvalidSetting(
+                    f"{folder}: the truth of {row['case']} is not there ({file_of_truth}); run the "
+                    f"suite with --blind {folder / 'blind'}"
+                )
+            truth = json.loads(file_of_truth.read_text("utf-8"))
             found.append(
                 CaseEvidence(
                     number=row["number"],

@@ -92,6 +92,13 @@ def test_cases_without_parameters_are_refused(tmp_path: Path) -> None:
         fitted(taken(_run(tmp_path, range(1002, 1004))))
 
 
+def test_a_run_whose_truths_are_elsewhere_is_refused(tmp_path: Path) -> None:
+    run = _run(tmp_path, range(1000, 1002))
+    (run / "blind/truth/case-1001.json").unlink()
+    with pytest.raises(InvalidSetting, match="truth of case-1001 is not there.*--blind"):
+        taken(run)
+
+
 def test_an_unfinished_run_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="no finished cases"):
         main(["--take", str(tmp_path), "--evidence", str(tmp_path / "file")])
