@@ -95,7 +95,7 @@ def test_cases_without_parameters_are_refused(tmp_path: Path) -> None:
 def test_a_run_whose_truths_are_elsewhere_is_refused(tmp_path: Path) -> None:
     run = _run(tmp_path, range(1000, 1002))
     (run / "blind/truth/case-1001.json").unlink()
-    with pytest.raises(InvalidSetting, match="truth of case-1001 is not there.*--blind"):
+    with pytest.raises(InvalidSetting, match=r"truth of case-1001 is not there.*--blind"):
         taken(run)
 
 
