@@ -72,6 +72,8 @@ class Servo:
     """Actuator force over command."""
     follows: bool
     """True for a position servo: its command is a position."""
+    motor: bool
+    """True if its force is the gain times the command, whatever the motion."""
     lag: float
     """Delay of slow motion behind the command of a position servo in the model [s]."""
     limits: tuple[float, float] | None
@@ -132,6 +134,7 @@ class Machine:
             gear=gear,
             gain=gain if fixed and int(m.actuator_dyntype[a]) == 0 else 0.0,
             follows=follows,
+            motor=fixed and not bias[:3].any(),
             lag=damping / (gain * gear**2) if follows and gear else 0.0,
             limits=tuple(map(float, m.actuator_ctrlrange[a])) if limited else None,  # type: ignore[arg-type]
         )

@@ -40,6 +40,7 @@ def check_entries(
         if run.pose is not None:
             yield from _pose(machine, run, own, mean, runs, factors, settings)
         yield from _commands(machine, run, own)
+    yield from _missing_commands(machine, runs)
     with_commands = [bool(run.controls or run.torques) for run in runs]
     for run, has in zip(runs, with_commands, strict=True):
         if not has and any(with_commands):
@@ -52,6 +53,44 @@ def check_entries(
                 consequence="the run is taken for a free response from its initial state",
                 remedy="record the commands in every run",
             )
+
+
+def _missing_commands(machine: Machine, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Actuators of the model whose commands were not recorded, nor the torques of their joints."""
+    if machine.drives and not any(run.controls or run.torques for run in runs):
+        yield Finding(
+            check="commands",
+            severity="warning",
+            channel="ctrl",
+            found=f"no commands and no torques, and the model has actuators "
+            f"({_some(list(machine.drives))})",
+            consequence="every run is taken for a free response, its drives off",
+            remedy="record the commands or the joint torques; let go of the arm for free responses",
+        )
+    for run in runs:
+        if run.excited or not run.controls:
+            continue  # the other joints are braked, or nothing is driven
+        missing = [
+            name
+            for name, drive in machine.drives.items()
+            if name not in run.controls and drive.joint not in run.torques
+        ]
+        if missing:
+            yield Finding(
+                check="commands",
+                severity="warning",
+                run=run.name,
+                channel=f"ctrl.{missing[0]}",
+                found=f"no command of {_some(missing)}, and other actuators have theirs",
+                consequence="simulated with a command of 0",
+                remedy="record the commands of all actuators of the model, or take out those that "
+                "the machine has not",
+            )
+
+
+def _some(names: Sequence[str]) -> str:
+    """List names, the first three of many."""
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _pose(

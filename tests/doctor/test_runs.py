@@ -184,3 +184,25 @@ def test_findings_of_the_whole_recording_are_counted_in_no_run() -> None:
     assert "  and 2 more of this kind" in report.lines()
     some = replace(report, findings=(whole,) * 4 + (replace(whole, run="a.csv"),))
     assert "  and 2 more of this kind, in 1 run" in some.lines()
+
+
+def test_a_model_with_actuators_and_no_commands_is_told(servo: Recording) -> None:
+    def silent(run: Run) -> Run:
+        return replace(run, controls={}, excited=(), pose=None)
+
+    found = [one for one in examine(each_run(servo, silent)).findings if one.check == "commands"]
+    assert [one.severity for one in found] == ["warning"]
+    assert "model has actuators" in found[0].found and "free response" in found[0].consequence
+
+
+def test_a_command_that_is_missing_beside_others_is_told(servo: Recording) -> None:
+    missing = next(iter(servo.runs[0].controls))
+
+    def partly(run: Run) -> Run:
+        kept = {k: v for k, v in run.controls.items() if k != missing}
+        return replace(run, controls=kept, excited=(), pose=None)
+
+    assert not any(one.check == "commands" for one in examine(servo).findings)
+    found = [one for one in examine(each_run(servo, partly)).findings if one.check == "commands"]
+    assert {one.channel for one in found} == {f"ctrl.{missing}"}
+    assert all("simulated with a command of 0" in one.consequence for one in found)

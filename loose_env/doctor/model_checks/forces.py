@@ -39,13 +39,14 @@ def recorded_forces(
 ) -> dict[str, tuple[str, Array]]:
     """Column and torque of each joint whose torque is recorded, or follows from a motor command.
 
-    Torques [N·m or N] have the rows of the run, shape (T,); a position servo's command is none.
+    Torques [N·m or N] have the rows of the run, shape (T,); the command of a position or
+    velocity servo is none.
     """
     found: dict[str, tuple[str, Array]] = {}
     drives = list(machine.drives.values())
     for channel in channels:
         drive = machine.drives.get(channel.of) if channel.kind == "command" else None
-        if drive is None or drive.gain == 0.0 or drive.follows:
+        if drive is None or drive.gain == 0.0 or not drive.motor:
             continue
         if sum(each.joint == drive.joint for each in drives) > 1:
             continue

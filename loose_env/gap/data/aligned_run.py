@@ -18,7 +18,12 @@ __all__ = ["Channel", "Trial", "align_run", "channels_of", "step_for"]
 
 
 _REGULAR = 0.02
-"""Largest deviation from an even rate, as a share of the sample interval, that counts as even."""
+"""Largest deviation of a stamp from an even grid, as a share of the sample interval, that counts
+as even; or:"""
+_ROUNDED = 0.75
+"""The same as a share of what the stamps are rounded to: half of it, and a margin for the grid."""
+_FINE = 0.25
+"""Rounding of stamps over the sample interval, below which it does not hide a lost row."""
 _REST = 0.01
 """How much of the beginning tells whether the arm rests there [s]; an arm may set off at once."""
 _PARABOLA_S = 0.05
@@ -190,12 +195,28 @@ def channels_of(runs: list[Run]) -> tuple[Channel, ...]:
 
 def step_for(run: Run, longest: float) -> float:
     """Step [s] of at most ``longest`` that divides a uniform sample interval."""
-    intervals = np.diff(run.time)
-    typical = float(np.median(intervals))
-    if np.max(np.abs(intervals - typical)) > _REGULAR * typical:
-        return longest
-    mean = float(run.time[-1] - run.time[0]) / len(intervals)
-    return mean / ceil(mean / longest * (1 - 1e-9))
+    interval = _even_interval(run.time)
+    return longest if interval is None else interval / ceil(interval / longest * (1 - 1e-9))
+
+
+def _even_interval(time: Array) -> float | None:
+    """Sample interval [s] of stamps (T,) that are even but for rounding; None if they are not."""
+    number = np.arange(len(time))
+    interval, first = np.polyfit(number, time - time[0], 1)
+    off = float(np.max(np.abs(time - time[0] - first - interval * number)))
+    rounded = _resolution(time)
+    rounding = rounded if rounded < _FINE * interval else 0.0
+    return float(interval) if off <= max(_REGULAR * interval, _ROUNDED * rounding) else None
+
+
+def _resolution(time: Array) -> float:
+    """What time stamps (T,) are rounded to: the largest of 10 ms, 1 ms, ... [s]; 0 if finer."""
+    spacing = float(np.spacing(np.max(np.abs(time))))
+    for digits in range(2, 8):
+        counts = (time - time[0]) * 10**digits
+        if np.all(np.abs(counts - np.round(counts)) <= 1e-3 + spacing * 10**digits):
+            return float(10.0**-digits)
+    return 0.0
 
 
 def align_run(
@@ -203,7 +224,8 @@ def align_run(
 ) -> Trial:
     """Align a run with simulation steps.
 
-    Commands are held from their sample to the next. A missing command keeps the one before.
+    Commands are held from the step nearest to their sample to that of the next. A missing command
+    keeps the one before. Stamps that are even but for their rounding become even.
 
     Parameters
     ----------
@@ -216,7 +238,9 @@ def align_run(
     step : float
         Longest simulation step [s].
     """
-    time = run.time - run.time[0]
+    time, interval = run.time - run.time[0], _even_interval(run.time)
+    if interval is not None:
+        time = interval * np.arange(len(time))
     step = step_for(run, step)
     steps = ceil(float(time[-1]) / step - 1e-6) + 1
     measured = np.full((len(time), len(channels)), np.nan)
@@ -226,7 +250,7 @@ def align_run(
         if values is not None:
             measured[:, k] = values if channel.axis is None else values[:, channel.axis]
     controls = np.zeros((steps, len(machine.actuators)))
-    held = np.searchsorted(time, np.arange(steps) * step + 1e-6 * step, side="right") - 1
+    held = np.searchsorted(time, (np.arange(steps) + 0.5) * step, side="right") - 1
     for k, name in enumerate(machine.actuators):
         if name in run.controls:
             controls[:, k] = _filled(run.controls[name])[held]
