@@ -275,6 +275,8 @@ class SearchSettings:
     sufficient_z: float = inf
     """Improvement (z) on training and held-out runs that is accepted whatever its share [standard
     deviations over blocks]."""
+    swaps: bool = True
+    """Whether confusable effects are swapped for those found; not where time matters most."""
     swap_stops: bool = True
     """Whether swaps are tried for a part with stops; not where its residual counts as noise, in
     which an effect that explains less fits as well."""

@@ -13,8 +13,9 @@ from loose_env.gap.data.smoothing import filled
 from loose_env.gap.residuals.random_excitation.features import RandomFeatures
 from loose_env.gap.residuals.random_excitation.frequency_response import FEWEST
 from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.gap.settings import SCREENING_RUNS, SCREENING_S
 
-__all__ = ["SHORTEST", "windowed"]
+__all__ = ["SHORTEST", "screening_seconds", "windowed", "windows_as_runs"]
 
 
 SHORTEST = 1.5
@@ -55,6 +56,28 @@ def windowed(comparison: ResidualModel, seconds: float) -> ResidualModel:
     found = comparison.like(trials=kept)
     numbers = dict(zip(map(id, comparison.trials), comparison.runs.tolist(), strict=True))
     found.runs = np.array([numbers.get(id(trial), -1) for trial in kept], dtype=np.intp)
+    return found
+
+
+def screening_seconds(comparison: ResidualModel) -> float:
+    """Total length of the windows on which candidates are screened [s]."""
+    return max(SCREENING_S, SHORTEST * min(len(comparison.trials), SCREENING_RUNS))
+
+
+def windows_as_runs(comparison: ResidualModel, seconds: float) -> ResidualModel:
+    """Windows that are the runs from here on, with initial states of their own.
+
+    The whole runs where the windows contain no readings.
+
+    Parameters
+    ----------
+    comparison, seconds
+        As of `windowed`.
+    """
+    found = windowed(comparison, seconds)
+    if not len(found):
+        return comparison
+    found.runs = np.arange(len(found.trials))
     return found
 
 

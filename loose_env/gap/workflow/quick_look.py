@@ -9,26 +9,33 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 
+import numpy as np
+
 from loose_env.arms import quiet
 from loose_env.gap.diagnostics.joint_torque_residual import joint_motion
 from loose_env.gap.diagnostics.localisation import locate, location_notes
-from loose_env.gap.fitting.holdout_score import ScoredFit
+from loose_env.gap.fitting.holdout_score import ScoredFit, improvement_of
 from loose_env.gap.fitting.model_structure import nuisance_of
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.parameter import free_of
 from loose_env.gap.output.result import EffectLocation
 from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.progress import reported
-from loose_env.gap.residuals.windows import SHORTEST, windowed
+from loose_env.gap.residuals.windows import screening_seconds, windows_as_runs
 from loose_env.gap.selection.forward_selection import Selection, select_effects
 from loose_env.gap.selection.ranking import added_to
-from loose_env.gap.settings import SCREENING_RUNS, SCREENING_S, GapSettings, SearchSettings
+from loose_env.gap.settings import GapSettings, SearchSettings
 from loose_env.io import json_text
 from loose_env.recording import Recording
+from loose_env.typing import Array
 
 __all__ = ["QuickCandidate", "QuickLook", "quick_look"]
 
 FORMAT = "loose-gap-quick/1"
 _SHOWN = 3
 """Hypotheses that are shown."""
+_ZERO = 1e-3
+"""Distance from where an effect changes nothing [free numbers] below which it is not there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,16 +106,16 @@ def quick_look(
     """
     with quiet(), reported(say) as told:
         problem = prepare(recording, settings or GapSettings())
-        runs = len(problem.search.trials)
-        seconds = max(SCREENING_S, SHORTEST * min(runs, SCREENING_RUNS))
-        search, held_out = (windowed(each, seconds) for each in (problem.search, problem.held_out))
+        seconds = screening_seconds(problem.search)
+        search = windows_as_runs(problem.search, seconds)
+        held_out = windows_as_runs(problem.held_out, seconds)
         nuisance = nuisance_of(search, tolerance=problem.settings.tolerance)
         found = select_effects(
             search,
             held_out,
             nuisance,
             problem.sought,
-            settings=SearchSettings(most_effects=1),
+            settings=SearchSettings(most_effects=1, swaps=False),
             say=told,
         )
         return QuickLook(
@@ -120,14 +127,22 @@ def quick_look(
 
 
 def _leading(found: Selection) -> tuple[QuickCandidate, ...]:
-    """The hypotheses that leave least."""
+    """The hypotheses that leave least, each once, and none of which a part is zero."""
     if not found.rivals:
         return ()
-    tried = sorted(found.rivals[0], key=lambda each: each[0].total)
-    leading = []
-    for scored, improvement in tried[:_SHOWN]:
+    accepted = [(step, improvement_of(step, found.base)) for step in found.steps]
+    tried = sorted([*found.rivals[0], *accepted], key=lambda each: each[0].total)
+    leading: list[QuickCandidate] = []
+    listed = set()
+    for scored, improvement in tried:
         new = added_to(found.base, scored)
         values = {effect.key: own for effect, own in scored.fitted.hypothesis.pairs}
+        same = frozenset((effect.kind, effect.where) for effect in new)
+        if same in listed or any(_is_null(effect, values[effect.key]) for effect in new):
+            continue
+        if len(leading) == _SHOWN:
+            break
+        listed.add(same)
         leading.append(
             QuickCandidate(
                 effects=tuple(EffectLocation(kind=e.kind, where=e.where) for e in new),
@@ -142,6 +157,16 @@ def _leading(found: Selection) -> tuple[QuickCandidate, ...]:
             )
         )
     return tuple(leading)
+
+
+def _is_null(effect: Effect, values: Array) -> bool:
+    """Return whether an effect changes nothing at these values (P,)."""
+    if effect.null_values is None:
+        return False
+    off = free_of(effect.parameters, values) - free_of(
+        effect.parameters, np.array(effect.null_values)
+    )
+    return bool(np.max(np.abs(off)) < _ZERO)
 
 
 def _where(problem: GapProblem, base: ScoredFit) -> tuple[str, ...]:

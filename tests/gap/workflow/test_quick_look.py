@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 
 from loose_env.cli.main import main
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.quick_look import FORMAT, QuickLook, quick_look
-from loose_env.recording import Recording, read_recording
+from loose_env.recording import Recording, Run, read_recording, write_recording
 from tests.gap.cases.gap_case import DAMPING, GAIN, record
 
 KINDS = ("viscous_friction", "sensor_gain", "coulomb_friction", "link_mass")
@@ -73,3 +75,36 @@ def test_nothing_is_ranked_where_the_residual_is_noise(tmp_path: Path) -> None:
     folder = record(tmp_path / "recording", missing=False).folder
     look = quick_look(read_recording(folder), GapSettings(kinds=KINDS, threads=1))
     assert look.candidates == () and look.before < 1.25
+
+
+def test_many_short_runs_that_begin_in_motion_are_looked_at(tmp_path: Path) -> None:
+    """Windows leave runs out, whose initial states are none of the others'."""
+    xml = """<mujoco><option timestep="0.01" integrator="RK4"/><worldbody><body name="rod">
+    <joint name="pivot" axis="0 1 0" damping="{}"/><inertial pos="0 0 -0.3" mass="0.5"
+    diaginertia="0.01 0.01 0.001"/></body></worldbody>
+    <actuator><motor name="m" joint="pivot"/></actuator>
+    <sensor><jointpos name="encoder" joint="pivot"/></sensor></mujoco>"""
+    model, rng = mujoco.MjModel.from_xml_string(xml.format(0.05)), np.random.default_rng(1)
+    runs = []
+    for number in range(12):
+        data, shown = mujoco.MjData(model), np.zeros(120)
+        data.qpos[0], data.qvel[0] = 0.3 + 0.05 * number, 1.5
+        for k in range(120):
+            mujoco.mj_step1(model, data)
+            shown[k] = data.sensordata[0] + 1e-4 * rng.normal()
+            mujoco.mj_step2(model, data)
+        time = 0.01 * np.arange(120)
+        runs.append(
+            Run(
+                name=f"run-{number:02d}.csv",
+                time=time,
+                sensors={"encoder": shown},
+                controls={"m": np.zeros(120)},
+            )
+        )
+    folder = tmp_path / "rod"
+    write_recording(folder, model_xml=xml.format(0.01), runs=runs, file_format="csv")
+    kinds = ("viscous_friction", "link_mass")
+    look = quick_look(read_recording(folder), GapSettings(kinds=kinds, threads=1))
+    assert [each.kind for each in look.candidates[0].effects] == ["viscous_friction"]
+    assert look.candidates[0].parameters[0]["damping"] == pytest.approx(0.04, rel=0.1)

@@ -101,7 +101,7 @@ class Integration:
                 f"the model's own step of {own:g} s is a model error by itself: "
                 f"{self.nominal_error:.2g} noise standard deviations in the worst channel; runs "
                 "were simulated by a "
-                f"Runge-Kutta method at {self.step:.3g} s instead, and model.xml has that step"
+                f"Runge-Kutta method at {self.step:.3g} s instead, and so is a corrected model"
             )
         if self.relative_error > OWN_STEP_ERROR:
             found.append(

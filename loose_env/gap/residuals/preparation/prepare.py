@@ -24,7 +24,7 @@ from loose_env.gap.residuals.preparation.chaotic_runs import chaotic_runs
 from loose_env.gap.residuals.preparation.data_sufficiency import sufficiency_notes
 from loose_env.gap.residuals.preparation.integrator_choice import Integration, choose_integration
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.residuals.windows import windowed
+from loose_env.gap.residuals.windows import windows_as_runs
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Recording, Run
@@ -178,21 +178,12 @@ def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
         model_path=recording.model_path,
         machine=kept,
         integration=integration,
-        search=_windowed(ahead, settings.search_seconds),
-        fit=_windowed(ahead, settings.fit_seconds),
-        held_out=_windowed(whole, settings.held_seconds),
+        search=windows_as_runs(ahead, settings.search_seconds),
+        fit=windows_as_runs(ahead, settings.fit_seconds),
+        held_out=windows_as_runs(whole, settings.held_seconds),
         held_out_whole=whole,
         warnings=tuple(warnings),
     )
-
-
-def _windowed(comparison: ResidualModel, seconds: float) -> ResidualModel:
-    """Windows of the runs that contain readings; the whole runs where none do."""
-    found = windowed(comparison, seconds)
-    if not len(found):
-        return comparison
-    found.runs = np.arange(len(found.trials))  # from here on they are the runs
-    return found
 
 
 def _suspect(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
