@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
+from loose_env.gap.fitting.bounded_minimum import bounded_minimum
 from loose_env.gap.fitting.model_structure import ModelStructure, prior_of
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -243,9 +243,8 @@ def fit(
                 which,
                 difference=settings.finite_difference_step,
             )
-        steps = [
-            step_of(jacobian, residual, free, parameters, d) for d in settings.levenberg_dampings
-        ]
+        dampings = settings.levenberg_dampings
+        steps = _damped_steps(jacobian, residual, free, parameters, dampings)
         # far from the optimum the gradient gives the direction and not the distance
         short = [share * long for long in steps[1:] for share in settings.backtracking if which]
         best_of = _tries(comparison, structure, free, (steps[:1], steps[1:], short))
@@ -312,25 +311,29 @@ def _tries(
 
 
 def step_of(
+    jacobian: Array, residual: Array, free: Array, parameters: Sequence[Parameter]
+) -> Array:
+    """Bounded step that minimises the linearised cost (P,)."""
+    return _damped_steps(jacobian, residual, free, parameters, (0.0,))[0]
+
+
+def _damped_steps(
     jacobian: Array,
     residual: Array,
     free: Array,
     parameters: Sequence[Parameter],
-    damping: float,
-) -> Array:
-    """Bounded step that minimises the linearised cost (P,)."""
+    dampings: Sequence[float],
+) -> list[Array]:
+    """Bounded steps that minimise the linearised cost with Levenberg's dampings, (P,) each."""
     centres, weights = prior_of(parameters)
     curvature = jacobian.T @ jacobian + np.diag(weights**2)
     slope = jacobian.T @ residual + weights**2 * (free - centres)
-    diagonal = np.diag(curvature)
-    ridge = damping * diagonal + 1e-9 * diagonal.max() + 1e-30
-    root = np.linalg.cholesky(curvature + np.diag(ridge))
     low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
-    room = 1e-9 * (1 + np.abs(free))
-    found = lsq_linear(
-        root.T, -np.linalg.solve(root, slope), bounds=(low - free - room, high - free + room)
-    )
-    return np.asarray(np.clip(free + found.x, low, high) - free)
+    room = np.minimum(low - free, 0.0), np.maximum(high - free, 0.0)
+    return [
+        np.clip(free + bounded_minimum(curvature, slope, *room, damping=damping), low, high) - free
+        for damping in dampings
+    ]
 
 
 def started(fitted: Fit, effect: Effect, values: Sequence[float]) -> Array:

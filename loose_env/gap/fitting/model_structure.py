@@ -126,9 +126,10 @@ def nuisance_of(comparison: ResidualModel, *, tolerance: float) -> Nuisance:
     tolerance : float
         Relative tolerance of the nominal parameters.
     """
+    driven = any(trial.form == "forward" for trial in comparison.trials)
     return Nuisance(
         initial=initial_states_of(comparison),
-        nominal=NominalParameters(comparison.machine, tolerance=tolerance),
+        nominal=NominalParameters(comparison.machine, tolerance=tolerance, drives=driven),
     )
 
 

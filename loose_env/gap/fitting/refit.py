@@ -18,11 +18,12 @@ from loose_env.gap.fitting.gauss_newton import (
     step_of,
 )
 from loose_env.gap.fitting.model_structure import ModelStructure
-from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 
 __all__ = [
+    "converged",
     "converged_with_short_steps",
     "fit_in_form",
     "fit_without",
@@ -37,6 +38,11 @@ __all__ = [
 _ROUGHLY = 0.01
 """Share of the cost below which a further step is not worth it where a fit is only compared with a
 better one."""
+_STILL_GAINS = 0.01
+"""Share of the cost that a round with fresh sensitivities gains, from which another follows: what
+the parameters of a model would gain, any further effect seems to explain."""
+_ROUNDS = 8
+"""Most such rounds."""
 
 
 def fit_without(
@@ -98,7 +104,7 @@ def needed_least(comparison: ResidualModel, fitted: Fit, effects: Sequence[Effec
             fitted.jacobian[:, kept],
             structure.parameters,
         )
-        step = step_of(jacobian, residual, free, parameters, 0.0)
+        step = step_of(jacobian, residual, free, parameters)
         losses.append(cost_of(residual + jacobian @ step, free + step, parameters))
     return [effects[k] for k in np.argsort(losses, kind="stable")]
 
@@ -133,7 +139,7 @@ def with_last(fitted: Fit, effect: Effect) -> Fit:
 
 
 def fit_in_form(comparison: ResidualModel, fitted: Fit, effect: Effect, form: Effect) -> Fit:
-    """Fit another form of an effect in its place.
+    """Fit another form of an effect in its place, as far as it may be better.
 
     Parameters
     ----------
@@ -161,7 +167,8 @@ def fit_in_form(comparison: ResidualModel, fitted: Fit, effect: Effect, form: Ef
     ]
     structure, kept = _without(fitted, effect)
     start = np.concatenate([fitted.free[kept], free_of(form.parameters, np.array(values))])
-    return fit(comparison, structure.plus(form), start, known=fitted.jacobian[:, kept])
+    known_columns = fitted.jacobian[:, kept]
+    return fit(comparison, structure.plus(form), start, known=known_columns, reference=fitted.cost)
 
 
 def fitted_on(comparison: ResidualModel, fitted: Fit) -> Fit:
@@ -178,6 +185,19 @@ def fitted_on(comparison: ResidualModel, fitted: Fit) -> Fit:
 def refit_with_new_jacobian(comparison: ResidualModel, fitted: Fit) -> Fit:
     """Continue a fit with sensitivities recomputed once."""
     return fitted_on(comparison, with_new_jacobian(fitted, comparison))
+
+
+def converged(comparison: ResidualModel, fitted: Fit) -> Fit:
+    """Continue a fit with fresh sensitivities while its parameters have more to gain.
+
+    Beside stops once: every nudge finds another local optimum there.
+    """
+    for _ in range(1 if have_stops(fitted.effects) else _ROUNDS):
+        before = fitted.cost
+        fitted = refit_with_new_jacobian(comparison, fitted)
+        if before - fitted.cost < _STILL_GAINS * before:
+            break
+    return fitted
 
 
 def with_new_jacobian(fitted: Fit, comparison: ResidualModel) -> Fit:

@@ -43,6 +43,8 @@ class NominalParameters:
         The nominal model.
     tolerance : float
         Relative tolerance within which they are known.
+    drives : bool
+        Whether any run shows the actuators' gains: they act in simulations with commands only.
 
     Examples
     --------
@@ -52,8 +54,8 @@ class NominalParameters:
     ['armature', 'damping', 'inertia', 'mass']
     """
 
-    def __init__(self, machine: NominalModel, *, tolerance: float) -> None:
-        self.machine, self.tolerance = machine, tolerance
+    def __init__(self, machine: NominalModel, *, tolerance: float, drives: bool = True) -> None:
+        self.machine, self.tolerance, self.drives = machine, tolerance, drives
 
     @cached_property
     def entries(self) -> tuple[_Entry, ...]:
@@ -73,7 +75,7 @@ class NominalParameters:
                 "frictionloss": model.dof_frictionloss[dof],
             }
             found += [_Entry(field, joint) for field, value in values.items() if value > 0]
-        for k, actuator in enumerate(machine.actuators):
+        for k, actuator in enumerate(machine.actuators) if self.drives else ():
             found.append(_Entry("gain", actuator))
             if model.actuator_biasprm[k, 2] != 0:
                 found.append(_Entry("velocity_gain", actuator))

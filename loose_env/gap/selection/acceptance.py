@@ -9,7 +9,7 @@ import numpy as np
 
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, Scorer, improvement_of
-from loose_env.gap.fitting.refit import fit_without, needed_least, refit_with_new_jacobian
+from loose_env.gap.fitting.refit import converged, fit_without, needed_least
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
@@ -222,17 +222,17 @@ class Acceptance:
         list of Effect
             Earlier effects that are dropped, one at most.
         """
-        best = self.scorer.score(refit_with_new_jacobian(self.comparison, scored.fitted))
-        best = self._pruned(best, self._new(scored))
+        whole = self._converged(scored)
+        best = self._pruned(whole, self._new(scored))
         earlier = best.fitted.effects[: len(self.before.fitted.effects)]
         for effect in self.weakest(best, earlier):
             without = self._without(best, effect)
             if not self.significant(improvement_of(best, without)):
                 rather = self.earlier_form(best, effect)
                 if rather is not None and rather.total < without.total:
-                    return rather, []
-                return without, [effect]
-        return best, []
+                    return self._converged(rather), []
+                return self._converged(without), [effect]
+        return (best if best is whole else self._converged(best)), []
 
     def earlier_form(self, scored: ScoredFit, effect: Effect) -> ScoredFit | None:
         """Return the earlier form of an insignificant effect, without its replacement.
@@ -270,8 +270,8 @@ class Acceptance:
         return scored
 
     def weakest(self, scored: ScoredFit, effects: Sequence[Effect]) -> list[Effect]:
-        """Return the few of some effects that seem to be needed least."""
-        if len(effects) <= FURTHER:
+        """Return the few of some effects that seem to be needed least, the least first."""
+        if len(effects) < 2:
             return list(effects)
         return needed_least(self.comparison, scored.fitted, effects)[:FURTHER]
 
@@ -290,6 +290,9 @@ class Acceptance:
     def _new(self, scored: ScoredFit) -> int:
         """Return the number of effects that a hypothesis adds."""
         return len(scored.fitted.effects) - len(self.before.fitted.effects)
+
+    def _converged(self, scored: ScoredFit) -> ScoredFit:
+        return self.scorer.score(converged(self.comparison, scored.fitted))
 
     def _without(self, scored: ScoredFit, effect: Effect) -> ScoredFit:
         return self.scorer.score(fit_without(self.comparison, scored.fitted, effect, roughly=True))

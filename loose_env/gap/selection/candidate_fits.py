@@ -108,7 +108,7 @@ class CandidateFits:
         if highest_z is not None and windows.z_of(highest_z) > most:
             finalists.append(highest_z)
         leading = [*finalists, *near_together[:FURTHER]]
-        found = [self._to_all(each) for each in counted("fits to all runs", leading)]
+        found = self._to_all(leading)
         if not finalists:
             return found
         winner = min(found[: len(finalists)], key=lambda j: j.total).fitted.effects[-1]
@@ -121,7 +121,7 @@ class CandidateFits:
             if not any(each is tried for tried in taken) and confusable(winner, each.effect)
         ][: FURTHER - len(confusables)]
         more, _ = windows.staged_fits([[each] for each in relatives], best=best)
-        return found + [self._to_all(each) for each in (*confusables, *more)]
+        return found + self._to_all([*confusables, *more], best=min(j.fitted.cost for j in found))
 
     def without_earlier(self, scored: ScoredFit, base: Fit) -> ScoredFit | None:
         """Return a hypothesis without its earlier effects; None if they are needed.
@@ -166,11 +166,25 @@ class CandidateFits:
         fits, _ = windows.staged_fits(sets, twice=len(screened), best=incumbent)
         most = _MAX_COST_RATIO * float(together @ together)
         near = [each for each in fits if each.residual @ each.residual < most]
-        found = [self._to_all(each) for each in near[:FURTHER]]
+        found = self._to_all(near[:FURTHER], best=rival.cost)
         return sorted(found, key=lambda scored: scored.total)
 
-    def _to_all(self, each: Fit) -> ScoredFit:
-        """Fit the hypotheses that were fitted to the windows to all data."""
-        start = np.concatenate([self.before.free, each.free[len(self.before.free) :]])
-        known = self.before.jacobian
-        return self.scorer.score(fit(self.comparison, each.structure, start, known=known))
+    def _to_all(self, fits: Sequence[Fit], *, best: float = np.inf) -> list[ScoredFit]:
+        """Fit hypotheses that were fitted to the windows to all data.
+
+        One that stays far behind the best cost so far is only compared with it: what would not
+        bring it near is not simulated.
+        """
+        found = []
+        for each in counted("fits to all runs", fits):
+            start = np.concatenate([self.before.free, each.free[len(self.before.free) :]])
+            fitted = fit(
+                self.comparison,
+                each.structure,
+                start,
+                known=self.before.jacobian,
+                reference=best,
+            )
+            best = min(best, fitted.cost)
+            found.append(self.scorer.score(fitted))
+        return found

@@ -10,11 +10,11 @@ import numpy as np
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
-from loose_env.gap.fitting.refit import fitted_on, refit_with_new_jacobian
-from loose_env.gap.model.effect import Effect, have_stops
+from loose_env.gap.fitting.refit import converged, fitted_on
+from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.parameter import free_of
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.residuals.windows import SHORTEST, windowed
+from loose_env.gap.residuals.windows import screening_seconds, windowed
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits
 from loose_env.gap.selection.revision import SwapStep
@@ -28,22 +28,19 @@ from loose_env.gap.settings import (
     ALTERNATIVES,
     CONFIRMED_Z,
     FURTHER,
-    SCREENING_RUNS,
-    SCREENING_S,
     SEARCH_Z,
     WORTH_PARAMETERS,
     SearchSettings,
 )
 from loose_env.typing import Array
 
-__all__ = ["Selection", "SelectionStep", "StepStore", "select_effects"]
+__all__ = ["Selection", "SelectionStep", "StepStore", "nominal_fit", "select_effects"]
 
 Say = Callable[[str], None]
 
 _TO_GAIN = 0.01
-"""Share of the sum of squares that the parameters of a fit may still gain."""
-_ROUNDS = 4
-"""Most times that a fit is continued with fresh sensitivities."""
+"""Share of the sum of squares that the parameters of the nominal model may still gain on the
+windows that rank candidates: what they would gain, any effect seems to explain."""
 
 
 @dataclass(kw_only=True, eq=False)
@@ -54,6 +51,8 @@ class Selection:
     """The nominal model, fitted within the tolerance."""
     steps: list[ScoredFit] = field(default_factory=list)
     """The accepted hypotheses, with one effect, with two, ..."""
+    swapped: ScoredFit | None = None
+    """The last of them with confusable effects in place of some, where that is better."""
     rivals: list[list[tuple[ScoredFit, Improvement]]] = field(default_factory=list)
     """At each step, every hypothesis that was fitted, with its improvement over the step before;
     best first."""
@@ -65,8 +64,8 @@ class Selection:
 
     @property
     def best(self) -> ScoredFit:
-        """The last accepted hypothesis."""
-        return self.steps[-1] if self.steps else self.base
+        """The last accepted hypothesis, after swaps."""
+        return self.swapped or (self.steps[-1] if self.steps else self.base)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,19 +132,9 @@ def select_effects(
     """
     settings, keep = settings or SearchSettings(), keep or StepStore()
     scorer = Scorer(comparison, held_out)
-    windows = SHORTEST * min(len(comparison.trials), SCREENING_RUNS)
-    short = windowed(comparison, max(SCREENING_S, windows))
+    short = windowed(comparison, screening_seconds(comparison))
     if begun is None:
-        nominal = ModelStructure(nuisance=nuisance)
-        base = keep.scored(
-            "nominal",
-            lambda: _converged(
-                comparison,
-                short,
-                scorer,
-                scorer.score(fit(comparison, nominal, nominal.nominal_start)),
-            ),
-        )
+        base = keep.scored("nominal", lambda: nominal_fit(comparison, short, scorer, nuisance))
         found = Selection(base=base)
         say(f"nominal model: {base.held_out_rms:.2f} noise standard deviations on held-out runs")
     else:
@@ -157,7 +146,7 @@ def select_effects(
     for number in range(1, settings.most_effects + 1):
         if len(found.best.fitted.effects) >= settings.most_effects:
             break
-        if found.best.autocorrelation_z < SEARCH_Z and not found.best.above_noise:
+        if _white(found.best):
             say("residual is white: search ends")
             break
         step = keep.step(
@@ -183,14 +172,41 @@ def select_effects(
         if len(found.best.fitted.effects) < settings.most_effects and pause(found.best):
             found.unfinished = True
             return found
-    white = found.best.autocorrelation_z < SEARCH_Z and not found.best.above_noise
-    if len(found.best.fitted.effects) >= 2:
+    if settings.swaps and len(found.best.fitted.effects) >= 2:
         say("swap step: confusable effects in place of the identified ones")
         swap_step = SwapStep(comparison, short, scorer, candidates, found.base, settings)
-        better = keep.scored("exchanged", lambda: swap_step.improved(found.best, say, white=white))
+        better = keep.scored(
+            "exchanged", lambda: swap_step.improved(found.best, say, white=_white(found.best))
+        )
         if _keys(better) != _keys(found.best):
-            found.steps.append(better)
+            found.swapped = better
     return found
+
+
+def nominal_fit(
+    comparison: ResidualModel, short: ResidualModel, scorer: Scorer, nuisance: Nuisance
+) -> ScoredFit:
+    """Fit the nominal model within its tolerance.
+
+    Parameters
+    ----------
+    comparison, short : ResidualModel
+        The training runs, and the windows of them that rank candidates.
+    scorer : Scorer
+        Scores fits to them.
+    nuisance : Nuisance
+        Nuisance parameters.
+    """
+    structure = ModelStructure(nuisance=nuisance)
+    found = scorer.score(fit(comparison, structure, structure.nominal_start))
+    if CurrentFit.of(WindowFits(short, found.fitted).before).to_gain < _TO_GAIN:
+        return found
+    return scorer.score(converged(comparison, found.fitted))
+
+
+def _white(scored: ScoredFit) -> bool:
+    """Return whether nothing is left that can be explained."""
+    return scored.autocorrelation_z < SEARCH_Z and not scored.above_noise
 
 
 def _keys(scored: ScoredFit) -> set[tuple[str, str, str]]:
@@ -243,7 +259,6 @@ def _step(
         if alone is not None and not acceptance.significant(improvement_of(accepted, alone)):
             acceptance = Acceptance(comparison, scorer, found.base, found.base, settings)
             accepted, dropped = acceptance.accept(alone)[0], first
-        accepted = _converged(comparison, short, scorer, accepted)
         rivals = [each.bare for each in ranked]
         return SelectionStep(rivals=rivals, accepted=accepted, dropped=dropped)
     return SelectionStep(rivals=[each.bare for each in ranked], accepted=None)
@@ -265,22 +280,6 @@ def _with_earlier(
     others = [each for each in tried if {e.key for e in each.fitted.effects} != keys]
     same = [each for each in tried if {e.key for e in each.fitted.effects} == keys]
     return [*others, min((found, *same), key=lambda scored: scored.total)]
-
-
-def _converged(
-    comparison: ResidualModel, short: ResidualModel, scorer: Scorer, accepted: ScoredFit
-) -> ScoredFit:
-    """Continue the fit of an accepted hypothesis while its own parameters have more to gain.
-
-    What they would gain, any further effect seems to explain.
-    """
-    for _ in range(_ROUNDS):
-        if have_stops(accepted.fitted.effects):
-            break
-        if CurrentFit.of(WindowFits(short, accepted.fitted).before).to_gain < _TO_GAIN:
-            break
-        accepted = scorer.score(refit_with_new_jacobian(comparison, accepted.fitted))
-    return accepted
 
 
 def _sets(

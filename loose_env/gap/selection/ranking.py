@@ -147,6 +147,11 @@ def indistinct(named: Selection, effect: Effect) -> tuple[Effect, ...]:
                 if own is None or improvement.share > own.share - RIVAL_SHARE:
                     found += _against(effect, added_to(before, scored))
         before = step
+    if (after := named.swapped) is not None:
+        replaced = named.steps[-1]
+        swapped_in = effect.key in {each.key for each in added_to(replaced, after)}
+        if swapped_in and improvement_of(after, replaced).held_out < TIE_Z:
+            found += _against(effect, added_to(after, replaced))
     return tuple({(e.kind, e.where): e for e in found}.values())
 
 

@@ -21,10 +21,10 @@ from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.profile_bounds import tightened_at_limit, tightened_at_zero
 from loose_env.gap.fitting.refit import (
+    converged,
     fit_in_form,
     fit_without,
     needed_least,
-    refit_with_new_jacobian,
     with_last,
     with_new_jacobian,
 )
@@ -35,7 +35,7 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits
 from loose_env.gap.selection.screening.data_driven_starts import proposals
-from loose_env.gap.selection.screening.grouping import confusable, joint_of
+from loose_env.gap.selection.screening.grouping import confusable, joint_of, near
 from loose_env.gap.selection.screening.relinearised_sets import alternative_sets
 from loose_env.gap.selection.screening.screening import screen
 from loose_env.gap.selection.screening.window_fits import WindowFits
@@ -163,8 +163,8 @@ class SwapStep:
         is not worth all fits once more.
         """
         beside = [e for e in best.fitted.effects if not _among((e,), replaced)]
-        near = [e for e in beside if any(_near(e, each) for each in replaced)]
-        key = _keys(replaced), _keys(near)
+        there = [e for e in beside if any(near(e, each) for each in replaced)]
+        key = _keys(replaced), _keys(there)
         known = key in self._tried
         self._tried.add(key)
         return known
@@ -222,7 +222,8 @@ class SwapStep:
         before = without()
         candidate_fits = CandidateFits(self.comparison, self.short, self.scorer, before)
         acceptance = Acceptance(self.comparison, self.scorer, self.base, before, self.settings)
-        screened = screen(self.short, candidate_fits.windows.before, confusables)
+        starts = proposals(self.comparison, before.fitted.hypothesis, confusables)
+        screened = screen(self.short, candidate_fits.windows.before, confusables, proposed=starts)
         taken = screened[:ALTERNATIVES]
         if len(best.fitted.effects) <= LEADING and len(effects) == 1:
             # the start says little of a delay; at the same joint a fit is worth its cost
@@ -242,9 +243,10 @@ class SwapStep:
         # torques are compared with motion so quickly that all of them tell
         inverse = bool(self.comparison.rows.inverse.all())
         runs = self.comparison if inverse else self.short
-        windows = WindowFits(runs, best.fitted)
-        if np.log(windows.before.rms**2) < SHARE_IN_SET:
+        left = runs.residuals([best.fitted.hypothesis])[0]
+        if np.log(np.mean(left**2)) < SHARE_IN_SET:
             return None  # too little above the noise for one more effect
+        windows = WindowFits(runs, best.fitted)
         keys = _keys(best.fitted.effects)
         others = [c for c in self.candidates if c.key not in keys]
         starts = proposals(self.comparison, best.fitted.hypothesis, others)
@@ -266,7 +268,7 @@ class SwapStep:
             found = self._needed(self.scorer.score(fit(self.comparison, structure, start)))
             acceptance = Acceptance(self.comparison, self.scorer, self.base, best, self.settings)
             if acceptance.ranked([best, found])[0] is found:
-                return found
+                return self.scorer.score(converged(self.comparison, found.fitted))
         return None
 
     def _needed(self, scored: ScoredFit) -> ScoredFit:
@@ -307,7 +309,7 @@ class SwapStep:
             if acceptance.ranked([best, simpler])[0] is not simpler:
                 continue
             if not acceptance.objection(scored):
-                return self.scorer.score(refit_with_new_jacobian(self.comparison, simpler.fitted))
+                return self.scorer.score(converged(self.comparison, simpler.fitted))
         return None
 
     def _without_insignificant(
@@ -327,7 +329,7 @@ class SwapStep:
         return scored
 
     def _without(self, scored: ScoredFit, effect: Effect) -> ScoredFit:
-        return self.scorer.score(fit_without(self.comparison, scored.fitted, effect))
+        return self.scorer.score(fit_without(self.comparison, scored.fitted, effect, roughly=True))
 
 
 def drop_insignificant(
@@ -387,11 +389,6 @@ def refit_without(
 def _among(some: Sequence[Effect], effects: Sequence[Effect]) -> bool:
     """Return whether all of some effects are still among others, by identity."""
     return all(any(one is each for each in effects) for one in some)
-
-
-def _near(one: Effect, other: Effect) -> bool:
-    """Return whether two effects are at one joint, or confusable."""
-    return joint_of(one) == joint_of(other) is not None or confusable(one, other)
 
 
 def _keys(effects: Sequence[Effect]) -> frozenset[_Key]:

@@ -311,7 +311,7 @@ class InverseDynamics:
         ]
         if not reading:
             return self.motions
-        key = tuple((id(effect), values.tobytes()) for effect, values in reading)
+        key = tuple((effect, values.tobytes()) for effect, values in reading)
         if key not in self._corrected:
             if len(self._corrected) > 32:
                 self._corrected.clear()

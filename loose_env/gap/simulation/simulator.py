@@ -265,7 +265,7 @@ def _held_at_once(slots: list[_Slot], threads: int) -> Iterator[list[_Slot]]:
     """Parts of some slots that fit into the memory of `_AT_ONCE`, one for each thread at least."""
     model, parts = slots[0].model, slots[0].parts
     width = model.nsensordata + parts * (model.nu + model.nq + model.nv + model.na)
-    each = slots[0].trial.steps * max(width, 1)
+    each = max(slot.trial.steps for slot in slots) * max(width, 1)
     size = max(threads, _AT_ONCE // each)
     for start in range(0, len(slots), size):
         yield slots[start : start + size]

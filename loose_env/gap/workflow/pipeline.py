@@ -171,19 +171,26 @@ def _solved(problem: GapProblem, say: Say, stages: Stage, earlier: GapResult | N
     fitted, alike = best, found.reweighted_base(base)
 
     def deleted() -> dict[tuple[str, str, str], DeletionTest]:
+        if not fitted.fitted.effects:
+            return {}
         say("deletion test of each effect")
         return {
             effect.key: deletion_of(reweighted.fit, scorer, alike, fitted, effect)
             for effect in counted("deletion tests", fitted.fitted.effects)
         }
 
-    best, deletions = found.rescored(fitted) if fitted.fitted.effects else base, deleted()
-    while untenable := _untenable(whole, base, best, deletions):
+    while True:
+        best = found.rescored(fitted) if fitted.fitted.effects else base
+        untenable, deletions = _bounded(best), {}
+        if untenable is None:
+            deletions = deleted()
+            untenable = _untenable(whole, base, best, deletions)
+        if untenable is None:
+            break
         effect, reason = untenable
         say(f"  dropped {effect!r}: {reason}")
         fitted = refit_without(effect, fitted, reweighted, scorer)
         fitted, intervals = drop_insignificant(fitted, reweighted, scorer, settings.seed, say=say)
-        best, deletions = found.rescored(fitted) if fitted.fitted.effects else base, deleted()
     named, impact_fit = _named(base, best, deletions), None
     if not have_stops(named) and _gap(best) and not _whole(base, best):
         again = impact_pass(problem, whole, base, best, sought, settings, say=say)
@@ -225,6 +232,13 @@ def _earlier_effects(problem: GapProblem, earlier: GapResult) -> tuple[tuple[Eff
     return tuple(found)
 
 
+def _bounded(best: ScoredFit) -> tuple[Effect, str] | None:
+    """Return an effect with a parameter at its bound, and the reason to drop it."""
+    for effect, name in at_bound(best.fitted.structure, best.fitted.free):
+        return effect, f"{name} is at its bound"
+    return None
+
+
 def _untenable(
     scorer: Scorer,
     base: ScoredFit,
@@ -234,20 +248,15 @@ def _untenable(
     """Return an effect that must not stay in an answer, and the reason; None if all may."""
     if not best.fitted.effects:
         return None
-    for effect, name in at_bound(best.fitted.structure, best.fitted.free):
-        return effect, f"{name} is at its bound"
+    tests = deletions
+    order = sorted(
+        best.fitted.effects, key=lambda e: tests[e.key].held_out_z + tests[e.key].training_z
+    )
     worse = worse_quantity(scorer.held_out, best, base)
     if worse:
-        return best.fitted.effects[-1], f"the {worse} is predicted worse than by the nominal model"
-    insignificant = [
-        effect for effect in best.fitted.effects if not significant(deletions[effect.key])
-    ]
-    if not insignificant:
-        return None
-    weakest = min(
-        insignificant, key=lambda e: deletions[e.key].held_out_z + deletions[e.key].training_z
-    )
-    return weakest, "not needed beside the others"
+        return order[0], f"the {worse} is predicted worse than by the nominal model"
+    weak = (effect for effect in order if not significant(tests[effect.key]))
+    return next(((effect, "not needed beside the others") for effect in weak), None)
 
 
 def _refit(problem: GapProblem, scored: ScoredFit, nuisance: Nuisance) -> Fit:

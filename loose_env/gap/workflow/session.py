@@ -17,9 +17,8 @@ from loose_env.arms import quiet
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap.diagnostics.residual_spectra import Series, series_of
 from loose_env.gap.fitting.confidence_intervals import bootstrap, widened
-from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, Scorer, improvement_of
-from loose_env.gap.fitting.model_structure import ModelStructure, nuisance_of
+from loose_env.gap.fitting.model_structure import nuisance_of
 from loose_env.gap.fitting.refit import refit_with_new_jacobian, with_new_jacobian
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
@@ -28,13 +27,13 @@ from loose_env.gap.output.export_check import exported
 from loose_env.gap.output.export_mjcf import correction_code, write_model
 from loose_env.gap.output.result import NamedEffect
 from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
-from loose_env.gap.residuals.windows import windowed
+from loose_env.gap.residuals.windows import screening_seconds, windowed
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits
+from loose_env.gap.selection.forward_selection import nominal_fit
 from loose_env.gap.selection.screening.data_driven_starts import proposals, residual_torque
 from loose_env.gap.selection.screening.screening import ScreenedCandidate, screen
 from loose_env.gap.settings import (
-    SCREENING_S,
     GapSettings,
     SearchSettings,
 )
@@ -181,9 +180,10 @@ class GapSession:
             self.problem: GapProblem = prepare(recording, self.settings)
             search = self.problem.search
             tolerance = self.settings.tolerance
-            nominal = ModelStructure(nuisance=nuisance_of(search, tolerance=tolerance))
             self._scorer = Scorer(search, self.problem.held_out_whole)
-            self.nominal = self._scorer.score(fit(search, nominal, nominal.nominal_start))
+            self._short = windowed(search, screening_seconds(search))
+            nuisance = nuisance_of(search, tolerance=tolerance)
+            self.nominal = nominal_fit(search, self._short, self._scorer, nuisance)
         self.best = self.nominal
         say(f"nominal model: {self.nominal.held_out_rms:.2f} noise standard deviations held out")
 
@@ -228,7 +228,7 @@ class GapSession:
         """
         found, search = self._not_added(self._effects(effect, where)), self.problem.search
         with quiet():
-            short = windowed(search, SCREENING_S)
+            short = self._short
             candidate_fits = CandidateFits(search, short, self._scorer, self.best)
             screened: list[ScreenedCandidate]
             if start is not None:

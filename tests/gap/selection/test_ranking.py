@@ -120,6 +120,19 @@ def test_effects_of_later_steps_are_held_against_the_rivals_of_their_own_step() 
     assert [e.key for e in indistinct(named, GAINS[0])] == [SPRINGS[0].key]
 
 
+def test_an_effect_that_was_swapped_in_is_held_against_what_it_replaced() -> None:
+    named = searched(scored(GAINS, 1.0, 1))
+    # the step that found nothing more: what it tried stands beside no accepted hypothesis
+    failed = scored([*GAINS, *SPRINGS[1:2]], 1.0, 3)
+    named.rivals.append([(failed, improvement_of(failed, named.steps[0]))])
+    named.swapped = scored([*GAINS[1:], *SPRINGS[:1]], 1.0, 2)
+    assert named.best is named.swapped
+    assert [e.key for e in indistinct(named, SPRINGS[0])] == [GAINS[0].key]
+    assert indistinct(named, GAINS[1]) == ()
+    named.swapped = scored([*GAINS[1:], *SPRINGS[:1]], 0.5, 2)  # clearly better than before
+    assert indistinct(named, SPRINGS[0]) == ()
+
+
 def cells(blocks: int, width: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return np.repeat(np.arange(blocks), width), np.zeros(blocks * width, dtype=np.intp)
 

@@ -384,3 +384,20 @@ def test_the_noise_of_a_short_run_is_no_motion(seconds):
     slow = np.sin(2 * np.pi * 2.0 * time)
     bands = [motion_band([slow + rng.normal(0, 1e-2, len(time))], 1000.0) for _ in range(100)]
     assert max(bands) < 6.0
+
+
+def test_an_effect_that_is_gone_leaves_nothing_to_one_in_its_place() -> None:
+    machine = arm(PLANAR)
+    runs = runs_of(machine, machine.model, count=1)
+    model = compared(machine, runs)
+    sensors = [name for name in runs[0].sensors if name.endswith("pos")][:2]
+
+    def torque(sensor: str) -> object:
+        effect = CATALOGUE["sensor_gain"](machine, sensor)  # a new one each time, kept by nobody
+        own = Hypothesis(effects=(effect,), values=(np.array([1.1]),))
+        return model.residuals([own])[0]
+
+    first, other = (np.array(torque(sensor)) for sensor in sensors)
+    again = [np.array(torque(sensor)) for sensor in sensors]
+    assert not np.allclose(first, other)
+    assert np.array_equal(first, again[0]) and np.array_equal(other, again[1])

@@ -6,7 +6,7 @@ import mujoco
 
 from loose_env.gap.model.effect import Effect
 
-__all__ = ["confusable", "joint_of"]
+__all__ = ["confusable", "joint_of", "near"]
 
 _CONFUSABLE_KINDS = (
     ("command_delay", "actuator_lag", "joint_compliance", "sensor_delay"),
@@ -68,3 +68,8 @@ def confusable(effect: Effect, other: Effect) -> bool:
         return False
     first, second = joint_of(effect), joint_of(other)
     return first is None or second is None or abs(first - second) <= 1
+
+
+def near(one: Effect, other: Effect) -> bool:
+    """Return whether two effects are at one joint, or confusable."""
+    return joint_of(one) == joint_of(other) is not None or confusable(one, other)

@@ -21,9 +21,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_env.gap.fitting.bounded_minimum import bounded_minimum
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.selection.screening.linear_problem import CurrentFit, bounded_minimum
+from loose_env.gap.selection.screening.linear_problem import CurrentFit
 from loose_env.gap.selection.screening.screening import ScreenedCandidate
 from loose_env.gap.settings import SHARE_IN_SET
 from loose_env.typing import Array
