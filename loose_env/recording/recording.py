@@ -131,7 +131,8 @@ def read_recording(folder: str | Path, *, model: str | Path | None = None) -> Re
     except (OSError, RuntimeError, TypeError, ValueError) as error:
         raise InvalidData(f"{folder!r} is no folder: {error}") from None
     if not there:
-        raise InvalidData(f"there is no folder {str(folder)!r}; a recording is a folder")
+        hint = "; 'loose import' makes one from a log" if home.is_file() else ""
+        raise InvalidData(f"there is no folder {str(folder)!r}; a recording is a folder{hint}")
     description = read_description(existing_file(home, DESCRIPTION, f"{home.name}"))
     if model is None:
         model = existing_file(home, description.model, f"{DESCRIPTION}: model")

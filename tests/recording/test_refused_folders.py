@@ -164,7 +164,7 @@ def test_folders_that_are_not_there(tmp_path: Path) -> None:
     refused(tmp_path, r"there is no file 'recording\.json'")
     file = tmp_path / "file"
     file.write_text("")
-    refused(file, r"there is no folder .*file")
+    refused(file, r"there is no folder .*file'; a recording is a folder; 'loose import' makes one")
     with pytest.raises(InvalidData, match="no folder"):
         read_recording(3)  # type: ignore[arg-type]
 
