@@ -253,7 +253,7 @@ class SwapStep:
         screened = screen(runs, windows.before, others, proposed=starts)
         nuisances = len(best.fitted.structure.nuisance.parameters)
         for each in alternative_sets(runs, windows.before, screened, FURTHER):
-            if _keys(each.effects) in self._left:
+            if _keys(each.effects) in self._left | {keys}:
                 continue
             structure = best.fitted.structure.with_effects(each.effects)
             own = [
@@ -267,7 +267,8 @@ class SwapStep:
             start = np.concatenate([best.fitted.free[:nuisances], quick.free[nuisances:]])
             found = self._needed(self.scorer.score(fit(self.comparison, structure, start)))
             acceptance = Acceptance(self.comparison, self.scorer, self.base, best, self.settings)
-            if acceptance.ranked([best, found])[0] is found:
+            another = _keys(found.fitted.effects) != keys
+            if another and acceptance.ranked([best, found])[0] is found:
                 return self.scorer.score(converged(self.comparison, found.fitted))
         return None
 

@@ -14,8 +14,9 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import free_of
+from loose_env.gap.selection import revision
 from loose_env.gap.selection.revision import SwapStep
-from loose_env.gap.selection.screening.relinearised_sets import alternative_sets
+from loose_env.gap.selection.screening.relinearised_sets import AlternativeSet, alternative_sets
 from loose_env.gap.selection.screening.screening import screen
 from loose_env.gap.settings import SearchSettings
 from tests.gap.cases.effect_arms import PLANAR
@@ -88,6 +89,21 @@ def test_an_answer_of_stand_ins_is_left_for_the_set(
     better = swap.improved(scorer.score(answer))
     assert {effect.key for effect in better.fitted.effects} == TRUTH
     assert better.held_out_rms < 1.1
+
+
+def test_the_same_effects_once_more_are_no_other_set(
+    runs: tuple[Scorer, ModelStructure], answer: Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scorer, nominal = runs
+    base, best = scorer.score(fitted_to(scorer, nominal, [])), scorer.score(answer)
+    values = tuple(tuple(own.tolist()) for own in answer.hypothesis.values)
+    same = AlternativeSet(effects=answer.effects, values=values)
+    monkeypatch.setattr(revision, "alternative_sets", lambda *_: [same])
+    monkeypatch.setattr(revision, "fit", lambda *_, **__: pytest.fail("fitted once more"))
+    swap = SwapStep(
+        scorer.comparison, scorer.comparison, scorer, [LOAD, SPRING], base, SearchSettings()
+    )
+    assert swap._another_set(best) is None
 
 
 def test_shares_of_axes_are_those_that_combine_to_the_values() -> None:
