@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -32,6 +33,8 @@ _WORDS: dict[str, set[str]] = {}
 for _line in _TABLE.strip().splitlines():
     _role, _, _rest = _line.partition(":")
     _WORDS.setdefault(_role, set()).update(_rest.split())
+_TELLING = 3
+"""Fewest letters of a word by which a channel names a joint."""
 _AXES = {"0": "x", "1": "y", "2": "z", "x": "x", "y": "y", "z": "z"}
 
 
@@ -118,3 +121,22 @@ def names_joint(words: tuple[str, ...], joint: str) -> int:
     span = len(own)
     there = any(list(words[i : i + span]) == own for i in range(len(words) - span + 1))
     return span if there and span else 0
+
+
+def telling_words(joints: Sequence[str]) -> dict[str, str]:
+    """Words that the name of one joint alone has, and that name no quantity -> that joint.
+
+    Examples
+    --------
+    >>> telling_words(["shoulder_pitch", "elbow_pitch", "wrist_1", "wrist_2"])
+    {'shoulder': 'shoulder_pitch', 'elbow': 'elbow_pitch'}
+    """
+    found: dict[str, str] = {}
+    everywhere = [set(words_of(joint)) for joint in joints]
+    quantities = set().union(*_WORDS.values())
+    for joint in joints:
+        for word in words_of(joint):
+            alone = sum(word in words for words in everywhere) == 1
+            if alone and len(word) >= _TELLING and word not in quantities:
+                found[word] = joint
+    return found

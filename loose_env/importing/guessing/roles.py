@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from loose_env.importing.guessing.channel_names import Meaning, Role, names_joint
+from loose_env.importing.guessing.channel_names import Meaning, Role, names_joint, telling_words
 from loose_env.importing.guessing.joint_targets import JointTarget
 from loose_env.importing.guessing.quantities import admits, is_rate, same_quantity
 from loose_env.importing.guessing.signals import correlation, derivative, likeness, moves
@@ -151,6 +151,7 @@ def _rank(found: Sequence[Assigned]) -> tuple[int, int, int]:
 
 def _of_vector(own: Sequence[Candidate], targets: Sequence[JointTarget]) -> list[Assigned]:
     """Channels of one vector, each with its joint."""
+    telling = telling_words([target.name for target in targets])
     if own[0].meaning.role == "command":
         targets = [each for each in targets if each.command]
     indices = [each.meaning.index for each in own if each.meaning.index is not None]
@@ -160,6 +161,9 @@ def _of_vector(own: Sequence[Candidate], targets: Sequence[JointTarget]) -> list
     found = []
     for each in own:
         sizes = {t.name: names_joint(each.meaning.words, t.name) for t in targets}
+        if not any(sizes.values()):  # no whole name: a word that no other joint has
+            named = {telling[word] for word in each.meaning.words if word in telling}
+            sizes = {t.name: int(t.name in named) for t in targets}
         most = max(sizes.values(), default=0)
         fitting = [t for t in targets if sizes[t.name] == most > 0]
         role = each.meaning.role

@@ -11,7 +11,7 @@ import pytest
 
 from loose_env.cli.main import main
 from loose_env.importing import propose
-from loose_env.importing.guessing.channel_names import meaning_of
+from loose_env.importing.guessing.channel_names import meaning_of, telling_words
 from loose_env.importing.guessing.proposal_text import proposal_text
 from loose_env.importing.samples import ChannelKey
 from tests.importing.formats.arm_log import ARM, JOINTS, Motion, write_lerobot, write_rtde
@@ -202,3 +202,18 @@ def test_names_tell_the_quantity(channel: str, role: str, of: str, index: int | 
     assert (found.role, found.index) == (role, index)
     if role == "command":
         assert found.of == of
+
+
+def test_a_word_that_one_joint_alone_has_names_it(home: Path, motion: Motion) -> None:
+    headers = {2: "Elbow", 0: "Pan", 1: "Lift"}
+    columns = {"t [s]": motion.time}
+    columns |= {f"{n} Pos [deg]": np.degrees(motion.position[:, i]) for i, n in headers.items()}
+    columns |= {f"Cmd {n} [deg]": np.degrees(motion.command[:, i]) for i, n in headers.items()}
+    found = lines(written(home / "log.csv", columns))
+    for i, command in enumerate(("pan", "lift", "bend")):
+        assert found[f"sensor.{JOINTS[i]}_pos"] == (f"{headers[i]} Pos [deg]", "deg", 1)
+        assert found[f"ctrl.{command}"] == (f"Cmd {headers[i]} [deg]", "deg", 1)
+
+
+def test_a_word_of_two_joints_names_neither() -> None:
+    assert telling_words(JOINTS) == {"pan": JOINTS[0], "lift": JOINTS[1], "elbow": "elbow"}
