@@ -69,14 +69,23 @@ class NominalModel:
     def __post_init__(self) -> None:
         """Check, and write every inertia explicitly, so that an edit finds it in the spec."""
         object.__setattr__(self, "spec", _explicit(self.spec))
-        kinds = self.model.jnt_type
-        if not len(kinds) or not np.isin(kinds, [int(k) for k in _MOVING]).all():
+        model = self.model
+        if not model.njnt:
             raise InvalidData(
-                "the model needs joints, all of them hinges or slides; others are not supported"
+                "the model has no joints; it needs some, all of them hinges or slides"
             )
-        unnamed = [k for k in range(self.model.njnt) if not self.model.joint(k).name]
+        others = np.flatnonzero(~np.isin(model.jnt_type, [int(k) for k in _MOVING]))
+        if len(others):
+            said = _joint_words(model, int(others[0]))
+            raise InvalidData(
+                f"{said} is no hinge and no slide; fix that body in its place, or take it out of "
+                "the model"
+            )
+        unnamed = [k for k in range(model.njnt) if not model.joint(k).name]
         if unnamed:
-            raise InvalidData(f"every joint of the model needs a name; joint {unnamed[0]} has none")
+            raise InvalidData(
+                f"every joint of the model needs a name; {_joint_words(model, unnamed[0])} has none"
+            )
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -260,6 +269,12 @@ def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Mask of the actuators whose gain and bias are affine in length and speed (actuators,)."""
     affine = np.isin(model.actuator_gaintype, _AFFINE_GAINS)
     return np.asarray(affine & np.isin(model.actuator_biastype, _AFFINE_BIASES))
+
+
+def _joint_words(model: mujoco.MjModel, joint: int) -> str:
+    """Say which joint of which body one is."""
+    name, body = model.joint(joint).name, model.body(int(model.jnt_bodyid[joint])).name
+    return f"joint {repr(name) if name else joint} of body {body!r}"
 
 
 def set_step(spec: mujoco.MjSpec, step: float) -> None:

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from loose_env.errors import InvalidData
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.link_inertia import Payload, payload_notes
 from loose_env.gap.model.effects.mjcf.geometry import link_ends
@@ -178,3 +179,19 @@ def test_a_factor_on_a_mass_is_that_whatever_the_compiler_makes_of_masses(option
     factors[model.body("second").id] = 2.0
     for found in (spec.compile(), mujoco.MjModel.from_xml_string(spec.to_xml())):
         assert np.allclose(found.body_mass, factors * model.body_mass, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("joint", "said"),
+    [
+        ('<freejoint name="loose"/>', "joint 'loose' of body 'box' is no hinge and no slide"),
+        ('<joint type="ball"/>', "joint 1 of body 'box' is no hinge and no slide"),
+        ("<joint/>", "needs a name; joint 1 of body 'box' has none"),
+    ],
+)
+def test_a_joint_that_is_not_supported_is_named(joint: str, said: str) -> None:
+    xml = f"""<mujoco><worldbody>
+    <body name="link"><joint name="turn"/><geom size=".1" mass="1"/></body>
+    <body name="box">{joint}<geom size=".1" mass="1"/></body></worldbody></mujoco>"""
+    with pytest.raises(InvalidData, match=said):
+        NominalModel(mujoco.MjSpec.from_string(xml))
