@@ -14,7 +14,7 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["Channel", "Trial", "align_run", "channels_of", "step_for"]
+__all__ = ["Channel", "Trial", "align_run", "channels_of"]
 
 
 _REGULAR = 0.02
@@ -193,12 +193,6 @@ def channels_of(runs: list[Run]) -> tuple[Channel, ...]:
     return tuple(found)
 
 
-def step_for(run: Run, longest: float) -> float:
-    """Step [s] of at most ``longest`` that divides a uniform sample interval."""
-    interval = _even_interval(run.time)
-    return longest if interval is None else interval / ceil(interval / longest * (1 - 1e-9))
-
-
 def _even_interval(time: Array) -> float | None:
     """Sample interval [s] of stamps (T,) that are even but for rounding; None if they are not."""
     number = np.arange(len(time))
@@ -241,7 +235,7 @@ def align_run(
     time, interval = run.time - run.time[0], _even_interval(run.time)
     if interval is not None:
         time = interval * np.arange(len(time))
-    step = step_for(run, step)
+        step = interval / ceil(interval / step * (1 - 1e-9))
     steps = ceil(float(time[-1]) / step - 1e-6) + 1
     measured = np.full((len(time), len(channels)), np.nan)
     for k, channel in enumerate(channels):

@@ -23,6 +23,7 @@ from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 
 __all__ = [
+    "STILL_GAINS",
     "converged",
     "converged_with_short_steps",
     "fit_in_form",
@@ -38,8 +39,8 @@ __all__ = [
 _ROUGHLY = 0.01
 """Share of the cost below which a further step is not worth it where a fit is only compared with a
 better one."""
-_STILL_GAINS = 0.01
-"""Share of the cost that a round with fresh sensitivities gains, from which another follows: what
+STILL_GAINS = 0.01
+"""Share of the cost that a fit with fresh sensitivities gains, from which it is worth while: what
 the parameters of a model would gain, any further effect seems to explain."""
 _ROUNDS = 8
 """Most such rounds."""
@@ -195,7 +196,7 @@ def converged(comparison: ResidualModel, fitted: Fit) -> Fit:
     for _ in range(1 if have_stops(fitted.effects) else _ROUNDS):
         before = fitted.cost
         fitted = refit_with_new_jacobian(comparison, fitted)
-        if before - fitted.cost < _STILL_GAINS * before:
+        if before - fitted.cost < STILL_GAINS * before:
             break
     return fitted
 

@@ -10,7 +10,7 @@ import numpy as np
 from loose_env.gap.fitting.gauss_newton import fit
 from loose_env.gap.fitting.holdout_score import Improvement, ScoredFit, Scorer, improvement_of
 from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
-from loose_env.gap.fitting.refit import converged, fitted_on
+from loose_env.gap.fitting.refit import STILL_GAINS, converged, fitted_on
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.parameter import free_of
 from loose_env.gap.residuals.residual_model import ResidualModel
@@ -37,10 +37,6 @@ from loose_env.typing import Array
 __all__ = ["Selection", "SelectionStep", "StepStore", "nominal_fit", "select_effects"]
 
 Say = Callable[[str], None]
-
-_TO_GAIN = 0.01
-"""Share of the sum of squares that the parameters of the nominal model may still gain on the
-windows that rank candidates: what they would gain, any effect seems to explain."""
 
 
 @dataclass(kw_only=True, eq=False)
@@ -199,7 +195,7 @@ def nominal_fit(
     """
     structure = ModelStructure(nuisance=nuisance)
     found = scorer.score(fit(comparison, structure, structure.nominal_start))
-    if CurrentFit.of(WindowFits(short, found.fitted).before).to_gain < _TO_GAIN:
+    if CurrentFit.of(WindowFits(short, found.fitted).before).to_gain < STILL_GAINS:
         return found
     return scorer.score(converged(comparison, found.fitted))
 

@@ -248,14 +248,14 @@ def _untenable(
     """Return an effect that must not stay in an answer, and the reason; None if all may."""
     if not best.fitted.effects:
         return None
-    tests = deletions
     order = sorted(
-        best.fitted.effects, key=lambda e: tests[e.key].held_out_z + tests[e.key].training_z
+        best.fitted.effects,
+        key=lambda e: deletions[e.key].held_out_z + deletions[e.key].training_z,
     )
     worse = worse_quantity(scorer.held_out, best, base)
     if worse:
         return order[0], f"the {worse} is predicted worse than by the nominal model"
-    weak = (effect for effect in order if not significant(tests[effect.key]))
+    weak = (effect for effect in order if not significant(deletions[effect.key]))
     return next(((effect, "not needed beside the others") for effect in weak), None)
 
 
