@@ -26,7 +26,7 @@ DEV := $(VENV)/.installed-dev
 
 help: ## list the verbs
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | while IFS='	' read -r verb does; do \
-		printf '  make %-9s %s\n' "$$verb" "$$does"; done
+		printf '  make %-10s %s\n' "$$verb" "$$does"; done
 
 run: $(RUN) ## let six agents and two constant baselines find hidden faults: a table, and a page with pictures
 	$(BIN)/python scripts/run_demo.py $(ARGS)
