@@ -14,7 +14,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-ROW = re.compile(r"^\| (?P<name>[^|]+?) \| (?P<places>[^|]+?) \| (?P<budget>[\d,]+) \|$", re.MULTILINE)
+ROW = re.compile(
+    r"^\| (?P<name>[^|]+?) \| (?P<places>[^|]+?) \| (?P<budget>[\d,]+) \|$", re.MULTILINE
+)
 SECTION = re.compile(r"^## Budgets$(?P<body>.*?)(?=^## |\Z)", re.MULTILINE | re.DOTALL)
 WORDS = "words"
 """Unit of a row of pages; every other row counts lines of Python."""
