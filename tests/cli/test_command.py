@@ -112,7 +112,7 @@ def test_an_error_of_the_action_is_one_line(kind: type[Exception]) -> None:
     def fail(settings: Settings) -> None:
         raise kind("two\n  lines")
 
-    with pytest.raises(SystemExit, match="^study: two lines$"):
+    with pytest.raises(SystemExit, match=r"^study: two lines$"):
         command("study", "", Settings, fail, ["m"])
 
 
