@@ -17,7 +17,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from loose_agents.evaluation.env_arguments import arguments_of
+from loose_agents.evaluation import arguments_of
 from loose_agents.execution.command import command, option
 from torch import nn
 

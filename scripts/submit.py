@@ -30,6 +30,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
+from loose_agents.benchmark.episodes import SETS, TASKS, set_named, task_problem
 from loose_agents.benchmark.leaderboard import (
     RESULTS,
     leaderboard,
@@ -37,10 +38,14 @@ from loose_agents.benchmark.leaderboard import (
     stored_results,
     value_tables,
 )
-from loose_agents.benchmark.reference import training_of
-from loose_agents.benchmark.results import Results, read_results, write_results
-from loose_agents.benchmark.submission import check_results, play_results
-from loose_agents.benchmark.tasks import SETS, TASKS, set_named, task_problem
+from loose_agents.benchmark.results import (
+    Results,
+    check_results,
+    play_results,
+    read_results,
+    training_of,
+    write_results,
+)
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.execution.study import write_between
 from loose_agents.registry import describe

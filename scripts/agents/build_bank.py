@@ -4,7 +4,7 @@ Usage: python scripts/agents/build_bank.py --env loose_env/Planar-v0 --episodes 
 banks/planar4
 
 A bank holds episodes of random records and the truth behind them (see
-agents/loose_agents/posterior_training/record_bank.py). It is a folder with a file for every
+agents/loose_agents/record_bank.py). It is a folder with a file for every
 500 episodes; stopped at any moment, the same command goes on. Every episode has its own seed, so a
 bank is the same for any backend and number of workers.
 """
@@ -24,7 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.command import command, option
 from loose_agents.execution.shard_store import ShardStore
-from loose_agents.posterior_training.bank_storage import (
+from loose_agents.record_bank import (
     BankOptions,
     BankPlan,
     build_bank,

@@ -26,22 +26,20 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
-from loose_agents.benchmark.sharded import EvaluationTask, play_task, problem_of
-from loose_agents.core.base import Problem
-from loose_agents.core.estimators import (
+from loose_agents.base import EVALUATION_SEED, Problem
+from loose_agents.belief import (
     ESTIMATORS,
     OWN_WEIGHTS,
     setting_name,
     weights_digest,
     weights_path,
 )
-from loose_agents.core.seeds import EVALUATION_SEED
-from loose_agents.evaluation.env_arguments import arguments_of
-from loose_agents.evaluation.record_bounds import bound_line
+from loose_agents.comparison import EvaluationTask, bound_line, play_task, problem_of
+from loose_agents.evaluation import arguments_of
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.command import command, option
 from loose_agents.execution.configuration_hash import canonical
-from loose_agents.policies.policies import POLICIES
+from loose_agents.policies.choice import POLICIES
 from loose_agents.registry import AGENTS, describe, is_outside, make_agent
 
 import loose_env

@@ -18,8 +18,8 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from loose_agents.core.base import Problem
-from loose_agents.evaluation.env_arguments import diagnosis_env
+from loose_agents.base import Problem
+from loose_agents.evaluation import diagnosis_env
 from loose_agents.execution.command import OneLineParser
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.rl.hyperparameters import ALGORITHMS, key_values

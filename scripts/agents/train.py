@@ -19,10 +19,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from loose_agents.core.base import Problem
-from loose_agents.core.estimators import feature_size, make_estimator
-from loose_agents.evaluation.env_arguments import make_environments
-from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.base import Problem
+from loose_agents.belief import feature_size, make_estimator
+from loose_agents.evaluation import evaluate, make_environments
 from loose_agents.execution.progress import ProgressLine
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.rl.hyperparameters import (

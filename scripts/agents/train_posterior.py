@@ -22,11 +22,18 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from loose_agents.core.estimators import WEIGHTS, setting_name
+from loose_agents.belief import WEIGHTS, setting_name
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.command import command, option
 from loose_agents.execution.shards import Shard
-from loose_agents.posterior_training.bank_storage import (
+from loose_agents.posterior_training import (
+    PosteriorTraining,
+    TrainingSettings,
+    fit_reference,
+    seen_episodes,
+    with_reference,
+)
+from loose_agents.record_bank import (
     BankOptions,
     BankPlan,
     build_bank,
@@ -36,8 +43,6 @@ from loose_agents.posterior_training.bank_storage import (
     read_features,
     seat_features,
 )
-from loose_agents.posterior_training.novelty import fit_reference, seen_episodes, with_reference
-from loose_agents.posterior_training.train import PosteriorTraining, TrainingSettings
 from numpy.typing import NDArray
 
 from loose_env.diagnosis import NoveltyReference, Seen, read_network, write_network

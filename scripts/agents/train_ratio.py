@@ -21,17 +21,16 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from loose_agents.core.estimators import WEIGHTS, tuning_name
+from loose_agents.belief import WEIGHTS, tuning_name
 from loose_agents.core.ratio_posterior import FORMAT, RatioPosterior, RatioSettings, ratio_network
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.command import command, option
-from loose_agents.posterior_training.bank_storage import BankOptions, build_bank, read_bank
 from loose_agents.posterior_training.ratio_training import (
     RatioTraining,
     episode_parts,
     train_ratio,
 )
-from loose_agents.posterior_training.record_bank import RecordBank
+from loose_agents.record_bank import BankOptions, RecordBank, build_bank, read_bank
 
 from loose_env.diagnosis import write_network
 from loose_env.io import Count

@@ -30,30 +30,33 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from loose_agents.benchmark.sharded import problem_of
-from loose_agents.benchmark.tuning import (
-    Trails,
-    best_constant,
-    best_sequences,
-    best_threshold,
-    single_joints,
-    unseen_return,
-    write_tuned,
-)
-from loose_agents.benchmark.tuning_sharded import ORACLE, Player, names_of, play_player, trained
-from loose_agents.core.estimators import WEIGHTS, make_estimator, tuning_name
-from loose_agents.core.seeds import BANK_SEED, TUNING_SEED, check_training_seed
-from loose_agents.evaluation.env_arguments import arguments_of
+from loose_agents.base import BANK_SEED, TUNING_SEED, check_training_seed
+from loose_agents.belief import WEIGHTS, make_estimator, tuning_name
+from loose_agents.evaluation import arguments_of, problem_of
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.command import command, option
-from loose_agents.policies.non_adaptive import (
+from loose_agents.policies.choice import (
     FIXED_RECORDS,
     OpenLoopPolicy,
     Records,
     designed_sequences,
     drawn_sequences,
+    make_policy,
 )
-from loose_agents.policies.policies import make_policy
+from loose_agents.tuning import (
+    ORACLE,
+    Player,
+    Trails,
+    best_constant,
+    best_sequences,
+    best_threshold,
+    names_of,
+    play_player,
+    single_joints,
+    trained,
+    unseen_return,
+    write_tuned,
+)
 
 from loose_env.errors import InvalidSetting
 from loose_env.evaluation import bootstrap_mean

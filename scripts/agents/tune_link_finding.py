@@ -20,10 +20,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from loose_agents.benchmark.sharded import problem_of
-from loose_agents.core.base import Agent, Problem
-from loose_agents.evaluation.env_arguments import arguments_of
-from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.base import Agent, Problem
+from loose_agents.evaluation import arguments_of, evaluate, problem_of
 from loose_agents.execution.command import command, option
 from loose_agents.execution.progress import ProgressLine
 from loose_agents.policies.classical import (

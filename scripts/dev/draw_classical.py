@@ -18,7 +18,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from loose_agents.core.base import Problem
+from loose_agents.base import Problem
 from loose_agents.policies.classical import ClassicalAgent, Search
 from loose_agents.registry import make_agent
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from loose_agents.core.base import EpisodeAgent
+from loose_agents.base import EpisodeAgent
 from loose_agents.policies.model_gap import make_gap_agent
 
 from loose_env.envs import ModelGapEnv

@@ -22,11 +22,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from loose_agents.core.base import Problem
+from loose_agents.base import Problem
 from loose_agents.execution.command import command, option
 from loose_agents.execution.study import ClusterRun, Row, Study, write_between
-from loose_agents.registry import make_agent
-from loose_agents.research.pose_set_trials import (
+from loose_agents.policies.pose_sets import (
     ARMS,
     GREEDY,
     LIMIT,
@@ -37,6 +36,7 @@ from loose_agents.research.pose_set_trials import (
     limit_rows,
     records_block,
 )
+from loose_agents.registry import make_agent
 
 from loose_env.diagnosis import PLANNED, one_by_one_share
 from loose_env.errors import LooseEnvError

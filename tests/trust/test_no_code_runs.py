@@ -285,7 +285,7 @@ def test_a_training_is_not_continued_from_a_model_that_would_run_something(
 
 def test_the_posterior_s_checkpoint_is_read_without_its_code(tmp_path: Path, trap: bytes) -> None:
     torch = pytest.importorskip("torch")
-    from loose_agents.posterior_training.train import PosteriorTraining
+    from loose_agents.posterior_training import PosteriorTraining
 
     file = tmp_path / "checkpoint.pt"
     torch.save({"layers": Trap(tmp_path / "executed")}, file)

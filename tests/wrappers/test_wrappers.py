@@ -119,8 +119,8 @@ def test_differences_are_of_twins_and_the_rest_stays() -> None:
 
 
 def test_the_posterior_is_that_of_the_estimator() -> None:
-    from loose_agents.core.base import Problem
-    from loose_agents.core.estimators import Tracker
+    from loose_agents.base import Problem
+    from loose_agents.belief import Tracker
 
     env = PosteriorObservation(make())
     inner = env.unwrapped

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_agents.core.base import EpisodeAgent
+from loose_agents.base import EpisodeAgent
 from loose_env.envs import GapObservation, ModelGapEnv
 from loose_env.errors import UnknownName
 from loose_env.gap import battery

@@ -19,10 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import BeliefAgent, Policy, StoppingRule
-from loose_agents.core.estimators import Tracker, make_estimator, tuned_stopping
-from loose_agents.policies.policies import make_policy
+from loose_agents.base import Problem
+from loose_agents.belief import (
+    BeliefAgent,
+    Policy,
+    StoppingRule,
+    Tracker,
+    make_estimator,
+    tuned_stopping,
+)
+from loose_agents.policies.choice import make_policy
 from loose_env.diagnosis import Belief, RecordStatistics
 from loose_env.envs import FaultSampler, difficulty_named
 from loose_env.errors import InvalidSetting
@@ -113,7 +119,7 @@ class _InformedPosterior:
 class OracleAgent(BeliefAgent):
     """`BeliefAgent` that is given direction and friction at the start of an episode.
 
-    `loose_agents.evaluation.evaluate.evaluate` tells it, by ``informed``.
+    `loose_agents.evaluation.evaluate` tells it, by ``informed``.
 
     Parameters
     ----------
@@ -156,7 +162,7 @@ class OracleAgent(BeliefAgent):
         """
         raise InvalidSetting(
             "the oracle must be told each hidden fault: play it with "
-            "loose_agents.evaluation.evaluate.evaluate, or take the estimator/policy of the same "
+            "loose_agents.evaluation.evaluate, or take the estimator/policy of the same "
             "name, which needs no telling"
         )
 

@@ -10,29 +10,12 @@ from typing import Any
 
 from loose_env.errors import InvalidSetting, MissingExtra, UnknownName
 
-__all__ = [
-    "ALGORITHMS",
-    "HYPERPARAMETERS",
-    "LinearSchedule",
-    "algorithm_named",
-    "key_values",
-    "model_arguments",
-    "read_hyperparameters",
-    "shipped_file",
-    "value_of",
-    "whole",
-]
-
 HYPERPARAMETERS = Path(__file__).parents[1] / "hyperparams"
 """Folder of the hyperparameter files that ship with the agents."""
 
-ALGORITHMS = {
-    "ppo": ("ppo", "MlpPolicy"),
-    "ppo_lstm": ("ppo_lstm", "MlpLstmPolicy"),
-    "recurrent_ppo": ("ppo_lstm", "MlpLstmPolicy"),
-    "maskable_ppo": ("maskable_ppo", "MlpPolicy"),
-}
-"""Names of the algorithms: the rl-zoo's name, and the policy that can be shipped."""
+ALGORITHMS = ("ppo", "maskable_ppo")
+"""Names of the algorithms in the rl-zoo."""
+_POLICY = "MlpPolicy"
 
 _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 _OF_THE_RUN = ("n_timesteps", "n_envs", "env_kwargs", "normalize")
@@ -76,17 +59,13 @@ def algorithm_named(name: str) -> type[Any]:
             from stable_baselines3 import PPO
 
             return PPO
-        from sb3_contrib import MaskablePPO, RecurrentPPO
+        from sb3_contrib import MaskablePPO
+
+        return MaskablePPO
     except ImportError as error:
         raise MissingExtra(
             f"training needs {error.name}; install it with: pip install -e '.[train]'"
         ) from error
-    return MaskablePPO if name == "maskable_ppo" else RecurrentPPO
-
-
-def shipped_file(algorithm: str) -> Path:
-    """Path of the shipped hyperparameter file of an algorithm."""
-    return HYPERPARAMETERS / f"{ALGORITHMS[algorithm][0]}.yml"
 
 
 def whole(value: Any, name: str) -> int:
@@ -259,9 +238,8 @@ def model_arguments(given: dict[str, Any], algorithm: str) -> dict[str, Any]:
             f"unknown hyperparameters {unknown}; those of {algorithm} are "
             f"{sorted([*known, *_OF_THE_RUN])}"
         )
-    wanted = ALGORITHMS[algorithm][1]
-    if own.setdefault("policy", wanted) != wanted:
-        raise InvalidSetting(f"{algorithm} takes the policy {wanted!r}, got {own['policy']!r}")
+    if own.setdefault("policy", _POLICY) != _POLICY:
+        raise InvalidSetting(f"{algorithm} takes the policy {_POLICY!r}, got {own['policy']!r}")
     for key, value in own.items():
         if isinstance(value, str) and key not in ("policy", "policy_kwargs"):
             # YAML reads 3e-4, without a dot, as text.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sb3_contrib.common.maskable.policies import MaskableActorCriticPolicy
 from torch import nn
 
-from loose_agents.core.base import EpisodeAgent
+from loose_agents.base import EpisodeAgent
 from loose_agents.policies.model_gap import NAT, SETUP_S
 from loose_env.envs import GapObservation, ModelGapEnv
 from loose_env.errors import InvalidSetting

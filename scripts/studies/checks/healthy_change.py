@@ -18,9 +18,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from loose_agents.benchmark.sharded import problem_of
-from loose_agents.core.seeds import check_training_seed
-from loose_agents.evaluation.env_arguments import arguments_of
+from loose_agents.base import check_training_seed
+from loose_agents.comparison import problem_of
+from loose_agents.evaluation import arguments_of
 from loose_agents.execution.command import command, option
 
 from loose_env.diagnosis import PlaceDirections, PooledScatter, RecordScatter

@@ -29,9 +29,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from loose_agents.core.base import Problem
-from loose_agents.core.estimators import WEIGHTS, setting_name
-from loose_agents.core.seeds import CHECK_SEED, check_training_seed
+from loose_agents.base import CHECK_SEED, Problem, check_training_seed
+from loose_agents.belief import WEIGHTS, setting_name
 from loose_agents.execution.command import option
 from loose_agents.execution.study import Row, Study, StudyRun
 from loose_agents.research.particle_calibration import CalibrationCases, calibration_cases

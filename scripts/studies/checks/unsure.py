@@ -24,9 +24,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from loose_agents.benchmark.out_of_distribution import UNLIKE, UnlikeTask, play_unlike
-from loose_agents.core.seeds import EVALUATION_SEED
-from loose_agents.evaluation.env_arguments import arguments_of
+from loose_agents.base import EVALUATION_SEED
+from loose_agents.benchmark.episodes import UNLIKE, UnlikeTask, play_unlike
+from loose_agents.evaluation import arguments_of
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.command import command, option
 from loose_agents.execution.shard_store import RowCodec, ShardStore

@@ -65,7 +65,7 @@ def environments(threads: int = 1) -> dict[str, Any]:
 
 def comparison(threads: int = 1) -> list[dict[str, Any]]:
     """Rows of two agents on the same six arms."""
-    from loose_agents.benchmark.sharded import EvaluationTask, evaluate_shard
+    from loose_agents.comparison import EvaluationTask, evaluate_shard
 
     rows = []
     for agent in ("random", "posterior/random"):
@@ -87,8 +87,8 @@ def comparison(threads: int = 1) -> list[dict[str, Any]]:
 def diagnosis() -> dict[str, Any]:
     """Posterior over the faults after one record and after two."""
     import gymnasium
-    from loose_agents.core.base import Problem
-    from loose_agents.core.estimators import Tracker
+    from loose_agents.base import Problem
+    from loose_agents.belief import Tracker
 
     env: Any = gymnasium.make("loose_env/Vera-v0", durations=DURATIONS).unwrapped
     tracker = Tracker(Problem.of(env.arm, env.settings))

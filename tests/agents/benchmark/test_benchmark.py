@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loose_agents.benchmark import tasks
+from loose_agents.benchmark.episodes import rig_for, settings_for
 from loose_agents.benchmark.leaderboard import (
     RESULTS,
     agent_rows,
@@ -18,15 +19,15 @@ from loose_agents.benchmark.leaderboard import (
     stored_results,
     value_tables,
 )
-from loose_agents.benchmark.out_of_distribution import rig_for, settings_for
 from loose_agents.benchmark.results import (
     Results,
+    check_results,
+    play_results,
     read_results,
     results_of,
     results_schema,
     write_results,
 )
-from loose_agents.benchmark.submission import check_results, play_results
 
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidData, UnknownName

@@ -7,29 +7,31 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-import loose_agents.benchmark.tuning_sharded as module
+import loose_agents.tuning as module
 import numpy as np
 import pytest
-from loose_agents.benchmark.sharded import problem_of
-from loose_agents.benchmark.tuning import (
-    THRESHOLDS,
-    Trails,
-    best_constant,
-    best_threshold,
-    play_trails,
-    single_joints,
-    unseen_return,
-    write_tuned,
-)
-from loose_agents.benchmark.tuning_sharded import Player, names_of, play_player, trained
-from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import BeliefAgent, Sure
-from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.base import Problem
+from loose_agents.belief import BeliefAgent, Sure
+from loose_agents.evaluation import evaluate, problem_of
 from loose_agents.execution.backends import BackendSettings
 from loose_agents.execution.shards import ShardFailed
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.policies.oracle import oracle_agent
 from loose_agents.registry import belief_agent
+from loose_agents.tuning import (
+    THRESHOLDS,
+    Player,
+    Trails,
+    best_constant,
+    best_threshold,
+    names_of,
+    play_player,
+    play_trails,
+    single_joints,
+    trained,
+    unseen_return,
+    write_tuned,
+)
 
 from loose_env.arms import planar
 from loose_env.diagnosis import LinkFindingSettings

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents.benchmark.out_of_distribution import OFF, OtherArmRig, UnlikeTask
-from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import BeliefAgent, Sure, surprise_of
+from loose_agents.base import Problem
+from loose_agents.belief import BeliefAgent, Sure, surprise_of
+from loose_agents.benchmark.episodes import OFF, OtherArmRig, UnlikeTask
 from loose_agents.execution.shard_store import ArrayCodec, ShardStore
-from loose_agents.policies.policies import RandomPolicy
-from loose_agents.posterior_training.bank_storage import BankPlan
-from loose_agents.posterior_training.novelty import NoveltySettings, fit_reference, with_reference
-from loose_agents.posterior_training.record_bank import BankSettings, play_episodes
+from loose_agents.policies.choice import RandomPolicy
+from loose_agents.posterior_training import NoveltySettings, fit_reference, with_reference
+from loose_agents.record_bank import BankPlan, BankSettings, play_episodes
 
 from loose_env.arms import Mismatch, MismatchDraw, planar
 from loose_env.diagnosis import (

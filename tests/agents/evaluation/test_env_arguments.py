@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gymnasium
 import pytest
-from loose_agents.evaluation.env_arguments import arguments_of, diagnosis_env
+from loose_agents.evaluation import arguments_of, diagnosis_env
 from loose_agents.execution.script_errors import errors_in_one_line
 from loose_agents.rl.hyperparameters import key_values
 

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
-from loose_agents.core.seeds import BENCHMARK_SEED, EVALUATION_SEED, check_training_seed
-from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.base import BENCHMARK_SEED, EVALUATION_SEED, Problem, check_training_seed
+from loose_agents.evaluation import evaluate
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.registry import AGENTS, make_agent
 

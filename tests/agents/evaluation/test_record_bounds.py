@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
-from loose_agents.evaluation.record_bounds import bound_line, record_bound
+from loose_agents.base import Problem
+from loose_agents.comparison import bound_line, record_bound
 
 from loose_env.arms import planar
 from loose_env.diagnosis import least_records

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
-from loose_agents.evaluation.evaluate import EpisodeRow, evaluate
+from loose_agents.base import Problem
+from loose_agents.evaluation import EpisodeRow, evaluate
 from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings
 from loose_agents.registry import make_agent
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
-from loose_agents.core.estimators import links_from
-from loose_agents.evaluation.evaluate import EpisodeRow, evaluate
+from loose_agents.base import Problem
+from loose_agents.belief import links_from
+from loose_agents.evaluation import EpisodeRow, evaluate
 from loose_agents.registry import make_agent
 
 from loose_env.arms import planar

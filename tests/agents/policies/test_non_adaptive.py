@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents.benchmark.tuning import Trails, best_sequences
-from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import Situation
-from loose_agents.core.estimators import make_estimator, tuning_name
-from loose_agents.policies.non_adaptive import FixedPolicy, drawn_sequences
-from loose_agents.policies.policies import make_policy
+from loose_agents.base import Problem
+from loose_agents.belief import Situation, make_estimator, tuning_name
+from loose_agents.policies.choice import FixedPolicy, drawn_sequences, make_policy
 from loose_agents.registry import make_agent
+from loose_agents.tuning import Trails, best_sequences
 
 from loose_env.arms import planar
 from loose_env.envs import DiagnosisSettings, EpisodeBatch
@@ -74,7 +72,7 @@ def test_the_open_loop_is_blind_to_results() -> None:
 def test_fixed_agents_need_their_sequences_and_take_so_many_records(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from loose_agents.evaluation.evaluate import evaluate
+    from loose_agents.evaluation import evaluate
 
     arm = planar(2)
     problem = Problem.of(arm, RULES)

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
-from loose_agents.core.estimators import ESTIMATORS, Tracker
-from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.base import Problem
+from loose_agents.belief import ESTIMATORS, Tracker
+from loose_agents.evaluation import evaluate
 from loose_agents.policies.oracle import OracleAgent, Told, oracle_agent, restricted
 from loose_agents.registry import belief_agent, make_agent
 from scipy import stats

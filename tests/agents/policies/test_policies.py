@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import Situation
-from loose_agents.core.estimators import Tracker
-from loose_agents.policies.information_policies import candidate_at, excitations, poses
-from loose_agents.policies.policies import POLICIES, ConstantPolicy, information_of, make_policy
+from loose_agents.base import Problem
+from loose_agents.belief import Situation, Tracker
+from loose_agents.policies.choice import (
+    POLICIES,
+    ConstantPolicy,
+    candidate_at,
+    excitations,
+    information_of,
+    make_policy,
+    poses,
+)
 
 from loose_env.arms import planar
 from loose_env.envs import DiagnosisSettings

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
-from loose_agents.evaluation.evaluate import EpisodeRow, evaluate
-from loose_agents.policies.link_finding import LinkFindingAgent
-from loose_agents.policies.spatial_link_finding import (
+from loose_agents.base import Problem
+from loose_agents.evaluation import EpisodeRow, evaluate
+from loose_agents.policies.link_finding import (
+    LinkFindingAgent,
     SpaceLinkFindingAgent,
     SpaceLinkFindingSettings,
 )

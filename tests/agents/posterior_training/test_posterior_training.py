@@ -8,20 +8,18 @@ import re
 import numpy as np
 import pytest
 import torch
-from loose_agents.core.base import Problem
-from loose_agents.posterior_training.bank_storage import (
+from loose_agents.base import Problem
+from loose_agents.posterior_training import PosteriorTraining, TrainingSettings
+from loose_agents.record_bank import (
     BankPlan,
+    BankSettings,
     build_bank,
     build_features,
+    features_of_bank,
+    play_episodes,
     read_bank,
     read_features,
 )
-from loose_agents.posterior_training.record_bank import (
-    BankSettings,
-    features_of_bank,
-    play_episodes,
-)
-from loose_agents.posterior_training.train import PosteriorTraining, TrainingSettings
 
 from loose_env.arms import Mismatch, planar
 from loose_env.diagnosis import AmortisedPosterior, SeatFeatures, SeatNetwork

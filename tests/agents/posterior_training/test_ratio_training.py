@@ -7,14 +7,14 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
+from loose_agents.base import Problem
 from loose_agents.core.ratio_posterior import FORMAT, RatioPosterior, RatioSettings, ratio_network
 from loose_agents.posterior_training.ratio_training import (
     RatioTraining,
     episode_parts,
     train_ratio,
 )
-from loose_agents.posterior_training.record_bank import RecordBank
+from loose_agents.record_bank import RecordBank
 
 from loose_env.arms import planar
 from loose_env.diagnosis import write_network

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
+from loose_agents.base import Problem
 from loose_agents.research.particle_calibration import calibration_cases
 from loose_agents.research.particle_check import (
     Weighed,

@@ -6,29 +6,26 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import BeliefAgent, Situation, Sure
-from loose_agents.core.estimators import Tracker
-from loose_agents.evaluation.evaluate import evaluate
-from loose_agents.registry import make_agent
-from loose_agents.research.pose_set_policies import (
+from loose_agents.base import Problem
+from loose_agents.belief import BeliefAgent, Situation, Sure, Tracker
+from loose_agents.evaluation import evaluate
+from loose_agents.policies.pose_sets import (
+    GREEDY,
+    Directions,
     GreedySeparation,
     MovesOf,
     PoseSetPolicy,
-    image_posterior,
-    levels_for,
-    nearest_moves,
-)
-from loose_agents.research.pose_set_trials import (
-    GREEDY,
-    Directions,
     Records,
     Task,
     directions_block,
+    image_posterior,
     informed_links,
+    levels_for,
     link_log_likelihoods,
+    nearest_moves,
     records_block,
 )
+from loose_agents.registry import make_agent
 
 from loose_env.arms import Arm, planar, six_axis
 from loose_env.diagnosis import DirectionSighting, ToolFrames, link_posterior

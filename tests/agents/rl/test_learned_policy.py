@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import BeliefAgent, Sure
-from loose_agents.core.estimators import Tracker, setting_name
-from loose_agents.evaluation.evaluate import EpisodeRow, evaluate
-from loose_agents.policies.policies import RandomPolicy
+from loose_agents.base import Problem
+from loose_agents.belief import BeliefAgent, Sure, Tracker, setting_name
+from loose_agents.evaluation import EpisodeRow, evaluate
+from loose_agents.policies.choice import RandomPolicy
 from loose_agents.registry import make_agent
 from loose_agents.rl.learned_policy import CONFIGURATION, LearnedAgent, PolicyForm
 from loose_agents.rl.network import FORMAT, load_network, network_of, save_network

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents.benchmark.reference import training_of
-from loose_agents.benchmark.sharded import EvaluationTask, evaluate_shard
-from loose_agents.core.base import EpisodeAgent, Problem
-from loose_agents.core.estimators import OWN_WEIGHTS, WEIGHTS, tuned, weights_digest, weights_path
-from loose_agents.evaluation.env_arguments import diagnosis_env
+from loose_agents.base import EpisodeAgent, Problem
+from loose_agents.belief import OWN_WEIGHTS, WEIGHTS, tuned, weights_digest, weights_path
+from loose_agents.benchmark.results import training_of
+from loose_agents.comparison import EvaluationTask, evaluate_shard
+from loose_agents.evaluation import diagnosis_env
 from loose_agents.registry import content_of, describe, is_outside, make_agent
 from loose_agents.rl.checkpoint import TRAINED_ON
 
@@ -201,10 +201,10 @@ def test_a_task_is_played_on_the_true_arm(monkeypatch: pytest.MonkeyPatch) -> No
         seen.append((given[2].name, named["true_arm"].name))
         return []
 
-    monkeypatch.setattr("loose_agents.benchmark.sharded.evaluate", play)
+    monkeypatch.setattr("loose_agents.comparison.evaluate", play)
     arguments = {"n_links": 2, "true_arm": replace(planar(2), name="another")}
     monkeypatch.setattr(
-        "loose_agents.benchmark.sharded.diagnosis_env",
+        "loose_agents.comparison.diagnosis_env",
         lambda env_id, given: diagnosis_env(env_id, arguments),
     )
     evaluate_shard(EvaluationTask(agent="random", env_id="loose_env/Planar-v0", count=1, seed=0))

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 pytest.importorskip("stable_baselines3")
 
-from loose_agents.core.base import Problem
-from loose_agents.core.estimators import Tracker, make_estimator
-from loose_agents.core.seeds import EVALUATION_SEEDS
+from loose_agents.base import EVALUATION_SEEDS, Problem
+from loose_agents.belief import Tracker, make_estimator
 from loose_agents.rl.training_env import (
     TrackedVecEnv,
     evaluation_seed,

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
-from loose_agents.core.seeds import EVALUATION_SEED
+from loose_agents.base import EVALUATION_SEED, Problem
 from loose_agents.execution.command import parsed
 
 from loose_env.arms import planar, vera

@@ -13,7 +13,7 @@ pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 pytest.importorskip("yaml")
 
-from loose_agents.core.base import Problem
+from loose_agents.base import Problem
 from loose_agents.rl.checkpoint import read_model
 from loose_agents.rl.end_to_end.learning_curve import (
     Budget,

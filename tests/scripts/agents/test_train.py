@@ -21,7 +21,7 @@ pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 pytest.importorskip("yaml")
 
-from loose_agents.core.base import Problem
+from loose_agents.base import Problem
 from loose_agents.rl.hyperparameters import HYPERPARAMETERS
 from loose_agents.rl.training_env import evaluation_seed
 from loose_agents.rl.training_run import RunState, git_commit

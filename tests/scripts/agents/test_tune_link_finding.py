@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.evaluation import evaluate
 from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings
 
 from scripts.agents import tune_link_finding

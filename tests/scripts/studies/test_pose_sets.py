@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from loose_agents.execution.study import MARKS, ClusterRun, write_between
-from loose_agents.research.pose_set_trials import LIMIT, Directions, Records, Task, records_block
+from loose_agents.policies.pose_sets import LIMIT, Directions, Records, Task, records_block
 
 from scripts.studies import pose_sets as script
 

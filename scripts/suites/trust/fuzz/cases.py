@@ -142,7 +142,7 @@ def _hyperparameters(around: Surroundings, rng: Rng) -> Attempt:
 
 
 def _arguments(around: Surroundings, rng: Rng) -> Attempt:
-    from loose_agents.evaluation.env_arguments import arguments_of, diagnosis_env
+    from loose_agents.evaluation import arguments_of, diagnosis_env
 
     ids = ("loose_env/Planar-v0", "loose_env/Vera-v0", "loose_env/Arm-v0")
     whole = {
@@ -232,7 +232,7 @@ _KNOWN: list[Any] = []
 
 
 def _problem() -> Any:
-    from loose_agents.core.base import Problem
+    from loose_agents.base import Problem
 
     from loose_env.arms import vera
     from loose_env.envs import DiagnosisSettings
