@@ -13,13 +13,10 @@ from loose_env.statistics._checks import (
 )
 from loose_env.statistics.correlation.by_direction import (
     MaximumCorrelation,
-    correlation_along,
-    correlation_along_from,
     correlation_loop,
     correlation_loop_from,
     lowest_correlation_direction,
     lowest_correlation_direction_from,
-    lowest_correlation_search,
     maximum_correlation,
     maximum_correlation_from,
 )
@@ -80,9 +77,7 @@ from loose_env.statistics.records.covariance import (
     record_covariances,
 )
 from loose_env.statistics.records.moments import (
-    DirectionalMoments,
     kurtosis,
-    moments_by_direction,
     shape_of,
     skewness,
 )
@@ -90,7 +85,6 @@ from loose_env.statistics.records.spectra import (
     TransferFunction,
     acceleration_from_angle,
     bandpass,
-    spectral_flatness,
     transfer_function,
 )
 from loose_env.statistics.sampling.autocorrelation import (
@@ -130,7 +124,6 @@ __all__ = [
     "ComparativeIndex",
     "Covariances",
     "DirectionInterval",
-    "DirectionalMoments",
     "GaussianMixture",
     "HemisphereSearch",
     "LowestCoherence",
@@ -158,8 +151,6 @@ __all__ = [
     "change_direction_interval",
     "change_rank",
     "comparative_index",
-    "correlation_along",
-    "correlation_along_from",
     "correlation_loop",
     "correlation_loop_from",
     "covariances",
@@ -176,11 +167,9 @@ __all__ = [
     "lowest_coherence_of_records",
     "lowest_correlation_direction",
     "lowest_correlation_direction_from",
-    "lowest_correlation_search",
     "maximum_correlation",
     "maximum_correlation_from",
     "memory_of",
-    "moments_by_direction",
     "phase_delay",
     "pool_transmissions",
     "rank_test",
@@ -191,7 +180,6 @@ __all__ = [
     "require_rate",
     "shape_of",
     "skewness",
-    "spectral_flatness",
     "tangents",
     "transfer_function",
     "transmission",
