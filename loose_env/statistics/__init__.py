@@ -13,13 +13,10 @@ from loose_env.statistics._checks import (
 )
 from loose_env.statistics.correlation.by_direction import (
     MaximumCorrelation,
-    correlation_along,
-    correlation_along_from,
     correlation_loop,
     correlation_loop_from,
     lowest_correlation_direction,
     lowest_correlation_direction_from,
-    lowest_correlation_search,
     maximum_correlation,
     maximum_correlation_from,
 )
@@ -58,9 +55,7 @@ from loose_env.statistics.records.covariance import (
     record_covariances,
 )
 from loose_env.statistics.records.moments import (
-    DirectionalMoments,
     kurtosis,
-    moments_by_direction,
     shape_of,
     skewness,
 )
@@ -68,7 +63,6 @@ from loose_env.statistics.records.spectra import (
     TransferFunction,
     acceleration_from_angle,
     bandpass,
-    spectral_flatness,
     transfer_function,
 )
 from loose_env.statistics.sampling.autocorrelation import (
@@ -88,7 +82,6 @@ from loose_env.statistics.tool_transmission.change import (
 __all__ = [
     "ComparativeIndex",
     "Covariances",
-    "DirectionalMoments",
     "GaussianMixture",
     "LowestCoherence",
     "MaximumCorrelation",
@@ -109,8 +102,6 @@ __all__ = [
     "axial_vector",
     "bandpass",
     "comparative_index",
-    "correlation_along",
-    "correlation_along_from",
     "correlation_loop",
     "correlation_loop_from",
     "covariances",
@@ -120,18 +111,15 @@ __all__ = [
     "lowest_coherence_direction_from",
     "lowest_correlation_direction",
     "lowest_correlation_direction_from",
-    "lowest_correlation_search",
     "maximum_correlation",
     "maximum_correlation_from",
     "memory_of",
-    "moments_by_direction",
     "phase_delay",
     "record_covariances",
     "require_finite",
     "require_rate",
     "shape_of",
     "skewness",
-    "spectral_flatness",
     "tangents",
     "transfer_function",
     "transmission",

@@ -1,2 +1,1 @@
-"""Autocorrelated samples: effective sample size, block bootstrap.
-"""
+"""Autocorrelated samples: effective sample size, block bootstrap."""

@@ -1,2 +1,1 @@
-"""Transmission from joints to tool: estimate, change, direction and rank of the change.
-"""
+"""Transmission from joints to tool: estimate, change, direction and rank of the change."""
