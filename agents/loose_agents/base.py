@@ -20,15 +20,7 @@ from loose_env.typing import Array
 
 
 def hypothesis_prior(hypotheses: Sequence[str], shares: Mapping[str, float]) -> Array:
-    """Prior probability of each hypothesis (H,): its kind's, uniform over locations.
-
-    Parameters
-    ----------
-    hypotheses : sequence of str
-        Names such as "backlash@joint2".
-    shares : mapping of str to float
-        Probability of each kind of fault; 0 where a kind is missing.
-    """
+    """Prior probability of each hypothesis (H,): its kind's, uniform over locations."""
     kinds = [name.partition("@")[0] for name in hypotheses]
     return np.array([shares.get(kind, 0.0) / kinds.count(kind) for kind in kinds])
 
@@ -170,11 +162,6 @@ BANK_ACTIONS, CHECK_ACTIONS, CHECK_PARTICLES = 16, 17, 18
 
 def check_training_seed(seed: int) -> int:
     """Return a seed for training; refuse evaluation seeds.
-
-    Raises
-    ------
-    InvalidSetting
-        If it is reserved for evaluation.
 
     Examples
     --------

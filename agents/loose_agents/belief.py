@@ -105,13 +105,7 @@ class AfterRecords:
 
 
 def goes_on(agent: Agent, records: int) -> Agent:
-    """Return a copy of an agent that always takes a given number of records.
-
-    Raises
-    ------
-    InvalidSetting
-        If the agent has no stopping rule that could be replaced.
-    """
+    """Return a copy of an agent that always takes a given number of records."""
     if not hasattr(agent, "stopping"):
         raise InvalidSetting(
             f"{type(agent).__name__} has no stopping rule to replace: only agents made of an "
@@ -219,15 +213,6 @@ def verdict_of(
     """Verdict of highest expected reward; "unsure" for out-of-distribution episodes.
 
     None where it would be "unsure" and may not be yet: then more is to be measured.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    situation : Situation
-        What is known.
-    surprising : float
-        p-value below which nothing is named, see `surprise_of`.
     """
     measured = records_measured(problem, situation.observation)
     unsure = problem.actions.allows_unsure(situation.records, measured)
@@ -329,13 +314,7 @@ def setting_name(problem: Problem) -> str:
 def links_from(
     layout: ObservationLayout, observation: NDArray[np.float32], slot: int
 ) -> LinkReadings:
-    """Decode what the accelerometers on links show in one record of an observation.
-
-    Raises
-    ------
-    InvalidSetting
-        If the settings have no accelerometers on links.
-    """
+    """Decode what the accelerometers on links show in one record of an observation."""
     choice = layout.settings.sensors.on_links
     if choice is None:
         raise InvalidSetting("the observation holds no accelerometers on links")
@@ -474,13 +453,7 @@ class Tracker:
 
 
 def belief_of(situation: Situation) -> Belief:
-    """Log-weights of locations and frictions behind a situation's probabilities.
-
-    Raises
-    ------
-    InvalidSetting
-        If its estimator keeps none: the policy needs one of the posteriors.
-    """
+    """Log-weights of locations and frictions behind a situation's probabilities."""
     belief = getattr(situation.memory, "belief", None)
     belief = getattr(belief, "belief", belief)
     if not isinstance(belief, Belief):

@@ -213,20 +213,7 @@ class RecordBound:
 
 
 def record_bound(problem: Problem, rows: Sequence[Row]) -> RecordBound | None:
-    """Compute the bound from episodes of one difficulty.
-
-    Parameters
-    ----------
-    problem : Problem
-        Arm and rules; the difficulty that the rows name counts, not that of its settings.
-    rows : sequence of Row
-        Episodes of all players, with their trails.
-
-    Returns
-    -------
-    RecordBound or None
-        None where no player keeps probabilities on 30 arms or more.
-    """
+    """Compute the bound from episodes of one difficulty."""
     players = {
         name: (information_limits(problem, own), success_limits(own))
         for name, own in by_agent(rows).items()
@@ -310,15 +297,7 @@ def _prior(problem: Problem, level: str) -> Array:
 
 
 def information_limits(problem: Problem, rows: Sequence[Row]) -> list[float]:
-    """Upper 95 % limits of a player's mean gain in log score [nat], by record.
-
-    Parameters
-    ----------
-    problem : Problem
-        Arm and rules.
-    rows : sequence of Row
-        Episodes of one player at one difficulty, with their trails.
-    """
+    """Upper 95 % limits of a player's mean gain in log score [nat], by record."""
     prior = _prior(problem, str(rows[0].get("difficulty", "own")))
     chance = dict(zip(problem.hypotheses, prior, strict=True))
     trails: list[list[float]] = []

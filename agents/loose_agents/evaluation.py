@@ -35,11 +35,6 @@ MOST_SHOWN = 300
 def arguments_of(text: str) -> dict[str, Any]:
     """Parse the environment's arguments from the option ``--arguments``.
 
-    Raises
-    ------
-    InvalidSetting
-        If they are no JSON object.
-
     Examples
     --------
     >>> arguments_of('{"n_links": 3}')
@@ -97,11 +92,6 @@ def diagnosis_env(
 def refused_in_words(env_id: str, arguments: Mapping[str, Any]) -> Iterator[None]:
     """Name the arguments that an environment does not accept, in a readable error.
 
-    Raises
-    ------
-    InvalidSetting
-        In place of a TypeError, or an OverflowError.
-
     Examples
     --------
     >>> with refused_in_words("loose_env/Vera-v0", {"durations": 0.2}):
@@ -128,15 +118,7 @@ def problem_of(env_id: str, arguments: Mapping[str, Any]) -> Problem:
 
 
 def make_environments(env_id: str, num_envs: int, arguments: dict[str, Any]) -> DiagnosisVectorEnv:
-    """Make the environments side by side.
-
-    Raises
-    ------
-    UnknownName
-        If the id is none of the registered ones, or no diagnosis.
-    InvalidSetting
-        If the arguments are refused, or the observation carries raw signals.
-    """
+    """Make the environments side by side."""
     if env_id not in gymnasium.registry:
         raise UnknownName(f"unknown environment {env_id!r}; environments are {', '.join(IDS)}")
     with refused_in_words(env_id, arguments):

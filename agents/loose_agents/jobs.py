@@ -346,11 +346,6 @@ def canonical(value: Any) -> Any:
     """Reduce a configuration to JSON types, with a unique form for each value.
 
     A dataclass counts with its name, so that two kinds with the same fields differ.
-
-    Raises
-    ------
-    InvalidData
-        If it holds something that JSON does not.
     """
     if is_dataclass(value) and not isinstance(value, type):
         named = {each.name: getattr(value, each.name) for each in fields(value)}
@@ -380,17 +375,6 @@ def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
 
 class ProgressLine(tqdm):  # type: ignore[misc]
     """Progress of counted work: one line on a terminal, a line for every tenth in a log.
-
-    Parameters
-    ----------
-    total : int
-        Units in all.
-    done : int
-        Units that an earlier run has done; they count for the share, not for the rate.
-    unit : str
-        Name of a unit.
-    stream : text file, optional
-        Where it is written; standard error if None.
 
     Examples
     --------

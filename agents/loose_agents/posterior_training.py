@@ -98,21 +98,7 @@ class _Layers(nn.Module):
 
 
 class PosteriorTraining:
-    """Training state: data, network and optimiser; resumes from a checkpoint.
-
-    Parameters
-    ----------
-    features : RecordFeatures
-        Features of the training episodes.
-    joints : int
-        Joints of the arm, n.
-    directions : ndarray (A, axes)
-        Sliding directions of a link.
-    friction : (float, float)
-        Range of friction over the top level's drive.
-    settings : TrainingSettings, optional
-        Size and course.
-    """
+    """Training state: data, network and optimiser; resumes from a checkpoint."""
 
     def __init__(
         self,
@@ -289,21 +275,7 @@ class PosteriorTraining:
         self.features = seen
 
     def scores(self, features: RecordFeatures, *, most: int = 4) -> list[dict[str, float]]:
-        """Scores on held-out episodes by number of records.
-
-        Parameters
-        ----------
-        features : RecordFeatures
-            Features of episodes that were not trained on.
-        most : int
-            Records up to which.
-
-        Returns
-        -------
-        list of dict
-            ``records``, ``episodes``, ``success``, ``score`` (mean log score of the truth, [nat])
-            and ``ece`` (expected calibration error over ten bins of equal width).
-        """
+        """Scores on held-out episodes by number of records."""
         seen, self.features = self.features, features
         try:
             chosen = np.flatnonzero(features.count >= most)
@@ -382,17 +354,7 @@ class NoveltySettings:
 def seen_episodes(
     problem: Problem, features: SeatFeatures, bank: RecordBank
 ) -> Iterator[list[Seen]]:
-    """Iterate over the episodes of a bank that have records, with their statistics.
-
-    Parameters
-    ----------
-    problem : Problem
-        Arm and rules of the bank.
-    features : SeatFeatures
-        Feature extractor.
-    bank : RecordBank
-        The episodes.
-    """
+    """Iterate over the episodes of a bank that have records, with their statistics."""
     for records in bank.records(problem.layout):
         seen = [Seen(*features.with_change(record)) for record in records if record is not None]
         if seen:
@@ -407,26 +369,7 @@ def episode_sights(
     prior: Array,
     counts: Sequence[int],
 ) -> list[Array]:
-    """Novelty statistics of an episode after a number of records.
-
-    Parameters
-    ----------
-    network : SeatNetwork
-        The trained network.
-    seen : sequence of Seen
-        What its records showed.
-    directions : ndarray (A, axes)
-        Sliding directions of a link.
-    prior : ndarray (1 + 2 n,)
-        Log-probability of the hypotheses beforehand.
-    counts : sequence of int
-        Numbers of records.
-
-    Returns
-    -------
-    list of ndarray (records, columns)
-        For each number, what `loose_env.diagnosis.learned.novelty.sights` gives.
-    """
+    """Novelty statistics of an episode after a number of records."""
     n = (len(prior) - 1) // 2
     hypothesis = np.concatenate([np.repeat(np.arange(n), len(directions)), n + np.arange(n)])
     total = np.cumsum([network.likelihood(s.location, s.record, hypothesis) for s in seen], axis=0)
@@ -452,24 +395,7 @@ def fit_reference(
     directions: Array,
     settings: NoveltySettings | None = None,
 ) -> NoveltyReference:
-    """Fit the mixtures and rank the held-out episodes.
-
-    Parameters
-    ----------
-    tensors : mapping of str to ndarray
-        The trained network.
-    trained, held : iterable of sequences of Seen
-        Episodes to fit to, and others for the tables.
-    directions : ndarray (A, axes)
-        Sliding directions of a link.
-    settings : NoveltySettings, optional
-        How it is done.
-
-    Raises
-    ------
-    InvalidData
-        If there are no episodes with records.
-    """
+    """Fit the mixtures and rank the held-out episodes."""
     s = NoveltySettings() if settings is None else settings
     network = SeatNetwork(tensors)
     n = network.sizes["H"] // 2
@@ -562,21 +488,7 @@ def transitions_of(
     *,
     records: int = 3,
 ) -> Transitions:
-    """Replay the episodes of a bank and predict the gain of each record.
-
-    Parameters
-    ----------
-    problem : Problem
-        Arm and rules of the bank.
-    posterior : AmortisedPosterior
-        What follows them.
-    bank : RecordBank
-        Episodes that the posterior was not trained on.
-    rng : numpy.random.Generator
-        Thins the beliefs.
-    records : int
-        Records of each episode.
-    """
+    """Replay the episodes of a bank and predict the gain of each record."""
     information = RecordInformation(
         posterior.features, posterior.frictions, factors=InformationFactors()
     )

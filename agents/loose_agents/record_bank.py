@@ -97,21 +97,7 @@ class RecordBank:
 def play_episodes(
     problem: Problem, settings: BankSettings, *, seed: int, start: int, stop: int, width: int = 32
 ) -> RecordBank:
-    """Simulate the episodes ``start`` to ``stop - 1`` of a seed.
-
-    Parameters
-    ----------
-    problem : Problem
-        Arm and rules; the engine of its settings simulates.
-    settings : BankSettings
-        Sampling of the records.
-    seed : int
-        Seed of the bank.
-    start, stop : int
-        Numbers of the episodes.
-    width : int
-        Arms side by side; it changes nothing in the result.
-    """
+    """Simulate the episodes ``start`` to ``stop - 1`` of a seed."""
     batch = EpisodeBatch(problem.arm, problem.settings, num=min(width, stop - start), threads=1)
     most = problem.settings.max_records
     longest = most if settings.long_every else settings.records
@@ -226,17 +212,7 @@ class RecordFeatures:
 
 
 def features_of_bank(problem: Problem, features: SeatFeatures, bank: RecordBank) -> RecordFeatures:
-    """Compute the features of all records of a bank.
-
-    Parameters
-    ----------
-    problem : Problem
-        Arm and rules of the bank.
-    features : SeatFeatures
-        What works them out.
-    bank : RecordBank
-        The episodes.
-    """
+    """Compute the features of all records of a bank."""
     taken = bank.slots[:, :, 0] > 0.5
     total = int(taken.sum())
     place = np.zeros((total, features.locations, len(LOCATION_FEATURES)), dtype=np.float16)
@@ -279,14 +255,7 @@ class BankOptions:
 
     @property
     def plan(self) -> BankPlan:
-        """Description of the bank.
-
-        Raises
-        ------
-        InvalidSetting
-            If the arguments are no JSON object, there are no episodes, or the seed is kept for
-            evaluation.
-        """
+        """Description of the bank."""
         return BankPlan(
             env_id=self.env,
             arguments=arguments_of(self.arguments),
@@ -332,13 +301,7 @@ class BankPlan:
 
     @property
     def split(self) -> tuple[list[range], list[range]]:
-        """Shards held out from training, `HELD_OUT` of them, and those to train on.
-
-        Raises
-        ------
-        InvalidSetting
-            If there are too few to hold some out.
-        """
+        """Shards held out from training, `HELD_OUT` of them, and those to train on."""
         held = max(1, round(HELD_OUT * len(self.shards)))
         if len(self.shards) <= held:
             raise InvalidSetting(

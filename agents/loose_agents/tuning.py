@@ -103,28 +103,7 @@ def play_trails(
     first: int = 0,
     width: int = 32,
 ) -> Trails:
-    """Play episodes to the last record and store the outcome of each earlier stop.
-
-    Parameters
-    ----------
-    agent : Agent
-        One with a stopping rule, which is not asked, and with probabilities in its memory. One
-        that is ``informed`` is told the hidden faults, as
-        `loose_agents.evaluation.evaluate` does.
-    problem : Problem
-        Arm and rules.
-    episodes, seed, first : int
-        Which episodes.
-    records : int
-        Records an episode.
-    width : int
-        Arms side by side; it changes nothing in the result.
-
-    Raises
-    ------
-    InvalidSetting
-        If the agent has no stopping rule, or the rules do not allow so many records.
-    """
+    """Play episodes to the last record and store the outcome of each earlier stop."""
     most = problem.settings.max_records
     if episodes < 1 or not 1 <= records <= most:
         raise InvalidSetting(
@@ -200,15 +179,6 @@ def best_threshold(
     worth the same the surer verdict is better: from there the threshold is raised as long as the
     mean return stays within `SLACK` of what it was.
 
-    Parameters
-    ----------
-    trails : Trails
-        Training episodes.
-    rng : numpy.random.Generator
-        Draws the resamples.
-    resamples : int
-        Number of resamples.
-
     References
     ----------
     Breiman, Bagging Predictors, Machine Learning 24 (1996).
@@ -248,18 +218,6 @@ def unseen_return(trails: Trails, rng: np.random.Generator) -> float:
 def single_joints(problem: Problem, levels: Sequence[int] | None = None) -> list[tuple[int, ...]]:
     """Enumerate single-joint excitations at every level; 0 is off.
 
-    Parameters
-    ----------
-    problem : Problem
-        The arm.
-    levels : sequence of int, optional
-        Levels to try, 1 for the lowest; all by default.
-
-    Raises
-    ------
-    InvalidSetting
-        If the arm has no such level.
-
     Examples
     --------
     >>> from loose_env.arms import planar
@@ -288,15 +246,6 @@ def best_constant(
 
     All candidates play a quarter of the episodes, the better half of them half of these, and so
     on; whoever is left plays all. Each is judged at the threshold that suits it best.
-
-    Parameters
-    ----------
-    candidates : sequence of tuple of int
-        Levels of all joints.
-    play : callable
-        Takes a candidate and a number of episodes, the same ones for all.
-    episodes : int
-        Episodes of the last round.
     """
     left = list(candidates)
     share = max(1, episodes // 4)
@@ -320,22 +269,6 @@ def best_sequences(
 
     Those of the last round, four or fewer, give the best for each number of records without
     stopping, and the best with a stopping probability that suits it.
-
-    Parameters
-    ----------
-    candidates : sequence of sequences of actions
-        What is chosen from.
-    play : callable
-        Takes a candidate and a number of episodes, the same ones for all.
-    episodes : int
-        Episodes of the last round.
-    lengths : int
-        Numbers of records, 1 to this.
-
-    Returns
-    -------
-    dict
-        Sequence by "1", "2", ... and "stopping".
     """
     left, share = list(candidates), max(1, episodes // 4)
     found: dict[str, Records] = {}
@@ -366,21 +299,7 @@ def write_tuned(
     information: Mapping[str, object] | None = None,
     fixed: Mapping[str, Records] | None = None,
 ) -> None:
-    """Write tuned values into a settings file, keeping its other entries.
-
-    Parameters
-    ----------
-    path : Path
-        As `loose_agents.belief.tuned` reads it.
-    stop : dict
-        Stopping probability by ``estimator/policy``.
-    constant : sequence of int, optional
-        Best levels of one joint.
-    fixed : mapping, optional
-        Fixed sequences, as `best_sequences` finds them.
-    information : mapping, optional
-        Fields of `loose_env.diagnosis.experiment_design.information_gain.InformationFactors`.
-    """
+    """Write tuned values into a settings file, keeping its other entries."""
     known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     known["stop"] = dict(sorted({**known.get("stop", {}), **stop}.items()))
     if constant is not None:
@@ -424,11 +343,6 @@ class Player:
 
 def names_of(agent: str) -> tuple[str, str]:
     """Estimator and policy of an agent; the name alone of a learned one.
-
-    Raises
-    ------
-    UnknownName
-        If there is no such estimator or policy.
 
     Examples
     --------
@@ -486,26 +400,6 @@ def play_player(
 
     What lies in the folder is not played again, be it from an interrupted call or from one for
     fewer episodes.
-
-    Parameters
-    ----------
-    player : Player
-        Who plays.
-    problem : Problem
-        The problem of the player's environment.
-    episodes : int
-        Number of episodes.
-    folder : Path
-        Where shards lie.
-    settings : BackendSettings, optional
-        Where shards run.
-    shard : int
-        Episodes a shard; no trail depends on it.
-
-    Raises
-    ------
-    ShardFailed
-        If the trained posterior is not, or no longer, the player's.
     """
     kept = {**asdict(player), "settings": problem.settings, "version": loose_env.__version__}
     where = folder / configuration_hash(canonical(kept))[:16]

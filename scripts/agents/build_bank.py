@@ -21,9 +21,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from loose_agents.execution.backends import BackendSettings
-from loose_agents.execution.command import command, option
-from loose_agents.execution.shard_store import ShardStore
+from loose_agents.jobs import BackendSettings, Store
 from loose_agents.record_bank import (
     BankOptions,
     BankPlan,
@@ -31,12 +29,15 @@ from loose_agents.record_bank import (
     build_features,
 )
 
+from loose_env.cli.command import command
+
 
 @dataclass(frozen=True, kw_only=True)
 class Options(BankOptions, BackendSettings):
     """Options of the script."""
 
-    records_only: bool = option(False, "work out no features")
+    records_only: bool = False
+    """Work out no features."""
 
 
 def build(options: Options) -> None:
@@ -45,7 +46,9 @@ def build(options: Options) -> None:
     begin = time.perf_counter()
     store = build_bank(plan, folder, options)
     made = time.perf_counter() - begin
-    records = sum(int((part["slots"][:, :, 0] > 0.5).sum()) for part in store.read_all(plan.shards))
+    records = sum(
+        int((part["slots"][:, :, 0] > 0.5).sum()) for part in map(store.read, plan.shards)
+    )
     print(
         f"{plan.episodes} episodes, {records} records, {megabytes(store, plan):.1f} MB in "
         f"{store.folder}; this run took {made:.1f} s"
@@ -60,7 +63,7 @@ def build(options: Options) -> None:
         )
 
 
-def megabytes(store: ShardStore, plan: BankPlan) -> float:
+def megabytes(store: Store, plan: BankPlan) -> float:
     """Size of a bank's files in a folder [MB]; other episodes may lie there too."""
     return sum(store.path(shard).stat().st_size for shard in plan.shards) / 1e6
 

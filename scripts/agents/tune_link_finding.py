@@ -22,8 +22,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from loose_agents.base import Agent, Problem
 from loose_agents.evaluation import arguments_of, evaluate, problem_of
-from loose_agents.execution.command import command, option
-from loose_agents.execution.progress import ProgressLine
+from loose_agents.jobs import ProgressLine
 from loose_agents.policies.classical import (
     ClassicalAgent,
     ClassicalSettings,
@@ -34,6 +33,7 @@ from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.registry import classical_settings
 
 from loose_env.arms import MismatchDraw
+from loose_env.cli.command import command
 from loose_env.diagnosis import (
     LinkFindingSettings,
     Order,
@@ -218,12 +218,18 @@ METHODS: Mapping[Method, tuple[Draw, Callable[[Problem, Any], Agent]]] = {
 class Options:
     """Options of the search."""
 
-    env: tuple[str, ...] = option(("loose_env/Vera-v0",), "environment ids")
-    arguments: str = option("{}", "their arguments, as JSON")
-    methods: tuple[Method, ...] = option(get_args(Method), "methods to tune")
-    candidates: Count = option(72, "settings to try a method")
-    episodes: Count = option(32, "episodes that each plays on every arm; the better ones play on")
-    out: str = option("agents/loose_agents/weights", "folder of the results")
+    env: tuple[str, ...] = ("loose_env/Vera-v0",)
+    """Environment ids."""
+    arguments: str = "{}"
+    """Their arguments, as JSON."""
+    methods: tuple[Method, ...] = get_args(Method)
+    """Methods to tune."""
+    candidates: Count = 72
+    """Settings to try a method."""
+    episodes: Count = 32
+    """Episodes that each plays on every arm; the better ones play on."""
+    out: str = "agents/loose_agents/weights"
+    """Folder of the results."""
 
 
 def tune(options: Options) -> None:
@@ -289,11 +295,6 @@ def halving(
 
 def choose(returns: Array, right: Array) -> int:
     """Settings most often right among those within a standard error of the best return.
-
-    Parameters
-    ----------
-    returns, right : ndarray (settings, arms, episodes)
-        Returns and successes on the same episodes.
 
     Examples
     --------

@@ -217,15 +217,7 @@ def earlier_code(commit: str) -> Iterator[Path | None]:
 def engine_times(
     env_id: str, arms: Sequence[int], rounds: int, duration: int | None, earlier: Path | None
 ) -> list[tuple[int, float, float, float, float, float]]:
-    """Time the reduced engine and its rivals in turn; all but the reduced ones once.
-
-    Returns
-    -------
-    list of (int, float, float, float, float, float)
-        For each number of arms: itself, then seconds a record of the reduced engine; seconds of
-        processor time of it, of its earlier code (NaN without it) and of MuJoCo; seconds of two
-        processes. MuJoCo and these are timed at the smallest number: more arms change little.
-    """
+    """Time the reduced engine and its rivals in turn; all but the reduced ones once."""
     least = min(arms)
     wall: dict[int, list[float]] = {count: [] for count in arms}
     ours: dict[int, list[float]] = {count: [] for count in arms}
@@ -308,14 +300,7 @@ def import_time() -> tuple[float, bool]:
 
 
 def file_times(model: Path, arms: int) -> tuple[float, float, float]:
-    """Time an arm from its file to a running vector environment, in a fresh interpreter [s].
-
-    Returns
-    -------
-    tuple of 3 floats
-        The imports alone; from file to environment, reset included; its first step, in which every
-        arm shakes one joint for 1.2 s.
-    """
+    """Time an arm from its file to a running vector environment, in a fresh interpreter [s]."""
     code = (
         "import time, warnings; warnings.simplefilter('ignore'); begin = time.perf_counter()\n"
         "import numpy as np, loose_env, loose_env.envs.vector_env\n"

@@ -9,8 +9,8 @@ import argparse
 import re
 from pathlib import Path
 
-from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.execution.study import write_between
+from loose_env.cli.command import errors_in_one_line
+from scripts.study import write_between
 
 __all__ = ["PARTS", "main", "threshold_table"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from loose_agents.execution.study import write_between
+from scripts.study import write_between
 
 from loose_env.diagnosis import LinkFindingSettings
 from loose_env.doctor import thresholds as doctor

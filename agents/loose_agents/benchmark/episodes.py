@@ -63,13 +63,6 @@ class OtherArmRig:
 
     Each body is longer or shorter, and heavier or lighter, by one share. Which of the two is
     drawn from the mismatch of the arm, so it takes nothing from any other draw.
-
-    Parameters
-    ----------
-    rig : BatchRig
-        What measures.
-    off : float
-        The share.
     """
 
     def __init__(self, rig: BatchRig, off: float = OFF) -> None:
@@ -154,15 +147,7 @@ def rig_for(kind: str, problem: Problem, slots: int) -> BatchRig | None:
 
 
 def noisier(sensors: SensorSuite, factor: float) -> SensorSuite:
-    """The same sensors with more noise; the nominal columns of an observation know nothing of it.
-
-    Parameters
-    ----------
-    sensors : SensorSuite
-        Sensors of the task.
-    factor : float
-        Factor on the standard deviations of the noise [1].
-    """
+    """The same sensors with more noise; an observation's nominal columns stay as they are."""
     encoder, tool = sensors.encoder, sensors.accelerometer
     return replace(
         sensors,
@@ -213,11 +198,6 @@ SETS: Mapping[str, EpisodeSet] = MappingProxyType(
 def set_named(name: str) -> EpisodeSet:
     """Look up a set.
 
-    Raises
-    ------
-    UnknownName
-        If there is none of that name.
-
     Examples
     --------
     >>> set_named("test").episodes
@@ -229,13 +209,7 @@ def set_named(name: str) -> EpisodeSet:
 
 
 def task_problem(task: str, episodes: EpisodeSet) -> Problem:
-    """The problem of a task, with the engine that a set needs.
-
-    Raises
-    ------
-    UnknownName
-        If it is no task of the benchmark.
-    """
+    """The problem of a task, with the engine that a set needs."""
     if task not in TASKS:
         raise UnknownName(f"unknown task {task!r}; tasks are {list(TASKS)}")
     return problem_of(task, arguments_for(episodes.kind, {"engine": ENGINE}))

@@ -53,13 +53,7 @@ def results_path(folder: Path, task: str, set_name: str, entry: str) -> Path:
 
 
 def stored_results(folder: Path) -> list[Results]:
-    """Read all results files below a folder, tasks and sets in their order.
-
-    Raises
-    ------
-    InvalidData
-        If one cannot be read, or two entries of a set have one name.
-    """
+    """Read all results files below a folder, tasks and sets in their order."""
     found = [read_results(path) for path in sorted(folder.rglob("*.json"))]
     seen: set[tuple[str, str, str]] = set()
     for each in found:

@@ -36,13 +36,7 @@ from loose_env.wrappers import record_from
 
 
 class RandomPolicy:
-    """Excites one random joint at a random level and duration, in random poses.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    """
+    """Excites one random joint at a random level and duration, in random poses."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
@@ -65,17 +59,7 @@ def random_moves(problem: Problem, situation: Situation) -> NDArray[np.intp]:
 
 
 class ConstantPolicy:
-    """Applies a constant excitation in random poses.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    levels : sequence of int
-        Level of every joint, 0 for off.
-    duration : int, optional
-        Index of the record length; the longest by default.
-    """
+    """Applies a constant excitation in random poses."""
 
     def __init__(
         self, problem: Problem, levels: tuple[int, ...], *, duration: int | None = None
@@ -95,13 +79,7 @@ class ConstantPolicy:
 
 
 def information_of(problem: Problem, estimator: Estimator) -> RecordInformation:
-    """Build the information criterion for the beliefs of an estimator.
-
-    Raises
-    ------
-    InvalidSetting
-        If the estimator keeps no posterior over places and frictions.
-    """
+    """Build the information criterion for the beliefs of an estimator."""
     posterior = getattr(estimator, "posterior", None)
     fitted = tuned(problem).get("information")
     factors = None
@@ -201,15 +179,7 @@ class Candidate:
 def poses(
     problem: Problem, situation: Situation, count: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Sample moves uniformly from the allowed ranges, with the resulting poses.
-
-    Returns
-    -------
-    moves : ndarray of int (K, n)
-        Without repetition, at most ``count``.
-    poses : ndarray (K, n)
-        Where they lead [rad or m].
-    """
+    """Sample moves uniformly from the allowed ranges, with the resulting poses."""
     allowed = problem.actions.allowed_moves(situation.pose)
     options = [np.flatnonzero(row) for row in allowed]
     total = int(np.prod([len(o) for o in options], dtype=np.int64))
@@ -286,17 +256,7 @@ class GreedySettings:
 
 
 class GreedyPolicy:
-    """Maximises expected information over pose, joints, level and duration.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    information : RecordInformation
-        What weighs the records.
-    settings : GreedySettings, optional
-        How many records are weighed.
-    """
+    """Maximises expected information over pose, joints, level and duration."""
 
     def __init__(
         self,
@@ -369,15 +329,6 @@ class LookAheadPolicy:
 
     Values are those of the environment's prices: the expected reward of the best name, less
     what the records cost.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    information : RecordInformation
-        What imagines the records.
-    settings : LookAheadSettings, optional
-        How far and how widely it looks.
     """
 
     def __init__(
@@ -454,18 +405,6 @@ class FixedPolicy:
 
     The first pose is random and moves are relative, so a move may lead out of a joint's range: the
     joint then makes the opposite move if it can, and stays if not.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    sequence : sequence of sequence of int
-        Actions that take a record.
-
-    Raises
-    ------
-    InvalidSetting
-        If there is none.
     """
 
     def __init__(self, problem: Problem, sequence: Sequence[Sequence[int]]) -> None:
@@ -522,13 +461,7 @@ def drawn_sequences(
 
 
 def tuned_sequence(problem: Problem, records: int | None = None) -> Records:
-    """Best sequence found on training episodes: of a number of records, or with its own stopping.
-
-    Raises
-    ------
-    InvalidSetting
-        If none was chosen for these rules.
-    """
+    """Best sequence of training episodes: of a number of records, or with its own stopping."""
     chosen = tuned(problem).get("fixed", {}).get("stopping" if records is None else str(records))
     if chosen is None:
         raise InvalidSetting(
@@ -544,17 +477,6 @@ class OpenLoopPolicy:
 
     It knows where the arm is and which records were taken, and counts on what they will have
     shown on average over the prior.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    information : RecordInformation
-        What weighs the records.
-    estimator : Estimator
-        Its prior is that of the policy.
-    settings : GreedySettings, optional
-        How many records are weighed.
     """
 
     def __init__(
@@ -592,19 +514,7 @@ class OpenLoopPolicy:
 def designed_sequences(
     policy: OpenLoopPolicy, estimator: Estimator, count: int, length: int, *, seed: int
 ) -> list[Records]:
-    """Sequences that the model chooses in open loop, each from another first pose.
-
-    Parameters
-    ----------
-    policy : OpenLoopPolicy
-        What chooses.
-    estimator : Estimator
-        Its own.
-    count, length : int
-        Number of sequences, and of records in each.
-    seed : int
-        Seed of the first poses.
-    """
+    """Sequences that the model chooses in open loop, each from another first pose."""
     problem, stopping = policy.problem, AfterRecords(records=length + 1)
     agent = BeliefAgent(problem, estimator, policy, stopping, surprising=0.0)
     batch = EpisodeBatch(problem.arm, problem.settings, threads=1)

@@ -50,11 +50,6 @@ class SeatSearch:
     """Chooses records while nothing is seen, and says when to stop searching.
 
     Weights (P, F) are probabilities of places of the coverage and of their frictions.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -78,19 +73,7 @@ class SeatSearch:
     def next(
         self, rng: np.random.Generator, pose: Array, levels: Levels, weights: Array
     ) -> tuple[NDArray[np.intp], float]:
-        """Moves (n,) to the pose, of some at random, in which most seats open, and how many do.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Draws the moves.
-        pose : ndarray (n,)
-            Where the arm is.
-        levels : callable
-            Levels at which joints are excited.
-        weights : ndarray (P, F)
-            Weights of the seats.
-        """
+        """Moves (n,) to the pose, of some at random, in which most seats open, and how many do."""
         actions, n = self.problem.actions, self.problem.arm.n
         allowed = [np.flatnonzero(row) for row in actions.allowed_moves(pose)]
         tried = [np.array([rng.choice(own) for own in allowed]) for _ in range(_TRIED)]
@@ -117,17 +100,7 @@ class SeatSearch:
         return self.coverage.shown(pose, np.array([0.0, *self.problem.arm.levels])[levels])
 
     def pays(self, missed: Array, opened: float, duration: float) -> bool:
-        """Tell whether a further record is worth its price.
-
-        Parameters
-        ----------
-        missed : ndarray (P, F)
-            Weights of the seats that no record has shown.
-        opened : float
-            Part of them that the record would show.
-        duration : float
-            Length of the record [s].
-        """
+        """Tell whether a further record is worth its price."""
         prices = self.problem.settings.prices
         named = next(name for name in self.problem.hypotheses if name != "healthy")
         better = prices.correct - prices.verdict("healthy", named)
@@ -221,20 +194,7 @@ class Search:
 
 
 class ClassicalAgent(EpisodeAgent):
-    """Link finding with directions of change, pooled over poses (3.34, 3.4, 4.2.2).
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    settings : ClassicalSettings
-        Order, excitation and thresholds.
-
-    Raises
-    ------
-    InvalidSetting
-        If none of the hypotheses is structural looseness or backlash.
-    """
+    """Link finding with directions of change, pooled over poses (3.34, 3.4, 4.2.2)."""
 
     def __init__(
         self, problem: Problem, settings: ClassicalSettings | None = None, *, seed: int = 0
@@ -437,21 +397,7 @@ def _angle(cosine: Array) -> Array:
 
 
 class LocalAgent(ClassicalAgent):
-    """Link finding by the change of motion at the tool and on the links.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules, accelerometers on links among the sensors.
-    settings : ClassicalSettings
-        Order, excitation and thresholds.
-
-    Raises
-    ------
-    InvalidSetting
-        If there are no accelerometers on links, or none of the hypotheses is structural looseness
-        or backlash.
-    """
+    """Link finding by the change of motion at the tool and on the links."""
 
     places: SensedPlaces
 
@@ -474,15 +420,7 @@ class LocalAgent(ClassicalAgent):
 
 
 class BlindAgent(EpisodeAgent):
-    """Gives the same verdict on every arm, whatever the record shows.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    verdict : str
-        A hypothesis, or "unsure".
-    """
+    """Gives the same verdict on every arm, whatever the record shows."""
 
     def __init__(self, problem: Problem, verdict: str, *, seed: int = 0) -> None:
         super().__init__(problem, seed=seed)

@@ -61,15 +61,7 @@ class _Search:
 
 
 class LinkFindingAgent(EpisodeAgent):
-    """Excites one joint, moves the others one by one, tracks the direction (4.2.2).
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    settings : LinkFindingSettings
-        Order, excitation and thresholds.
-    """
+    """Excites one joint, moves the others one by one, tracks the direction (4.2.2)."""
 
     def __init__(
         self, problem: Problem, settings: LinkFindingSettings | None = None, *, seed: int = 0
@@ -220,15 +212,7 @@ class _DirectionSearch:
 
 
 class SpaceLinkFindingAgent(EpisodeAgent):
-    """Spatial link finding: measure the direction of looseness, move, repeat (4.2.2).
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    settings : SpaceLinkFindingSettings
-        Policy and thresholds.
-    """
+    """Spatial link finding: measure the direction of looseness, move, repeat (4.2.2)."""
 
     def __init__(
         self, problem: Problem, settings: SpaceLinkFindingSettings | None = None, *, seed: int = 0

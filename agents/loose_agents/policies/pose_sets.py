@@ -48,13 +48,7 @@ Excited = Literal["all", "first"]
 
 
 def levels_for(problem: Problem, excited: Excited) -> NDArray[np.intp]:
-    """Level of every joint (n,).
-
-    Raises
-    ------
-    InvalidSetting
-        If ``excited`` is neither "all" nor "first".
-    """
+    """Level of every joint (n,)."""
     if excited not in ("all", "first"):
         raise InvalidSetting(f"excited joints are 'all' or 'first', got {excited!r}")
     top = len(problem.arm.levels)
@@ -66,13 +60,6 @@ def levels_for(problem: Problem, excited: Excited) -> NDArray[np.intp]:
 
 def nearest_moves(problem: Problem, pose: ArrayLike, target: ArrayLike) -> NDArray[np.intp]:
     """Move of each joint that brings it nearest to a target, within limits (n,).
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    pose, target : array_like (n,)
-        Where the joints are, and where they are wanted [rad, m where one slides].
 
     Examples
     --------
@@ -97,20 +84,6 @@ class PoseSetPolicy:
     """Visits a set of poses in order, by the nearest reachable moves.
 
     After the last pose it begins again.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    poses : array_like (P, n)
-        The set [rad, m where a joint slides].
-    excited : {"all", "first"}
-        Joints that are shaken at the top level.
-
-    Raises
-    ------
-    InvalidSetting
-        If the set is empty or a pose does not fit the arm.
     """
 
     def __init__(self, problem: Problem, poses: ArrayLike, *, excited: Excited = "all") -> None:
@@ -135,20 +108,6 @@ class GreedySeparation:
     """Maximises the posterior-weighted separation of the hypotheses' images.
 
     The first record is taken where the arm stands.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    excited : {"all", "first"}
-        Joints that are shaken at the top level.
-    sd : float
-        Standard deviation that the direction of an open seat is expected to have [rad].
-    candidates : int
-        Moves of all joints that are weighed against each other.
-    sight : callable, optional
-        Makes of a situation what is known about the directions; by default `image_posterior`,
-        which reads the memory of `loose_agents.belief.Tracker`.
     """
 
     def __init__(
@@ -192,20 +151,7 @@ class GreedySeparation:
 
 
 def image_posterior(problem: Problem, situation: Situation) -> LinkPosterior:
-    """Convert the tracker's belief to the input of the move selection.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    situation : Situation
-        With the memory of `loose_agents.belief.Tracker`.
-
-    Raises
-    ------
-    InvalidSetting
-        If the memory holds no belief about directions.
-    """
+    """Convert the tracker's belief to the input of the move selection."""
     belief = getattr(situation.memory, "belief", None)
     if belief is None:
         raise InvalidSetting(
@@ -234,15 +180,6 @@ class MovesOf:
     """Copies another agent's moves, at the common excitation.
 
     Where that agent would give a verdict the arm stays. One instance plays one episode.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    agent : Agent
-        Anything with ``predict``.
-    excited : {"all", "first"}
-        Joints that are shaken at the top level, whatever the agent asks for.
     """
 
     def __init__(self, problem: Problem, agent: Agent, *, excited: Excited = "all") -> None:
@@ -335,22 +272,7 @@ def stream(seed: int, arm: str, case: int, *kind: int) -> np.random.Generator:
 
 
 def link_log_likelihoods(images: Array, seen: Array, width: float) -> Array:
-    """Log-likelihood of each link after each pose; vectorised `link_posterior`.
-
-    Parameters
-    ----------
-    images : ndarray (cases, poses, n, d, d)
-        From each link's frame to the tool's.
-    seen : ndarray (cases, poses, d)
-        Axes seen.
-    width : float
-        Of their density, as from `bingham_width` [rad].
-
-    Returns
-    -------
-    ndarray (cases, poses, n)
-        Relative to uniform axes.
-    """
+    """Log-likelihood of each link after each pose; vectorised `link_posterior`."""
     d = seen.shape[-1]
     across = (np.eye(d) - seen[..., :, None] * seen[..., None, :]) / width**2
     carried = np.einsum("ctkia,ctij,ctkjb->ctkab", images, across, images).cumsum(axis=1)
@@ -552,21 +474,6 @@ def informed_links(
 
     Neither says which link it is: both are drawn alike for all. Nodes of the posterior's grid near
     the truth count, those half a spacing away for 0.6.
-
-    Parameters
-    ----------
-    posterior : FaultPosterior
-        For the range of friction.
-    belief : Belief
-        What the records say.
-    direction : ndarray (d,)
-        Of the slide, in its link's frame.
-    friction : float
-        Over the seat drive of the top level [1].
-
-    Returns
-    -------
-    ndarray (n,)
     """
     axes, count = belief.directions, len(belief.directions)
     spacing = np.pi / count if axes.shape[1] == 2 else np.sqrt(2 * np.pi / count)

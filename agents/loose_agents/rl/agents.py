@@ -60,13 +60,6 @@ class PolicyForm:
     It chooses moves, levels and a record length by the entries of the environment's action, and
     in place of the verdict whether to stop.
 
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    further : int
-        How many numbers the estimator shows beside the probabilities.
-
     Examples
     --------
     >>> from loose_env.arms import planar
@@ -109,17 +102,7 @@ class PolicyForm:
         return np.asarray(np.clip(both, space.low, space.high))
 
     def stops(self, choice: NDArray[np.int64], records: int, *, least: int = 1) -> bool:
-        """Return True if a choice ends the episode, within the record limits.
-
-        Parameters
-        ----------
-        choice : ndarray (choices,)
-            What the policy chose.
-        records : int
-            Records taken so far.
-        least : int
-            Records before which stopping is refused.
-        """
+        """Return True if a choice ends the episode, within the record limits."""
         most = self.problem.settings.max_records
         return records >= most or (bool(choice[-1]) and records >= min(max(least, 1), most))
 
@@ -181,19 +164,7 @@ class _Memory:
 
 
 class LearnedAgent(EpisodeAgent):
-    """Plays a trained policy.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules; must be those of the training.
-    network : PolicyNetwork
-        The policy.
-    estimator : Estimator, optional
-        What the records say; the analytic posterior by default. Must be that of the training.
-    stopping : StoppingRule, optional
-        When to stop; by default when the policy says so.
-    """
+    """Plays a trained policy."""
 
     def __init__(
         self,
@@ -211,14 +182,7 @@ class LearnedAgent(EpisodeAgent):
 
     @classmethod
     def load(cls, problem: Problem, folder: str | Path) -> LearnedAgent:
-        """Load the weights that `scripts/agents/train.py` wrote.
-
-        Raises
-        ------
-        InvalidData
-            If there are none, if they are of another format, or if they were trained for
-            another arm or other spaces.
-        """
+        """Load the weights that `scripts/agents/train.py` wrote."""
         where = Path(folder)
         described = where / CONFIGURATION
         if not described.is_file():
@@ -278,15 +242,7 @@ class LearnedAgent(EpisodeAgent):
 
 
 class ModelAgent(EpisodeAgent):
-    """Plays a policy trained on the environment's own observation and action.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules; must be those of the training.
-    network : PolicyNetwork
-        The policy.
-    """
+    """Plays a policy trained on the environment's own observation and action."""
 
     def __init__(self, problem: Problem, network: PolicyNetwork, *, seed: int = 0) -> None:
         super().__init__(problem, seed=seed)
@@ -393,3 +349,15 @@ def _beside(stored: StoredModel) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+def described_run(folder: Path) -> dict[str, Any]:
+    """Configuration of a run or of an exported policy."""
+    path = folder / CONFIGURATION
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InvalidData(f"no configuration of a run at {path}") from error
+    if not isinstance(found, dict):
+        raise InvalidData(f"{path} must hold a JSON object")
+    return found

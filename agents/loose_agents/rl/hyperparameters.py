@@ -43,15 +43,7 @@ class LinearSchedule:
 
 
 def algorithm_named(name: str) -> type[Any]:
-    """Return the algorithm class by its rl-zoo name.
-
-    Raises
-    ------
-    UnknownName
-        If it is none of `ALGORITHMS`.
-    MissingExtra
-        If the package that has it is not installed.
-    """
+    """Return the algorithm class by its rl-zoo name."""
     if name not in ALGORITHMS:
         raise UnknownName(f"unknown algorithm {name!r}; algorithms are {list(ALGORITHMS)}")
     try:
@@ -69,13 +61,7 @@ def algorithm_named(name: str) -> type[Any]:
 
 
 def whole(value: Any, name: str) -> int:
-    """Read a whole number, which YAML may give as 1e6 or as text.
-
-    Raises
-    ------
-    InvalidSetting
-        If it is none, or negative.
-    """
+    """Read a whole number, which YAML may give as 1e6 or as text."""
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -89,11 +75,6 @@ def value_of(text: str) -> Any:
     """Parse a Python literal or ``dict(...)``; words and paths without brackets are strings.
 
     Nothing is run.
-
-    Raises
-    ------
-    InvalidSetting
-        If it is anything else.
 
     Examples
     --------
@@ -149,11 +130,6 @@ def _value(node: ast.expr) -> Any:
 def key_values(words: Sequence[str], option: str) -> dict[str, Any]:
     """Parse ``key:value`` words in the syntax of rl-zoo's command line.
 
-    Raises
-    ------
-    InvalidSetting
-        If a word has no colon, or a value cannot be read.
-
     Examples
     --------
     >>> key_values(["n_links:3", 'hold:"servo"'], "--env-kwargs")
@@ -172,17 +148,7 @@ def key_values(words: Sequence[str], option: str) -> dict[str, Any]:
 
 
 def read_hyperparameters(path: str | Path, env_id: str) -> dict[str, Any]:
-    """Read an environment's hyperparameters, falling back to "default".
-
-    Raises
-    ------
-    InvalidSetting
-        If the file is no YAML of that form.
-    UnknownName
-        If it has neither entry.
-    MissingExtra
-        If PyYAML is not installed.
-    """
+    """Read an environment's hyperparameters, falling back to "default"."""
     try:
         import yaml  # type: ignore[import-untyped]
     except ImportError as error:
@@ -214,13 +180,6 @@ def model_arguments(given: dict[str, Any], algorithm: str) -> dict[str, Any]:
 
     Schedules such as "lin_3e-4" become functions, and policy_kwargs in text becomes a dict.
     What concerns the run and not the model is left out.
-
-    Raises
-    ------
-    InvalidSetting
-        If a value makes no sense, or asks for what these agents do not do.
-    UnknownName
-        If the algorithm has no such hyperparameter.
     """
     if given.get("normalize"):
         raise InvalidSetting(

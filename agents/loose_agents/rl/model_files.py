@@ -58,15 +58,7 @@ class StoredModel:
 
 
 def zipped(model: Any, state: Any) -> bytes:
-    """Serialise a stable-baselines3 model with the state of its run.
-
-    Parameters
-    ----------
-    model : BaseAlgorithm
-        The model.
-    state : dataclass
-        Plain values, lists and dictionaries of them, and the states of generators.
-    """
+    """Serialise a stable-baselines3 model with the state of its run."""
     buffer = io.BytesIO()
     model.save(buffer, exclude=_NOT_KEPT)
     remembered = {
@@ -80,14 +72,7 @@ def zipped(model: Any, state: Any) -> bytes:
 
 
 def read_model(path: str | Path, device: str = "cpu") -> StoredModel:
-    """Read tensors and plain settings; only torch's restricted unpickler is used.
-
-    Raises
-    ------
-    InvalidData
-        If the file is no such zip file, is cut short, or holds anything but tensors where tensors
-        belong.
-    """
+    """Read tensors and plain settings; only torch's restricted unpickler is used."""
     where = Path(path)
     try:
         with zipfile.ZipFile(where) as archive:
@@ -114,22 +99,7 @@ def read_model(path: str | Path, device: str = "cpu") -> StoredModel:
 
 
 def restore(stored: StoredModel, model: Any, kind: type[Any]) -> Any:
-    """Load tensors and counters into a new model; return the run state.
-
-    Parameters
-    ----------
-    stored : StoredModel
-        The file.
-    model : BaseAlgorithm
-        Made with the run's own options.
-    kind : type
-        Dataclass of the run's state.
-
-    Raises
-    ------
-    InvalidData
-        If the file is no checkpoint of a run, or does not fit the model.
-    """
+    """Load tensors and counters into a new model; return the run state."""
     if stored.run is None:
         raise InvalidData(f"{stored.path} is no checkpoint of this version: it has no {RUN}")
     put_parameters(stored, model)
@@ -143,13 +113,7 @@ def restore(stored: StoredModel, model: Any, kind: type[Any]) -> Any:
 
 
 def put_parameters(stored: StoredModel, model: Any) -> None:
-    """Load a file's tensors into a model.
-
-    Raises
-    ------
-    InvalidData
-        If they do not fit, or are not finite.
-    """
+    """Load a file's tensors into a model."""
     for name, value in stored.parameters["policy"].items():
         if not isinstance(value, torch.Tensor) or not bool(torch.isfinite(value).all()):
             raise InvalidData(f"{stored.path}: the weights {name!r} are not finite numbers")
@@ -160,13 +124,7 @@ def put_parameters(stored: StoredModel, model: Any) -> None:
 
 
 def network_arguments(stored: StoredModel) -> dict[str, Any]:
-    """Keyword arguments of the policy's network that are plain values.
-
-    Raises
-    ------
-    InvalidData
-        If it has parts that are not plain numbers, lists or known activations.
-    """
+    """Keyword arguments of the policy's network that are plain values."""
     given = stored.described.get("policy_kwargs") or {}
     if not isinstance(given, dict):
         raise InvalidData(f"{stored.path}: policy_kwargs is no object")

@@ -80,13 +80,7 @@ class PolicyNetwork:
 
 
 def network_of(model: Any, layout: ObservationLayout | None = None) -> PolicyNetwork:
-    """Copy the actor of a stable-baselines3 or sb3-contrib model.
-
-    Raises
-    ------
-    InvalidSetting
-        If its activation is neither Tanh nor ReLU.
-    """
+    """Copy the actor of a stable-baselines3 or sb3-contrib model."""
     name = model.policy.activation_fn.__name__.lower()
     if name not in _ACTIVATIONS:
         raise InvalidSetting(f"a policy ships with the activations Tanh or ReLU, not {name}")
@@ -104,26 +98,7 @@ def network_from_tensors(
     masked: bool,
     layout: ObservationLayout | None = None,
 ) -> PolicyNetwork:
-    """Build the actor from tensors under stable-baselines3's names.
-
-    Parameters
-    ----------
-    tensors : mapping
-        The state dictionary of a policy; what is no part of the actor is left out.
-    nvec : ndarray of int (choices,)
-        Options of every choice.
-    activation : str
-        "tanh" or "relu".
-    masked : bool
-        Whether it was trained with action masks.
-    layout : ObservationLayout, optional
-        Observation of a set network; needed for one.
-
-    Raises
-    ------
-    KeyError, ValueError
-        If they make no such network.
-    """
+    """Build the actor from tensors under stable-baselines3's names."""
     if activation not in _ACTIVATIONS:
         raise ValueError(f"the activation is one of {list(_ACTIVATIONS)}, got {activation!r}")
     names = sorted(
@@ -153,13 +128,7 @@ def network_from_tensors(
 
 
 def input_size(tensors: Mapping[str, torch.Tensor]) -> int | None:
-    """Numbers that the first layer of a plain actor takes; None of a set network.
-
-    Raises
-    ------
-    KeyError
-        If it has no first layer.
-    """
+    """Numbers that the first layer of a plain actor takes; None of a set network."""
     if f"{_EXTRACTOR}mean" in tensors:
         return None
     return int(tensors[f"{_HIDDEN}0.weight"].shape[1])
@@ -179,13 +148,7 @@ def save_network(network: PolicyNetwork, folder: str | Path) -> None:
 
 
 def load_network(folder: str | Path, form: _Form) -> PolicyNetwork:
-    """Read the weights that `save_network` wrote, for what a policy sees and chooses.
-
-    Raises
-    ------
-    InvalidData
-        If the file is missing, of another format or damaged, or its shapes do not fit.
-    """
+    """Read the weights that `save_network` wrote, for what a policy sees and chooses."""
     from safetensors import SafetensorError, safe_open
 
     path = Path(folder) / WEIGHTS

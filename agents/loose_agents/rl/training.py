@@ -41,7 +41,13 @@ from loose_agents.belief import (
     records_taken,
 )
 from loose_agents.evaluation import EpisodeRow, evaluate, make_environments
-from loose_agents.rl.agents import CONFIGURATION, LearnedAgent, ModelAgent, PolicyForm
+from loose_agents.rl.agents import (
+    CONFIGURATION,
+    LearnedAgent,
+    ModelAgent,
+    PolicyForm,
+    described_run,
+)
 from loose_agents.rl.hyperparameters import (
     LinearSchedule,
     algorithm_named,
@@ -120,15 +126,6 @@ def forced_records(done: float, *, first: int = 3, until: float = 0.4) -> int:
     would have told. So it is made to go on at first: before ``first`` records, then before
     fewer, down to one from the share ``until`` of the training on.
 
-    Parameters
-    ----------
-    done : float
-        Share of the training that is done, 0 to 1.
-    first : int
-        Records at the start.
-    until : float
-        Share of the training after which any number will do; 0 for no forcing.
-
     Examples
     --------
     >>> [forced_records(share) for share in (0.0, 0.19, 0.21, 0.4, 1.0)]
@@ -155,22 +152,6 @@ class TrackedVecEnv(VecEnvWrapper):
     unshaped one: at 0.1, going from 90 to 95 % pays 0.005, a tenth of a record's price.
 
     Only the training looks at the truth. The returns in ``info["episode"]`` are unshaped.
-
-    Parameters
-    ----------
-    env : DiagnosisVectorEnv
-        The environments.
-    problem : Problem
-        The nominal arm and the rules, as the agent will have them.
-    estimator : Estimator, optional
-        What the records say; the analytic posterior by default.
-    shaping : float
-        Weight of the gain in log-posterior [1 / nat].
-
-    Raises
-    ------
-    InvalidSetting
-        If the weight is negative or no number.
     """
 
     def __init__(
@@ -394,22 +375,6 @@ class RunFolder:
         (self.root / WEIGHTS).unlink(missing_ok=True)
         shutil.rmtree(self.best, ignore_errors=True)
 
-    def described(self) -> dict[str, Any]:
-        """Read the configuration.
-
-        Raises
-        ------
-        InvalidData
-            If it is missing or cannot be read.
-        """
-        try:
-            found = json.loads(self.configuration.read_text(encoding="utf-8"))
-        except (OSError, json.JSONDecodeError) as error:
-            raise InvalidData(f"no configuration of a run at {self.configuration}") from error
-        if not isinstance(found, dict):
-            raise InvalidData(f"{self.configuration} must hold a JSON object")
-        return found
-
     def export(self, target: Path) -> None:
         """Copy the best policy, or the last if none was evaluated, weights last."""
         source = self.best if (self.best / WEIGHTS).is_file() else self.root
@@ -457,13 +422,7 @@ def write_curve(path: Path, points: Sequence[CurvePoint]) -> None:
 
 
 def read_curve(path: Path) -> list[CurvePoint]:
-    """Read the points of a curve.
-
-    Raises
-    ------
-    InvalidData
-        If the file is missing or no such table.
-    """
+    """Read the points of a curve."""
     whole = ("steps", "records", "episodes")
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -507,13 +466,7 @@ class RunState:
         }
 
     def restore_generators(self) -> None:
-        """Restore the states of the global random generators.
-
-        Raises
-        ------
-        InvalidData
-            If they are no states of these generators.
-        """
+        """Restore the states of the global random generators."""
         if self.generators:
             try:
                 random.setstate(self.generators["python"])
@@ -878,7 +831,7 @@ def _checkpointed(
     problem: Problem,
 ) -> Any:
     """Load the model that a run goes on with; nothing in the file is run."""
-    before = folder.described()
+    before = described_run(folder.root)
     keys = (set(before) | set(configuration)) - set(NOT_COMPARED)
     differ = sorted(key for key in keys if before.get(key) != configuration.get(key))
     if differ:

@@ -17,10 +17,11 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from loose_agents.execution.command import command, option
-from loose_agents.execution.progress import ProgressLine
+from loose_agents.jobs import ProgressLine
+from scripts.study_parts.arms import seat_in_tool
 
 from loose_env.arms import CREST_FACTOR, Arm, LinearArm, LinearPose, vera
+from loose_env.cli.command import command
 from loose_env.diagnosis import statistics_of
 from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import Excitation, Shaping, at_levels
@@ -34,7 +35,6 @@ from loose_env.statistics import (
 )
 from loose_env.thesis.methods.motion.signals import spectral_flatness
 from loose_env.typing import Array
-from scripts.study_parts.arms import seat_in_tool
 
 Compensation = Literal["flat torque", "white joint motion", "white tool motion"]
 COMPENSATIONS: tuple[Compensation, ...] = get_args(Compensation)
@@ -53,9 +53,12 @@ DRAWS = 2000
 class Settings:
     """Settings of the study."""
 
-    arms: Count = option(64, "arms, each with its own fault, mismatch and pose")
-    level: Count = option(3, "excitation level, from 1")
-    seed: int = option(0, "root of all draws")
+    arms: Count = 64
+    """Arms, each with its own fault, mismatch and pose."""
+    level: Count = 3
+    """Excitation level, from 1."""
+    seed: int = 0
+    """Root of all draws."""
 
 
 def inverse_of(frequency: Array, size: Array) -> Shaping:

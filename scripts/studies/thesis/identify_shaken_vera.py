@@ -17,12 +17,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from loose_agents.execution.command import command, option
-from loose_agents.execution.progress import ProgressLine
+from loose_agents.jobs import ProgressLine
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
 from loose_env.arms import ShakenArm
+from loose_env.cli.command import command
 from loose_env.io import Count
 from loose_env.statistics import axial_difference
 from loose_env.thesis import (
@@ -78,12 +78,7 @@ def parameters_of(
 def healthy_cases(
     parameters: ShakenVeraParameters, points: int = 200, pin: Pin = "engaged"
 ) -> NDArray[np.float64]:
-    """Direction of lowest correlation, from the tool's x axis [rad], and maximum correlation.
-
-    Returns
-    -------
-    ndarray (poses, 2)
-    """
+    """Direction of lowest correlation, from the tool's x axis [rad], and maximum correlation."""
     shaken = ShakenArm(shaken_vera(pin=pin, parameters=parameters), points=points)
     found = []
     for theta2, _, _ in printed_healthy():
@@ -108,9 +103,12 @@ def misfit(parameters: ShakenVeraParameters) -> float:
 class Settings:
     """Settings of the search."""
 
-    seed: int = option(0, "seed of the search")
-    generations: Count = option(40, "generations of differential evolution")
-    stiff_pin: bool = option(False, "hold the pin nearly rigid and fit the other parameters")
+    seed: int = 0
+    """Seed of the search."""
+    generations: Count = 40
+    """Generations of differential evolution."""
+    stiff_pin: bool = False
+    """Hold the pin nearly rigid and fit the other parameters."""
 
 
 def identify(settings: Settings) -> None:

@@ -18,11 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from loose_agents.execution.command import command, option
-from loose_agents.execution.progress import ProgressLine
+from loose_agents.jobs import ProgressLine
 from scipy.stats import rankdata
 
 from loose_env.arms import Arm, LinearArm, planar, vera
+from loose_env.cli.command import command
 from loose_env.diagnosis import SensorFloor, predict, statistics_of
 from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
@@ -44,9 +44,12 @@ DRAWS = 1000
 class Settings:
     """Settings of the study."""
 
-    arms: Count = option(128, "arms of each kind of fault, with as many healthy twins")
-    level: Count = option(3, "excitation level, from 1")
-    seed: int = option(0, "root of all draws")
+    arms: Count = 128
+    """Arms of each kind of fault, with as many healthy twins."""
+    level: Count = 3
+    """Excitation level, from 1."""
+    seed: int = 0
+    """Root of all draws."""
 
 
 def indices_of(record: Measurement, linear: LinearArm, joint: int) -> list[float]:

@@ -15,10 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from loose_agents.execution.command import command, option
-from loose_agents.execution.progress import ProgressLine
+from loose_agents.jobs import ProgressLine
 
 from loose_env.arms import Arm, LinearArm, planar, scara, six_axis
+from loose_env.cli.command import command
 from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import UnknownName
 from loose_env.excitation import Excitation, torque_signals
@@ -39,12 +39,18 @@ BAND = (1.0, 6.0)
 class Settings:
     """Settings of the study."""
 
-    arm: str = option("six_axis", f"one of {list(ARMS)}")
-    cases: Count = option(36, "arms at every stiffness and friction; every third is healthy")
-    poses: Count = option(4, "poses to dock in")
-    push: Positive = option(0.1, "rms torque over the torque limit of each drive")
-    seconds: Positive = option(2.0, "length of a record [s]")
-    seed: int = option(0, "root of all draws")
+    arm: str = "six_axis"
+    """One of {list(ARMS)}."""
+    cases: Count = 36
+    """Arms at every stiffness and friction; every third is healthy."""
+    poses: Count = 4
+    """Poses to dock in."""
+    push: Positive = 0.1
+    """Rms torque over the torque limit of each drive."""
+    seconds: Positive = 2.0
+    """Length of a record [s]."""
+    seed: int = 0
+    """Root of all draws."""
 
 
 @dataclass(frozen=True, kw_only=True)

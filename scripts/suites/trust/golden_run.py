@@ -21,8 +21,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from loose_agents.execution.script_errors import errors_in_one_line
-
+from loose_env.cli.command import errors_in_one_line
 from loose_env.errors import InvalidSetting
 from scripts.suites.trust.golden import GOLDEN, PARTS
 

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 import numpy as np
 import pytest
 from loose_agents.base import Problem
-from loose_agents.belief import Situation, Tracker
+from loose_agents.belief import Situation, Tracker, make_estimator, tuning_name
 from loose_agents.policies.choice import (
     POLICIES,
     ConstantPolicy,
+    FixedPolicy,
     candidate_at,
+    drawn_sequences,
     excitations,
     information_of,
     make_policy,
     poses,
 )
+from loose_agents.registry import make_agent
+from loose_agents.tuning import Trails, best_sequences
 
 from loose_env.arms import planar
-from loose_env.envs import DiagnosisSettings
-from loose_env.envs.settings import Prices
+from loose_env.envs import DiagnosisSettings, EpisodeBatch, Prices
 from loose_env.errors import InvalidSetting, UnknownName
 
 
@@ -117,3 +123,88 @@ def test_wrong_settings_are_refused(problem, estimator):
         ConstantPolicy(problem, (0, 0, 0))
     with pytest.raises(UnknownName, match="policies are"):
         make_policy("best", problem, estimator)
+
+
+RULES = DiagnosisSettings(engine="reduced", durations=(0.2,), max_excited=1)
+
+
+def situation_in(problem: Problem, observation: Any, estimator: Any, records: int) -> Situation:
+    memory = estimator.begin()
+    probabilities = estimator.follow(observation, memory)
+    return Situation(
+        observation=observation,
+        pose=problem.layout.pose_of(observation),
+        records=records,
+        probabilities=probabilities,
+        memory=memory,
+        rng=np.random.default_rng(0),
+    )
+
+
+def test_a_fixed_sequence_turns_back_at_the_limit_of_a_joint() -> None:
+    problem = Problem.of(planar(2), RULES)
+    batch = EpisodeBatch(problem.arm, RULES)
+    batch.start(0, seed=1, number=0, options={"pose": [0.0, np.radians(149.0)]})
+    action = problem.actions.encode(moves=np.array([3, 4]), levels=np.array([0, 2]))
+    policy = FixedPolicy(problem, [action.tolist()])
+    estimator = make_estimator("posterior", problem)
+    chosen = problem.actions.decode(
+        policy.choose(situation_in(problem, batch.observe(0), estimator, 5))
+    )
+    assert chosen.moves.tolist() == [3, 0]  # joint 2 by -90 instead of 90 degrees
+    assert chosen.levels.tolist() == [0, 2]
+    with pytest.raises(InvalidSetting, match="one record"):
+        FixedPolicy(problem, [])
+
+
+def test_drawn_sequences_keep_to_the_rules_and_excite_each_joint_in_turn() -> None:
+    problem = Problem.of(planar(3), RULES)
+    for sequence in drawn_sequences(problem, 4, 6, np.random.default_rng(0)):
+        joints = [int(np.argmax(problem.actions.decode(a).levels)) for a in sequence]
+        assert sorted(joints[:3]) == sorted(joints[3:]) == [0, 1, 2]
+
+
+def test_the_open_loop_is_blind_to_results() -> None:
+    problem = Problem.of(planar(2), RULES)
+    estimator = make_estimator("posterior", problem)
+    policy = make_policy("open_loop", problem, estimator)
+    seen = []
+    for fault in ("healthy", "backlash@joint1", "structural_looseness@link2"):
+        batch = EpisodeBatch(problem.arm, RULES)
+        batch.start(0, seed=1, number=0, options={"pose": [0.3, 0.8], "fault": fault})
+        batch.step([0], [problem.actions.encode(levels=np.array([3, 0]), duration=0)])
+        seen.append(policy.choose(situation_in(problem, batch.observe(0), estimator, 1)).tolist())
+    assert seen[0] == seen[1] == seen[2]
+
+
+def test_fixed_agents_need_their_sequences_and_take_so_many_records(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from loose_agents.evaluation import evaluate
+
+    arm = planar(2)
+    problem = Problem.of(arm, RULES)
+    with pytest.raises(InvalidSetting, match="no fixed sequence"):
+        make_agent("fixed_2", problem)
+    sequence = drawn_sequences(problem, 1, 2, np.random.default_rng(0))[0]
+    path = tmp_path / f"{tuning_name(problem)}.json"
+    path.write_text(json.dumps({"fixed": {"2": sequence}}))
+    monkeypatch.setenv("LOOSE_ENV_WEIGHTS", str(tmp_path))
+    rows = evaluate(
+        make_agent("fixed_2", problem), "fixed_2", arm, RULES, episodes=3, seed=1, threads=1
+    )
+    assert [row.records for row in rows] == [2, 2, 2]
+
+
+def test_halving_finds_the_best_sequences() -> None:
+    worth = {((k,),) * 2: (0.1 * k, 1.0 - 0.1 * k) for k in range(8)}
+
+    def play(sequence: Any, episodes: int) -> Trails:
+        reward = np.tile(worth[sequence], (episodes, 1))
+        sure = np.full(reward.shape, 0.4)
+        return Trails(confidence=sure, reward=reward, right=reward > 0.5)
+
+    found = best_sequences(list(worth), play, episodes=8, lengths=2)
+    assert found["stopping"] == ((0,), (0,))  # the last record counts: no threshold is reached
+    assert found["2"] == found["stopping"]
+    assert found["1"] == ((1,),)  # the better of the two of the last round

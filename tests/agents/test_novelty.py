@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from loose_agents.base import Problem
 from loose_agents.belief import BeliefAgent, Sure, surprise_of
-from loose_agents.benchmark.episodes import OFF, OtherArmRig, UnlikeTask
-from loose_agents.execution.shard_store import ArrayCodec, ShardStore
+from loose_agents.benchmark.episodes import OFF, OtherArmRig
+from loose_agents.jobs import Store
 from loose_agents.policies.choice import RandomPolicy
 from loose_agents.posterior_training import NoveltySettings, fit_reference, with_reference
 from loose_agents.record_bank import BankPlan, BankSettings, play_episodes
@@ -30,7 +30,7 @@ from loose_env.diagnosis import (
 )
 from loose_env.diagnosis.learned.transmission_change import TransmissionChange
 from loose_env.envs import DiagnosisSettings, EpisodeBatch
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.faults import UNSURE, Fault, Healthy
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
@@ -202,7 +202,7 @@ def test_a_reference_is_added_to_weights_that_stay_as_they_are(
         records=BankSettings(records=1, long_every=0),
     )
     problem = plan.problem()
-    store = ShardStore(tmp_path / "bank" / "records", plan.configuration, ArrayCodec())
+    store = Store(tmp_path / "bank" / "records", plan.configuration, arrays=True)
     for shard in plan.shards:  # a few episodes stand for each shard
         bank = play_episodes(
             problem, plan.records, seed=plan.seed, start=shard.start, stop=shard.start + 20
@@ -254,8 +254,3 @@ def test_another_arm_is_off_in_every_length_and_mass_and_the_same_each_time() ->
         assert np.abs(factor - 1) == pytest.approx(OFF)
         assert np.array_equal(getattr(first, name), getattr(second, name))
     assert np.array_equal(first.sensor, draw.sensor)
-
-
-def test_kinds_of_episodes_are_known_by_name() -> None:
-    with pytest.raises(UnknownName, match="several"):
-        UnlikeTask(kind="two", agent="thesis", env_id="loose_env/Planar-v0", seed=1)

@@ -2,27 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-
-pytest.importorskip("stable_baselines3")
-
+import torch
 from loose_agents.base import EVALUATION_SEEDS, Problem
 from loose_agents.belief import Tracker, make_estimator
-from loose_agents.rl.training_env import (
+from loose_agents.rl.hyperparameters import (
+    HYPERPARAMETERS,
+    LinearSchedule,
+    key_values,
+    model_arguments,
+    read_hyperparameters,
+)
+from loose_agents.rl.networks import RecordSetExtractor, record_set_arguments
+from loose_agents.rl.training import (
+    Budget,
+    BudgetSchedule,
     TrackedVecEnv,
     evaluation_seed,
     forced_records,
     log_posterior,
     training_seed,
 )
+from numpy.typing import NDArray
 
 from loose_env.arms import Arm, planar, scara
 from loose_env.envs import DiagnosisSettings, DiagnosisVectorEnv
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.errors import InvalidSetting, LooseEnvError, UnknownName
+from loose_env.registration import IDS
 
 SETTINGS = DiagnosisSettings(durations=(0.2,), max_records=4)
 
@@ -190,3 +202,157 @@ def test_seeds_of_training_meet_neither_each_other_nor_those_of_evaluation() -> 
 def test_an_unknown_estimator_is_refused_with_the_known_ones() -> None:
     with pytest.raises(UnknownName, match="posterior"):
         make_estimator("oracle", Problem.of(planar(2), SETTINGS))
+
+
+def test_the_budget_that_runs_out_first_decides_the_schedule() -> None:
+    budget = Budget(steps=100, seconds=10.0)
+    budget.spent = 8.0
+    schedule = BudgetSchedule(LinearSchedule(1.0), budget)
+    assert schedule(0.9) == pytest.approx(0.2)
+    assert schedule(0.1) == pytest.approx(0.1)
+    assert not budget.timed_out()
+    budget.spent = 10.0
+    assert budget.timed_out()
+    assert BudgetSchedule(LinearSchedule(1.0), Budget(steps=100))(0.9) == 0.9
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[Any]:
+    made = gymnasium.make("loose_env/Vera-v0").unwrapped
+    yield made
+    made.close()
+
+
+def observations(layout: Any, records: int, *, seed: int = 0, batch: int = 5) -> Any:
+    """Observations with so many measured records, of random elements."""
+    rng = np.random.default_rng(seed)
+    found = rng.normal(size=(batch, layout.size)).astype(np.float32)
+    slots = found[:, len(layout.global_elements) :].reshape(batch, layout.slots, -1)
+    slots[:, :records, 0] = 1.0
+    slots[:, records:] = 0.0
+    return torch.from_numpy(found)
+
+
+def extractor(env: Any) -> RecordSetExtractor:
+    torch.manual_seed(0)
+    return RecordSetExtractor(env.observation_space, **record_set_arguments(env.layout))
+
+
+def test_order_of_records_and_empty_slots_do_not_matter(env: Any) -> None:
+    layout, start = env.layout, len(env.layout.global_elements)
+    seen = observations(layout, records=4)
+    slots = seen[:, start:].reshape(len(seen), layout.slots, -1)
+    order = torch.tensor([7, 2, 0, 9, 3, 1, 4, 5, 6, 8, 10, 11])
+    mixed = torch.cat([seen[:, :start], slots[:, order].flatten(1)], 1)
+    filled = slots.clone()
+    filled[:, 4:, 1:] = 3.0  # elements of slots that are marked empty
+    noise = torch.cat([seen[:, :start], filled.flatten(1)], 1)
+    network = extractor(env)
+    network.standardise(seen.numpy())
+    wanted = network(seen)
+    assert wanted.shape == (5, network.features_dim)
+    torch.testing.assert_close(network(mixed), wanted)
+    torch.testing.assert_close(network(noise), wanted)
+    fewer = observations(layout, records=3)
+    assert not torch.allclose(network(fewer), wanted)
+
+
+def test_without_records_only_the_global_elements_are_seen(env: Any) -> None:
+    seen = observations(env.layout, records=0)
+    network = extractor(env)
+    found = network(seen)
+    torch.testing.assert_close(found[:, : network.start], seen[:, : network.start])
+    assert not found[:, network.start :].any()
+
+
+def test_constant_elements_weigh_nothing_and_stay_finite(env: Any) -> None:
+    seen = observations(env.layout, records=2)
+    network = extractor(env)
+    network.standardise(seen.numpy())
+    assert network.gain[0] == 0.0  # the element that says that a record was measured
+    assert torch.isfinite(network.gain).all()
+    assert (network.gain[1:] > 0.0).all()
+
+
+def test_pairs_are_statistics_and_their_nominal_twins(env: Any) -> None:
+    names = [each.name for each in env.layout.slot_elements]
+    pairs = record_set_arguments(env.layout)["pairs"]
+    assert pairs
+    assert all(names[b] == f"nominal_{names[a]}" for a, b in pairs)
+
+
+def test_a_wrong_layout_is_refused_in_words(env: Any) -> None:
+    with pytest.raises(InvalidSetting, match="record_set_arguments"):
+        RecordSetExtractor(env.observation_space, slots=12, slot_size=1000)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "file"), [("ppo", "ppo"), ("maskable_ppo", "maskable_ppo"), ("ppo", "ppo_set")]
+)
+@pytest.mark.parametrize("env_id", [*IDS, "somebody/Else-v0"])
+def test_hyperparameters_ship_for_every_environment(algorithm: str, file: str, env_id: str) -> None:
+    given = read_hyperparameters(HYPERPARAMETERS / f"{file}.yml", env_id)
+    found = model_arguments(given, algorithm)
+    assert isinstance(found["learning_rate"], LinearSchedule)
+    assert "n_timesteps" not in found
+    assert isinstance(found["policy_kwargs"], dict)
+    assert found["gamma"] == 1.0 and given["n_timesteps"] >= 4e4
+    assert given["n_envs"] * found["n_steps"] % found["batch_size"] == 0
+
+
+def test_hyperparameter_files_are_read_as_the_zoo_writes_them(tmp_path: Path) -> None:
+    from torch import nn
+
+    path = tmp_path / "ppo.yml"
+    path.write_text(
+        """
+loose_env/Vera-v0:
+  normalize: False
+  n_timesteps: !!float 1e4
+  policy: 'MlpPolicy'
+  learning_rate: lin_3e-4
+  clip_range: 0.1
+  ent_coef: 1e-3
+  policy_kwargs: "dict(activation_fn=nn.ReLU,
+                       net_arch=dict(pi=[32], vf=[64]))"
+"""
+    )
+    given = read_hyperparameters(path, "loose_env/Vera-v0")
+    found = model_arguments(given, "ppo")
+    assert given["n_timesteps"] == 1e4
+    assert found["learning_rate"](0.5) == pytest.approx(1.5e-4)
+    assert found["clip_range"] == 0.1
+    assert found["ent_coef"] == 0.001
+    assert found["policy_kwargs"] == {
+        "activation_fn": nn.ReLU,
+        "net_arch": {"pi": [32], "vf": [64]},
+    }
+    with pytest.raises(UnknownName, match="no entry"):
+        read_hyperparameters(path, "loose_env/Planar-v0")
+
+
+@pytest.mark.parametrize("content", ["a: [1", "- 1", "default: 3"])
+def test_broken_hyperparameter_files_are_refused_in_one_line(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "ppo.yml"
+    path.write_text(content)
+    with pytest.raises(LooseEnvError) as caught:
+        read_hyperparameters(path, "loose_env/Vera-v0")
+    assert "\n" not in str(caught.value)
+
+
+def test_words_of_the_command_line_are_read_and_not_run(tmp_path: Path) -> None:
+    found = key_values(
+        ["a:1e-3", "b:[1, 2]", "c:dict(d='e:f')", 'engine:"reduced"', "hold:brake", "f:-1"], "-p"
+    )
+    assert found == {
+        "a": 1e-3,
+        "b": [1, 2],
+        "c": {"d": "e:f"},
+        "engine": "reduced",
+        "hold": "brake",
+        "f": -1,
+    }
+    mark = tmp_path / "mark"
+    with pytest.raises(InvalidSetting):
+        key_values([f"a:open({str(mark)!r}, 'w')"], "-p")
+    assert not mark.exists()

@@ -13,8 +13,7 @@ import pytest
 from loose_agents.base import Problem
 from loose_agents.belief import BeliefAgent, Sure
 from loose_agents.evaluation import evaluate, problem_of
-from loose_agents.execution.backends import BackendSettings
-from loose_agents.execution.shards import ShardFailed
+from loose_agents.jobs import BackendSettings
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.policies.oracle import oracle_agent
 from loose_agents.registry import belief_agent
@@ -35,9 +34,8 @@ from loose_agents.tuning import (
 
 from loose_env.arms import planar
 from loose_env.diagnosis import LinkFindingSettings
-from loose_env.envs import DiagnosisSettings
-from loose_env.envs.settings import Prices
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.envs import DiagnosisSettings, Prices
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 
 RECORDS = 3
 HERE = BackendSettings(backend="threading", workers=1)
@@ -222,7 +220,7 @@ def test_shards_go_on_and_grow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     np.testing.assert_array_equal(more.confidence[:2], first.confidence)
     np.testing.assert_array_equal(play(4, shard=3).reward, more.reward)
     assert len(list(tmp_path.iterdir())) == 1
-    with pytest.raises(ShardFailed, match="posterior of planar2-default has changed"):
+    with pytest.raises(InvalidData, match="posterior of planar2-default has changed"):
         play(2, by=replace(player, posterior="that of yesterday"))
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents.benchmark import tasks
+from loose_agents.benchmark import episodes as tasks
 from loose_agents.benchmark.episodes import rig_for, settings_for
 from loose_agents.benchmark.leaderboard import (
     RESULTS,
@@ -41,7 +41,7 @@ TOLD: dict[str, Any] = {"entry": "blind", "about": "says healthy"}
 def few_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four episodes a set; those of the repository's files are read elsewhere."""
     few = {name: replace(each, episodes=4) for name, each in tasks.SETS.items()}
-    for module in ("tasks", "results", "leaderboard"):
+    for module in ("episodes", "results", "leaderboard"):
         monkeypatch.setattr(f"loose_agents.benchmark.{module}.SETS", few)
 
 
