@@ -25,8 +25,6 @@ from loose_env.errors import InvalidSetting
 from loose_env.rig.plant import Plant
 from loose_env.typing import Array
 
-__all__ = ["MotionLayout", "SmallMotion", "require_one_part", "small_motions"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SmallMotion:
