@@ -59,7 +59,7 @@ class SensedArm:
     links : sequence of int
         Links that carry one.
     place : {"distal", "proximal"}
-        Where; see `loose_env.arms.response.sensor_sites.link_site`.
+        Where; see `loose_env.arms.sites.link_site`.
     mismatch : Mismatch, optional
         Error of the stiffness of bending modes.
 

@@ -1,4 +1,4 @@
-"""Model error: deviations of the true arm from the nominal one."""
+"""Mismatch between the nominal arm and the true one, and its drift."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting
 from loose_env.io import Checked, NonNegative
 from loose_env.typing import Array
-
-__all__ = ["Drift", "Mismatch", "MismatchDraw", "MismatchIndices"]
 
 _CUT = 3.0  # draws beyond three standard deviations are cut off
 _RELATIVE = ("length", "mass", "inertia", "stiffness", "damping", "gain", "cross_axis")

@@ -1,11 +1,4 @@
-"""Frequency response of the nominal arm to small excitation, in closed form.
-
-The arm is linearised about a pose. Joints and bending modes move; each held joint has its
-brake or servo, each excited one its soft centring spring. On top of those, the model has
-every seat the arm could have: the sliding directions of each link and the link side of each
-joint, on request the rotations of each link too. Their columns say what a seat has to transmit,
-and how the arm would move were it open.
-"""
+"""Frequency response of the nominal arm to small excitation, in closed form."""
 
 from __future__ import annotations
 
@@ -19,12 +12,108 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.response.open_seats import OpenResponse
-from loose_env.arms.response.stiffness import dynamic_stiffness, solved
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["LinearArm", "LinearPose", "Response"]
+
+@dataclass(frozen=True, kw_only=True)
+class OpenResponse:
+    """Response of the arm through each of its seats, were it open, over the band."""
+
+    tool_open_slide: ComplexArray
+    """Change of tool acceleration per unit seat acceleration, (K, d, n links, s axes)."""
+    joint_open_slide: ComplexArray
+    """Change of excited joint acceleration per unit seat acceleration, (K, m, n, s)."""
+    mass_slide: ComplexArray
+    """Apparent mass seen by the seats' slides [kg], (K, n, s, s)."""
+    tool_open_hinge: ComplexArray
+    """As `tool_open_slide`, for play in a joint, (K, d, n)."""
+    joint_open_hinge: ComplexArray
+    """As `joint_open_slide`, for play in a joint, (K, m, n)."""
+    inertia_hinge: ComplexArray
+    """Apparent inertia seen by the joints' link sides [kg·m², kg where it slides], (K, n)."""
+    tool_open_twist: ComplexArray | None = None
+    """As `tool_open_slide`, for slides and rotations of links, (K, d, n, t); None without."""
+    joint_open_twist: ComplexArray | None = None
+    """As `joint_open_slide`, for slides and rotations of links, (K, m, n, t); None without."""
+    mass_twist: ComplexArray | None = None
+    """Apparent mass of slides and rotations of links [kg, kg·m, kg·m²], (K, n, t, t)."""
+
+
+def inertance_rate(timestep: float) -> float:
+    """Corner [rad/s] of the holding constraint: its inertance is stiffness / corner².
+
+    A brake is a constraint of MuJoCo's solver. The solver adds an inertance to the spring
+    and the damper, which keeps a stiff brake stable; half a radian per step is well inside
+    the stable range of the integrator.
+    """
+    return 0.5 / timestep
+
+
+def dynamic_stiffness(
+    arm: Arm,
+    mass: Array,
+    excited: NDArray[np.bool_],
+    frequency: Array,
+    springs: Array,
+    dampers: Array,
+) -> ComplexArray:
+    """Force per motion of joints, then bending modes, over the band.
+
+    Parameters
+    ----------
+    arm : Arm
+        The arm; it says what holds and what centres its joints.
+    mass : ndarray (B, v, v)
+        Inertia in each of B poses.
+    excited : ndarray of bool (B, n)
+        Joints that are excited; all others are held.
+    frequency : ndarray (K,)
+        Frequencies [Hz].
+    springs, dampers : ndarray (v,)
+        Of the arm itself.
+
+    Returns
+    -------
+    ndarray (v, v, B, K)
+    """
+    omega = 2 * np.pi * frequency
+    s = 1j * omega
+    loose = s * dampers[:, None] + springs[:, None]
+    for j in range(arm.n):
+        loose[j] += arm.centring.stiffness[j] + s * arm.centring.damping[j]
+    held = loose.copy()
+    for j in range(arm.n):
+        k, c = arm.holding.stiffness[j], arm.holding.damping[j]
+        inertance = k / inertance_rate(arm.timestep) ** 2
+        held[j] += k + s * c - omega**2 * inertance
+    stiffness = mass.transpose(1, 2, 0)[..., None] * (-(omega**2) + 0j)
+    for v in range(len(springs)):
+        free = excited[:, v, None] if v < arm.n else True  # bending modes are never held
+        stiffness[v, v] += np.where(free, loose[v], held[v])
+    return np.asarray(stiffness)
+
+
+def solved(stiffness: ComplexArray, force: ComplexArray) -> ComplexArray:
+    """Solve systems of equations that lie along the last axes, (v, v, ...) and (v, m, ...).
+
+    Gauss-Jordan elimination of all of them at once, by operations on single elements: a system's
+    solution does not depend on the others. Dampers keep the pivots of a dynamic stiffness off
+    zero. Both arrays are overwritten.
+    """
+    for p in range(len(stiffness)):
+        scale = 1.0 / stiffness[p, p]
+        ahead = stiffness[p, p + 1 :] * scale
+        known = force[p] * scale
+        for v in range(len(stiffness)):
+            if v != p:
+                factor = stiffness[v, p]
+                stiffness[v, p + 1 :] -= factor * ahead
+                force[v] -= factor * known
+        stiffness[p, p + 1 :] = ahead
+        force[p] = known
+    return force
+
 
 _TURNS = {2: (5,), 3: (3, 4, 5)}  # rotations among the six motions of a link: in plane, in space
 
