@@ -8,13 +8,13 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from scripts.study import write_between
 
 from loose_env.diagnosis import LinkFindingSettings
 from loose_env.doctor import thresholds as doctor
 from loose_env.gap import settings
 from loose_env.instrument.settings import thresholds
 from scripts.dev.threshold_table import PARTS, threshold_table
+from scripts.study import write_between
 from tests.docs.pages import ROOT
 
 ROW = re.compile(r"^\| `(\w+)` \| ([^|]+) \|", re.MULTILINE)

@@ -99,7 +99,7 @@ def evaluate_kind(
     first: int = 0,
     width: int = 32,
 ) -> list[EpisodeRow]:
-    """Play episodes of a kind: `loose_agents.evaluation.evaluate` with its options."""
+    """Play episodes of a kind: `loose_agents.evaluation` with its options."""
     width = min(width, episodes)
     return evaluate(
         agent,

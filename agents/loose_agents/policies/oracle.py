@@ -111,7 +111,7 @@ class _InformedPosterior:
 class OracleAgent(BeliefAgent):
     """`BeliefAgent` that is given direction and friction at the start of an episode.
 
-    `loose_agents.evaluation.evaluate` tells it, by ``informed``.
+    `loose_agents.evaluation` tells it, by ``informed``.
     """
 
     def __init__(
@@ -135,7 +135,7 @@ class OracleAgent(BeliefAgent):
         """Refuse to play without side information."""
         raise InvalidSetting(
             "the oracle must be told each hidden fault: play it with "
-            "loose_agents.evaluation.evaluate, or take the estimator/policy of the same "
+            "loose_agents.evaluation, or take the estimator/policy of the same "
             "name, which needs no telling"
         )
 

@@ -204,7 +204,7 @@ def _safetensors(data: bytes, rng: Rng) -> tuple[str, bytes]:
 
 
 def _policy(home: Path) -> Any:
-    from loose_agents.rl.learned_policy import LearnedAgent
+    from loose_agents.rl.agents import LearnedAgent
 
     agent = LearnedAgent.load(_problem(), home)
     size = agent.form.observation_space.shape

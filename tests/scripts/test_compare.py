@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from loose_agents.base import EVALUATION_SEED, Problem
-from loose_agents.execution.command import parsed
 
 from loose_env.arms import planar, vera
 from loose_env.envs import DiagnosisSettings
@@ -106,10 +105,10 @@ def test_each_difficulty_is_played(tmp_path: Path, capsys: pytest.CaptureFixture
 def test_estimators_are_crossed_with_policies() -> None:
     problem = Problem.of(vera(), DiagnosisSettings())
     untrained = Problem.of(planar(3), DiagnosisSettings())
-    options = parsed(compare.Options, ["--estimators", "a", "b", "--policies", "x", "y"])
+    options = compare.Options(estimators=("a", "b"), policies=("x", "y"))
     assert compare.names_of(options, problem) == ["a/x", "b/x", "a/y", "b/y"]
     assert compare.reference_of(options, ["a/x", "b/x"]) == "a/x"
-    plain = parsed(compare.Options, [])
+    plain = compare.Options()
     names = compare.names_of(plain, problem)
     assert names == ["greedy", "constant", "random", *compare.CLASSICAL]
     assert compare.reference_of(plain, names) == "classical"
@@ -121,17 +120,6 @@ def test_what_is_no_agent_gets_a_star() -> None:
     rows = [{"agent": "oracle"}, {"agent": "random"}]
     assert [row["agent"] for row in compare.shown(rows)] == ["oracle*", "random"]
     assert "no agent" in compare.words_of("oracle")
-
-
-def test_further_lines_stand_below_the_table(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def bound(problem: Any, rows: Any) -> str:
-        return f"{len(rows)} episodes, {problem.arm.name}: a line"
-
-    monkeypatch.setattr(compare, "LINES", [bound])
-    run(tmp_path, "--agents", "classical", "--workers", "1")
-    assert "5 episodes, vera: a line" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -161,7 +149,7 @@ def test_errors_teach_before_anything_is_played(
 
 
 def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from loose_agents.benchmark import sharded as evaluation_shards
+    from loose_agents import comparison as evaluation_shards
 
     played: list[int] = []
     real = evaluation_shards.evaluate_shard
@@ -173,8 +161,9 @@ def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.M
         return real(task, progress)
 
     monkeypatch.setattr(evaluation_shards, "evaluate_shard", counted)
-    with pytest.raises(SystemExit, match="goes on"):
+    with pytest.raises(SystemExit) as stopped:
         run(tmp_path, "--agents", "classical", "--workers", "1")
+    assert stopped.value.code == 130
     played.append(-1)  # no second interruption
     rows = run(tmp_path, "--agents", "classical", "--workers", "1")
     assert played == [0, -1, 2, 4]

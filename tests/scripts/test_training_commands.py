@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib
 import json
 import re
@@ -14,6 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -22,15 +24,16 @@ pytest.importorskip("safetensors")
 pytest.importorskip("yaml")
 
 from loose_agents.base import Problem
+from loose_agents.rl.agents import model_agent
 from loose_agents.rl.hyperparameters import HYPERPARAMETERS
-from loose_agents.rl.training_env import evaluation_seed
-from loose_agents.rl.training_run import RunState, git_commit
+from loose_agents.rl.training import CurvePoint, RunState, evaluation_seed, git_commit, write_curve
 
 from loose_env.arms import planar
 from loose_env.envs import DiagnosisSettings, EpisodeBatch
-from loose_env.envs.episode.state import Episode
+from loose_env.errors import InvalidData
+from scripts.agents import learning_curves
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[2]
 TINY = [
     *("--env", "loose_env/Planar-v0"),
     *("--env-kwargs", "n_links:2", "durations:[0.2]", "max_records:4", "threads:1"),
@@ -78,7 +81,8 @@ def test_the_first_policy_prefers_the_top_level_of_any_joint(rules: dict[str, in
     assert len(options) == (3 if rules else actions.most_excited) + 1
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "recurrent_ppo", "maskable_ppo"])
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["ppo", "maskable_ppo"])
 def test_a_run_leaves_a_policy_that_plays(
     train: ModuleType,
     enjoy: ModuleType,
@@ -90,15 +94,14 @@ def test_a_run_leaves_a_policy_that_plays(
     command = options(tmp_path, 32, "--algo", algorithm, "--export", str(export))
     train.main([*command, "--eval-freq", "16", "--eval-episodes", "3"])
     assert "32 of 32 steps" in capsys.readouterr().out
-    found = "ppo_lstm" if algorithm == "recurrent_ppo" else algorithm
-    root = tmp_path / found / NAME
+    root = tmp_path / algorithm / NAME
     assert steps_of(root / "checkpoint.zip") == 32
     with np.load(root / "evaluations.npz") as file:
         assert file["timesteps"].tolist() == [16, 32]
         assert file["results"].shape == file["ep_lengths"].shape == (2, 3)
         best = file["results"].mean(axis=1).max()
     described = json.loads((root / "configuration.json").read_text())
-    assert described["algorithm"] == found
+    assert described["algorithm"] == algorithm
     assert described["env_kwargs"]["n_links"] == 2
     assert described["hyperparameters"]["n_steps"] == 4
     assert {"torch", "mujoco", "loose_env"} <= set(described["versions"])
@@ -108,7 +111,7 @@ def test_a_run_leaves_a_policy_that_plays(
     assert not list(tmp_path.rglob("*.part"))
 
     play = ["--algo", algorithm, "--env", "loose_env/Planar-v0", "--n-episodes", "2"]
-    enjoy.main([*play, "-f", str(tmp_path), "--seed", "3", "--no-render"])
+    enjoy.main([*play, "-f", str(tmp_path), "--seed", "3"])
     words = capsys.readouterr().out
     assert len(re.findall(r"(?m)^   1  pose .* m/s² joint.* 0\.2 s .* %$", words)) == 2
     assert len(re.findall(r"verdict \S+, truth \S+: (right|wrong), return", words)) == 2
@@ -120,6 +123,7 @@ def test_a_run_leaves_a_policy_that_plays(
         enjoy.main([*play, "--weights", str(export), "--env-kwargs", "durations:0.2"])
 
 
+@pytest.mark.slow
 def test_enjoy_writes_a_picture_of_each_record(
     train: ModuleType, enjoy: ModuleType, tmp_path: Path
 ) -> None:
@@ -139,7 +143,7 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, int]]]:
     found: list[tuple[int, int]] = []
     begin = EpisodeBatch.begin
 
-    def spy(self: EpisodeBatch, slot: int, episode: Episode) -> Any:
+    def spy(self: EpisodeBatch, slot: int, episode: Any) -> Any:
         found.append((episode.seed, episode.number))
         return begin(self, slot, episode)
 
@@ -147,7 +151,8 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, int]]]:
     yield found
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "ppo_lstm", "maskable_ppo"])
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["ppo", "maskable_ppo"])
 def test_a_resumed_run_meets_new_faults(
     train: ModuleType,
     tmp_path: Path,
@@ -170,6 +175,7 @@ def test_a_resumed_run_meets_new_faults(
     assert not begun
 
 
+@pytest.mark.slow
 def test_evaluations_take_the_same_episodes_every_time_and_others_than_the_training(
     train: ModuleType, tmp_path: Path, begun: list[tuple[int, int]]
 ) -> None:
@@ -179,6 +185,7 @@ def test_evaluations_take_the_same_episodes_every_time_and_others_than_the_train
     assert len(set(begun) - set(evaluated)) >= 4
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_from_its_last_checkpoint(
     train: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -207,6 +214,7 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(
     assert steps_of(checkpoint) == kept + 32
 
 
+@pytest.mark.slow
 def test_a_checkpoint_keeps_the_optimiser_and_the_generators(
     train: ModuleType, tmp_path: Path
 ) -> None:
@@ -224,30 +232,32 @@ def test_a_checkpoint_keeps_the_optimiser_and_the_generators(
     assert [float(torch.rand(1)), float(np.random.random())] == drawn
 
 
+@pytest.mark.slow
 def test_checkpoints_keep_their_distance(
     train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from loose_agents.rl import training_run
+    from loose_agents.rl import training
 
     written = []
-    write = training_run.write_model
+    write = training.write_model
 
     def spy(path: Path, model: Any) -> None:
         written.append(model.num_timesteps)
         write(path, model)
 
-    monkeypatch.setattr(training_run, "write_model", spy)
+    monkeypatch.setattr(training, "write_model", spy)
     train.main(options(tmp_path, 80, "--save-freq", "32", "--verbose", "0"))
     assert written == [32, 64, 80]
 
 
+@pytest.mark.slow
 def test_a_run_of_another_configuration_is_refused(
     train: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     train.main(options(tmp_path, 16))
     checkpoint = tmp_path / "ppo" / NAME / "checkpoint.zip"
     before = checkpoint.read_bytes()
-    with pytest.raises(SystemExit, match="other training; choose another --log-folder"):
+    with pytest.raises(SystemExit, match="other training; choose another folder"):
         train.main(options(tmp_path, 16, "--shaping", "0.2"))
     with pytest.raises(SystemExit, match="other env_kwargs, settings"):
         train.main([*options(tmp_path, 16), "--env-kwargs", "n_links:2", "durations:[0.4]"])
@@ -257,6 +267,7 @@ def test_a_run_of_another_configuration_is_refused(
     assert checkpoint.read_bytes() != before
 
 
+@pytest.mark.slow
 def test_a_broken_checkpoint_is_refused_with_the_way_out(train: ModuleType, tmp_path: Path) -> None:
     train.main(options(tmp_path, 16, "--verbose", "0"))
     checkpoint = tmp_path / "ppo" / NAME / "checkpoint.zip"
@@ -265,6 +276,7 @@ def test_a_broken_checkpoint_is_refused_with_the_way_out(train: ModuleType, tmp_
         train.main(options(tmp_path, 32))
 
 
+@pytest.mark.slow
 def test_a_model_is_continued_in_a_new_run(train: ModuleType, tmp_path: Path) -> None:
     train.main(options(tmp_path / "a", 16, "--verbose", "0"))
     earlier = tmp_path / "a" / "ppo" / NAME / "checkpoint.zip"
@@ -308,7 +320,7 @@ def test_a_model_is_continued_in_a_new_run(train: ModuleType, tmp_path: Path) ->
         (["-params", "policy_kwargs:3"], "dict"),
         (["--conf-file", "nowhere.yml"], "no hyperparameter file"),
         (["-n", "0"], "-n must be"),
-        (["--eval-episodes", "0"], "--eval-episodes must be"),
+        (["--eval-episodes", "0"], "must be a whole number, 1 or more"),
         (["--forced-share", "2"], "0 to 1"),
         (["--shaping", "-1"], "0 or more"),
         (["--seed", "4294967296"], "2^32"),
@@ -324,6 +336,86 @@ def test_bad_options_of_training_are_refused_in_one_line(
     assert message.startswith("train: ")
     assert says in message
     assert "\n" not in message
+
+
+SMALL = (
+    *("--steps", "128", "--evaluations", "2", "--eval-episodes", "4", "--last-episodes", "6"),
+    *("--hyperparams", "n_envs:4", "n_steps:8", "batch_size:16", "n_epochs:1"),
+)
+
+
+def curve_of(run: Path) -> list[dict[str, str]]:
+    with (run / "curve.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.slow
+def test_learning_curves_are_written_resume_and_their_checkpoints_play(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from sb3_contrib import MaskablePPO
+
+    given = ["--learners", "maskable_ppo_set", "--seeds", "3", *SMALL, "--out", str(tmp_path)]
+    learning_curves.main(given)
+    (run,) = tmp_path.glob("*/maskable_ppo_set/seed_3")
+    curve = curve_of(run)
+    assert [int(row["episodes"]) for row in curve] == [4, 4, 6]
+    assert [int(row["steps"]) for row in curve] == [0, 64, 128]
+    assert int(curve[-1]["records"]) > int(curve[0]["records"]) > 0
+    first = (run / "curve.csv").read_text()
+    learning_curves.main(given)
+    assert (run / "curve.csv").read_text() == first
+    assert "trained already" in capsys.readouterr().out
+    env = gymnasium.make_vec("loose_env/Vera-v0", num_envs=4, engine="reduced")
+    problem, path = Problem.of(env.arm, env.settings), run / "checkpoint.zip"
+    agent, model = model_agent(path, problem), MaskablePPO.load(path, device="cpu")
+    observation, infos = env.reset(seed=2)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        wanted, _ = model.predict(
+            observation, deterministic=True, action_masks=infos["action_mask"]
+        )
+        np.testing.assert_array_equal(agent.predict(observation)[0], wanted)
+        actions = rng.integers(0, env.single_action_space.nvec, size=(4, 6))
+        actions[:, -1] = 0
+        observation, _, _, _, infos = env.step(actions)
+    other = gymnasium.make_vec("loose_env/Planar-v0", num_envs=1, engine="reduced")
+    with pytest.raises(InvalidData, match="was trained on 'vera'"):
+        model_agent(path, Problem.of(other.arm, other.settings))
+    learning_curves.main([*given, "--steps", "192"])
+    assert "at 128 steps" in capsys.readouterr().out
+    assert int(curve_of(run)[-1]["steps"]) == 192
+    with pytest.raises(SystemExit, match="other env_kwargs, settings"):
+        learning_curves.main([*given, "--env-kwargs", "max_records:6"])
+    learning_curves.main([*given, "--restart"])
+    assert int(curve_of(run)[-1]["steps"]) == 128
+
+
+def test_bands_and_table_of_curves_are_those_of_students_t(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def point(records: int, value: float) -> CurvePoint:
+        return CurvePoint(
+            steps=2 * records, records=records, seconds=1.0, episodes=10, mean_return=value,
+            return_error=0.1, right=0.5, unsure=0.25, records_per_episode=2.0,
+        )  # fmt: skip
+
+    for seed, last in enumerate((0.1, 0.3)):
+        folder = tmp_path / "curves" / "Vera" / "ppo" / f"seed_{seed}"
+        folder.mkdir(parents=True)
+        write_curve(folder / "curve.csv", [point(0, 0.0), point(1000, last)])
+    curves = learning_curves.read_curves(tmp_path / "curves")
+    grid, mean, half = learning_curves.band(curves["Vera"]["ppo"], "mean_return")
+    np.testing.assert_allclose(mean, 0.2 * grid / 1000, atol=1e-12)
+    assert half[-1] == pytest.approx(12.706 * 0.1, rel=1e-3)  # t of one degree of freedom
+    figure = tmp_path / "curves.svg"
+    drawn = ["--seeds", "--draw", str(figure), "--out"]
+    learning_curves.main([*drawn, str(tmp_path / "curves")])
+    said = capsys.readouterr().out
+    assert "| Vera | ppo | 2 | 1000 | +0.200 ± 1.271 | 50.0 ± 0.0 | 25.0 ± 0.0 |" in said
+    assert figure.stat().st_size > 1000
+    with pytest.raises(SystemExit, match="holds no curves"):
+        learning_curves.main([*drawn, str(tmp_path / "nothing")])
 
 
 @pytest.mark.parametrize("own", ["3", "[n_links]", "n_links", ""])
@@ -370,6 +462,7 @@ def test_no_commit_is_named_outside_a_repository(tmp_path: Path) -> None:
     assert git_commit(tmp_path) is None
 
 
+@pytest.mark.slow
 def test_the_zoo_itself_trains_and_plays(tmp_path: Path) -> None:
     pytest.importorskip("rl_zoo3")
     shared = ["--algo", "ppo", "--env", "loose_env/Planar-v0", "--gym-packages", "loose_env"]
