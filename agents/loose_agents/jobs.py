@@ -303,7 +303,7 @@ class Store:
         try:
             if not self.arrays:
                 return json.loads(path.read_bytes())["rows"]
-            with np.load(path, allow_pickle=False) as stored:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
                 return dict(stored)
         except Exception as error:  # zipfile, zlib, json and numpy raise a dozen kinds
             raise InvalidData(

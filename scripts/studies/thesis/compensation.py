@@ -18,7 +18,6 @@ from typing import Literal, get_args
 
 import numpy as np
 from loose_agents.jobs import ProgressLine
-from scripts.study_parts.arms import seat_in_tool
 
 from loose_env.arms import CREST_FACTOR, Arm, LinearArm, LinearPose, vera
 from loose_env.cli.command import command
@@ -35,6 +34,7 @@ from loose_env.statistics import (
 )
 from loose_env.thesis.methods.motion.signals import spectral_flatness
 from loose_env.typing import Array
+from scripts.study_parts.arms import seat_in_tool
 
 Compensation = Literal["flat torque", "white joint motion", "white tool motion"]
 COMPENSATIONS: tuple[Compensation, ...] = get_args(Compensation)
