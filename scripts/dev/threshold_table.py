@@ -5,14 +5,15 @@ Usage: python -m scripts.dev.threshold_table [doctor | gap | instrument] [--docs
 
 from __future__ import annotations
 
-import argparse
 import re
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from loose_env.cli.command import errors_in_one_line
+from tyro.conf import Positional
+
+from loose_env.cli.command import command, one_of
 from scripts.study import write_between
-
-__all__ = ["PARTS", "main", "threshold_table"]
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = {
@@ -55,23 +56,29 @@ def threshold_table(source: str) -> str:
     return "\n".join(rows)
 
 
-def main() -> None:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Part and place of the table."""
+
+    part: Positional[Annotated[str, one_of(tuple(PARTS))]] = "gap"
+    """Part."""
+    docs: bool = False
+    """Write it into the page of the part."""
+
+
+def write(options: Options) -> None:
     """Print the table, or write it into the page."""
-    with errors_in_one_line("threshold_table"):
-        _run()
-
-
-def _run() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", nargs="?", default="gap", choices=PARTS)
-    parser.add_argument("--docs", action="store_true", help="write it into the page of the part")
-    chosen = parser.parse_args()
-    source, page = PARTS[chosen.part]
+    source, page = PARTS[options.part]
     table = threshold_table(source.read_text(encoding="utf-8"))
-    if chosen.docs:
+    if options.docs:
         write_between(page, table)
     else:
         print(table)
+
+
+def main() -> None:
+    """Write the table, with errors in one line."""
+    command("threshold_table", __doc__, Options, write)
 
 
 if __name__ == "__main__":
