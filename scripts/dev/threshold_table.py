@@ -1,6 +1,6 @@
-"""Print the decision thresholds of a part as the table of its page.
+"""Print the decision thresholds of a part as a table, with unit and reason.
 
-Usage: python -m scripts.dev.threshold_table [doctor | gap | instrument] [--docs]
+Usage: python -m scripts.dev.threshold_table [doctor | gap | instrument]
 """
 
 from __future__ import annotations
@@ -13,18 +13,14 @@ from typing import Annotated
 from tyro.conf import Positional
 
 from loose_env.cli.command import command, one_of
-from scripts.study import write_between
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = {
-    "gap": (ROOT / "loose_env/gap/settings.py", ROOT / "docs/gap.md"),
-    "doctor": (ROOT / "loose_env/doctor/thresholds.py", ROOT / "docs/doctor.md"),
-    "instrument": (
-        ROOT / "loose_env/instrument/settings/thresholds.py",
-        ROOT / "docs/instrument.md",
-    ),
+    "gap": ROOT / "loose_env/gap/settings.py",
+    "doctor": ROOT / "loose_env/doctor/thresholds.py",
+    "instrument": ROOT / "loose_env/instrument/settings/thresholds.py",
 }
-"""Part -> the module of its thresholds, and the page that has their table."""
+"""Part -> the module of its thresholds."""
 _ENTRY = re.compile(
     r"^(?:# (?P<part>[^\n]+)"
     r'|(?P<name>[A-Z][A-Z_0-9]+) = (?P<value>[^\n]+)\n"""(?P<meaning>.+?)""")$',
@@ -58,27 +54,20 @@ def threshold_table(source: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Part and place of the table."""
+    """Part whose thresholds are printed."""
 
     part: Positional[Annotated[str, one_of(tuple(PARTS))]] = "gap"
     """Part."""
-    docs: bool = False
-    """Write it into the page of the part."""
 
 
-def write(options: Options) -> None:
-    """Print the table, or write it into the page."""
-    source, page = PARTS[options.part]
-    table = threshold_table(source.read_text(encoding="utf-8"))
-    if options.docs:
-        write_between(page, table)
-    else:
-        print(table)
+def show(options: Options) -> None:
+    """Print the table of a part."""
+    print(threshold_table(PARTS[options.part].read_text(encoding="utf-8")))
 
 
 def main() -> None:
-    """Write the table, with errors in one line."""
-    command("threshold_table", __doc__, Options, write)
+    """Print the table, with errors in one line."""
+    command("threshold_table", __doc__, Options, show)
 
 
 if __name__ == "__main__":

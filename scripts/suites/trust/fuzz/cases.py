@@ -128,7 +128,7 @@ def _hyperparameters(around: Surroundings, rng: Rng) -> Attempt:
         k = int(rng.integers(len(hostile)))
         damage, data = f"hostile YAML {k}", hostile[k].encode()
     else:
-        source = HYPERPARAMETERS / str(rng.choice(["ppo.yml", "ppo_lstm.yml", "maskable_ppo.yml"]))
+        source = HYPERPARAMETERS / str(rng.choice(["ppo.yml", "maskable_ppo.yml"]))
         damage, data = damaged_text(source.read_bytes(), rng)
     home = around.fresh({"conf.yml": data})
 
