@@ -15,16 +15,14 @@ from functools import partial
 from typing import Any
 
 import gymnasium
-import mujoco
 import numpy as np
 from gymnasium.vector import AsyncVectorEnv
 
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import quiet
 from loose_env.cli.command import command
-from loose_env.envs import DiagnosisEnv, EpisodeBatch
+from loose_env.envs import EpisodeBatch
 from loose_env.io import Checked, Count
-from loose_env.rig import Run, SimulatedRig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,22 +37,6 @@ class Options(Checked):
     """Environments to time."""
     quick: bool = False
     """16 arms and one round."""
-
-
-class PythonLoopRig(SimulatedRig):
-    """Rival: `mj_step` called from Python, one arm after the other."""
-
-    def _simulate(self, run: Run) -> None:
-        for k, job in enumerate(run.jobs):
-            model = self.plants[job.slot].model
-            data = mujoco.MjData(model)
-            spec = mujoco.mjtState.mjSTATE_INTEGRATION
-            mujoco.mj_setState(model, data, self._batch.state[job.slot], spec)
-            control, recorded, sensordata = run.delivered[k], run.recorded[k], data.sensordata
-            for i in range(len(control)):
-                data.ctrl[:] = control[i]
-                mujoco.mj_step(model, data)
-                recorded[i] = sensordata
 
 
 def actions_of(batch: EpisodeBatch, rng: np.random.Generator, duration: int | None) -> list[Any]:
@@ -98,17 +80,10 @@ def seconds_per_record(
     return (clock() - begin) / (rounds * batch.num)
 
 
-def make_rival(env_id: str) -> gymnasium.Env[Any, Any]:
-    """Make the single environment on the Python loop."""
-    env: Any = gymnasium.make(env_id).unwrapped
-    arm, settings = env.arm, env.settings
-    return DiagnosisEnv(arm, settings, rig=PythonLoopRig(arm, sensors=settings.sensors))
-
-
 def subprocess_seconds_per_record(env_id: str, records: int, duration: int | None) -> float:
-    """Time the Python loop as Gymnasium runs it in two subprocesses."""
+    """Time single environments as Gymnasium runs them in two subprocesses."""
     batch = new_batch(env_id, 2)
-    rivals = AsyncVectorEnv([partial(make_rival, env_id)] * 2, context="spawn")
+    rivals = AsyncVectorEnv([partial(gymnasium.make, env_id)] * 2, context="spawn")
     rivals.reset(seed=0)
     rng = np.random.default_rng(0)
     rivals.step(np.array(actions_of(batch, rng, duration)))  # warm up
