@@ -52,7 +52,7 @@ from tyro.conf import Positional
 
 from loose_env.cli.command import commands, one_of
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.io import Checked, Count, NonNegativeCount
+from loose_env.io import Count, NonNegativeCount
 from scripts.study import write_between
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "benchmark.md"
@@ -60,7 +60,7 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "benchmark.md"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Make(Checked):
+class Make:
     """Play agents and write results files."""
 
     agents: tuple[str, ...]
@@ -91,13 +91,12 @@ class Make(Checked):
     """Folder of episodes until a file is whole."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.entry and len(self.agents) > 1:
             raise InvalidSetting("--entry names one agent; leave it out for several")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check(Checked):
+class Check:
     """Check files by playing a sample again."""
 
     files: Positional[tuple[Path, ...]]

@@ -33,7 +33,7 @@ from tqdm import tqdm
 
 from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError, MissingExtra
 from loose_env.evaluation import configuration_hash
-from loose_env.io import Checked, Count, NonNegativeCount, write_bytes
+from loose_env.io import Count, NonNegativeCount, write_bytes
 
 ONE_THREAD = dict.fromkeys(
     ("MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"
@@ -45,7 +45,7 @@ _LINES = 10
 
 
 @dataclass(frozen=True, kw_only=True)
-class BackendSettings(Checked):
+class BackendSettings:
     """Where the work runs; no result depends on it."""
 
     backend: Literal["loky", "threading", "ray", "dask"] = "loky"

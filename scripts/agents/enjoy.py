@@ -26,12 +26,12 @@ from tyro.conf import arg
 from loose_env.cli.command import command, one_of
 from loose_env.envs import Action, DiagnosisEnv
 from loose_env.errors import InvalidData, UnknownName
-from loose_env.io import Checked, Count, NonNegativeCount, write_bytes
+from loose_env.io import Count, NonNegativeCount, write_bytes
 from loose_env.registration import IDS
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(Checked):
+class Options:
     """Options of playing."""
 
     algo: Annotated[str, one_of(ALGORITHMS)] = "ppo"

@@ -30,7 +30,7 @@ from tyro.conf import arg
 
 from loose_env.cli.command import command, one_of
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.io import Checked, Count, NonNegative, NonNegativeCount
+from loose_env.io import Count, NonNegative, NonNegativeCount
 from loose_env.report import pyplot, save_figure
 from loose_env.typing import Array
 
@@ -55,7 +55,7 @@ Curves = dict[str, dict[str, list[list[Any]]]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(Checked):
+class Options:
     """Options of the training."""
 
     env: tuple[str, ...] = ("loose_env/Vera-v0",)

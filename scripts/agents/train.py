@@ -32,11 +32,11 @@ from tyro.conf import arg
 
 from loose_env.cli.command import command, one_of
 from loose_env.errors import InvalidSetting
-from loose_env.io import Checked, Count
+from loose_env.io import Count
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(Checked):
+class Options:
     """Options of the training."""
 
     algo: Annotated[str, one_of(ALGORITHMS)] = "ppo"
@@ -91,7 +91,6 @@ class Options(Checked):
     """Show a progress bar."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.seed >= 2**32:
             raise InvalidSetting(f"--seed must be below 2^32, got {self.seed}")
         if self.n_timesteps == 0 or self.n_timesteps < -1:

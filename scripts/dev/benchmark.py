@@ -22,11 +22,11 @@ import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import quiet
 from loose_env.cli.command import command
 from loose_env.envs import EpisodeBatch
-from loose_env.io import Checked, Count
+from loose_env.io import Count
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(Checked):
+class Options:
     """Options of the timing."""
 
     arms: Count = 64

@@ -33,7 +33,7 @@ from tyro.conf import OmitArgPrefixes
 from loose_env.cli.command import command, one_of
 from loose_env.envs import GapPrices, ModelGapEnv
 from loose_env.evaluation import wilson
-from loose_env.io import Checked, Count
+from loose_env.io import Count
 from loose_env.registration import GAP_ID
 from loose_env.report import pyplot, save_figure
 from loose_env.typing import Array
@@ -65,7 +65,7 @@ Case = tuple[str, int]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(Checked):
+class Settings:
     """Settings that every row depends on."""
 
     seed: int = EVALUATION_SEED
@@ -77,7 +77,7 @@ class Settings(Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(Checked):
+class Options:
     """Rows that are asked for."""
 
     settings: OmitArgPrefixes[Settings] = field(default_factory=Settings)

@@ -43,7 +43,7 @@ from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidData
 from loose_env.excitation import at_levels
 from loose_env.faults import StructuralLooseness
-from loose_env.io import Checked, Count, NonNegativeCount
+from loose_env.io import Count, NonNegativeCount
 from loose_env.rig import Job, SimulatedRig
 from loose_env.typing import Array
 from scripts.study import ROOT, Row, arm_named, study_rows
@@ -60,7 +60,7 @@ SCATTERS = (2.0, 5.0, 10.0, 20.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(Checked):
+class Settings:
     """Settings of the study."""
 
     arm: tuple[Annotated[str, one_of(ARMS)], ...] = ARMS

@@ -33,7 +33,7 @@ from loose_env.envs import DIFFICULTIES, FaultSampler
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Fault, hypotheses
-from loose_env.io import Checked, Count
+from loose_env.io import Count
 from loose_env.report import INK, MUTED, pyplot, save_figure
 from loose_env.rig import Job, SimulatedRig
 from loose_env.statistics import axial_angle, axial_difference, axial_mean
@@ -59,7 +59,7 @@ QUANTILES = (0.5, 0.9, 0.95, 1.0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Settings(Checked):
+class Settings:
     """Settings of the study."""
 
     arms: tuple[Annotated[str, one_of(ARMS)], ...] = ARMS
@@ -80,7 +80,6 @@ class Settings(Checked):
     """Seed of faults, poses and excitations."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.records < 3:
             raise InvalidSetting(f"records must be 3 or more, got {self.records}")
 

@@ -146,12 +146,6 @@ def test_a_missing_package_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> N
         list(results_of(rows_of, SPANS, THREADS))
 
 
-@pytest.mark.parametrize("wrong", [{"workers": 0}, {"retries": -1}, {"backend": "spark"}])
-def test_wrong_settings_are_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(InvalidSetting):
-        BackendSettings(**wrong)
-
-
 @pytest.mark.parametrize(("total", "size"), [(10, 3), (9, 3), (2, 5), (0, 4), (1, 1)])
 def test_spans_cover_every_episode_once(total: int, size: int) -> None:
     assert [k for span in spans(total, size) for k in span] == list(range(total))

@@ -91,7 +91,7 @@ def untrained(problem: Problem, algorithm: str, kwargs: dict[str, Any] | None = 
     pytest.importorskip("sb3_contrib")
     import torch
     from loose_agents.rl.hyperparameters import algorithm_named
-    from loose_agents.rl.training import TrackedVecEnv
+    from loose_agents.rl.training_env import TrackedVecEnv
 
     from loose_env.envs import DiagnosisVectorEnv
 
@@ -259,7 +259,7 @@ def test_weights_for_another_arm_are_refused(problem: Problem, tmp_path: Path) -
     with pytest.raises(InvalidData, match="trained for arm 'planar2', not 'vera'"):
         LearnedAgent.load(Problem.of(vera(), DiagnosisSettings()), tmp_path)
     other = Problem.of(planar(2), DiagnosisSettings(durations=(0.2,)))
-    with pytest.raises(InvalidData, match=r"it takes .* features, this problem has"):
+    with pytest.raises(InvalidData, match=r"it has \d+ options, the problem"):
         LearnedAgent.load(other, tmp_path)
 
 

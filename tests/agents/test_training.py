@@ -20,9 +20,8 @@ from loose_agents.rl.hyperparameters import (
     read_hyperparameters,
 )
 from loose_agents.rl.networks import RecordSetExtractor, record_set_arguments
-from loose_agents.rl.training import (
-    Budget,
-    BudgetSchedule,
+from loose_agents.rl.training import Budget, BudgetSchedule
+from loose_agents.rl.training_env import (
     TrackedVecEnv,
     evaluation_seed,
     forced_records,

@@ -26,7 +26,8 @@ pytest.importorskip("yaml")
 from loose_agents.base import Problem
 from loose_agents.rl.agents import model_agent
 from loose_agents.rl.hyperparameters import HYPERPARAMETERS
-from loose_agents.rl.training import CurvePoint, RunState, evaluation_seed, git_commit, write_curve
+from loose_agents.rl.training import CurvePoint, RunState, git_commit, write_curve
+from loose_agents.rl.training_env import evaluation_seed
 
 from loose_env.arms import planar
 from loose_env.envs import DiagnosisSettings, EpisodeBatch

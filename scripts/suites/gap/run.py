@@ -271,7 +271,6 @@ class Options(BackendSettings):
     """Write a line for every case asked for to a page, between its marks `cases`."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.quick and self.numbers:
             raise InvalidSetting("--quick and --numbers exclude each other")
 
