@@ -1,4 +1,6 @@
-"""Axes are angles modulo 180 degrees."""
+"""Axes in the plane and in space."""
+
+from __future__ import annotations
 
 import math
 
@@ -6,12 +8,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from loose_env.errors import InvalidData
+from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.statistics import (
+    axes_grid,
     axial_angle,
     axial_difference,
     axial_mean,
     axial_vector,
+    tangents,
     wrap_axial,
 )
 
@@ -104,3 +108,28 @@ def test_the_planar_vector_has_its_angle_in_zero_to_pi(rng):
 def test_what_is_no_direction_is_refused(direction):
     with pytest.raises(InvalidData):
         axial_angle(direction)
+
+
+def test_the_grid_leaves_no_hole() -> None:
+    rng = np.random.default_rng(0)
+    anywhere = rng.standard_normal((500, 3))
+    anywhere /= np.linalg.norm(anywhere, axis=1, keepdims=True)
+    for count in (40, 400):
+        nearest = np.arccos(np.abs(anywhere @ axes_grid(count).T).max(axis=1).clip(max=1.0))
+        assert nearest.max() < 1.1 * np.sqrt(2 * np.pi / count)
+
+
+def test_tangents_are_across() -> None:
+    for u in axes_grid(20):
+        basis = tangents(u)
+        np.testing.assert_allclose(basis @ basis.T, np.eye(2), atol=1e-12)
+        np.testing.assert_allclose(basis @ u, 0.0, atol=1e-12)
+
+
+def test_bad_settings_are_refused() -> None:
+    with pytest.raises(InvalidSetting, match="count"):
+        axes_grid(0)
+    with pytest.raises(InvalidSetting, match="whole number"):
+        axes_grid(2.5)  # type: ignore[arg-type]
+    with pytest.raises(InvalidSetting, match="dimension"):
+        axes_grid(5, 4)

@@ -1,13 +1,18 @@
-"""Second-order statistics of one record, computed once and shared by the functions on them."""
+"""Second to fourth moments of one record: covariances, skewness and excess kurtosis.
+
+Sums are divided by the number of samples, as in the thesis (4.16 to 4.20).
+"""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import as_record, as_records
+from loose_env.statistics._checks import as_direction, as_record, as_records, as_samples
 from loose_env.typing import Array
 
 # Below this share of the largest variance a direction counts as not moving: rounding of the
@@ -213,3 +218,130 @@ class _Joint:
     def between(self, x: str, a: str) -> Covariances:
         p, q, full = self.rows[x], self.rows[a], self.full
         return Covariances(full[..., p, p], full[..., p, q], full[..., q, q], self.count)
+
+
+# Standard deviation relative to the mean, or of one component to the other, taken as rounding.
+ROUNDING = 1e-12
+
+
+@overload
+def skewness(a: ArrayLike, direction: None = None) -> Array: ...
+@overload
+def skewness(a: ArrayLike, direction: ArrayLike) -> float: ...
+def skewness(a: ArrayLike, direction: ArrayLike | None = None) -> Array | float:
+    """Measure the asymmetry of the distribution, E[(X - mu)^3] / sigma^3 (4.19).
+
+    Zero for a Gaussian motion. Stops of unequal stiffness make it differ from zero. Mean and
+    variance of a component are those of (4.16 to 4.18).
+
+    Parameters
+    ----------
+    a : array, shape (N,) or (d, N)
+        Tool acceleration in the tool frame, m/s^2.
+    direction : array, shape (d,), optional
+        Direction in the tool frame, of any length above zero.
+
+    Returns
+    -------
+    array, shape () or (d,), or float
+        Skewness of each row of a, or of the component along `direction`.
+
+    Raises
+    ------
+    InvalidData
+        If a or the direction cannot be used, or a component asked for does not vary.
+
+    Examples
+    --------
+    >>> skewness([[0.0, 0.0, 0.0, 4.0], [-1.0, 1.0, -1.0, 1.0]]).round(4).tolist()
+    [1.1547, 0.0]
+    """
+    found = shape_of(_component(a, direction))[0]
+    return found if direction is None else float(found)
+
+
+@overload
+def kurtosis(a: ArrayLike, direction: None = None) -> Array: ...
+@overload
+def kurtosis(a: ArrayLike, direction: ArrayLike) -> float: ...
+def kurtosis(a: ArrayLike, direction: ArrayLike | None = None) -> Array | float:
+    """Measure the excess kurtosis, E[(X - mu)^4] / sigma^4 - 3 (4.20).
+
+    Zero for a Gaussian motion; impacts at the stops raise it.
+
+    Parameters
+    ----------
+    a : array, shape (N,) or (d, N)
+        Tool acceleration in the tool frame, m/s^2.
+    direction : array, shape (d,), optional
+        Direction in the tool frame, of any length above zero.
+
+    Returns
+    -------
+    array, shape () or (d,), or float
+        Excess kurtosis of each row of a, or of the component along `direction`.
+
+    Raises
+    ------
+    InvalidData
+        If a or the direction cannot be used, or a component asked for does not vary.
+
+    Examples
+    --------
+    >>> kurtosis([[-1.0, 1.0, -1.0, 1.0], [0.0, 0.0, 0.0, 1.0]], [1.0, 0.0])
+    -2.0
+    """
+    found = shape_of(_component(a, direction))[1]
+    return found if direction is None else float(found)
+
+
+def shape_of(rows: ArrayLike) -> tuple[Array, Array]:
+    """Measure `skewness` and `kurtosis` of every row together, in one pass.
+
+    Parameters
+    ----------
+    rows : array, shape (d, N)
+        Signals of any unit.
+
+    Returns
+    -------
+    array, array, each of shape (d,)
+        Skewness and excess kurtosis.
+
+    Raises
+    ------
+    InvalidData
+        If the rows cannot be used, or one does not vary.
+
+    Examples
+    --------
+    >>> rows = [[-1.0, 1.0, -1.0, 1.0], [0.0, 0.0, 0.0, 4.0]]
+    >>> [values.round(4).tolist() for values in shape_of(rows)]
+    [[0.0, 1.1547], [-2.0, -0.6667]]
+    """
+    record = as_samples(rows, "a")
+    with np.errstate(invalid="ignore", over="ignore"):
+        means = record.mean(axis=-1, keepdims=True)
+        off = record - means
+        sd = np.sqrt(np.einsum("...n,...n->...", off, off) / record.shape[-1])[..., None]
+    if not np.isfinite(sd).all():
+        raise InvalidData("a holds NaN, infinite or too large values")
+    if (sd <= ROUNDING * np.abs(means)).any():
+        raise InvalidData("a is constant in a component asked for; it must vary")
+    z = off / sd
+    square = z * z
+    third = np.einsum("...n,...n->...", square, z) / z.shape[-1]
+    fourth = np.einsum("...n,...n->...", square, square) / z.shape[-1] - 3.0
+    return np.asarray(third), np.asarray(fourth)
+
+
+def _component(a: ArrayLike, direction: ArrayLike | None) -> Array:
+    """Rows of a motion (d, N), or its component along a direction (N,)."""
+    record = as_samples(a, "a")
+    if record.ndim > 2 or (direction is not None and record.ndim != 2):
+        raise InvalidData(
+            f"a has shape {record.shape}; it must be (N,) or (d, N), with a direction (d, N)"
+        )
+    if direction is None:
+        return record
+    return np.asarray(np.einsum("d,dn->n", as_direction(direction, len(record)), record))

@@ -1,4 +1,6 @@
-"""Band limits, differentiation and spectra."""
+"""Band limits, differentiation, spectra, delay and long-run variance."""
+
+from __future__ import annotations
 
 import math
 
@@ -10,6 +12,8 @@ from loose_env.errors import InvalidData
 from loose_env.statistics import (
     acceleration_from_angle,
     bandpass,
+    long_run_variance,
+    phase_delay,
     transfer_function,
 )
 
@@ -179,3 +183,76 @@ def test_input_and_output_must_be_sampled_together(rng):
 def test_a_still_signal_has_no_spectrum(rng):
     with pytest.raises(InvalidData, match="constant"):
         transfer_function(np.ones(100), rng.standard_normal(100), RATE)
+
+
+LINES = np.linspace(5.0, 100.0, 80)
+
+
+def turned(seconds: float, sign: int = 1) -> np.ndarray:
+    """Cross-spectrum of a signal and the same one late, of uneven size."""
+    size = np.linspace(0.1, 3.0, len(LINES))
+    return np.asarray(sign * size * np.exp(-2j * np.pi * LINES * seconds))
+
+
+@pytest.mark.parametrize("seconds", [-0.0199, -3e-4, 0.0, 1e-5, 4.2e-3])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_delay_and_a_sign_are_found_exactly(seconds: float, sign: int) -> None:
+    found = phase_delay(
+        LINES, turned(seconds, sign), np.ones(len(LINES)), largest=0.03, either_sign=True
+    )
+    assert found is not None
+    assert found.seconds == pytest.approx(seconds, abs=1e-9)
+    assert found.sign == sign and found.fit == pytest.approx(1.0)
+    assert found.rival < 0.8
+
+
+def test_the_standard_deviation_is_that_of_repeated_estimates() -> None:
+    rng = np.random.default_rng(0)
+    errors, sds = [], []
+    for _ in range(200):
+        phases = np.exp(1j * rng.normal(0.0, 0.3, len(LINES)))
+        found = phase_delay(
+            LINES, turned(2e-3) * phases, np.ones(len(LINES)), largest=0.03, either_sign=False
+        )
+        assert found is not None
+        errors.append(found.seconds - 2e-3)
+        sds.append(found.sd)
+    assert np.mean(sds) == pytest.approx(np.std(errors), rel=0.2)
+
+
+def test_lines_of_another_phase_hardly_move_the_delay() -> None:
+    cross = turned(2e-3)
+    cross[10:16] *= 1j  # a resonance between the two
+    found = phase_delay(LINES, cross, np.ones(len(LINES)), largest=0.03, either_sign=False)
+    assert found is not None and found.seconds == pytest.approx(2e-3, abs=1e-4)
+
+
+def test_without_lines_or_beyond_the_search_there_is_no_delay() -> None:
+    ones = np.ones(len(LINES))
+    nothing = np.zeros(len(LINES), dtype=complex)
+    assert phase_delay(LINES, nothing, ones, largest=0.03, either_sign=True) is None
+    assert phase_delay(LINES, turned(1e-3), 0 * ones, largest=0.03, either_sign=True) is None
+    assert phase_delay(LINES, turned(6e-3), ones, largest=5e-3, either_sign=False) is None
+
+
+def test_a_single_line_leaves_the_delay_open() -> None:
+    found = phase_delay(
+        np.array([50.0]), np.array([1j]), np.ones(1), largest=0.05, either_sign=True
+    )
+    assert found is not None and found.rival > 0.95
+
+
+def remembering(rng, memory, count=1200):
+    """First-order series past its start."""
+    noise = rng.standard_normal(count + 200)
+    return scipy_signal.lfilter([1.0], [1.0, -memory], noise)[200:]
+
+
+@pytest.mark.parametrize("memory", [-0.5, 0.0, 0.5, 0.8])
+def test_the_long_run_variance_of_a_first_order_series_is_known(rng, memory):
+    found = [long_run_variance(remembering(rng, memory)) for _ in range(200)]
+    assert np.mean(found) == pytest.approx(1 / (1 - memory) ** 2, rel=0.1)
+
+
+def test_a_series_of_zeros_has_no_scatter():
+    assert long_run_variance(np.zeros(50)) == 0.0
