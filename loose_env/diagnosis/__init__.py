@@ -1,7 +1,7 @@
-"""Diagnosis from several records: likelihoods, learned posteriors, link finding, design.
+"""Diagnosis from several records: posteriors, directions, link finding, experiment design.
 
-Data flow: records -> likelihood -> learned -> experiment_design -> link_finding
--> research.
+Data flow: prediction -> records -> posterior -> features -> novelty -> learned ->
+experiment_design -> directions -> link_finding -> scatter -> pose_sets.
 """
 
 from loose_env.diagnosis.directions import (
