@@ -45,7 +45,7 @@ def success_and_records(
         The agents.
     curves : mapping, optional
         Success after record 1, 2, ... of agents that may not stop, from
-        `loose_env.evaluation.strata.success_after`.
+        `loose_env.evaluation.success_after`.
     colours : mapping, optional
         Colour of each agent.
     """
