@@ -29,7 +29,7 @@ from loose_env.gap.workflow.evidence import diagnose_residuals
 from loose_env.gap.workflow.pipeline import GapSolution, find_gap
 from loose_env.gap.workflow.summary import result_of
 from loose_env.recording import Recording, Run, write_recording
-from loose_env.report.gap.page import render_gap_page
+from loose_env.report import render_gap_page
 from tests.gap.cases.gap_case import stated
 from tests.gap.cases.level_arm import FINE, LEVEL, recorded
 

@@ -22,7 +22,7 @@ from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettin
 from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.recording import read_recording, write_csv
 from loose_env.recording.parquet_file import read_parquet
-from loose_env.report.plan.plan_text import commands_after, steps
+from loose_env.report import plan_commands, plan_steps
 from tests.instrument.arms.plan_arms import MOTORS, SERVOED, URDF, written
 from tests.instrument.arms.playing import play
 
@@ -109,7 +109,8 @@ def test_the_signal_of_an_arm_that_sags_begins_where_the_arm_was_sent(
     assert did.first_step < 0.3  # a step of the sag makes it 5 and more
     assert did.held_at == pytest.approx(made.pose, abs=1e-3)
     assert any("servos sag" in words and "lift by" in words for words in made.warnings)
-    assert "lift_servo at -0.3491" in " ".join(steps(made, ("run-01.csv",)))
+    planned = PlanFiles(tmp_path, made.arm.recording_model.xml).runs_of(made)
+    assert "lift_servo at -0.3491" in " ".join(plan_steps(made, planned))
 
 
 def test_motors_are_given_torque_that_holds_the_pose_too(motors: Path) -> None:
@@ -266,7 +267,7 @@ def test_the_next_command_has_the_options_that_the_session_began_with(servoed: P
         choice=replace(FEW, most_tool=5.0),
         own=PlanSettings(joint="lift", hold_s=0.7),
     )
-    command = commands_after(made, "DIR")[-1]
+    command = plan_commands(made, "DIR")[-1]
     for words in (
         "--tool tool",
         "--payload-kg 0.5",
