@@ -659,9 +659,9 @@ def confusion_matrix(rows: Sequence[Row], names: Sequence[str], colour: str) -> 
         axes.text(j + 0.5, i + 0.5, words, color=ink, fontsize=size, ha="center", va="center")
     for i in range(down):
         axes.add_patch(Rectangle((i, i), 1, 1, facecolor="none", edgecolor=MUTED))
-    words = [_cell_words(name) for name in (*names, UNSURE)] + ["none"]
-    axes.set_xticks(np.arange(across) + 0.5, words, rotation=90)
-    axes.set_yticks(np.arange(down) + 0.5, words[:down])
+    shown = [_cell_shown(name) for name in (*names, UNSURE)] + ["none"]
+    axes.set_xticks(np.arange(across) + 0.5, shown, rotation=90)
+    axes.set_yticks(np.arange(down) + 0.5, shown[:down])
     axes.xaxis.tick_top()
     axes.tick_params(labelsize=size, labelcolor=INK)
     axes.set(xlim=(0, across), ylim=(down, 0), aspect="equal")

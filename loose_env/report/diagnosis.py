@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -94,7 +95,7 @@ def diagnosis_headline(diagnosis: Diagnosis, arm: Arm) -> str:
 def _brief(diagnosis: Diagnosis, arm: Arm, folder: str, *, warnings: bool) -> Brief:
     names = {name: short_name(arm, name) for name in diagnosis.posterior}
     table = hypothesis_table(diagnosis, arm)
-    cells = [table.columns, *(list(row.values()) for row in table.rows)]
+    cells: list[list[Any]] = [table.columns, *(list(row.values()) for row in table.rows)]
     for row, share in zip(cells, ["", *(p for _, p in _listed(diagnosis))], strict=True):
         row.insert(1, share)
     graded = [(s, with_plain_names(w, names)) for s, w in diagnosis.graded_warnings]

@@ -195,7 +195,7 @@ def _joint(
         axes.plot(*at, "o", markersize=22, linestyle="", label="suspected joint", **look)
     axes.plot(*at, shape, color=colour, mec=EDGE, markersize=15, linestyle="", label=said, zorder=4)
     ink = {SHAKEN: ink_on(SHAKEN), palette.HELD_CAP: palette.PAPER}.get(colour, INK)
-    axes.text(*at, str(k + 1), color=ink, fontsize=9, fontweight="bold", ha="center",
+    axes.text(at[0], at[1], str(k + 1), color=ink, fontsize=9, fontweight="bold", ha="center",
               va="center_baseline", zorder=4.5)  # fmt: skip
 
 
@@ -207,13 +207,15 @@ def _tool(axes: Axes, frame: Array, at: Array, arm: Arm, length: float) -> None:
         if np.linalg.norm(along) > 0.15 * length:
             arrow(axes, at, at + along, color=INK, width=1.3)
         end = at + along + 0.25 * along / max(float(np.linalg.norm(along)) / length, 0.15)
-        axes.text(*end, "xyz"[k], color=INK, fontsize=9, fontstyle="italic", ha="center",
+        axes.text(end[0], end[1], "xyz"[k], color=INK, fontsize=9, fontstyle="italic", ha="center",
                   va="center", zorder=8)  # fmt: skip
 
 
 def _measures(axes: Axes, size: float, *, upright: bool) -> None:
     """A measure of length, and the direction of gravity."""
-    from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
+    from mpl_toolkits.axes_grid1.anchored_artists import (  # type: ignore[import-untyped]
+        AnchoredSizeBar,
+    )
 
     decade = 10.0 ** float(np.floor(np.log10(0.4 * size)))
     length = max(k * decade for k in (1, 2, 5) if k * decade <= 0.4 * size)
@@ -291,7 +293,7 @@ def _loop(axes: Axes, loop: Loop, record: RecordSeen) -> None:
     axes.add_patch(Circle((0, 0), 1.0, facecolor="none", edgecolor=FAINT, linewidth=1.1))
     for end, name in zip(np.eye(2), loop.plane, strict=True):
         axes.plot(*(1.1 * np.outer([-1, 1], end)).T, color=FAINT, linewidth=0.8, zorder=1)
-        axes.text(*(1.24 * end), name, color=INK, fontsize=9, fontstyle="italic", ha="center",
+        axes.text(1.24 * end[0], 1.24 * end[1], name, color=INK, fontsize=9, fontstyle="italic", ha="center",
                   va="center")  # fmt: skip
     # Half a turn further the correlation has the other sign, and the point is the same: closed.
     angle = np.radians(np.asarray([*loop.angle_deg, *loop.angle_deg[:1]]))
