@@ -22,11 +22,11 @@ RUN := $(VENV)/.installed-run
 DEV := $(VENV)/.installed-dev
 
 .DELETE_ON_ERROR:
-.PHONY: help run thesis docs test bench study gap-suite check format build clean
+.PHONY: help run thesis docs test test-slow bench study gap-suite check format size build clean
 
 help: ## list the verbs
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | while IFS='	' read -r verb does; do \
-		printf '  make %-9s %s\n' "$$verb" "$$does"; done
+		printf '  make %-10s %s\n' "$$verb" "$$does"; done
 
 run: $(RUN) ## let six agents and two constant baselines find hidden faults: a table, and a page with pictures
 	$(BIN)/python scripts/run_demo.py $(ARGS)
@@ -41,6 +41,9 @@ docs: $(DEV) ## build the documentation's site into docs/_build; a warning is an
 # A file's tests stay in one process, which shares what its fixtures made.
 test: $(DEV) ## run the tests and the examples in the docstrings
 	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses auto --dist loadfile $(ARGS)
+
+test-slow: $(DEV) ## run the slow tests: browser, killed processes, fuzzing, training, thesis, suites
+	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses auto --dist loadfile -m slow $(ARGS)
 
 bench: $(RUN) ## time the simulation and the diagnosis on this machine
 	$(BIN)/python scripts/dev/benchmark.py $(ARGS)
@@ -59,6 +62,9 @@ check: $(DEV) ## formatting, lint and types; changes nothing
 format: $(DEV) ## format the code and apply the safe fixes
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+size: ## print the lines of each part beside its budget
+	@$(PYTHON) scripts/dev/size.py $(ARGS)
 
 build: $(DEV) ## make the wheel and the sdist, and try each in a clean environment
 	rm -rf dist

@@ -659,7 +659,7 @@ def confusion_matrix(rows: Sequence[Row], names: Sequence[str], colour: str) -> 
         axes.text(j + 0.5, i + 0.5, words, color=ink, fontsize=size, ha="center", va="center")
     for i in range(down):
         axes.add_patch(Rectangle((i, i), 1, 1, facecolor="none", edgecolor=MUTED))
-    shown = [_cell_shown(name) for name in (*names, UNSURE)] + ["none"]
+    shown = [_cell_words(name) for name in (*names, UNSURE)] + ["none"]
     axes.set_xticks(np.arange(across) + 0.5, shown, rotation=90)
     axes.set_yticks(np.arange(down) + 0.5, shown[:down])
     axes.xaxis.tick_top()

@@ -293,8 +293,8 @@ def _loop(axes: Axes, loop: Loop, record: RecordSeen) -> None:
     axes.add_patch(Circle((0, 0), 1.0, facecolor="none", edgecolor=FAINT, linewidth=1.1))
     for end, name in zip(np.eye(2), loop.plane, strict=True):
         axes.plot(*(1.1 * np.outer([-1, 1], end)).T, color=FAINT, linewidth=0.8, zorder=1)
-        axes.text(1.24 * end[0], 1.24 * end[1], name, color=INK, fontsize=9, fontstyle="italic", ha="center",
-                  va="center")  # fmt: skip
+        x, y = 1.24 * end
+        axes.text(x, y, name, color=INK, fontsize=9, fontstyle="italic", ha="center", va="center")
     # Half a turn further the correlation has the other sign, and the point is the same: closed.
     angle = np.radians(np.asarray([*loop.angle_deg, *loop.angle_deg[:1]]))
     way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
