@@ -285,12 +285,6 @@ class EpisodeTimeline:
 
     cards: tuple[FigureCard, ...]
     """The first pose, every record and the end, in order."""
-    truth: str
-    """The hypothesis that was true."""
-    verdict: str | None
-    """The verdict of the agent."""
-    records: int
-    """Records taken."""
     words: str
     """The outcome in a sentence."""
 
@@ -336,13 +330,7 @@ def episode_timeline(
     said = "there was no verdict"
     if verdict is not None:
         said = f"the verdict was: {hypothesis_words(verdict)}"
-    return EpisodeTimeline(
-        cards=tuple(cards),
-        truth=info["fault"],
-        verdict=verdict,
-        records=episode.records,
-        words=f"{spent} {said}. {mark}",
-    )
+    return EpisodeTimeline(cards=tuple(cards), words=f"{spent} {said}. {mark}")
 
 
 def write_comparison(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import log1p
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -38,7 +38,6 @@ from loose_env.gap import (
 from loose_env.io import begun, duration_words, write_text
 from loose_env.recording import joint_sensors
 from loose_env.report.gap_figures import (
-    Overlay,
     channel_bars,
     horizon_curves,
     overlay_figure,
@@ -57,6 +56,9 @@ from loose_env.report.page import (
     warnings_section,
 )
 from loose_env.typing import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _PLAIN = {
     "viscous_friction": "viscous friction",
@@ -609,7 +611,7 @@ def overlay_section(solution: GapSolution, before: BySeries, after: BySeries) ->
     cards = [
         FigureCard(
             title=joint,
-            image=overlay_figure(_overlay(solution, one, other, joint)),
+            image=_overlay(solution, one, other, joint),
             caption=f"{one.channel} of {one.run}, held out from all fits. Residual {one.rms:.2f} "
             f"before and {other.rms:.2f} after correction, in noise standard deviations.",
         )
@@ -620,7 +622,7 @@ def overlay_section(solution: GapSolution, before: BySeries, after: BySeries) ->
     return Section(heading="Measured, nominal and corrected", intro=[intro], cards=cards)
 
 
-def _overlay(solution: GapSolution, one: Series, other: Series, joint: str) -> Overlay:
+def _overlay(solution: GapSolution, one: Series, other: Series, joint: str) -> Figure:
     held, model = solution.problem.held_out_whole, solution.problem.machine.model
     column = next(c for c, each in enumerate(held.channels) if each.name == one.channel)
     scale = float(held.scales[one.trial, column])
@@ -641,14 +643,8 @@ def _overlay(solution: GapSolution, one: Series, other: Series, joint: str) -> O
     )
     if one.channel.removeprefix("sensor.") in joint_sensors(model)[joint].velocity:
         unit += "/s"
-    return Overlay(
-        time=one.time[few],
-        measured=measured[few],
-        nominal=(measured - one.residual * scale)[few],
-        corrected=(measured - other.residual * scale)[few],
-        channel=one.channel,
-        unit=unit,
-    )
+    models = (measured[few], *((measured - m.residual * scale)[few] for m in (one, other)))
+    return overlay_figure(one.time[few], *models, channel=one.channel, unit=unit)
 
 
 def _residual_section(evidence: ResidualDiagnostics, result: GapResult) -> Section:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -20,22 +19,6 @@ if TYPE_CHECKING:
 BEFORE, AFTER = TRUTH, MEASURED
 """Colours of the nominal and of the corrected model."""
 _DOTS, _NAMES = 300, 26  # dots of a panel, letters of a channel's name
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Overlay:
-    """One channel over time, measured and by both models."""
-
-    time: Array
-    """Times [s] (N,)."""
-    measured: Array
-    """Readings (N,); NaN where one is missing."""
-    nominal: Array
-    """By the nominal model (N,)."""
-    corrected: Array
-    """By the corrected model (N,)."""
-    channel: str
-    unit: str
 
 
 def channel_bars(pairs: Mapping[str, tuple[float, float]]) -> Figure:
@@ -62,24 +45,25 @@ def channel_bars(pairs: Mapping[str, tuple[float, float]]) -> Figure:
     return figure
 
 
-def overlay_figure(overlay: Overlay) -> Figure:
-    """Measured, nominal and corrected readings over time, and the residual of each model."""
+def overlay_figure(
+    time: Array, measured: Array, nominal: Array, corrected: Array, *, channel: str, unit: str
+) -> Figure:
+    """Measured, nominal and corrected readings (N,) over time, and the residual of each model."""
     figure, (top, low) = panels(2, 1.8)
-    x = overlay.time
-    models = (
-        (overlay.nominal, "nominal model", {"color": BEFORE, "linestyle": DASHED}),
-        (overlay.corrected, "corrected model", {"color": AFTER}),
-    )
-    top.plot(x, overlay.measured, ".", color=MUTED, markersize=3.2, label="measured")
-    for values, label, look in models:
-        top.plot(x, values, linewidth=1.5, label=label, **look)
-        low.plot(x, overlay.measured - values, linewidth=1.2, **look)
+    top.plot(time, measured, ".", color=MUTED, markersize=3.2, label="measured")
+    for values, label, colour, line in (
+        (nominal, "nominal model", BEFORE, DASHED),
+        (corrected, "corrected model", AFTER, "-"),
+    ):
+        look: dict[str, Any] = {"color": colour, "linestyle": line, "linewidth": 1.4}
+        top.plot(time, values, label=label, **look)
+        low.plot(time, measured - values, **look)
     for axes in (top, low):
-        axes.set_xlim(x[0], x[-1])
+        axes.set_xlim(time[0], time[-1])
     low.ticklabel_format(axis="y", scilimits=(-2, 3), useMathText=True)
     top.tick_params(labelbottom=False)
-    labels(top, above=f"{plain(overlay.channel, 50)} [{overlay.unit}]")
-    labels(low, x="time [s]", above=f"measured less predicted [{overlay.unit}]")
+    labels(top, above=f"{plain(channel, 50)} [{unit}]")
+    labels(low, x="time [s]", above=f"measured less predicted [{unit}]")
     low.title.set_position((0.12, 1.0))
     legend(figure, top)
     return figure

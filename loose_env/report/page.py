@@ -42,14 +42,14 @@ THEMED = {
 }
 """Colours of figures that follow the page, and their roles."""
 
-_PNG = b"\x89PNG\r\n"
 _WIDTH, _NAME = 120, 20  # columns of a terminal, and of the names in its first one
 _LONG = re.compile(r"\S{25,}")  # words that do not fit into a cell of a table
 _GRADES = {
-    "critical": "Invalidates the result",
-    "warning": "Limits the result",
-    "note": "Notes",
+    "critical": ("Critical", "Invalidates the result"),
+    "warning": ("Warnings", "Limits the result"),
+    "note": ("Notes", "Notes"),
 }
+"""Severity -> title in a notebook and on a page."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -164,10 +164,13 @@ def warnings_section(graded: Iterable[tuple[str, str]]) -> Section:
     >>> warnings_section([("note", "a"), ("critical", "b")]).warnings[0]
     ('critical', 'Invalidates the result', ['B.'])
     """
-    many = list(graded)
-    by_grade = {g: [sentence(words) for own, words in many if own == g] for g in _GRADES}
-    found = [(g, _GRADES[g], said) for g, said in by_grade.items() if said]
+    found = [(grade, _GRADES[grade][1], said) for grade, said in _by_grade(graded) if said]
     return Section(heading="Warnings", warnings=found)
+
+
+def _by_grade(graded: Iterable[tuple[str, str]]) -> list[tuple[str, list[str]]]:
+    many = list(graded)
+    return [(g, [sentence(words) for own, words in many if own == g]) for g in _GRADES]
 
 
 def render_page(
@@ -296,7 +299,7 @@ def shown(card: FigureCard, name: str) -> dict[str, str]:
         A name that no other figure of the page has.
     """
     image = card.image if isinstance(card.image, bytes) else to_svg(card.image)
-    png = image.startswith(_PNG)
+    png = image.startswith(b"\x89PNG\r\n")
     address = f"data:image/png;base64,{base64.b64encode(image).decode('ascii')}"
     return {
         "heading": card.heading, "intro": card.intro, "title": card.title, "caption": card.caption,
@@ -388,11 +391,9 @@ class Brief:
         return "".join(found)
 
 
-def graded_parts(graded: Sequence[tuple[str, str]]) -> list[tuple[str, str, list[str]]]:
+def graded_parts(graded: Iterable[tuple[str, str]]) -> list[tuple[str, str, list[str]]]:
     """Warnings as parts of a `Brief`, by severity."""
-    titles = {"critical": "Critical", "warning": "Warnings", "note": "Notes"}
-    by_grade = {g: [sentence(words) for own, words in graded if own == g] for g in titles}
-    return [(title, f"{grade}: ", by_grade[grade]) for grade, title in titles.items()]
+    return [(_GRADES[grade][0], f"{grade}: ", said) for grade, said in _by_grade(graded)]
 
 
 def _cell(value: str | float) -> str:

@@ -255,7 +255,18 @@ def _joint_sheet(plan: Plan, planned: Sequence[PlannedRun]) -> _Sheet:
             caption="The joint in yellow is shaken, the others are held.",
         ),
         further=[
-            Section(heading="The signal", cards=_signal_cards(plan), tables=[signals]),
+            Section(
+                heading="The signal",
+                tables=[signals],
+                cards=[
+                    FigureCard(
+                        title=f"Command of {signal.joint}",
+                        image=_signal_figure(plan, signal),
+                        caption="Above: the command over time. Below: its spectrum.",
+                    )
+                    for signal in plan.signals
+                ],
+            ),
             Section(
                 heading="Peaks and limits",
                 points=[sentence(begun(line)) for line in limits],
@@ -365,20 +376,9 @@ def _expected_table(plan: Plan) -> Table:
     return Table(rows=rows, note=note)
 
 
-def _signal_cards(plan: Plan) -> list[FigureCard]:
-    caption = "Above: the command over time, swelling and dying away. Below: its spectrum."
-    return [
-        FigureCard(
-            title=f"Command of {signal.joint}", image=_signal_figure(plan, signal), caption=caption
-        )
-        for signal in plan.signals
-    ]
-
-
 def _signal_figure(plan: Plan, signal: Signal) -> Figure:
-    drive = plan.arm.drives[plan.arm.joints.index(signal.joint)]
-    assert drive is not None
-    name, command = f"ctrl.{drive.actuator}", signal.commands[drive.actuator]
+    actuator = _drive(plan, signal).actuator
+    name, command = f"ctrl.{actuator}", signal.commands[actuator]
     if signal.kind != "model":
         name = f"{signal.kind}.{signal.joint}"
         command = signal.played[name]
