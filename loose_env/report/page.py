@@ -13,7 +13,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from loose_env.envs import palette as ink
-from loose_env.errors import MissingExtra
+from loose_env.errors import InvalidData, MissingExtra
 from loose_env.io import sentence
 
 if TYPE_CHECKING:
@@ -326,7 +326,10 @@ def inline(svg: bytes, name: str) -> str:
     '<svg><g id="f1-a"/><use href="#f1-a"/></svg>'
     """
     text = svg.decode("utf-8")
-    text = text[text.index("<svg") : text.rindex("</svg>") + len("</svg>")]
+    start, end = text.find("<svg"), text.rfind("</svg>")
+    if start < 0 or end < 0:
+        raise InvalidData("a figure is a PNG, an SVG or a matplotlib figure; this is neither")
+    text = text[start : end + len("</svg>")]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'\bid="', f'id="{name}-', text)
     text = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", text)

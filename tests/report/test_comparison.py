@@ -13,7 +13,7 @@ pytest.importorskip("matplotlib")
 
 from loose_env.arms import vera
 from loose_env.envs import DiagnosisSettings
-from loose_env.faults import hypotheses
+from loose_env.errors import InvalidData
 from loose_env.report import (
     EpisodeTimeline,
     FigureCard,
@@ -23,45 +23,24 @@ from loose_env.report import (
 )
 from loose_env.report.comparison import confusion_counts, confusion_matrix, ordered_hypotheses
 from tests.report.page_checks import checked
+from tests.report.test_evaluation import rows_of
 
 
-def rows_of(agent: str, rights: int, of: int = 20, records: int = 3) -> list[dict[str, Any]]:
-    """Rows of an agent that is right on its first ``rights`` arms."""
-    names = hypotheses(vera())
-    rows = []
-    for k in range(of):
-        truth, right = names[k % len(names)], k < rights
-        verdict = truth if right else (None if k == of - 1 else "healthy")
-        rows.append(
-            {
-                "agent": agent,
-                "difficulty": "hard" if k % 2 else "easy",
-                "seed": 7,
-                "episode": k,
-                "truth": truth,
-                "verdict": verdict,
-                "success": right,
-                "link_success": right,
-                "poses": 2,
-                "records": records + k % 2,
-                "seconds": 1.2 * records,
-                "reward": (1.0 if right else -1.0) - 0.1 * records,
-                "truncated": k == of - 1 and not right,
-                "friction_ratio": None if truth == "healthy" else 0.3 * (1 + k % 40),
-                "trail_best": ["healthy"] * (records - 1) + [verdict],
-                "trail_confidence": [0.8] * records,
-                "trail_truth": [0.8] * records,
-            }
-        )
-    return rows
+def played(agent: str, right: int, records: int = 3) -> list[dict[str, Any]]:
+    """Twenty rows of an agent; one that is wrong on the last arm gives no verdict there."""
+    *rows, last = rows_of(agent, right=right, episodes=20, records=records)
+    if not last["success"]:
+        last |= {"verdict": None, "truncated": True}
+    return [*rows, last]
 
 
-ROWS = [*rows_of("first <one>", 18), *rows_of("second & two", 9, records=5)]
+PLAYS = ("backlash@joint1", "backlash@joint2")
+ROWS = [*played("first <one>", 18), *played("second & two", 9, records=5)]
 WHOLE = [
-    *rows_of("net/greedy#1", 18),
-    *rows_of("net/greedy#2", 17),
-    *rows_of("net/random", 12),
-    *rows_of("thesis", 6),
+    *played("net/greedy#1", 18),
+    *played("net/greedy#2", 17),
+    *played("net/random", 12),
+    *played("thesis", 6),
 ]
 
 
@@ -118,7 +97,7 @@ def test_the_page_holds_every_agent_figure_and_step(
 
 def test_terminal_and_page_hold_the_same_tables(tmp_path: Path) -> None:
     given: dict[str, Any] = {
-        "forced": [{**row, "records": 3} for row in rows_of("net/random", 12)],
+        "forced": [{**row, "records": 3} for row in played("net/random", 12)],
         "reference": "net/random",
         "said": ["At least 1.2 records are needed."],
     }
@@ -168,7 +147,7 @@ def test_a_page_that_fails_leaves_the_old_file_whole(
         cards=(FigureCard(caption="no picture", image=b"GIF89a"),),
         words="",
     )
-    with pytest.raises(ValueError):
+    with pytest.raises(InvalidData):
         write_comparison(path, ROWS, title="t", played="p", timeline=broken)
 
     def fail(self: Path, target: Path) -> None:
@@ -185,7 +164,7 @@ def test_the_confusion_matrix_counts_every_arm() -> None:
     rows = [{**row, "verdict": "unsure"} if k < 5 else row for k, row in enumerate(ROWS)]
     rows.append({**ROWS[0], "truth": "several_faults", "verdict": "healthy"})
     names = ordered_hypotheses(rows)
-    assert names == (*hypotheses(vera()), "several_faults")
+    assert names == ("healthy", "structural_looseness@link1", *PLAYS, "several_faults")
     counts = confusion_counts(rows, names)
     assert counts.sum() == len(rows)
     assert np.trace(counts) == sum(row["truth"] == row["verdict"] for row in rows)

@@ -85,11 +85,6 @@ ROWS = [
 ]
 
 
-def test_no_episodes_are_refused() -> None:
-    with pytest.raises(InvalidData, match="no episodes"):
-        standings([])
-
-
 def test_the_words_say_who_won_and_whether_it_may_be_sampling_error() -> None:
     a, b, c = (rows_of(name, right=k, episodes=20) for name, k in (("a", 18), ("b", 17), ("c", 2)))
     found = standings([*b, *a])
@@ -118,11 +113,6 @@ def test_the_front_holds_what_nothing_beats_in_both(
     assert pareto_front(cost, value).tolist() == front
 
 
-def test_a_front_of_points_that_are_none_is_refused() -> None:
-    with pytest.raises(InvalidData):
-        pareto_front([1.0], [np.nan])
-
-
 def test_false_alarms_are_counted_on_healthy_arms_and_misses_on_faulty_ones() -> None:
     found = standings(rows_of("a", right=15))[0]
     assert found.false_alarms == 5 / 10
@@ -141,8 +131,6 @@ def test_the_lead_over_the_reference_is_the_difference_of_returns() -> None:
     assert best.lead.estimate == pytest.approx(best.reward - reference.reward)
     assert best.lead.low < best.lead.estimate < best.lead.high
     assert best.reward_interval.low < best.reward < best.reward_interval.high
-    with pytest.raises(UnknownName, match="net/greedy"):
-        standings(ROWS, reference="nobody")
 
 
 def test_every_episode_lies_in_one_group_of_each_division() -> None:
@@ -203,22 +191,8 @@ def test_a_confidence_of_one_lies_in_the_last_bin_and_no_claim_is_lost() -> None
     assert found.count.tolist() == [2, 2]
     assert found.right.tolist() == [0.5, 0.5]
     assert found.confidence.tolist() == [0.25, 1.0]
-
-
-def test_no_claims_have_no_error() -> None:
-    assert np.isnan(expected_calibration_error([], []))
-    assert np.isnan(log_score([]))
-
-
-def test_what_is_no_probability_is_refused() -> None:
-    with pytest.raises(InvalidData, match="probability"):
-        expected_calibration_error([1.2], [True])
-    with pytest.raises(InvalidData, match="outcome"):
-        expected_calibration_error([0.2, 0.3], [True])
-
-
-def test_an_impossible_truth_costs_a_finite_score() -> None:
-    assert log_score([0.0]) == pytest.approx(np.log(1e-6))
+    assert np.isnan(expected_calibration_error([], [])) and np.isnan(log_score([]))
+    assert log_score([0.0]) == pytest.approx(np.log(1e-6))  # an impossible truth
 
 
 def row(best: list[str], confidence: list[float], ratio: float | None = 3.0) -> dict[str, Any]:
@@ -247,9 +221,6 @@ def test_beliefs_are_judged_by_record_and_by_friction() -> None:
     assert found.by_record[2] == pytest.approx(0.3)
     assert found.by_ratio == pytest.approx((0.4, 0.5 * 0.6 + 0.0, np.nan), nan_ok=True)
     assert found.score == pytest.approx(np.mean(np.log([1.0, 0.6, 0.7])))
-
-
-def test_an_agent_without_probabilities_is_not_judged() -> None:
     assert calibration_of("a", [{"truth": "x", "trail_best": ()}], edges=(1.0,)) is None
 
 
@@ -291,31 +262,8 @@ def test_rows_are_paired_by_episode_not_by_order() -> None:
     assert paired_values(first, second[::-1], "reward").tolist() == [1, 2, 0]
 
 
-@pytest.mark.parametrize(
-    ("other", "words"),
-    [
-        (rows_with([0, 0]), "same arms"),
-        (rows_with([0, 0, 0], seed=2), "share 0 arms"),
-        (rows_with([0, 0, 0], truth="backlash@joint1"), "hides 'healthy'"),
-        ([*rows_with([0, 0, 0]), *rows_with([0])], "same arms"),
-    ],
-)
-def test_agents_that_met_other_arms_are_not_paired(other: Any, words: str) -> None:
-    with pytest.raises(InvalidData, match=words):
-        paired_difference(rows_with([1, 2, 3]), other, rng=np.random.default_rng(0))
-
-
-def test_a_mean_of_nothing_is_refused() -> None:
-    for values in ([], [np.nan], [[1.0]]):
-        with pytest.raises(InvalidData):
-            bootstrap_mean(values, rng=np.random.default_rng(0))
-
-
-def test_the_interquartile_mean_of_eight_scores_is_that_of_the_middle_four() -> None:
+def test_a_quarter_of_the_scores_is_cut_at_each_end() -> None:
     assert interquartile_mean([[9, 1, 2, 3], [4, 5, -100, 80]]) == (2 + 3 + 4 + 5) / 4
-
-
-def test_of_five_scores_one_is_cut_at_each_end() -> None:
     assert interquartile_mean([5, 1, 2, 3, 100]) == pytest.approx(10 / 3)
 
 
@@ -346,13 +294,6 @@ def test_trainings_are_told_by_their_names_and_scored_in_each_difficulty() -> No
     assert scores.tolist() == [[0.25, 0.25], [0.5, 0.5], [0.75, 0.75]]
     found = runs_of(rows, rng=np.random.default_rng(0))
     assert found["ppo"]["success"].estimate == 0.5
-    with pytest.raises(InvalidData, match="every difficulty"):
-        task_scores(rows[:-4], ["ppo#3"], "success")
-
-
-def test_scores_that_are_no_table_are_refused() -> None:
-    with pytest.raises(InvalidData, match="runs, tasks"):
-        stratified_interval([1.0, 2.0], rng=np.random.default_rng(0))
 
 
 CONFIGURATION = {"env": "loose_env/Vera-v0", "seed": 3, "agents": ["a"], "ranges": [0.02, 1.0]}
@@ -373,96 +314,82 @@ SAVED: list[dict[str, Any]] = [
 ]
 
 
-def as_lists(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [{k: list(v) if isinstance(v, tuple) else v for k, v in row.items()} for row in rows]
-
-
-def test_json_comes_back_as_it_was(tmp_path: Path) -> None:
-    path = write_rows(tmp_path / "new", "rows", SAVED, CONFIGURATION, form="json")
+@pytest.mark.parametrize("form", ["json", "parquet"])
+def test_rows_come_back_as_they_were_with_what_made_them(tmp_path: Path, form: Any) -> None:
+    if form == "parquet":
+        parquet = pytest.importorskip("pyarrow.parquet")
+    path = write_rows(tmp_path / "new", "rows", SAVED, CONFIGURATION, form=form)
+    assert [p.name for p in path.parent.iterdir()] == [path.name] == [f"rows.{form}"]
     rows, configuration = read_rows(path)
-    assert path.name == "rows.json"
-    assert rows == as_lists(SAVED)
-    assert configuration == CONFIGURATION
-    assert [p.name for p in path.parent.iterdir()] == ["rows.json"]
-
-
-def test_parquet_comes_back_as_it_was_with_its_hash(tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
-    path = write_rows(tmp_path, "rows", SAVED, CONFIGURATION)
-    rows, configuration = read_rows(path)
-    assert rows == as_lists(SAVED)
-    assert configuration == CONFIGURATION
-    table = parquet.read_table(path)
-    digest = configuration_hash(CONFIGURATION)
-    assert table.schema.metadata[b"loose_env.configuration_hash"].decode() == digest
-    assert set(table.column("configuration").to_pylist()) == {digest}
-    # The type of a column does not depend on what happens to stand in it.
-    assert str(table.schema.field("friction_ratio").type) == "double"
-    assert str(table.schema.field("trail_best").type).startswith("list<")
-
-
-def test_pandas_reads_the_rows(tmp_path: Path) -> None:
-    pytest.importorskip("pyarrow.parquet")
-    pandas = pytest.importorskip("pandas")
-    frame = pandas.read_parquet(write_rows(tmp_path, "rows", SAVED, CONFIGURATION))
-    assert frame.reward.tolist() == [0.1, 1.1, 2.1]
-    assert list(frame.trail_truth[2]) == [0.1, 1 / 3]
-
-
-def test_the_hash_knows_every_value_but_not_the_order() -> None:
+    listed = {k: list(v) if isinstance(v, tuple) else v for k, v in SAVED[1].items()}
+    assert configuration == CONFIGURATION and len(rows) == len(SAVED) and rows[1] == listed
+    if form == "parquet":
+        table, digest = parquet.read_table(path), configuration_hash(CONFIGURATION)
+        assert table.schema.metadata[b"loose_env.configuration_hash"].decode() == digest
+        assert set(table.column("configuration").to_pylist()) == {digest}
+        # The type of a column does not depend on what happens to stand in it.
+        assert str(table.schema.field("friction_ratio").type) == "double"
+        assert str(table.schema.field("trail_best").type).startswith("list<")
+        frame = pytest.importorskip("pandas").read_parquet(path)
+        assert frame.reward.tolist() == [0.1, 1.1, 2.1]
+        assert list(frame.trail_truth[2]) == [0.1, 1 / 3]
+    else:
+        path.write_text(path.read_text().replace('"seed": 3', '"seed": 4'))
+        with pytest.raises(InvalidData, match="does not match its hash"):
+            read_rows(path)
     turned = dict(reversed(CONFIGURATION.items()))
     assert configuration_hash(turned) == configuration_hash(CONFIGURATION)
-    assert configuration_hash({**CONFIGURATION, "seed": 4}) != configuration_hash(CONFIGURATION)
-
-
-def test_a_configuration_that_was_changed_is_noticed(tmp_path: Path) -> None:
-    path = write_rows(tmp_path, "rows", SAVED, CONFIGURATION, form="json")
-    path.write_text(path.read_text().replace('"seed": 3', '"seed": 4'))
-    with pytest.raises(InvalidData, match="does not match its hash"):
-        read_rows(path)
-
-
-def test_other_files_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "rows.json").write_text("[]")
-    (tmp_path / "rows.csv").write_text("a,b")
-    for name in ("rows.json", "rows.csv"):
+    for name, text in (("rows.json", "[]"), ("rows.csv", "a,b")):
+        (tmp_path / name).write_text(text)
         with pytest.raises(InvalidData):
             read_rows(tmp_path / name)
 
 
-def test_an_unknown_format_is_taught() -> None:
-    with pytest.raises(UnknownName, match="parquet or json"):
-        need_format("csv")
-    assert need_format("json") == "json"
+def paired(other: list[dict[str, Any]]) -> object:
+    return paired_difference(rows_with([1, 2, 3]), other, rng=np.random.default_rng(0))
 
 
-def slide(direction, friction=5.0):
-    return StructuralLooseness(
-        link=2, direction=direction, gap=1e-4, stiffness=(1e4, 1e4), friction=friction
-    )
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        (lambda: standings([]), InvalidData, "no episodes"),
+        (lambda: standings(ROWS, reference="nobody"), UnknownName, "net/greedy"),
+        (lambda: pareto_front([1.0], [np.nan]), InvalidData, ""),
+        (lambda: expected_calibration_error([1.2], [True]), InvalidData, "probability"),
+        (lambda: expected_calibration_error([0.2, 0.3], [True]), InvalidData, "outcome"),
+        (lambda: paired(rows_with([0, 0])), InvalidData, "same arms"),
+        (lambda: paired([*rows_with([0, 0, 0]), *rows_with([0])]), InvalidData, "same arms"),
+        (lambda: paired(rows_with([0, 0, 0], seed=2)), InvalidData, "share 0 arms"),
+        (lambda: paired(rows_with([0] * 3, truth="b@j1")), InvalidData, "hides 'healthy'"),
+        (lambda: bootstrap_mean([], rng=np.random.default_rng(0)), InvalidData, ""),
+        (lambda: bootstrap_mean([np.nan], rng=np.random.default_rng(0)), InvalidData, ""),
+        (lambda: stratified_interval([1.0], rng=np.random.default_rng(0)), InvalidData, "runs, t"),
+        (lambda: task_scores(ROWS[:1], ["thesis"], "success"), InvalidData, "every difficulty"),
+        (lambda: need_format("csv"), UnknownName, "parquet or json"),
+    ],
+)
+def test_what_cannot_be_evaluated_is_refused(given: Any, error: type, words: str) -> None:
+    with pytest.raises(error, match=words):
+        given()
 
 
-def test_friction_and_level_count_as_they_should():
-    openness = SeatOpenness(LinearArm(planar(3)))
-    once = openness.ratio(slide((0, 1, 0)))
-    assert openness.ratio(slide((0, 1, 0), 10.0)) == pytest.approx(once / 2)
-    play = Backlash(joint=1, gap=1e-3, stiffness=(1e3, 1e3), friction=2.0)
-    assert openness.ratio(play) > 0
-    weak = planar(3)
-    levels = tuple(level / 10 for level in weak.levels)
-    gentle = SeatOpenness(LinearArm(dataclasses.replace(weak, levels=levels)))
-    assert gentle.ratio(slide((0, 1, 0))) < 0.7 * once  # joint 1 is at its torque limit
+def test_seats_open_by_drive_over_friction_and_gravity() -> None:
+    def slide(*direction: float, friction: float = 5.0) -> StructuralLooseness:
+        axis, seat = (direction[0], direction[1], direction[2]), (1e4, 1e4)
+        return StructuralLooseness(
+            link=2, direction=axis, gap=1e-4, stiffness=seat, friction=friction
+        )
 
-
-def test_gravity_holds_a_seat_that_lies_along_it():
+    arm = planar(3)
     lying, upright = (SeatOpenness(LinearArm(planar(3, vertical=v))) for v in (False, True))
-    free = slide((0, 1, 0), 1e-6)
-    assert lying.ratio(free) > 1e4
-    assert upright.ratio(free) < 0.1 * lying.ratio(free)
-
-
-def test_what_has_no_single_seat_has_no_ratio():
-    openness = SeatOpenness(LinearArm(planar(2)))
-    both = CompoundLooseness(link=2, parts=(slide((1, 0, 0)), slide((0, 1, 0))))
-    assert openness.ratio(Healthy()) is None
-    assert openness.ratio(both) is None
+    once = lying.ratio(slide(0, 1, 0)) or 0.0
+    assert lying.ratio(slide(0, 1, 0, friction=10.0)) == pytest.approx(once / 2)
+    assert (lying.ratio(Backlash(joint=1, gap=1e-3, stiffness=(1e3, 1e3), friction=2.0)) or 0) > 0
+    levels = tuple(level / 10 for level in arm.levels)
+    gentle = SeatOpenness(LinearArm(dataclasses.replace(arm, levels=levels)))
+    assert (gentle.ratio(slide(0, 1, 0)) or 0) < 0.7 * once  # joint 1 is at its torque limit
+    free = slide(0, 1, 0, friction=1e-6)
+    assert (lying.ratio(free) or 0) > 1e4
+    assert (upright.ratio(free) or 0) < 0.1 * (lying.ratio(free) or 0)
+    both = CompoundLooseness(link=2, parts=(slide(1, 0, 0), slide(0, 1, 0)))
+    assert lying.ratio(Healthy()) is lying.ratio(both) is None

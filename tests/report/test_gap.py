@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import io
 import re
 from dataclasses import replace
 from functools import partial
@@ -36,7 +35,7 @@ from loose_env.gap.diagnostics.experiment_advice import identifiability_notes
 from loose_env.gap.output.evidence_schema import ConfusablePair, UnidentifiableEffect
 from loose_env.gap.workflow import summary as gap_summary
 from loose_env.report import gap as gap_report
-from loose_env.report import gap_headline, gap_text, render_gap_page, write_gap_report
+from loose_env.report import gap_headline, gap_text, render_gap_page, to_svg, write_gap_report
 from loose_env.report.gap import (
     effect_words,
     gap_steps,
@@ -188,37 +187,25 @@ def test_an_unexplained_inverse_run_has_its_page_too(
     assert "effects that are not identified: viscous_friction at joint2: damping 3" in text
 
 
-@pytest.mark.parametrize("name", ["q$1$", r"$\no{such$", "two $ and $"])
-def test_a_name_with_dollar_signs_is_drawn_as_it_is(name: str) -> None:
-    values = np.linspace(-1, 1, 50)
-    import matplotlib
-
-    panels = {f"position of {name} [rad]": values}
+def test_names_with_dollar_signs_are_drawn_as_they_are() -> None:
+    names, values = ["q$1$", r"$\no{such$", "two $ and $"], np.linspace(-1, 1, 50)
+    panels = {f"position of {name} [rad]": values for name in names}
     for figure in (
-        channel_bars({f"sensor.{name}": (3.0, 1.0)}),
-        residual_panels(panels, values, values, floor=0.1, label=f"[{name}]"),
+        channel_bars({f"sensor.{name}": (3.0, 1.0) for name in names}),
+        residual_panels(panels, values, values, floor=0.1, label=f"[{names[0]}]"),
     ):
-        drawn = io.StringIO()
-        with matplotlib.rc_context({"svg.fonttype": "none"}):
-            figure.savefig(drawn, format="svg")
-        texts = re.sub("<!--.*?-->", "", drawn.getvalue(), flags=re.DOTALL)
-        assert name in html.unescape(texts)
+        drawn = re.sub("<!--.*?-->", "", to_svg(figure).decode(), flags=re.DOTALL)
+        assert all(name in html.unescape(drawn) for name in names)
 
 
-@pytest.mark.parametrize(
-    ("error", "said"),
-    [
-        (MissingExtra("figures need matplotlib"), "no report.html: figures need matplotlib"),
-        (ValueError("no such glyph"), "no report.html: ValueError: no such glyph"),
-    ],
-)
 def test_a_page_that_fails_takes_neither_model_nor_result_along(
     solution: GapSolution,
+    evidence: ResidualDiagnostics,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    error: Exception,
-    said: str,
 ) -> None:
+    error: Exception = MissingExtra("figures need matplotlib")
+
     def fail(*_: object) -> None:
         raise error
 
@@ -229,7 +216,10 @@ def test_a_page_that_fails_takes_neither_model_nor_result_along(
     result, written = write_gap(tmp_path, solution, report=report, say=lines.append)
     assert [path.name for path in written] == ["model.xml", "result.json"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.xml", "result.json"]
-    assert said in lines and result.verdict == "named"
+    assert "no report.html: figures need matplotlib" in lines and result.verdict == "named"
+    error = ValueError("no such glyph")
+    assert report(tmp_path, solution, evidence, result) is None
+    assert lines[-1] == "no report.html: ValueError: no such glyph"
 
 
 def test_an_earlier_result_stays_until_another_one_is_there(
