@@ -13,8 +13,6 @@ from loose_env.gap.experiment_design.inference.expansion import linear_fit, nomi
 from loose_env.inference import information_bound, squared_distances
 from loose_env.typing import Array
 
-__all__ = ["Outlook", "outlook", "pair_gains", "value_of_information"]
-
 _OPEN = 16
 """Sets of effects that count as open at most."""
 _SAMPLES = 32
@@ -76,15 +74,6 @@ def pair_gains(belief: Belief, motion: int) -> Array:
 
 def value_of_information(weights: Array, products: Array, rewards: Array) -> float:
     """Expected gain in reward by a motion.
-
-    Parameters
-    ----------
-    weights : ndarray (n,)
-        Probabilities of the open sets.
-    products : ndarray (n, n)
-        Inner products of their predictions over the covariance.
-    rewards : ndarray (n, n)
-        Reward of naming each (row) while each is missing (column).
 
     Examples
     --------
