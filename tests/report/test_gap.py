@@ -175,6 +175,7 @@ def test_the_code_and_the_motion_that_separates_stand_first(page: str) -> None:
     assert end.count("<li>") == 3
 
 
+@pytest.mark.slow
 def test_an_unexplained_inverse_run_has_its_page_too(
     solution: GapSolution, evidence: ResidualDiagnostics
 ) -> None:
