@@ -31,15 +31,10 @@ from loose_env.evaluation import (
     who_won,
     write_rows,
 )
-from loose_env.evaluation.calibration import log_score
 from loose_env.evaluation.hidden_faults import SeatOpenness
-from loose_env.evaluation.intervals import (
-    interquartile_mean,
-    paired_values,
-    stratified_interval,
-    task_scores,
-)
+from loose_env.evaluation.success import paired_values, stratified_interval
 from loose_env.faults import Backlash, CompoundLooseness, Healthy, StructuralLooseness
+from loose_env.inference import log_score
 
 TRUTHS = ("healthy", "structural_looseness@link1", "backlash@joint2")
 RATIOS = (None, 0.5, 3.0)
@@ -263,23 +258,23 @@ def test_rows_are_paired_by_episode_not_by_order() -> None:
 
 
 def test_a_quarter_of_the_scores_is_cut_at_each_end() -> None:
-    assert interquartile_mean([[9, 1, 2, 3], [4, 5, -100, 80]]) == (2 + 3 + 4 + 5) / 4
-    assert interquartile_mean([5, 1, 2, 3, 100]) == pytest.approx(10 / 3)
+    rng = np.random.default_rng(0)
+    middle = stratified_interval([[9, 1, 2, 3], [4, 5, -100, 80]], rng=rng)
+    assert middle.estimate == (2 + 3 + 4 + 5) / 4
+    assert stratified_interval([[5, 1, 2, 3, 100]], rng=rng).estimate == pytest.approx(10 / 3)
 
 
 def test_runs_are_drawn_within_their_task() -> None:
     # Each task has the same score in every run: whatever is drawn, nothing changes.
     scores = np.array([[0.0, 1.0, 5.0]] * 4)
     found = stratified_interval(scores, rng=np.random.default_rng(0), resamples=50)
-    assert found.estimate == found.low == found.high == interquartile_mean(scores)
+    assert found.estimate == found.low == found.high == np.mean([0, 1, 1, 1, 1, 5])
 
 
 def test_the_interval_of_two_runs_is_that_of_the_enumerated_resamples() -> None:
     # Two runs 0 and 1 of one task: resamples are 0, 0.5, 0.5, 1 with equal chance.
-    found = stratified_interval([[0.0], [1.0]], rng=np.random.default_rng(0), level=0.3)
-    assert (found.low, found.estimate, found.high) == (0.5, 0.5, 0.5)
-    wide = stratified_interval([[0.0], [1.0]], rng=np.random.default_rng(0), level=0.9)
-    assert (wide.low, wide.high) == (0.0, 1.0)
+    found = stratified_interval([[0.0], [1.0]], rng=np.random.default_rng(0))
+    assert (found.low, found.estimate, found.high) == (0.0, 0.5, 1.0)
 
 
 def test_trainings_are_told_by_their_names_and_scored_in_each_difficulty() -> None:
@@ -290,8 +285,6 @@ def test_trainings_are_told_by_their_names_and_scored_in_each_difficulty() -> No
         for k in range(4)
     ]
     assert trained_agents(row["agent"] for row in rows) == {"ppo": ["ppo#1", "ppo#2", "ppo#3"]}
-    scores = task_scores(rows, ["ppo#1", "ppo#2", "ppo#3"], "success")
-    assert scores.tolist() == [[0.25, 0.25], [0.5, 0.5], [0.75, 0.75]]
     found = runs_of(rows, rng=np.random.default_rng(0))
     assert found["ppo"]["success"].estimate == 0.5
 
@@ -345,6 +338,14 @@ def test_rows_come_back_as_they_were_with_what_made_them(tmp_path: Path, form: A
             read_rows(tmp_path / name)
 
 
+def trained_twice(*levels: str) -> object:
+    rows = [
+        {"agent": f"a#{k % 2 + 1}", "difficulty": level, "success": 1, "records": 1, "reward": 1}
+        for k, level in enumerate(levels)
+    ]
+    return runs_of(rows, rng=np.random.default_rng(0))
+
+
 def paired(other: list[dict[str, Any]]) -> object:
     return paired_difference(rows_with([1, 2, 3]), other, rng=np.random.default_rng(0))
 
@@ -372,7 +373,7 @@ def paired(other: list[dict[str, Any]]) -> object:
             "one or more finite",
         ),
         (lambda: stratified_interval([1.0], rng=np.random.default_rng(0)), InvalidData, "runs, t"),
-        (lambda: task_scores(ROWS[:1], ["thesis"], "success"), InvalidData, "every difficulty"),
+        (lambda: trained_twice("easy", "hard", "easy"), InvalidData, "every difficulty"),
         (lambda: need_format("csv"), UnknownName, "parquet or json"),
     ],
 )
