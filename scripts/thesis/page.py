@@ -15,7 +15,7 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import import_module
 from multiprocessing import get_context
@@ -88,7 +88,7 @@ class Section:
     words: Sequence[str]
     tables: Sequence[Table] = ()
     cards: Sequence[FigureCard] = ()
-    equations: Mapping[str, str] | None = None
+    equations: Mapping[str, str] = field(default_factory=dict)
     """Function that implements each equation, by its number."""
     left_out: Sequence[str] = ()
 
@@ -311,7 +311,7 @@ def _shown(outcome: Outcome) -> dict[str, Any]:
         "words": section.words,
         "tables": [_table(table) for table in section.tables],
         "cards": [shown(card, f"{section.key}-f{k}") for k, card in enumerate(section.cards)],
-        "numbers": ranges(list(section.equations or ())),
+        "numbers": ranges(list(section.equations)),
     }
 
 
@@ -337,7 +337,7 @@ def _equations(sections: Sequence[Section]) -> list[tuple[str, str, list[tuple[s
     """Number, function and the sections that use it, sorted by number."""
     found: dict[tuple[str, str], list[tuple[str, str]]] = {}
     for section in sections:
-        for number, function in (section.equations or {}).items():
+        for number, function in section.equations.items():
             found.setdefault((number, function), []).append((section.key, section.title))
     order = sorted(found, key=lambda pair: (natural(pair[0]), pair[1]))
     return [(number, function, found[number, function]) for number, function in order]

@@ -15,7 +15,7 @@ from loose_env.kinematics.pose_choice import (
     worst_push,
 )
 from loose_env.kinematics.seat_loads import reactions, wrench_rank
-from loose_env.thesis import cylindrical
+from scripts.thesis.rigs import cylindrical
 
 
 def by_inverse_dynamics(

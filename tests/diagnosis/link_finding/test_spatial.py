@@ -30,7 +30,7 @@ from loose_env.diagnosis.link_finding.spatial import (
     link_posterior,
 )
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.thesis.rigs import cylindrical
+from scripts.thesis.rigs import cylindrical
 
 ARMS = [six_axis(), scara(), cylindrical(), planar(4), vera()]
 SIX = ToolFrames(six_axis())
