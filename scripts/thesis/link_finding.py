@@ -71,6 +71,13 @@ ESTIMATORS: Mapping[str, Callable[[Measurement, Measurement], float]] = {
 """Direction of looseness [rad] from a record and the healthy twin's."""
 
 
+def predicted_slides(frames: ToolFrames, before: Array, after: Array, direction: Array) -> Array:
+    """Direction (n, d) that a slide at each link shows after a move, from the one before (4.27)."""
+    own = np.einsum("kji,j->ki", frames.images(before)[0], direction)
+    found = np.einsum("kij,kj->ki", frames.images(after)[0], own)
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
+
+
 class Search(NamedTuple):
     """One search: the loose link, the one that was named, moves after the first pose."""
 
