@@ -10,6 +10,8 @@ import pytest
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
+from tests.thesis.test_page import FAILED, outcome, render
+
 from loose_env.arms import vera
 from loose_env.envs import DiagnosisSettings
 from loose_env.gap import diagnose_residuals, result_of
@@ -40,7 +42,6 @@ from tests.instrument.arms.plan_arms import SERVOED, written
 from tests.instrument.trend.sessions_of_an_arm import named, session
 from tests.report.diagnosis_case import CASES, LONG
 from tests.report.test_page import ROWS, Guesser
-from tests.thesis.test_page import FAILED, outcome, render
 
 __all__ = ["browser"]
 

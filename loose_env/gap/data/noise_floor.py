@@ -6,9 +6,6 @@ import numpy as np
 
 from loose_env.typing import Array
 
-__all__ = ["channel_floor", "noise_floor", "resolution_of"]
-
-
 _WINDOW = 64
 """Samples of a window."""
 _TOP = 0.6
@@ -24,11 +21,6 @@ def noise_floor(values: Array) -> float:
     white, the machine's motion is not. The level is the median over short windows, since a few
     contain steps and impacts. It is at least the rounding error of the channel's resolution (a step
     over the root of 12).
-
-    Parameters
-    ----------
-    values : ndarray (T,)
-        One channel of one run, evenly sampled; NaN where nothing was read.
 
     Examples
     --------

@@ -7,8 +7,6 @@ from scipy.optimize import lsq_linear
 
 from loose_env.typing import Array
 
-__all__ = ["bounded_minimum"]
-
 _ROOM = 1e-9
 """Least room between bounds that the solver needs."""
 _RIDGE = 1e-9
@@ -19,17 +17,6 @@ def bounded_minimum(
     curvature: Array, slope: Array, low: Array, high: Array, *, damping: float = 0.0
 ) -> Array:
     """Change of free numbers within bounds that minimises a quadratic cost (P,).
-
-    Parameters
-    ----------
-    curvature : ndarray (P, P)
-        Hessian of half the cost.
-    slope : ndarray (P,)
-        Gradient of half the cost.
-    low, high : ndarray (P,)
-        Bounds of the change.
-    damping : float
-        Levenberg's damping: added to the curvature of each number, over its own.
 
     Examples
     --------

@@ -21,18 +21,6 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.simulation.torque_terms import has_terms
 from loose_env.typing import Array
 
-__all__ = [
-    "STOP_FIT_SETTINGS",
-    "Fit",
-    "FitSettings",
-    "cost_of",
-    "fit",
-    "fit_settings_for",
-    "sensitivities",
-    "started",
-]
-
-
 _AT_ONCE = 8
 """Degrees of freedom of a hypothesis, over all runs, up to which stepping them from Python takes
 longer than simulating them."""
@@ -190,27 +178,7 @@ def fit(
     residual: Array | None = None,
     reference: float = np.inf,
 ) -> Fit:
-    """Fit a hypothesis.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        Comparison of the runs.
-    structure : ModelStructure
-        The unknown parameters; those whose sensitivities are known come first.
-    start : ndarray (P,)
-        Initial free numbers.
-    settings : FitSettings, optional
-        Settings of the fit; those of `fit_settings_for` if not given.
-    known : ndarray (N, K), optional
-        Sensitivities of the first K free numbers from a fit nearby, recomputed where they
-        are inaccurate.
-    residual : ndarray (N,), optional
-        Residual at the start.
-    reference : float
-        Cost of a better fit, where this one is only compared with it: see
-        `FitSettings.comparison_tolerance`.
-    """
+    """Fit a hypothesis."""
     settings = settings or fit_settings_for(structure)
     parameters = structure.parameters
     low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)

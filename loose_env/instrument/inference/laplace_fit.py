@@ -27,9 +27,6 @@ from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD
 from loose_env.statistics import axes_grid, tangents
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["Fit", "RunTerm", "best_powers", "fit_hypothesis", "fitted_pieces", "seats_of"]
-
-
 _AXES = 150
 _STEPS = 30
 _TRIALS = 5
@@ -122,25 +119,7 @@ def fit_hypothesis(
     width: float | None = 3.0,
     steps: int = _STEPS,
 ) -> Fit:
-    """Fit nuisance parameters and direction, and marginalise the rest.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        The runs.
-    hypothesis : str
-        Its name.
-    seat : Seat or None
-        Loose seat; None for a healthy arm.
-    start : Fit, optional
-        Fit whose parameters, and direction if it has one, the search starts from.
-    width : float, optional
-        Standard deviations of the components with which the fit starts, over the scales of their
-        priors: no single line dominates before the parameters fit. None for those of ``start``,
-        which may hold the search where it is.
-    steps : int
-        Most Gauss-Newton steps.
-    """
+    """Fit nuisance parameters and direction, and marginalise the rest."""
     count = evidence.count
     errors = np.zeros(count) if evidence.known is None else evidence.known.errors
     if start is not None:

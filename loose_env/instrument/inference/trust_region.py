@@ -6,8 +6,6 @@ import numpy as np
 
 from loose_env.typing import Array
 
-__all__ = ["FIRST_RADIUS", "next_radius", "shorter", "step_within"]
-
 FIRST_RADIUS = 2.0
 """Length of the first step [standard deviations of the priors]. The readings of a rigid arm change
 with a spring's compliance, which there is next to nothing: a Newton step in its logarithm would
@@ -24,21 +22,6 @@ def step_within(normal: Array, drive: Array, count: int, radius: float) -> Array
 
     Levenberg and Marquardt's step: the best one of a quadratic model within a sphere (Nocedal and
     Wright, Numerical Optimization, 2nd ed., theorem 4.1).
-
-    Parameters
-    ----------
-    normal : ndarray (P, P)
-        Curvature, positive definite.
-    drive : ndarray (P,)
-        Gradient.
-    count : int
-        Parameters that the radius is about.
-    radius : float
-        Largest norm of their step.
-
-    Returns
-    -------
-    ndarray (P,)
 
     Examples
     --------

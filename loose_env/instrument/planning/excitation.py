@@ -28,16 +28,6 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = [
-    "Sensitivity",
-    "limited",
-    "proposed",
-    "sensitivity",
-    "tool_noise",
-    "torque_of",
-    "unlimited",
-]
-
 
 def torque_of(proposal: Proposal, joint: int, settings: NextSettings) -> Array:
     """Rms torque of every joint for the proposed level, within the tool limit (n,).
@@ -129,13 +119,7 @@ class Sensitivity:
         return np.asarray(self.opens * floats)
 
     def smallest_gap(self, *, reference: bool) -> Array:
-        """Smallest travel that shows; infinite where none does [m; rad] (P,).
-
-        Parameters
-        ----------
-        reference : bool
-            True if a healthy reference of the arm replaces the model.
-        """
+        """Smallest travel that shows; infinite where none does [m; rad] (P,)."""
         change = self.by_reference if reference else self.by_model
         share = DETECTABLE_Z / np.maximum(change * self.opens, 1e-12)
         return np.where(share <= 1.0, share * FLOATING_CLEARANCE * self.travel, np.inf)
@@ -147,23 +131,7 @@ def tool_noise(features: SeatFeatures) -> float:
 
 
 def sensitivity(features: SeatFeatures, pose: Array, torque: Array, seconds: float) -> Sensitivity:
-    """Work out what one record would show.
-
-    Parameters
-    ----------
-    features : SeatFeatures
-        The nominal arm, its sensors and its locations.
-    pose : ndarray (n,)
-        Pose of the record [rad or m].
-    torque : ndarray (n,)
-        Rms torque of every joint; at least one is on [N·m, N].
-    seconds : float
-        Its length [s].
-
-    Returns
-    -------
-    Sensitivity
-    """
+    """Work out what one record would show."""
     arm = features.linear.arm
     at = features.linear.at(pose)
     excited = torque > 0

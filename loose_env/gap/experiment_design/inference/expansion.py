@@ -22,17 +22,6 @@ import numpy as np
 from loose_env.gap.experiment_design.inference.local_models import LocalModels
 from loose_env.typing import Array
 
-__all__ = [
-    "Data",
-    "Equations",
-    "Expansion",
-    "Solution",
-    "equations",
-    "linear_fit",
-    "nominal",
-    "solve",
-]
-
 Data = Mapping[int, tuple[Array, int]]
 """Motion -> mean of the projected residuals (K,) and number of repetitions."""
 

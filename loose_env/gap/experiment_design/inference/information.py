@@ -12,8 +12,6 @@ from loose_env.gap.experiment_design.inference.belief import Belief
 from loose_env.gap.experiment_design.inference.expansion import linear_fit, nominal
 from loose_env.typing import Array
 
-__all__ = ["Outlook", "outlook", "pair_gains", "value_of_information"]
-
 _OPEN = 16
 """Sets of effects that count as open at most."""
 _SAMPLES = 32
@@ -83,15 +81,6 @@ def _bound(weights: Array, distances: Array) -> float:
 
 def value_of_information(weights: Array, products: Array, rewards: Array) -> float:
     """Expected gain in reward by a motion.
-
-    Parameters
-    ----------
-    weights : ndarray (n,)
-        Probabilities of the open sets.
-    products : ndarray (n, n)
-        Inner products of their predictions over the covariance.
-    rewards : ndarray (n, n)
-        Reward of naming each (row) while each is missing (column).
 
     Examples
     --------

@@ -15,18 +15,11 @@ from loose_env.gap.settings import (
     SPARE_BLOCKS,
 )
 
-__all__ = ["sufficiency_notes"]
-
 
 def sufficiency_notes(fitted: ResidualModel, held: ResidualModel) -> list[str]:
     """Describe shortfalls of the data in sentences; none if the data suffice.
 
     An improvement of k standard deviations over blocks of time needs k² blocks that all agree.
-
-    Parameters
-    ----------
-    fitted, held : ResidualModel
-        The training runs and the held-out runs.
     """
     found = []
     for which, comparison, improvement in (

@@ -30,9 +30,6 @@ from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Recording, Run
 from loose_env.typing import Array
 
-__all__ = ["GapProblem", "prepare"]
-
-
 _FINEST = 1e-5
 """Share of what channels of a kind show to which one is taken to be read at best. A simulation
 without noise is exacter, and no model of a machine is."""
@@ -89,14 +86,7 @@ class GapProblem:
 
 
 def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
-    """Align a recording with the model, choose the step, and estimate the noise.
-
-    Raises
-    ------
-    InvalidData
-        If the recording has too few runs, a run lacks what its comparison needs, or nothing remains
-        to compare in the runs to fit to or in those held out.
-    """
+    """Align a recording with the model, choose the step, and estimate the noise."""
     recording.check_comparison()
     runs, warnings = _suspect(recording.runs)
     pieces, left_out = measured_runs(runs, recording.model())

@@ -13,9 +13,6 @@ from loose_env.gap.residuals.random_excitation.frequency_response import Command
 from loose_env.statistics import memory_of
 from loose_env.typing import Array
 
-__all__ = ["IncoherentFeatures"]
-
-
 _POWER = 0.99
 """Share of the command's power that lies in its band."""
 _ROOM = 1.2
@@ -33,21 +30,6 @@ class IncoherentFeatures:
     measurement and simulation; covariances of the axes of one sensor; third and fourth cumulants,
     which are zero for Gaussian noise. Units come from the measured run. Cumulants and the power
     above the band are computed for vector sensors, and for all channels if there are none.
-
-    Parameters
-    ----------
-    rest : Incoherent
-        Incoherent part of the measured run.
-    channels : sequence of Channel
-        Names, and the axes of each vector sensor.
-    floors : ndarray (C,)
-        Noise standard deviations.
-    response : CommandResponse
-        Command response of the run.
-    floor_error : float
-        Standard deviation of a noise floor, as a share of it.
-    chaos : float
-        Share of the incoherent part, less the noise, that a correct simulation does not reproduce.
     """
 
     def __init__(

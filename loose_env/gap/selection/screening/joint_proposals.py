@@ -29,8 +29,6 @@ from loose_env.gap.selection.screening.screening import ScreenedCandidate
 from loose_env.gap.settings import SHARE_IN_SET
 from loose_env.typing import Array
 
-__all__ = ["JointProblem", "Proposal"]
-
 Key = tuple[str, str]
 """Kind and variant, or kind and location."""
 
@@ -61,17 +59,7 @@ class Proposal:
 
 
 class JointProblem:
-    """The linearised problem of all candidates at the current model.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        Comparison of the runs.
-    fitted : Fit
-        The current model on these runs, with its sensitivities.
-    screened : sequence of ScreenedCandidate
-        Candidates with their signatures, the most promising first.
-    """
+    """The linearised problem of all candidates at the current model."""
 
     def __init__(
         self, comparison: ResidualModel, fitted: Fit, screened: Sequence[ScreenedCandidate]

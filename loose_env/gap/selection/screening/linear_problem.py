@@ -12,8 +12,6 @@ from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.typing import Array
 
-__all__ = ["CurrentFit"]
-
 
 @dataclass(frozen=True, eq=False)
 class CurrentFit:
