@@ -16,7 +16,7 @@ from pathlib import Path
 
 import loose_env
 from loose_env.cli.command import command
-from loose_env.report import write_whole
+from loose_env.io import write_text
 from scripts.thesis.page import (
     SECTIONS,
     Outcome,
@@ -109,7 +109,7 @@ def reproduce(settings: Settings) -> None:
         seed=settings.seed,
         versions=versions(),
     )
-    page = write_whole(settings.out / "index.html", html)
+    page = write_text(settings.out / "index.html", html)
     failed = [o.key for o in outcomes if o.section is None]
     print(f"\n{summary(outcomes)}\n")
     if failed:
