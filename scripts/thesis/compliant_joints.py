@@ -20,7 +20,6 @@ from loose_env.cli.command import command
 from loose_env.diagnosis import SensorFloor, predict, statistics_of
 from loose_env.envs import Difficulty
 from loose_env.io import Count
-from loose_env.statistics import transmission_change
 from loose_env.typing import Array
 from scripts.thesis.twins import Twins, angle_deg
 
@@ -66,9 +65,10 @@ def errors_of(arm: Arm, settings: Settings) -> tuple[Array, float]:
     errors, ratios = [], []
     for k, (loose, *references) in enumerate(columns):
         if np.isfinite(loose).all():
-            found = [transmission_change(loose, other) for other in references]
-            errors.append([angle_deg(f.direction, twins.slide(k)) for f in found])
-            ratios.append(found[0].ratio)
+            axes = [np.linalg.svd(loose - other)[0][:, 0] for other in references]
+            errors.append([angle_deg(axis, twins.slide(k)) for axis in axes])
+            healthy = references[0]
+            ratios.append(np.linalg.norm(loose - healthy) / np.linalg.norm(healthy))
     return np.array(errors), float(np.median(ratios))
 
 
