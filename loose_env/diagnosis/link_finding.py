@@ -143,7 +143,7 @@ def judge_axes(
 def judge_turn(
     before: Sighting, after: Sighting, joint: int, settings: LinkFindingSettings
 ) -> Finding:
-    """Say whether the planar direction turned when a joint moved, see `judge_axes`.
+    """Say whether the planar direction turned when a joint moved (4.31), see `judge_axes`.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ from loose_env.diagnosis.link_finding import (
     judge_axes,
 )
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.thesis.rigs import cylindrical
+from scripts.thesis.rigs import cylindrical
 
 
 def sighting(
