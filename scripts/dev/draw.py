@@ -58,8 +58,8 @@ from loose_env.envs import (
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy, StructuralLooseness
-from loose_env.io import written_beside
-from loose_env.report import pyplot, save_figure, standalone, to_svg, write_whole
+from loose_env.io import write_text, written_beside
+from loose_env.report import pyplot, save_figure, standalone, to_svg
 from loose_env.rig import SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
@@ -152,7 +152,7 @@ def draw_method(options: Method) -> None:
         ("method_turning", turning(arm)),
         ("method_seat", seat()),
     ):
-        print(write_whole(options.out / f"{name}.svg", standalone(to_svg(figure), name)))
+        print(write_text(options.out / f"{name}.svg", standalone(to_svg(figure), name)))
 
 
 def loose(link: int = LOOSE) -> StructuralLooseness:

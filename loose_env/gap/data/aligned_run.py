@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.data.initial_rest import comes_to_rest, stays
-from loose_env.gap.data.noise_floor import noise_floor, resolution_of
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Run
+from loose_env.statistics import noise_floor, resolution_of
 from loose_env.typing import Array
 
 _REGULAR = 0.02

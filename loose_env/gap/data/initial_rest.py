@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.data.actuator_states import steady_activations
-from loose_env.gap.data.noise_floor import noise_floor, resolution_of
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.statistics import noise_floor, resolution_of
 from loose_env.typing import Array
 
 SETTLE = 0.4

@@ -11,8 +11,8 @@ from scipy.signal import butter, sosfiltfilt, welch
 from scipy.stats import chi2
 
 from loose_env.gap.data.aligned_run import Channel, Trial
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
 
 ORDER = 4

@@ -23,8 +23,8 @@ from scipy.signal import sosfiltfilt
 from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.motion_band import HIGHEST, ORDER, Band, band_end, low_pass
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
 
 _EVALUATED = 1.8

@@ -16,10 +16,10 @@ from loose_env.errors import InvalidData
 from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.motion_band import Band
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.data.smoothing import SmoothedMotion, filled, smooth_motion
 from loose_env.gap.diagnostics.regressors import direction_of
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
 
 _EDGE = 1.0

@@ -15,6 +15,7 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import (
     NARROWEST_INTERVAL,
 )
+from loose_env.inference import block_counts
 from loose_env.typing import Array
 
 _MIN_CURVATURE = 1.0
@@ -82,7 +83,7 @@ def bootstrap(comparison: ResidualModel, fitted: Fit, rng: np.random.Generator) 
     curvatures, slopes = curvatures / misfit, slopes / misfit
     known = np.diag(weights**2 + 1e-9)
     inverse = np.linalg.inv(curvatures.sum(axis=0) + known)
-    drawn = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=_DRAWS)
+    drawn = block_counts(blocks, _DRAWS, rng)
     curvature = np.tensordot(drawn, curvatures, 1) + known
     # Deviations from the whole sample's gradient, so that a fit at a bound is not pushed further.
     slope = (drawn - 1) @ slopes

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from loose_env.gap.fitting.bounded_minimum import bounded_minimum
 from loose_env.gap.fitting.model_structure import ModelStructure, prior_of
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -19,6 +18,7 @@ from loose_env.gap.model.parameter import Parameter, free_of
 from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.simulation.torque_terms import has_terms
+from loose_env.inference import bounded_step
 from loose_env.typing import Array
 
 _AT_ONCE = 8
@@ -299,7 +299,7 @@ def _damped_steps(
     low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
     room = np.minimum(low - free, 0.0), np.maximum(high - free, 0.0)
     return [
-        np.clip(free + bounded_minimum(curvature, slope, *room, damping=damping), low, high) - free
+        np.clip(free + bounded_step(curvature, slope, *room, damping=damping), low, high) - free
         for damping in dampings
     ]
 

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, Trial
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Trial
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.data.smoothing import SmoothedMotion, filled
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
 
 _TURNING = 3.0

@@ -22,7 +22,6 @@ import numpy as np
 from mujoco.batch import Batch
 
 from loose_env.gap.data.aligned_run import Channel, Trial
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.data.smoothing import SmoothedMotion, filled, smooth_motion, with_readings
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
@@ -33,6 +32,7 @@ from loose_env.gap.simulation.driven_effects import has_friction, load_dependent
 from loose_env.gap.simulation.simulator import _layout
 from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
 from loose_env.gap.simulation.unmeasured_dofs import PrescribedMotionSimulator
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
 
 _REPEATS = 12

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loose_env.inference import log_determinant, next_radius, shorter_radius, step_within
 from loose_env.instrument.inference.evidence import Evidence
 from loose_env.instrument.inference.seat_motion import (
     SHARES,
@@ -17,12 +18,6 @@ from loose_env.instrument.inference.seat_motion import (
     over_lines,
     seat_powers,
 )
-from loose_env.instrument.inference.trust_region import (
-    FIRST_RADIUS,
-    next_radius,
-    shorter,
-    step_within,
-)
 from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD
 from loose_env.statistics import axes_grid, tangents
 from loose_env.typing import Array, ComplexArray
@@ -32,6 +27,10 @@ _STEPS = 30
 _TRIALS = 5
 _CONVERGED = 0.2
 """Gain of a step below which a fit ends [nats]."""
+_FIRST_RADIUS = 2.0
+"""Length of the first step [standard deviations of the priors]. The readings of a rigid arm change
+with a spring's compliance, which there is next to nothing: a Newton step in its logarithm would
+pass over all modes in the band, and there is no way back from beyond them."""
 _UNSEEN = 1.0
 """Precision of a direction of which nothing is known [1/rad²]."""
 
@@ -139,7 +138,7 @@ def fit_hypothesis(
             grid = axes_grid(_AXES)
             pieces = evidence.pieces(errors, variances)
             axis = grid[int(np.argmax(evidence.seat_terms(pieces, seat, grid)))]
-    now, radius = _state(evidence, seat, errors, variances, axis), FIRST_RADIUS
+    now, radius = _state(evidence, seat, errors, variances, axis), _FIRST_RADIUS
     for step in range(steps):
         before = now.cost
         system = _system(evidence, now, seat)
@@ -151,7 +150,7 @@ def fit_hypothesis(
             break
     system = _system(evidence, now, seat)
     normal = system.normal
-    value = now.cost - 0.5 * float(np.linalg.slogdet(normal)[1])
+    value = now.cost - 0.5 * log_determinant(normal)
     covariance = None
     if seat is not None and seat.slides and now.axis is not None:
         covariance = np.asarray(np.linalg.inv(normal)[count:, count:])
@@ -160,7 +159,7 @@ def fit_hypothesis(
             terms = evidence.seat_terms(now.pieces, seat, np.vstack([now.axis, axes_grid(_AXES)]))
             top = float(terms.max())
             mean = top + float(np.log(np.mean(np.exp(terms[1:] - top))))
-            known = float(np.linalg.slogdet(normal[:count, :count])[1])
+            known = log_determinant(normal[:count, :count])
             value = now.cost - float(terms[0]) + mean - 0.5 * known
     return Fit(
         hypothesis=hypothesis,
@@ -370,5 +369,5 @@ def _stepped(
         if trial.cost > now.cost:
             foreseen = float(step @ drive - 0.5 * step @ normal @ step)
             return trial, next_radius(radius, trial.cost - now.cost, foreseen)
-        radius = shorter(step[:count])
+        radius = shorter_radius(step[:count])
     return now, radius

@@ -4,7 +4,7 @@ How well one record would show each fault: how far seats open, and the smallest 
 
 A seat that a record drives with the rms force F, that gravity loads with W and that would move by
 x rms if it floated, loses about min(1, (F / 0.6 W)²) · min(1, gap / 4 x) of its transmission (as
-in `loose_env.diagnosis.records.excitation_design`). What that changes of the tool's motion, in
+in `loose_env.diagnosis.experiment_design`). What that changes of the tool's motion, in
 standard deviations of what sensors, record length and model leave open, says whether it is seen.
 """
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm, LinearArm, LinearPose
 from loose_env.diagnosis import Proposal, SeatFeatures, predict_seats, propose_excitation
+from loose_env.inference import whitener
 from loose_env.instrument.result import NextMeasurement
 from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.instrument.settings.thresholds import (
@@ -147,8 +148,8 @@ def sensitivity(features: SeatFeatures, pose: Array, torque: Array, seconds: flo
     change = features.open_change(seats)
     total = float(np.trace(seats.in_step[m:] @ seats.in_step[m:].T))
     repeated = np.kron(sensed, np.eye(m)) / samples + REPEATABILITY**2 * total * np.eye(d * m)
-    own = np.linalg.inv(np.linalg.cholesky(repeated))
-    noisy = np.linalg.inv(np.linalg.cholesky(np.kron(sensed, np.eye(m)) / samples))
+    own = whitener(repeated)
+    noisy = whitener(np.kron(sensed, np.eye(m)) / samples)
     residual = away @ seats.rest @ away.T
     by_model = features.whitening(pose, excited, b, residual, x, seconds)
     opens = np.minimum(1.0, (seats.force / np.maximum(OPENING_FORCE * seats.load, 1e-12)) ** 2)

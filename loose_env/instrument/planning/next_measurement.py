@@ -3,7 +3,7 @@
 `next_measurement` serves the plan and the diagnosis alike. What is known is spread over locations,
 directions and frictions; a few dozen imagined faults are drawn from it; and for each candidate the
 nominal arm says what its record would show of each of them
-(`loose_env.diagnosis.experiment_design.information_gain.RecordInformation`): gravity that keeps
+(`loose_env.diagnosis.experiment_design.RecordInformation`): gravity that keeps
 seats shut, torque that is left beside it, noise and errors of the model all count. Among the
 candidates that are about as good the one that moves the arm least is taken.
 """

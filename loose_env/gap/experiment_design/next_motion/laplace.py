@@ -15,6 +15,7 @@ from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.gap.model.parameter import Parameter
 from loose_env.gap.residuals.autocorrelation import independent_rows
 from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.inference import log_determinant
 from loose_env.typing import Array, IndexArray
 
 _WIDTH = float(np.sqrt(12.0))
@@ -42,7 +43,7 @@ class Knowledge:
         centres, own = prior_of(parameters)
         deviations = own * (fitted.free - centres)
         squares = float(residual @ residual + deviations @ deviations)
-        occam = _log_det(precision) - float(np.sum(np.log(prior)))
+        occam = log_determinant(precision) - float(np.sum(np.log(prior)))
         return cls(precision=_marginal(precision, first), log_evidence=-0.5 * (squares + occam))
 
     def of_some(self, kept: IndexArray) -> Knowledge:
@@ -116,7 +117,7 @@ def separation(
 
 
 def _grown(known: Knowledge, precision: Array) -> float:
-    return _log_det(precision) - _log_det(known.precision)
+    return log_determinant(precision) - log_determinant(known.precision)
 
 
 def _marginal(precision: Array, first: int) -> Array:
@@ -127,11 +128,6 @@ def _marginal(precision: Array, first: int) -> Array:
     return np.asarray(
         precision[first:, first:] - across.T @ np.linalg.solve(precision[:first, :first], across)
     )
-
-
-def _log_det(precision: Array) -> float:
-    scale = np.sqrt(np.diag(precision))
-    return float(np.linalg.slogdet(precision / np.outer(scale, scale))[1] + 2 * np.log(scale).sum())
 
 
 def bounded(precision: Array, right: Array, room: tuple[Array, Array] | None) -> Array:

@@ -6,7 +6,6 @@ from math import ceil
 
 import numpy as np
 
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.residuals.residual_model import LONGEST, SHORTEST, ResidualModel
 from loose_env.gap.settings import (
     ACCEPTED_Z,
@@ -14,6 +13,7 @@ from loose_env.gap.settings import (
     MOVING,
     SPARE_BLOCKS,
 )
+from loose_env.statistics import noise_floor
 
 
 def sufficiency_notes(fitted: ResidualModel, held: ResidualModel) -> list[str]:

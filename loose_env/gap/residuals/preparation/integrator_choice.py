@@ -15,7 +15,6 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.data.aligned_run import Channel, align_run
-from loose_env.gap.data.noise_floor import channel_floor
 from loose_env.gap.model.effect import have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
@@ -27,6 +26,7 @@ from loose_env.gap.settings import (
 )
 from loose_env.gap.simulation.time_step import stepped
 from loose_env.recording import Run
+from loose_env.statistics import channel_floor
 
 _POOR_FIT_RMS, _SHARE = 50.0, 0.5
 """How far the nominal model is off [noise standard deviations] where the noise is no measure any

@@ -13,7 +13,6 @@ from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_of
 from loose_env.gap.data.holdout_split import split_runs
 from loose_env.gap.data.measured_runs import measured_runs
-from loose_env.gap.data.noise_floor import channel_floor
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.effects.link_inertia import payload_notes
@@ -28,6 +27,7 @@ from loose_env.gap.residuals.windows import windows_as_runs
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Recording, Run
+from loose_env.statistics import channel_floor
 from loose_env.typing import Array
 
 _FINEST = 1e-5

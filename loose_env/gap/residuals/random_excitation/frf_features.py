@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from scipy import fft
 
-from loose_env.gap.data.noise_floor import resolution_of
 from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse, Incoherent
+from loose_env.statistics import resolution_of
 from loose_env.typing import Array
 
 _EDGE = 0.05

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel
 from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse, Incoherent
-from loose_env.statistics import memory_of
+from loose_env.statistics import long_run_variance
 from loose_env.typing import Array
 
 _POWER = 0.99
@@ -197,4 +197,4 @@ def _level(rest: Incoherent, kept: NDArray[np.bool_]) -> Array:
 
 def _of_mean(series: Array) -> float:
     """Variance of the mean of an autocorrelated series."""
-    return memory_of(series - series.mean()).variance / len(series)
+    return long_run_variance(series - series.mean()) / len(series)

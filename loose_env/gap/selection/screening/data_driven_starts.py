@@ -18,7 +18,6 @@ import numpy as np
 from loose_env.errors import InvalidData
 from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Trial
-from loose_env.gap.data.noise_floor import resolution_of
 from loose_env.gap.data.smoothing import SmoothedMotion, smooth_motion
 from loose_env.gap.model.data_starts import ResidualAccelerations
 from loose_env.gap.model.effect import Effect
@@ -28,6 +27,7 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.stiffness_starts import joint_stiffness
 from loose_env.gap.simulation.driven_effects import Driven
 from loose_env.gap.simulation.torque_terms import torque_terms
+from loose_env.statistics import resolution_of
 from loose_env.typing import Array
 
 _DYNAMICS_SAMPLES = 6000
