@@ -31,6 +31,7 @@ from scripts.thesis.rigs import shaken_vera
 from scripts.thesis.shaken_vera import (
     LOOSE,
     LOOSE_DIRECTION,
+    LOW_BAND,
     PLAY,
     PLAY_DIRECTION,
     TIGHT,
@@ -278,7 +279,7 @@ def vera_link_finding(seed: int) -> Section:
     healthy = scatter([phi for _, phi, _ in printed_healthy()])
     chance = {e: chance_of(spread[e][SLIDES[1]], seed) for e in told}
     shares = {e: {by: _shares(simulated[e][by]) for by in BY} for e in told}
-    hypotheses = (*SLIDES, *JOINTS)
+    hypotheses, low_band = (*SLIDES, *JOINTS), LOW_BAND
 
     def degrees(values: Mapping[str, float]) -> list[str]:
         return [f"{np.degrees(values[name]):.0f}°" for name in hypotheses]
