@@ -274,7 +274,8 @@ def vera_link_finding(seed: int) -> Section:
     """Find VERA's loose link from the printed directions, and from simulated ones."""
     simulated = {e: simulated_directions(seed, e) for e in EXPERIMENTS}
     told = {e: printed_directions(e) for e in EXPERIMENTS}
-    counts, spread = ({e: f(told[e]) for e in told} for f in (pair_count, scatter))
+    counts = {e: pair_count(directions) for e, directions in told.items()}
+    spread = {e: scatter(directions) for e, directions in told.items()}
     pooled = sum(named(directions) == SLIDES[1] for directions in told.values())
     healthy = scatter([phi for _, phi, _ in printed_healthy()])
     chance = {e: chance_of(spread[e][SLIDES[1]], seed) for e in told}

@@ -456,7 +456,7 @@ def experiment_five(seed: int) -> Section:
         )
         for n, p, turn in zip(tight, released, turns, strict=True)
     ]
-    tables = [healthy_rows, loose_rows, preload_rows, error_rows(tight, errors, told)]
+    tables: list[Rows] = [healthy_rows, loose_rows, preload_rows, error_rows(tight, errors, told)]
     return section(
         "experiment_five",
         locals(),
