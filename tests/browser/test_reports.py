@@ -45,6 +45,9 @@ from tests.scripts.test_reproduce_thesis import FAILED, outcome, render
 __all__ = ["browser"]
 
 
+pytestmark = pytest.mark.slow
+
+
 def gap_page(suffix: str = "") -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         solution = solution_for(record(folder / "arm", suffix=suffix), suffix=suffix)
