@@ -10,6 +10,7 @@ import tomllib
 import warnings
 from collections.abc import Callable
 from contextlib import redirect_stdout
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -90,7 +91,8 @@ def test_modules_exist_and_know_the_options_shown(module: str) -> None:
         assert find_spec(module) is not None
         return
     pytest.importorskip(module.partition(".")[0])
-    unknown = unknown_options(module, of_modules(), runpy.run_module)
+    run = partial(runpy.run_module, alter_sys=True)
+    unknown = unknown_options(module, of_modules(), run)
     assert not unknown, f"python -m {module} has no {unknown}"
 
 
