@@ -23,6 +23,7 @@ PARTS = (
     "importing",
     "rig",
     "statistics",
+    "inference",
     "kinematics",
     "diagnosis",
     "gap",
@@ -38,11 +39,11 @@ PARTS = (
 """Parts of the package in the order in which data flow, without the command line and the thesis."""
 
 AGENTS = (
-    "core/base",
-    "core/estimators",
-    "core/belief_agent",
-    "evaluation/evaluate",
-    "policies/policies",
+    "base",
+    "belief",
+    "evaluation",
+    "comparison",
+    "policies/choice",
     "registry",
 )
 """Modules of the agents that somebody who adds one meets."""
