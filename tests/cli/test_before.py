@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from loose_env.cli.diagnose import trend_summary
+from loose_env.cli.instrument import trend_summary
 from loose_env.cli.main import main
 from loose_env.instrument import Diagnosis, change_since, diagnose
 from loose_env.recording import read_recording, write_recording

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from loose_env.arms import DESK_ARM
-from loose_env.cli.main import COMMANDS, SHELLS, main, parser
+from loose_env.cli.main import COMMANDS, SHELLS, main
 from loose_env.version import __version__
 from scripts.example_recording import loose_arm
 
@@ -55,8 +55,8 @@ def test_the_command_alone_prints_its_help(capsys: pytest.CaptureFixture[str]) -
     assert main([]) == 0
     said = capsys.readouterr()
     assert said.out.startswith("usage: loose") and not said.err
-    assert all(f"\n    {name} " in said.out for name in COMMANDS)
-    assert said.out == parser().format_help()
+    assert all(f"\n  {name} " in said.out for name in COMMANDS)
+
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -71,7 +71,7 @@ def test_every_command_has_the_options_of_output(
     with pytest.raises(SystemExit) as ended:
         main([name, "--quiet", "--verbose"])
     assert ended.value.code == 2
-    assert "not allowed with" in capsys.readouterr().err
+    assert "--quiet and --verbose exclude each other" in capsys.readouterr().err
 
 
 def test_json_on_the_standard_output_stands_alone(capsys: pytest.CaptureFixture[str]) -> None:
@@ -176,36 +176,23 @@ def test_verbose_says_versions_and_settings_and_keeps_the_trace_of_an_error(
 def test_shells_complete_commands_and_options(
     shell: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("shtab")
     with pytest.raises(SystemExit) as ended:
         main(["--print-completion", shell])
     assert ended.value.code == 0
     said = capsys.readouterr().out
     assert all(name in said for name in COMMANDS)
-    if shell != "tcsh":
-        assert "--most-tool" in said and "--kinds" in said
+    assert "most-tool" in said and "kinds" in said
 
 
 def test_bash_completes_a_command_and_its_options() -> None:
-    pytest.importorskip("shtab")
     script = called("-m", "loose_env", "--print-completion", "bash").stdout
-    ask = 'COMP_WORDS=({0}); COMP_CWORD={1}; _shtab_loose; printf "%s\\n" "${{COMPREPLY[@]}}"'
+    ask = 'COMP_WORDS=({0}); COMP_CWORD={1}; _tyro_loose; printf "%s\\n" "${{COMPREPLY[@]}}"'
     for words, at, wanted in (("loose di", 1, "diagnose"), ("loose gap --kin", 2, "--kinds")):
         done = subprocess.run(
             ["bash", "--norc", "-c", script + ask.format(words, at)],
             capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert wanted in done.stdout.split(), done.stderr
-
-
-def test_without_shtab_completion_says_what_to_install() -> None:
-    code = (
-        "import sys\nsys.modules['shtab'] = None\nfrom loose_env.cli.main import main\n"
-        "main(['--print-completion', 'bash'])"
-    )
-    done = called("-c", code)
-    assert done.returncode == 1 and not done.stdout
-    assert done.stderr.count("\n") == 1 and "pip install 'loose-env[completion]'" in done.stderr
 
 
 def test_a_reader_that_leaves_early_gets_no_trace() -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from loose_env.cli.output_folder import OutputFolder
+from loose_env.cli.console import OutputFolder
 from loose_env.errors import InvalidSetting
 
 
