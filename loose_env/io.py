@@ -12,7 +12,7 @@ import json
 import math
 import os
 import textwrap
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from numbers import Integral, Real
@@ -172,7 +172,7 @@ def restored(kind: type[T], value: Any, place: str) -> T:
     loose_env.errors.InvalidData: point: 'x' is missing
     """
     try:
-        found: T = _reader(kind).validate_python(value)
+        found: T = _reader(kind).validate_python(value)  # type: ignore[arg-type]
     except ValidationError as error:
         raise InvalidData(_first_error(error, place)) from None
     return found
@@ -210,9 +210,9 @@ def json_schema(kind: type[Any], format: str = "") -> dict[str, Any]:
 
 
 @cache
-def _reader(kind: Hashable) -> SchemaValidator:
+def _reader(kind: Any) -> SchemaValidator:
     """Validator of what JSON holds: its types as they are, null for an unknown number."""
-    return SchemaValidator(_of_json(TypeAdapter(kind).core_schema), CoreConfig(strict=True))
+    return SchemaValidator(_of_json(TypeAdapter(kind).core_schema))
 
 
 def _of_json(schema: Any) -> Any:
@@ -225,10 +225,10 @@ def _of_json(schema: Any) -> Any:
         key: value if key in ("default", "expected", "metadata") else _of_json(value)
         for key, value in schema.items()
     }
+    if made.get("type") in ("bool", "float", "int", "str"):
+        made["strict"] = True
     if made.get("type") == "float":
         return core_schema.no_info_wrap_validator_function(_number, made)
-    if made.get("type") in ("dataclass", "dict", "tuple"):
-        made["strict"] = False
     return made
 
 
