@@ -14,6 +14,7 @@ import os
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
+from difflib import get_close_matches
 from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
@@ -45,6 +46,7 @@ __all__ = [
     "is_whole",
     "json_schema",
     "json_text",
+    "nearest",
     "plain",
     "positive",
     "read_result_file",
@@ -174,7 +176,7 @@ def restored(kind: type[T], value: Any, place: str) -> T:
     try:
         found: T = _reader(kind).validate_python(value)  # type: ignore[arg-type]
     except ValidationError as error:
-        raise InvalidData(_first_error(error, place)) from None
+        raise InvalidData(_first_error(error, kind, place)) from None
     return found
 
 
@@ -250,24 +252,56 @@ _NEEDED = {
 """Kind of an error of pydantic -> what is needed."""
 
 
-def _first_error(error: ValidationError, place: str) -> str:
+def _first_error(error: ValidationError, kind: Any, place: str) -> str:
     """The first fault of a file in one line: its place, what was given, what is allowed."""
     first = error.errors(include_url=False)[0]
-    kind, given, context = first["type"], first["input"], first.get("ctx", {})
+    fault, given, context = first["type"], first["input"], first.get("ctx", {})
     *home, last = first["loc"] or ("",)
+    if fault not in ("missing", "unexpected_keyword_argument") and last != "":
+        home.append(last)
+    separator = " " if place.endswith(":") else "."
     for step in home:
-        place += f"[{step}]" if isinstance(step, int) else f".{step}"
-    if kind == "missing":
+        place += f"[{step}]" if isinstance(step, int) else f"{separator}{step}"
+        separator = "."
+    place = place.removesuffix(":")
+    if fault == "missing":
         return f"{place}: {last!r} is missing"
-    if last != "":
-        place += f"[{last}]" if isinstance(last, int) else f".{last}"
-    if kind in _NEEDED:
-        return f"{place}: {_NEEDED[kind]} is needed, not {given!r:.60}"
-    if kind == "literal_error":
+    if fault == "unexpected_keyword_argument":
+        known = _keys(kind, home)
+        return f"{place}: unknown key {last!r}; known are {known}{nearest(str(last), known)}"
+    if fault in _NEEDED:
+        return f"{place}: {_NEEDED[fault]} is needed, not {given!r:.60}"
+    if fault == "literal_error":
         return f"{place}: {given!r:.60} is none of {context['expected']}"
-    if kind == "too_long":
+    if fault == "too_long" and "actual_length" in context:
         return f"{place}: {context['max_length']} values are needed, not {context['actual_length']}"
     return f"{place}: {context.get('error', first['msg'])}; got {given!r:.60}"
+
+
+def _keys(kind: Any, path: Sequence[str | int]) -> list[str]:
+    """Fields of the dataclass at a path inside another one."""
+    for step in path:
+        while not is_dataclass(kind) and get_origin(kind) is Annotated:
+            kind = get_args(kind)[0]
+        kind = (
+            get_type_hints(kind)[step]
+            if is_dataclass(kind)
+            else get_args(kind)[-2 if get_args(kind)[-1] is Ellipsis else -1]
+        )
+    return [each.name for each in fields(kind)]
+
+
+def nearest(given: str, names: Sequence[str]) -> str:
+    """Words that suggest the nearest of some names, or nothing where none is near.
+
+    Examples
+    --------
+    >>> nearest("Sholder", ["elbow", "shoulder"])
+    "; did you mean 'shoulder'?"
+    """
+    lower = {name.lower(): name for name in reversed(names)}
+    found = get_close_matches(given.lower(), lower, n=1)
+    return f"; did you mean {lower[found[0]]!r}?" if found else ""
 
 
 def json_text(whole: Mapping[str, Any], *, digits: int = 7) -> str:
@@ -303,7 +337,7 @@ def whole_of(text: str, *, format: str, noun: str) -> dict[str, Any]:
         If it is no JSON, or none of the format.
     """
     try:
-        whole = json.loads(text, parse_constant=_refused)
+        whole = json.loads(text, parse_constant=_refused, object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:
         raise InvalidData(f"the {noun} is no JSON: {error}") from None
     if not isinstance(whole, dict) or whole.get("format") != format:
@@ -341,6 +375,16 @@ def read_result_file(path: str | Path, parse: Callable[[str], T], *, noun: str) 
         return parse(text)
     except InvalidData as error:
         raise InvalidData(f"{file}: {error}") from None
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Refuse an object in which a key stands twice."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [key for key, _ in pairs]
+        twice = next(key for key in names if names.count(key) > 1)
+        raise ValueError(f"the key {twice!r} stands twice in one object")
+    return found
 
 
 def _refused(word: str) -> float:
