@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from inspect import cleandoc
 from typing import TYPE_CHECKING, Annotated, Any, Union
@@ -185,12 +186,13 @@ def _print_completion(shell: str) -> None:
         for name, about in COMMANDS.items()
     ]
     with_all: Any = Union[tuple(kinds)]  # noqa: UP007 - made at run time
-    tyro.cli(
-        with_all,
-        prog="loose",
-        args=["--tyro-write-completion", shell, "-"],
-        config=(tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes),
-    )
+    with suppress(SystemExit):  # tyro ends the process after the script
+        tyro.cli(
+            with_all,
+            prog="loose",
+            args=["--tyro-write-completion", shell, "-"],
+            config=(tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes),
+        )
 
 
 if __name__ == "__main__":
