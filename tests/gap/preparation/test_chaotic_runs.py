@@ -88,6 +88,7 @@ def test_struck_stops_are_compared_by_features(impact_fit: Recording, problem: G
     assert any("chaotic (impacts against stops)" in warning for warning in problem.warnings)
 
 
+@pytest.mark.slow
 def test_the_loose_link_is_named_by_features(impact_fit: Recording) -> None:
     kinds = ("structural_looseness", "joint_compliance", "viscous_friction")
     settings = GapSettings(threads=1, kinds=kinds, most_effects=1)

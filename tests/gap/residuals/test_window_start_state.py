@@ -15,6 +15,8 @@ from loose_env.recording import read_recording, write_recording
 from tests.gap.cases.effect_arms import PLANAR
 from tests.gap.cases.recorded_runs import PENDULUM, measurable, pendulum_run, torque_run
 
+pytestmark = pytest.mark.slow
+
 OIL, SEAL, AIR = 0.004, 0.012, 0.002
 """What slows a pendulum down: N·m·s/rad, N·m, N·m·s²/rad²."""
 DAMPING = (30.0, 20.0, 8.0)

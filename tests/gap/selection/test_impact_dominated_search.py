@@ -16,6 +16,8 @@ from loose_env.gap.workflow.pipeline import GapSolution, find_gap
 from loose_env.recording import Recording, write_recording
 from tests.gap.cases.level_arm import FINE, LEVEL, moving
 
+pytestmark = pytest.mark.slow
+
 KINDS = ("backlash", "actuator_gain")
 COUNT = 2000
 GAP, GAIN = 0.01, 0.9

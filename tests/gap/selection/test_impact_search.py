@@ -91,6 +91,7 @@ def test_powers_tell_a_slide_that_no_trajectory_follows(loose: GapProblem) -> No
     assert by_sample[1] > 0.2 * by_sample[0]
 
 
+@pytest.mark.slow
 def test_the_loose_link_is_found_with_its_direction(loose: GapProblem) -> None:
     found = search(loose, "structural_looseness")
     assert found is not None and found.effect.where == "link2"
