@@ -24,7 +24,6 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import numpy as np
 from annotated_types import Ge, GroupedMetadata, Gt, Lt
 from pydantic import ConfigDict, TypeAdapter, ValidationError
-from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import CoreConfig, SchemaValidator, core_schema
 
 from loose_env.errors import InvalidData, InvalidSetting
@@ -44,7 +43,6 @@ __all__ = [
     "field_words",
     "is_finite",
     "is_whole",
-    "json_schema",
     "json_text",
     "nearest",
     "plain",
@@ -178,37 +176,6 @@ def restored(kind: type[T], value: Any, place: str) -> T:
     except ValidationError as error:
         raise InvalidData(_first_error(error, kind, place)) from None
     return found
-
-
-class _SchemaOfFile(GenerateJsonSchema):
-    """JSON Schema in which a number that is not known is null."""
-
-    def float_schema(self, schema: core_schema.FloatSchema) -> dict[str, Any]:
-        """Schema of a number."""
-        found = super().float_schema(schema)
-        return {"anyOf": [found, {"type": "null"}]}
-
-
-def json_schema(kind: type[Any], format: str = "") -> dict[str, Any]:
-    """JSON Schema of a file that holds a dataclass.
-
-    Parameters
-    ----------
-    kind : type
-        The dataclass.
-    format : str
-        Value of its key "format".
-
-    Examples
-    --------
-    >>> json_schema(Rule)["required"]
-    ['words']
-    """
-    whole = TypeAdapter(kind).json_schema(schema_generator=_SchemaOfFile)
-    if format:
-        whole.setdefault("properties", {})["format"] = {"const": format, "title": "Format"}
-        whole["required"] = ["format", *whole.get("required", ())]
-    return whole
 
 
 @cache

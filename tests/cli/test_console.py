@@ -19,6 +19,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.instrument import read_diagnosis
 from loose_env.recording import read_recording, write_recording
 from loose_env.version import __version__
+from scripts.dev.write_schemas import FORMATS, schema
 from scripts.example_recording import loose_arm
 from tests.doctor.machine import late, record, with_sensors, xml
 
@@ -325,3 +326,9 @@ def test_findings_stand_in_the_result_and_on_the_page_of_a_diagnosis(
     assert {each.check for each in result.preflight} == {"clock"}
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert "may pass for a loose link" in page[page.index("Limits the result") :]
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_the_schemas_of_the_pages_are_those_of_the_formats(format: str) -> None:
+    file = Path(__file__).parents[2] / "docs" / "schemas" / f"{format.replace('/', '-')}.json"
+    assert read(file) == schema(format)
