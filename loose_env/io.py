@@ -248,13 +248,10 @@ def _first_error(error: ValidationError, kind: Any, place: str) -> str:
 def _keys(kind: Any, path: Sequence[str | int]) -> list[str]:
     """Fields of the dataclass at a path inside another one."""
     for step in path:
-        while not is_dataclass(kind) and get_origin(kind) is Annotated:
-            kind = get_args(kind)[0]
-        kind = (
-            get_type_hints(kind)[step]
-            if is_dataclass(kind)
-            else get_args(kind)[-2 if get_args(kind)[-1] is Ellipsis else -1]
-        )
+        if isinstance(step, str) and is_dataclass(kind):
+            kind = get_type_hints(kind)[step]
+        else:  # an entry of a tuple, a value of a mapping
+            kind = [one for one in get_args(kind) if one is not Ellipsis][-1]
     return [each.name for each in fields(kind)]
 
 
