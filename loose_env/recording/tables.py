@@ -338,11 +338,8 @@ def _numbers_of(column: Any, name: str, title: str) -> Array:
             return np.array(values, dtype=np.float64)
     except Exception as error:
         raise _broken(name, f"column {title!r}: {error}") from None
-    row, shown = 0, ""
-    for i, value in enumerate(column):
-        if value.is_valid:
-            row, shown = i, _shown(value)
-            break
+    row = next((i for i, value in enumerate(column) if value.is_valid), 0)
+    shown = _shown(column[row]) if len(column) and column[row].is_valid else ""
     raise InvalidData(
         f"{place(name, title, row, None)}: {shown or 'nothing'} of type {kind} where a number "
         "belongs; store the column as float64 in SI units"

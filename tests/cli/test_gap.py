@@ -203,7 +203,7 @@ def test_mistakes_end_in_one_line_and_write_nothing(
         (["gap", model, "--out", str(out)], "give it as --model"),
         (words(recording, out, "--quick", "--next"), "names nothing"),
         (words(recording, out, "--next", "--next-seconds", "0"), "next_seconds"),
-        (words(recording, out, "--next", "--next-max-speed-rad-s", "nan"), "next_max_speed_rad_s"),
+        (words(recording, out, "--next", "--next-max-speed-rad-s", "nan"), "next-max-speed-rad-s"),
     ):
         assert reason in refused(capsys, command)
     assert bare.settings is None and not out.exists()
