@@ -328,6 +328,7 @@ def earlier(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
+@pytest.mark.slow
 def test_a_machine_that_got_play_has_changed_and_pages_say_since_when(
     earlier: Path, tmp_path: Path, capsys: Capture
 ) -> None:
@@ -351,6 +352,7 @@ def test_a_machine_that_got_play_has_changed_and_pages_say_since_when(
     assert not (tmp_path / "out" / "trend.json").exists()
 
 
+@pytest.mark.slow
 def test_a_recording_without_a_result_is_diagnosed_first(
     earlier: Path, tmp_path: Path, capsys: Capture
 ) -> None:
@@ -362,6 +364,7 @@ def test_a_recording_without_a_result_is_diagnosed_first(
     assert "not compared" in said.out  # one earlier session has no scatter
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "work", "words"),
     [
