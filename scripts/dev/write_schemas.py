@@ -17,7 +17,7 @@ from pydantic_core import core_schema
 from loose_env.cli.command import command
 from loose_env.gap import GapResult, NextMotionSummary
 from loose_env.instrument import Diagnosis, Trend
-from loose_env.io import write_text
+from loose_env.io import plain, write_text
 from loose_env.recording import Description
 
 FORMATS: dict[str, type[Any]] = {
@@ -51,7 +51,8 @@ def schema(format: str) -> dict[str, Any]:
     whole = TypeAdapter(FORMATS[format]).json_schema(schema_generator=FileSchema)
     whole["properties"]["format"] = {"const": format}
     whole["required"] = list(dict.fromkeys(["format", *whole.get("required", ())]))
-    return {"$schema": GenerateJsonSchema.schema_dialect, **whole}
+    found: dict[str, Any] = plain({"$schema": GenerateJsonSchema.schema_dialect, **whole})
+    return found
 
 
 def write(settings: Settings) -> None:

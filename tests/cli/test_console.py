@@ -128,6 +128,7 @@ def test_json_stands_alone_on_the_standard_output_or_in_a_file(
     assert (tmp_path / "new" / "i.json").read_text("utf-8") == said.out
 
 
+@pytest.mark.slow
 def test_plan_and_diagnosis_print_the_content_of_their_files(
     recording: Path, tmp_path: Path, capsys: Capture
 ) -> None:
@@ -310,6 +311,7 @@ def test_other_commands_stop_at_errors_before_they_write(
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_findings_stand_in_the_result_and_on_the_page_of_a_diagnosis(
     tmp_path: Path, capsys: Capture
 ) -> None:

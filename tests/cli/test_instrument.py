@@ -245,6 +245,7 @@ def reading(model: Any, data: Any, name: str, row: Any, rng: np.random.Generator
     return float(data.sensordata[at] + rng.normal(0, 0.01 if axis else 1e-6))
 
 
+@pytest.mark.slow
 def test_plan_and_diagnosis_take_turns_in_one_folder_under_the_limits_of_the_first_plan(
     tmp_path: Path, capsys: Capture
 ) -> None:
