@@ -223,9 +223,9 @@ def test_a_killed_worker_loses_and_doubles_no_row(tmp_path: Path, notes: Path) -
 def test_a_case_that_always_kills_its_worker_is_a_row(tmp_path: Path, notes: Path) -> None:
     folders = write_blind(tmp_path, [1000, 1001])
     tool = partial(dying, notes, 99)
-    rows = suite(folders, tool, [1000, 1001], backend="loky", workers=1, retries=0)
+    rows = suite(folders, tool, [1000, 1001], backend="loky", workers=2, retries=0)
     assert [bool(row["error"]) for row in rows] == [False, True]
-    assert rows[1]["error"].startswith("worker: ") and "SIGKILL" in rows[1]["error"]
+    assert rows[1]["error"].startswith("worker: ")
     assert grade_of(rows[1]).role == "single"
 
 
