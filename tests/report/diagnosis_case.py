@@ -11,7 +11,7 @@ import numpy as np
 
 from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar
 from loose_env.diagnosis import ToolFrames
-from loose_env.envs.rendering.correlation import Surface
+from loose_env.envs import CorrelationByDirection
 from loose_env.instrument import (
     Diagnosis,
     Fault,
@@ -75,8 +75,8 @@ def loops(arm: Arm, joint: str, lost: Any, rng: np.random.Generator) -> tuple[Lo
     wide = 0.0 if lost is None else 0.6
     loose = np.zeros((d, d)) if lost is None else np.outer(lost, lost)
     surfaces = [
-        Surface(peak=motion, tool=np.outer(motion, motion) + noise + wide * loose),
-        Surface(peak=sound, tool=np.outer(sound, sound) + noise),
+        CorrelationByDirection(peak=motion, tool=np.outer(motion, motion) + noise + wide * loose),
+        CorrelationByDirection(peak=sound, tool=np.outer(sound, sound) + noise),
     ]
     found = []
     for i, j in combinations(range(d), 2):

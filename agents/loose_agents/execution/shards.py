@@ -2,7 +2,7 @@
 
 Results do not depend on the backend, the number of workers, the size of a shard or what was
 interrupted: everything random in episode k comes from its own streams
-(`loose_env.envs.episode.state.Episode.stream`), never from a shard, a worker or the order of work.
+(`loose_env.envs.batch.Episode.stream`), never from a shard, a worker or the order of work.
 """
 
 from __future__ import annotations

@@ -3,36 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
-from loose_env.envs import (
-    EDGE,
-    INK,
-    MUTED,
-    SHAKEN,
-    TRUTH,
-    ArmDrawing,
-    PlanarView,
-    SpaceDrawing,
-    SpaceView,
-    arrow,
-    draw_base,
-    draw_measure,
-    half_height,
-    moves_in_a_plane,
-)
+from loose_env.envs import EDGE, INK, MUTED, SHAKEN, TRUTH, ArmDrawing
 from loose_env.errors import InvalidData
 from loose_env.faults import Backlash, StructuralLooseness
 from loose_env.instrument import Fault
-from loose_env.report.pages.figures import WIDTH, new_figure
+from loose_env.report.pages.figures import new_figure
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["arm_figure", "pose_of"]
@@ -92,11 +76,11 @@ def arm_figure(
     """
     figure = new_figure(_HEIGHT)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0 - _LEGEND / _HEIGHT))
-    axes.set_axis_off()
     shaken = None if excited is None else np.array([joint in excited for joint in arm.joints])
     loose, seat = _seat(arm, fault)
-    draw = _planar if moves_in_a_plane(arm) else _space
-    draw(axes, arm, pose_of(arm, pose), shaken, loose, seat)
+    drawing = ArmDrawing(arm)
+    drawing.draw(axes, drawing.marks(pose_of(arm, pose), excited=shaken, loose=loose, fault=seat))
+    figure.text(0.97, 0.03, drawing.seen, color=MUTED, fontsize=9.5, ha="right")
     _legend(figure, shaken, seat, bool(loose))
     return figure
 
@@ -118,70 +102,6 @@ def _seat(arm: Arm, fault: Fault | None) -> tuple[list[int], StructuralLooseness
         return [number], None
     slide = StructuralLooseness(link=number, direction=fault.direction, gap=0.0, stiffness=_STIFF)
     return [number], slide
-
-
-def _planar(
-    axes: Axes,
-    arm: Arm,
-    pose: Array,
-    shaken: NDArray[np.bool_] | None,
-    loose: list[int],
-    seat: StructuralLooseness | Backlash | None,
-) -> None:
-    view = PlanarView(arm)
-    drawing = ArmDrawing(arm.reach, arm.n, vertical=view.vertical)
-    at = view.at(pose)
-    _frame(axes, drawing.room(at), 0.42 * arm.reach)
-    draw_measure(axes, vertical=view.vertical)
-    draw_base(axes, float(drawing.radii[0]), vertical=view.vertical)
-    drawing.links(axes, at, loose=loose)
-    drawing.joints(axes, at, shaken)
-    drawing.tool(axes, at)
-    if seat is not None:
-        drawing.fault(axes, at, seat)
-
-
-def _space(
-    axes: Axes,
-    arm: Arm,
-    pose: Array,
-    shaken: NDArray[np.bool_] | None,
-    loose: list[int],
-    seat: StructuralLooseness | Backlash | None,
-) -> None:
-    view = SpaceView(arm)
-    drawing = SpaceDrawing(arm)
-    at = view.at(pose)
-    _frame(axes, drawing.room(at), 0.45 * arm.reach)
-    drawing.ground(axes, at)
-    drawing.base(axes, at)
-    drawing.arm(axes, at, shaken, loose)
-    drawing.tool(axes, at, arm.axes)
-    if seat is not None:
-        drawing.fault(axes, at, seat)
-    half = half_height(axes)
-    (left, right), (bottom, _) = axes.get_xlim(), axes.get_ylim()
-    side = 0.03 * (right - left)
-    look: dict[str, Any] = {"color": MUTED, "fontsize": 9.5, "va": "bottom"}
-    axes.text(left + side, bottom + 0.03 * half, f"grid {drawing.spacing:g} m", **look)
-    if view.gravity:
-        tip = np.array([right - side, bottom + 0.04 * half])
-        arrow(axes, tip + np.array([0.0, 0.2 * half]), tip, color=MUTED, width=1.4, zorder=1.0)
-        axes.text(tip[0] - 0.03 * half, bottom + 0.03 * half, "gravity", ha="right", **look)
-
-
-def _frame(axes: Axes, room: Array, least: float) -> None:
-    """Fit the view round points (k, 2), not closer than half a height of ``least`` [m]."""
-    wide = WIDTH / (_HEIGHT - _LEGEND)
-    low, high = room.min(axis=0), room.max(axis=0)
-    low = low - np.array([0.0, 0.08 * float(high[1] - low[1])])  # for the words below
-    span = 0.5 * (high - low)
-    half = max(least, 1.04 * float(span[0]) / wide, 1.04 * float(span[1]))
-    middle = 0.5 * (low + high)
-    axes.set(
-        xlim=(middle[0] - wide * half, middle[0] + wide * half),
-        ylim=(middle[1] - half, middle[1] + half),
-    )
 
 
 def _legend(

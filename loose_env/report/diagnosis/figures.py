@@ -204,7 +204,7 @@ def _direction(axes: Axes, loop: Loop, record: RecordSeen) -> None:
     """Draw the direction in which motion is lost, and how well it is known."""
     from matplotlib.patches import Circle, Wedge
 
-    from loose_env.envs import arrow
+    from loose_env.envs import draw_arrow
 
     assert record.direction_tool is not None
     seen = np.array([record.direction_tool["xyz".index(axis)] for axis in loop.plane])
@@ -219,7 +219,7 @@ def _direction(axes: Axes, loop: Loop, record: RecordSeen) -> None:
             wedge = Wedge((0, 0), 1.0, turned - half, turned + half, alpha=0.16, zorder=2.5)
             wedge.set(facecolor=TRUTH, linewidth=0)
             axes.add_patch(wedge)
-    arrow(axes, -seen, seen, color=TRUTH, width=1.7, zorder=4.1, both=True, halo=True)
+    draw_arrow(axes, -seen, seen, color=TRUTH, both=True)
 
 
 def _loop_legend(figure: Figure, height: float, *, direction: bool) -> None:

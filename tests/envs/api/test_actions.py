@@ -12,8 +12,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from loose_env.arms import Mismatch
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.faults.difficulty import Difficulty
+from loose_env.envs.env import DiagnosisEnv
+from loose_env.envs.settings import Difficulty
 from loose_env.faults import Healthy
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array

@@ -13,9 +13,8 @@ from gymnasium.error import ResetNeeded
 
 import loose_env
 from loose_env.arms import Mismatch
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.settings import DiagnosisSettings, Prices
+from loose_env.envs.env import DiagnosisEnv
+from loose_env.envs.settings import DiagnosisSettings, Difficulty, Prices
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidAction, InvalidData, InvalidSetting, LooseEnvError, UnknownName
 from loose_env.faults import Backlash, Fault, StructuralLooseness

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from loose_env.arms import MismatchDraw
-from loose_env.envs.diagnosis_env import DiagnosisEnv
+from loose_env.envs.env import DiagnosisEnv
 from loose_env.envs.settings import Prices
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.excitation import Excitation

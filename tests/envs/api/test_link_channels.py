@@ -11,7 +11,7 @@ import pytest
 from loose_env.arms import Arm, MismatchDraw, planar, vera
 from loose_env.diagnosis import NominalLinks, link_readings_of, statistics_of
 from loose_env.envs import DiagnosisSettings, ObservationLayout
-from loose_env.envs.diagnosis_env import DiagnosisEnv
+from loose_env.envs.env import DiagnosisEnv
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation
 from loose_env.faults import Healthy, StructuralLooseness

@@ -25,11 +25,9 @@ from loose_env.arms import (
     vera,
 )
 from loose_env.diagnosis import RecordStatistics, statistics_of
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.episode.elements import Element
-from loose_env.envs.episode.observation import ObservationLayout
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.envs.env import DiagnosisEnv
+from loose_env.envs.observation import Element, ObservationLayout
+from loose_env.envs.settings import DiagnosisSettings, Difficulty
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import Fault, Healthy

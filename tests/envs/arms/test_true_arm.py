@@ -15,9 +15,8 @@ from loose_agents.registry import belief_agent
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import Arm, LinearArm, Mismatch, planar, servoed, with_compliance
 from loose_env.diagnosis import predict
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.faults.difficulty import Difficulty
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.envs.env import DiagnosisEnv
+from loose_env.envs.settings import DiagnosisSettings, Difficulty
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting
 

@@ -11,7 +11,7 @@ import pytest
 
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import MismatchDraw, arm_from_file
-from loose_env.envs.diagnosis_env import DiagnosisEnv
+from loose_env.envs.env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidData
 from loose_env.excitation import at_levels

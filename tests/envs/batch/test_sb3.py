@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar
-from loose_env.envs.diagnosis_env import DiagnosisEnv
+from loose_env.envs.env import DiagnosisEnv
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.vector_env import DiagnosisVectorEnv
-from loose_env.envs.vector_inputs import batch_seeds
+from loose_env.envs.vector_env import DiagnosisVectorEnv, batch_seeds
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.registration import IDS
 

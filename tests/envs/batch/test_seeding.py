@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.episode.actions import ActionLayout
-from loose_env.envs.vector_env import DiagnosisVectorEnv
-from loose_env.envs.vector_inputs import batch_seeds
+from loose_env.envs.actions import ActionLayout
+from loose_env.envs.env import DiagnosisEnv
+from loose_env.envs.vector_env import DiagnosisVectorEnv, batch_seeds
 from loose_env.rig import Measurement
 
 MakeEnv = Callable[..., DiagnosisEnv]

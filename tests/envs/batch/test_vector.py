@@ -11,7 +11,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from loose_env.envs.diagnosis_env import DiagnosisEnv
+from loose_env.envs.env import DiagnosisEnv
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.registration import IDS
 

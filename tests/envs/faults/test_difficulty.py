@@ -11,8 +11,8 @@ import pytest
 from scipy import stats
 
 from loose_env.arms import FASTEST_TURN, LinearArm, Mismatch, planar, vera
-from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty, difficulty_named
-from loose_env.envs.faults.sampler import FaultSampler
+from loose_env.envs.faults import FaultSampler
+from loose_env.envs.settings import DIFFICULTIES, Difficulty, difficulty_named
 from loose_env.excitation import SeatDrive, at_levels
 from loose_env.faults import Backlash, Healthy, StructuralLooseness, hypotheses
 from loose_env.rig import PlantShop

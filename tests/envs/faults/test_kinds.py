@@ -13,11 +13,9 @@ import pytest
 from scipy import stats
 
 from loose_env.arms import Arm, LinearArm, arm_from_file, planar, scara, six_axis, vera
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
-from loose_env.envs.faults.seats import PIVOT
-from loose_env.envs.settings import DiagnosisSettings
+from loose_env.envs.env import DiagnosisEnv
+from loose_env.envs.faults import PIVOT, FaultSampler
+from loose_env.envs.settings import DIFFICULTIES, DiagnosisSettings, Difficulty
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import (

@@ -9,17 +9,13 @@ import numpy as np
 import pytest
 from loose_agents.core.base import Problem
 from loose_agents.core.belief_agent import best_verdict
-from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm, LinearArm, MismatchDraw, planar, scara, six_axis, vera
-from loose_env.envs.diagnosis_env import DiagnosisEnv
-from loose_env.envs.episode.actions import ActionLayout
-from loose_env.envs.faults.difficulty import DIFFICULTIES, Difficulty
-from loose_env.envs.faults.sampler import FaultSampler
-from loose_env.envs.rendering.caption import header_lines
-from loose_env.envs.rendering.palette import TRUTH
-from loose_env.envs.settings import DiagnosisSettings, Prices
+from loose_env.envs.actions import ActionLayout
+from loose_env.envs.env import DiagnosisEnv
+from loose_env.envs.faults import FaultSampler
+from loose_env.envs.settings import DIFFICULTIES, DiagnosisSettings, Difficulty, Prices
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting
 from loose_env.faults import (
@@ -339,38 +335,3 @@ def test_a_load_changes_nothing_where_nothing_is_loose(make_env: MakeEnv) -> Non
         assert env.batch.episode(0).fault == Healthy()  # type: ignore[union-attr]
         seen.append(env.step(shake(env))[0])
     np.testing.assert_array_equal(*seen)
-
-
-# ---- what picture and timeline show
-
-
-def test_the_words_call_being_unsure_neither_right_nor_wrong(make_env: MakeEnv) -> None:
-    env = make_env(n_links=2, unsure_after=1)
-    linear = env.batch.nominal
-    for named, mark in (
-        (UNSURE, "Verdict: unsure"),
-        ("healthy", "Verdict: nothing is loose – wrong"),
-    ):
-        env.reset(seed=0, options={"fault": TWO})
-        env.step(shake(env))
-        env.step(said(env, named))
-        episode = env.batch.episode(0)
-        assert episode is not None
-        lines = [line.text for line in header_lines(linear, episode, None, None, episode.verdict)]
-        assert lines[0] == "Link 1 was loose (0.1 mm); joint 2 had play (0.011°)"
-        assert mark in lines
-
-
-@pytest.mark.parametrize("arm", [planar(2), six_axis()], ids=lambda a: a.name)
-def test_a_picture_shows_every_one_of_several_faults(arm: Arm) -> None:
-    env = DiagnosisEnv(arm, DiagnosisSettings(unsure_after=1), render_mode="rgb_array", threads=1)
-    both = SeveralFaults(faults=(SLIDE, replace(PLAY, stiffness=(1e2, 1e2))))
-    pictures = []
-    for fault in (SLIDE, both):
-        env.reset(seed=0, options={"fault": fault, "pose": np.full(arm.n, 0.4)})
-        env.step(env.actions.encode())
-        env.step(said(env, UNSURE))
-        picture = env.render()
-        pictures.append(np.isclose(picture, np.array(to_rgb(TRUTH)) * 255, atol=2).all(-1).sum())
-    env.close()
-    assert pictures[1] > pictures[0] > 0  # a ring round the joint beside the coloured link

@@ -28,7 +28,7 @@ from loose_agents.rl.training_run import RunState, git_commit
 
 from loose_env.arms import planar
 from loose_env.envs import DiagnosisSettings, EpisodeBatch
-from loose_env.envs.episode.state import Episode
+from loose_env.envs.batch import Episode
 
 ROOT = Path(__file__).resolve().parents[3]
 TINY = [

@@ -1,10 +1,4 @@
-"""Episodes: the rules of the diagnosis, for any number of arms at once.
-
-The single and the vector environment are thin shells around `EpisodeBatch`, so that both
-give the same episode bit for bit. Every random draw comes from a stream of its own, keyed by
-(seed, episode, stream, record): what an agent does, how many arms run beside it and what ran
-before change nothing.
-"""
+"""Episodes."""
 
 from __future__ import annotations
 
@@ -12,6 +6,7 @@ import copy
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -20,31 +15,405 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, Drift, LinearArm, MismatchDraw
+from loose_env.arms import Arm, Drift, LinearArm, LinearPose, Mismatch, MismatchDraw
 from loose_env.diagnosis import (
+    NominalLinks,
     SensorFloor,
+    link_axes,
+    link_readings_of_all,
+    predictions,
+    statistics_of_all,
 )
-from loose_env.envs.episode.actions import Action, ActionLayout
-from loose_env.envs.episode.observation import ObservationLayout
-from loose_env.envs.episode.record_writer import AskedRecord, RecordWriter
-from loose_env.envs.episode.reset_options import ResetOptions, checked_true_arm
-from loose_env.envs.episode.state import (
-    Episode,
-    Outcome,
-    RawMeasurement,
-    raw_observation,
-    raw_space,
-)
-from loose_env.envs.faults.difficulty import difficulty_named
-from loose_env.envs.faults.sampler import FaultSampler
-from loose_env.envs.settings import DiagnosisSettings
-from loose_env.errors import InvalidSetting
+from loose_env.envs.actions import Action, ActionLayout
+from loose_env.envs.faults import FaultSampler
+from loose_env.envs.observation import ObservationLayout
+from loose_env.envs.settings import DiagnosisSettings, difficulty_named
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, all_at_levels
-from loose_env.faults import UNSURE, Fault, Healthy, SeveralFaults, hypotheses, place_of
+from loose_env.faults import (
+    KINDS,
+    SEVERAL_FAULTS,
+    UNSURE,
+    Fault,
+    Healthy,
+    SeveralFaults,
+    hypotheses,
+    is_fault,
+    place_of,
+    preloaded,
+)
+from loose_env.io import is_finite
 from loose_env.rig import Job, Measurement, ReducedRig, SimulatedRig
 from loose_env.typing import Array
 
-__all__ = ["BatchRig", "EpisodeBatch"]
+
+@dataclass(kw_only=True, eq=False)
+class Episode:
+    """The state of one episode."""
+
+    seed: int
+    number: int
+    fault: Fault
+    pose: Array
+    slots: NDArray[np.float32]
+    mismatch: MismatchDraw | None = None
+    records: int = 0
+    seconds: float = 0.0
+    levels: int = 0
+    visited: set[bytes] = field(default_factory=set)
+    last: Measurement | None = None
+    ended: bool = False
+    verdict: str | None = None
+
+    @property
+    def measured(self) -> int:
+        """Number of records that show something."""
+        return int(np.count_nonzero(self.slots[:, 0]))
+
+    def stream(self, kind: int, index: int = 0) -> np.random.Generator:
+        """Return the generator of one kind of draw."""
+        key = (self.number, kind, index)
+        return np.random.Generator(
+            np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=key))
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """Result of one step."""
+
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any]
+
+
+_LIMIT = 1e3  # bound of every channel: signals beyond it are clipped
+
+
+class RawMeasurement(Measurement):
+    """A measurement as it stands in `info`: equal to another one of the same values."""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Measurement) and all(
+            np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)
+        )
+
+
+def raw_space(arm: Arm, settings: DiagnosisSettings, layout: ObservationLayout) -> spaces.Dict:
+    """Space of the statistics and the latest record's signals, padded to the longest record."""
+    n, d, count = arm.n, len(arm.axes), _longest(settings)
+
+    def box(*shape: int) -> spaces.Box:
+        return spaces.Box(-_LIMIT, _LIMIT, shape, dtype=np.float32)
+
+    signals: dict[str, spaces.Space[Any]] = {
+        "statistics": layout.space,
+        "command": box(n, count),
+        "encoder": box(n, count),
+        "tool": box(d, count),
+    }
+    choice = settings.sensors.on_links
+    if choice is not None:
+        signals["links"] = box(len(choice.on(arm)), len(link_axes(arm, choice)), count)
+    return spaces.Dict(signals)
+
+
+def raw_observation(
+    arm: Arm, settings: DiagnosisSettings, flat: NDArray[np.float32], last: Measurement | None
+) -> dict[str, NDArray[np.float32]]:
+    """Lay the signals of the latest record beside the statistics.
+
+    The command is in N·m, or N where the joint slides; the encoder in mrad, or mm, off the
+    commanded pose; the tool in m/s², and so the links where they carry accelerometers.
+    """
+    n, d, count = arm.n, len(arm.axes), _longest(settings)
+    signals = {
+        "command": np.zeros((n, count), dtype=np.float32),
+        "encoder": np.zeros((n, count), dtype=np.float32),
+        "tool": np.zeros((d, count), dtype=np.float32),
+    }
+    choice = settings.sensors.on_links
+    if choice is not None:
+        shape = (len(choice.on(arm)), len(link_axes(arm, choice)), count)
+        signals["links"] = np.zeros(shape, dtype=np.float32)
+    if last is not None and last.failure is None:
+        channels = {
+            "command": last.command,
+            "encoder": 1e3 * (last.encoder[:, 1:-1] - last.pose[:, None]),
+            "tool": last.tool,
+        }
+        if choice is not None and last.links is not None:
+            channels["links"] = last.links
+        for name, channel in channels.items():
+            signals[name][..., : channel.shape[-1]] = np.clip(channel, -_LIMIT, _LIMIT)
+    return {"statistics": flat, **signals}
+
+
+def _longest(settings: DiagnosisSettings) -> int:
+    return round(max(settings.durations) * settings.sensors.rate)
+
+
+def checked_true_arm(true_arm: Arm | None, arm: Arm) -> Arm:
+    """Return the arm that is measured: the nominal one where none is given.
+
+    Parameters
+    ----------
+    true_arm : Arm, optional
+        The arm that is measured. Its drives carry what gravity puts on it, as servos do.
+    arm : Arm
+        The nominal arm.
+
+    Raises
+    ------
+    InvalidSetting
+        If they differ in their joints, ranges, tool axes or band: a pose or a record of one would
+        mean something else on the other.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar, with_compliance
+    >>> checked_true_arm(with_compliance(planar(2), mode_hz=60.0), planar(2)).name
+    'planar2-compliant'
+    >>> checked_true_arm(planar(3), planar(2))
+    Traceback (most recent call last):
+        ...
+    loose_env.errors.InvalidSetting: the true arm 'planar3' differs from the nominal arm \
+'planar2' in joints: ('joint1', 'joint2', 'joint3') and ('joint1', 'joint2')...
+    """
+    if true_arm is None:
+        return arm
+    if not isinstance(true_arm, Arm):
+        raise InvalidSetting(f"true_arm is an Arm, as `arm_from_file` makes it; got {true_arm!r}")
+    for name in ("joints", "sliding", "joint_ranges", "axes", "band"):
+        own, other = getattr(true_arm, name), getattr(arm, name)
+        if not _alike(own, other):
+            raise InvalidSetting(
+                f"the true arm {true_arm.name!r} differs from the nominal arm {arm.name!r} in "
+                f"{name}: {own} and {other}; both are to be moved and read alike"
+            )
+    if (true_arm.shaker is None) != (arm.shaker is None) or true_arm.probes != arm.probes:
+        raise InvalidSetting(
+            f"the true arm {true_arm.name!r} has another shaker or other probes than the nominal "
+            f"arm {arm.name!r}; both are to be moved and read alike"
+        )
+    return true_arm
+
+
+def _alike(own: object, other: object) -> bool:
+    """Return whether values are equal, numbers to rounding."""
+    if isinstance(own, np.ndarray):
+        return bool(np.array_equal(own, np.asarray(other)))
+    if isinstance(own, (tuple, list)) and isinstance(other, (tuple, list)):
+        return len(own) == len(other) and all(map(_alike, own, other))
+    if isinstance(own, float) and isinstance(other, float):
+        return bool(np.isclose(own, other, rtol=1e-9, atol=1e-12))
+    return own == other
+
+
+_KNOWN = ("fault", "pose", "mismatch_scale", "preload_g")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ResetOptions:
+    """Options of one episode; what is not given is drawn as ever."""
+
+    arm: Arm
+    fault: Fault | str | None = None
+    """A fault, or the name of a hypothesis under which to draw one."""
+    pose: NDArray[np.float64] | None = None
+    """First pose [rad, m where a joint slides] (n,)."""
+    mismatch_scale: float = 1.0
+    """Factor on the standard deviations of the mismatch [1]."""
+    preload_g: float = 0.0
+    """Constant load on every loose seat, over the weight it carries [1]."""
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any] | None, arm: Arm) -> ResetOptions:
+        """Check the options that a user gave.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such option or no such fault.
+        InvalidSetting
+            If a pose does not fit the arm, or a number is none.
+
+        Examples
+        --------
+        >>> from loose_env.arms import planar
+        >>> ResetOptions.of({"fault": "backlash@joint2", "mismatch_scale": 3}, planar(2)).fault
+        'backlash@joint2'
+        """
+        if given is not None and not isinstance(given, Mapping):
+            raise InvalidSetting(
+                "options of reset() are a mapping such as {'fault': 'healthy'}, got "
+                f"{given!r:.60}"
+            )
+        options = dict(given or {})
+        unknown = set(options) - set(_KNOWN)
+        if unknown:
+            raise UnknownName(
+                f"unknown reset options {sorted(unknown, key=str)}; known: {', '.join(_KNOWN)}"
+            )
+        scale = _number("mismatch_scale", options.get("mismatch_scale"), 1.0)
+        if scale < 0:
+            raise InvalidSetting(f"mismatch_scale is a factor, zero or more; got {scale:g}")
+        return cls(
+            arm=arm,
+            fault=_fault(options.get("fault"), arm),
+            pose=_pose(options.get("pose"), arm),
+            mismatch_scale=scale,
+            preload_g=_number("preload_g", options.get("preload_g"), 0.0),
+        )
+
+    def hidden_fault(self, sampler: FaultSampler, rng: np.random.Generator) -> Fault:
+        """Return the fault to hide; it takes from ``rng`` only what is to be drawn."""
+        fault = self.fault
+        if fault is None:
+            fault = sampler.draw(rng)
+        elif fault == SEVERAL_FAULTS:
+            fault = sampler.several(rng)
+        elif isinstance(fault, str):
+            fault = sampler.draw(rng, hypothesis=fault)
+        return preloaded(self.arm, fault, self.preload_g) if self.preload_g else fault
+
+    def first_pose(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Return the pose to start in; drawn from ``rng`` if none was given."""
+        return self.arm.random_pose(rng) if self.pose is None else self.pose
+
+    def true_arm(self, mismatch: Mismatch, rng: np.random.Generator) -> MismatchDraw:
+        """Draw how the true arm differs from the nominal one.
+
+        The same generator gives the same draw at every scale, only larger or smaller.
+        """
+        scale = self.mismatch_scale
+        return (mismatch if scale == 1 else mismatch.scaled(scale)).draw(self.arm, rng)
+
+
+def _number(name: str, given: Any, default: float) -> float:
+    if given is None:
+        return default
+    if not is_finite(given):
+        raise InvalidSetting(f"{name} must be a finite number, got {given!r}")
+    return float(given)
+
+
+def _fault(given: Any, arm: Arm) -> Fault | str | None:
+    """Check a fault; it may lie outside the hypotheses of the environment."""
+    if given is None or is_fault(given):
+        return given  # type: ignore[no-any-return]
+    names = (*hypotheses(arm, KINDS, everywhere=True), SEVERAL_FAULTS)
+    if isinstance(given, str) and given in names:
+        return given
+    raise UnknownName(
+        f"unknown fault {given!r}; give a fault of loose_env.faults or one of {list(names)}"
+    )
+
+
+def _pose(given: Any, arm: Arm) -> NDArray[np.float64] | None:
+    if given is None:
+        return None
+    try:
+        pose = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        pose = np.empty(0)
+    if pose.shape != (arm.n,) or not np.isfinite(pose).all():
+        raise InvalidSetting(f"a pose is {arm.n} finite numbers [rad or m], got {given!r}")
+    if not arm.within_ranges(pose).all():
+        ranges = [r and (float(r[0]), float(r[1])) for r in arm.joint_ranges]
+        raise InvalidSetting(f"pose {pose.tolist()} leaves the joint ranges {ranges} [rad or m]")
+    return arm.wrap(pose)
+
+
+_TOGETHER = 64
+"""Records worked out at once: their signals fit the processor's cache."""
+
+
+@dataclass(kw_only=True, eq=False)
+class AskedRecord:
+    """A record that one arm is asked for in a step, and what becomes of it."""
+
+    slot: int
+    episode: Episode
+    action: Action
+    at: LinearPose
+    info: dict[str, Any]
+    share: Array | None = None
+    measurement: Measurement | None = None
+    failure: str | None = None
+
+
+class RecordWriter:
+    """Writes records into the slots of their episodes.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    settings : DiagnosisSettings
+        Settings of the environment.
+    observations : ObservationLayout
+        Layout of the slots.
+    floor : SensorFloor
+        Noise that statistics are predicted with.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        settings: DiagnosisSettings,
+        observations: ObservationLayout,
+        floor: SensorFloor,
+    ) -> None:
+        choice = settings.sensors.on_links
+        self.observations, self.floor = observations, floor
+        self._nominal_links = None if choice is None else NominalLinks(arm, choice)
+
+    def write(self, measured: Iterable[tuple[AskedRecord, Measurement]]) -> None:
+        """Write records as they are measured, those of one form together."""
+        alike: dict[tuple[object, ...], list[AskedRecord]] = {}
+        for asked, measurement in measured:
+            asked.measurement, asked.failure = measurement, measurement.failure
+            if measurement.failure is None:
+                key = (measurement.tool.shape[1], int(measurement.excited.sum()))
+                alike.setdefault(key, []).append(asked)
+                if len(alike[key]) == _TOGETHER:
+                    self._show(alike.pop(key))
+        for members in alike.values():
+            self._show(members)
+
+    def _show(self, asked: Sequence[AskedRecord]) -> None:
+        """Fill the slots of records; one that makes no statistics is marked as failed."""
+        try:
+            self._fill_slots(asked)
+        except InvalidData as error:
+            if len(asked) == 1:
+                asked[0].failure = f"the readings make no statistics: {error}"
+                return
+            for each in asked:
+                self._show([each])
+
+    def _fill_slots(self, asked: Sequence[AskedRecord]) -> None:
+        """Enter records, alike in length and in the number of excited joints, into their slots."""
+        measured = [each.measurement for each in asked if each.measurement is not None]
+        links = expected = None
+        if self._nominal_links is not None:
+            links = link_readings_of_all(measured)
+            expected = np.array(
+                [self._nominal_links.transmission(m.pose, m.excited) for m in measured]
+            )
+        rows = self.observations.slots_for(
+            np.array([each.action.levels for each in asked]),
+            np.array([each.share for each in asked]),
+            statistics_of_all(measured),
+            predictions([each.at for each in asked], [m.excitation for m in measured], self.floor),
+            links=links,
+            nominal_links=expected,
+        )
+        for each, row in zip(asked, rows, strict=True):
+            each.episode.slots[each.episode.records] = row
+
 
 _FAULT, _MISMATCH, _POSE, _RECORD, _DRIFT = range(5)
 
@@ -78,7 +447,7 @@ class EpisodeBatch:
         Where measurements come from; simulated arms by default.
     true_arm : Arm, optional
         The arm that is measured, where the nominal model is wrong about more than the mismatch
-        says; see `loose_env.envs.episode.reset_options`. The nominal arm by default.
+        says; see `loose_env.envs.batch`. The nominal arm by default.
 
     Raises
     ------

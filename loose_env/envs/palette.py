@@ -2,22 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = [
-    "BODY",
-    "CAP",
-    "EDGE",
-    "FAINT",
-    "HELD_CAP",
-    "INK",
-    "MEASURED",
-    "MUTED",
-    "ON_SHAKEN",
-    "PAPER",
-    "SHADOW",
-    "SHAKEN",
-    "TRUTH",
-]
-
 PAPER = "#ffffff"
 """Background, and letters on dark parts."""
 INK = "#1b2128"

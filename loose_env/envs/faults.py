@@ -1,18 +1,26 @@
-"""Stops and further seats of drawn faults: as stiff as their contact modes and the step allow."""
+"""Hidden faults drawn at random, their stops as stiff as contact modes and time step allow."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import mujoco
 import numpy as np
 
-from loose_env.arms import FASTEST_TURN, LinearArm
-from loose_env.envs.faults.difficulty import Difficulty
+from loose_env.arms import FASTEST_TURN, Arm, LinearArm
+from loose_env.envs.settings import Difficulty
+from loose_env.errors import InvalidSetting
 from loose_env.excitation import SeatDrive
 from loose_env.faults import (
+    DEFAULT_KINDS,
+    KINDS,
+    SEVERAL_FAULTS,
+    UNSURE,
+    Backlash,
     CompoundLooseness,
+    Fault,
     Healthy,
     LooseFault,
     Preload,
@@ -21,21 +29,11 @@ from loose_env.faults import (
     StructuralLooseness,
     part_seats,
     parts_of,
+    place_of,
+    places_of_kind,
     twist_of,
 )
 from loose_env.typing import Array, IndexArray
-
-__all__ = [
-    "PIVOT",
-    "SHORTEST_LEVER",
-    "FurtherSeats",
-    "SeatMasses",
-    "Stops",
-    "direction_from",
-    "log_uniform",
-    "uniform",
-]
-
 
 Stops = tuple[tuple[float, float], tuple[float, float]]
 """Stiffness, then damping, of the lower and the upper stop."""
@@ -333,3 +331,195 @@ def uniform(limits: tuple[float, float], u: float) -> float:
 def log_uniform(limits: tuple[float, float], u: float) -> float:
     """Turn a uniform variate into a log-uniform one between two limits."""
     return float(np.exp(uniform((np.log(limits[0]), np.log(limits[1])), u)))
+
+
+class FaultSampler:
+    """Draws hidden faults for one arm.
+
+    Parameters
+    ----------
+    linear : LinearArm
+        The nominal arm; it says how hard each seat is driven and what mass it carries.
+    difficulty : Difficulty
+        Ranges to draw from.
+    kinds : sequence of str
+        Kinds of fault that are hypotheses.
+
+    Raises
+    ------
+    InvalidSetting
+        If the difficulty gives probability to a kind that is none of them.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from loose_env.arms import vera
+    >>> sampler = FaultSampler(LinearArm(vera()), Difficulty())
+    >>> sampler.draw(np.random.default_rng(0)).kind
+    'structural_looseness'
+    """
+
+    def __init__(
+        self, linear: LinearArm, difficulty: Difficulty, kinds: Sequence[str] = DEFAULT_KINDS
+    ) -> None:
+        self.arm: Arm = linear.arm
+        self.difficulty = difficulty
+        self.probabilities = self._with_a_place(difficulty.probabilities(kinds))
+        self.drive = SeatDrive(linear, over=difficulty.friction_over)
+        self.linear = linear
+        """The nominal arm."""
+        rng = np.random.default_rng(0)
+        self._poses = [np.zeros(self.arm.n), *(self.arm.random_pose(rng) for _ in range(64))]
+        self._masses = SeatMasses(linear, self._poses)
+
+    def _with_a_place(self, shares: Mapping[str, float]) -> Mapping[str, float]:
+        """Shares of the kinds that can be somewhere, of one together."""
+        arm = self.arm
+        found = {k: p for k, p in shares.items() if k == "healthy" or places_of_kind(arm, k)}
+        if len(found) == len(shares):
+            return shares
+        total = sum(found.values())
+        return {kind: share / total for kind, share in found.items()}
+
+    @cached_property
+    def further(self) -> FurtherSeats:
+        """Draws of rotational and compound looseness, made ready when first needed."""
+        return FurtherSeats(self.linear, self.difficulty, self._poses)
+
+    def draw(self, rng: np.random.Generator, *, hypothesis: str | None = None) -> Fault:
+        """Draw a fault, of one hypothesis if it is given.
+
+        Every draw takes ten variates from ``rng``; rotational and compound looseness takes
+        sixteen more. How these are drawn is said at `FurtherSeats`.
+        """
+        d = self.difficulty
+        u = rng.random(10)
+        if hypothesis is None:
+            kinds = [k for k in KINDS if self.probabilities.get(k, 0.0) > 0]
+            edges = np.cumsum([self.probabilities[k] for k in kinds])
+            kind = kinds[min(int(np.searchsorted(edges, u[0], side="right")), len(kinds) - 1)]
+            places = places_of_kind(self.arm, kind)
+            place = places[min(int(u[1] * len(places)), len(places) - 1)]
+        else:
+            name, _, _ = hypothesis.partition("@")
+            kind, place = name, place_of(hypothesis) or 1  # type: ignore[assignment]
+        if kind == "healthy":
+            return Healthy()
+        if kind == "rotational_looseness":
+            return self.further.rotation(place, u, rng.random(16))
+        if kind == "compound_looseness":
+            return self.further.compound(place, u, rng.random(16))
+        gap = log_uniform(d.gap, u[2])
+        ratio = log_uniform(d.friction, u[3])
+        modes = np.array([uniform(d.contact_mode, v) for v in u[4:6]])
+        ratios = np.array([uniform(d.contact_damping, v) for v in u[6:8]])
+        seat = np.zeros(self._masses.size)
+        if kind == "backlash":
+            seat[self.linear.hinge_dofs[place - 1]] = 1.0
+            stiffness, damping = self._masses.stops(seat, modes, ratios)
+            return Backlash(
+                joint=place,
+                gap=gap if self.arm.sliding[place - 1] else gap / self.arm.reach,
+                stiffness=stiffness,
+                damping=damping,
+                friction=ratio * self.drive.hinge(place),
+            )
+        direction = direction_from(u[8], u[9], planar=len(self.arm.axes) == 2)
+        slides = self.linear.slide_dofs[place - 1]
+        seat[slides] = direction[: len(slides)]
+        stiffness, damping = self._masses.stops(seat, modes, ratios)
+        return StructuralLooseness(
+            link=place,
+            direction=direction,
+            gap=gap,
+            stiffness=stiffness,
+            damping=damping,
+            friction=ratio * self.drive.slide(place, direction),
+        )
+
+    def several(self, rng: np.random.Generator, count: int = 2) -> SeveralFaults:
+        """Draw faults at ``count`` places of different numbers, kinds as likely as in `draw`.
+
+        Each is drawn as it would be alone. Where their stops would be too fast for the step if
+        all were touched at once, all are softened alike.
+
+        Raises
+        ------
+        InvalidSetting
+            If the arm has fewer joints, or every arm is healthy here.
+        """
+        kinds = [k for k in KINDS if k != "healthy" and self.probabilities.get(k, 0.0) > 0]
+        if not 2 <= count <= self.arm.n or not kinds:
+            raise InvalidSetting(
+                f"several faults are 2 to {self.arm.n} on arm {self.arm.name!r}, of kinds that "
+                f"come up (here {kinds}); got {count!r}"
+            )
+        weights = np.array([self.probabilities[k] for k in kinds])
+        places = 1 + rng.permutation(self.arm.n)[:count]
+        faults = []
+        for place in sorted(int(p) for p in places):
+            here = weights * [place in places_of_kind(self.arm, k) for k in kinds]
+            kind = kinds[int(rng.choice(len(kinds), p=here / here.sum()))]
+            part = "joint" if kind == "backlash" else "link"
+            faults.append(self.draw(rng, hypothesis=f"{kind}@{part}{place}"))
+        return self.further.softened(SeveralFaults(faults=tuple(faults)))  # type: ignore[arg-type]
+
+
+def hypothesis_words(hypothesis: str | None, *, past: bool = False) -> str:
+    """Say a hypothesis, or what was the matter once the episode is over.
+
+    Examples
+    --------
+    >>> hypothesis_words("structural_looseness@link2")
+    'link 2 is loose'
+    >>> hypothesis_words("backlash@joint1", past=True)
+    'joint 1 had play'
+    >>> hypothesis_words(None), hypothesis_words("unsure")
+    ('no verdict', 'unsure')
+    """
+    if hypothesis is None:
+        return "no verdict"
+    if hypothesis == UNSURE:
+        return "unsure"
+    if hypothesis == SEVERAL_FAULTS:
+        return f"there {'were' if past else 'are'} several faults"
+    place = place_of(hypothesis)
+    if place is None:
+        return f"nothing {'was' if past else 'is'} loose"
+    if hypothesis.startswith("backlash"):
+        return f"joint {place} {'had' if past else 'has'} play"
+    verb = "was" if past else "is"
+    if hypothesis.startswith("rotational"):
+        return f"link {place} {verb} loose and {'rocked' if past else 'rocks'}"
+    if hypothesis.startswith("compound"):
+        return f"link {place} {verb} loose in several directions"
+    return f"link {place} {verb} loose"
+
+
+def fault_words(fault: Fault, arm: Arm | None = None) -> str:
+    """Say what was wrong with an arm, with the travel of the loose seat.
+
+    Examples
+    --------
+    >>> from loose_env.arms import scara
+    >>> from loose_env.faults import Healthy
+    >>> fault_words(Healthy())
+    'nothing was loose'
+    >>> fault_words(Backlash(joint=3, gap=1e-4, stiffness=(1e5, 1e5)), scara())
+    'joint 3 had play (0.1 mm)'
+    """
+    if isinstance(fault, SeveralFaults):
+        return "; ".join(fault_words(one, arm) for one in fault.faults)
+    words = hypothesis_words(fault.hypothesis, past=True)
+    travel = ", ".join(t for t in (_travel(part, arm) for part in parts_of(fault)) if t)
+    return f"{words} ({travel})" if travel else words
+
+
+def _travel(part: Fault, arm: Arm | None) -> str:
+    """Travel of one loose degree of freedom, in millimetres or degrees."""
+    if isinstance(part, Backlash):
+        slides = arm is not None and bool(arm.sliding[part.joint - 1])
+        return f"{1e3 * part.gap:.2g} mm" if slides else f"{np.degrees(part.gap):.2g}°"
+    if isinstance(part, RotationalLooseness):
+        return f"{np.degrees(part.gap):.2g}°"
+    return f"{1e3 * part.gap:.2g} mm" if isinstance(part, StructuralLooseness) else ""
