@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal, Protocol, get_args
 
 import gymnasium
@@ -20,6 +20,7 @@ from loose_env.envs import (
     DiagnosisSettings,
     Element,
     ObservationLayout,
+    RecordLayout,
     difficulty_named,
 )
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
@@ -99,34 +100,6 @@ _JOINT_SIDE = ("level", "torque", "level_share", "duration", "joint_rms", "inert
 """Groups of a record that torque, encoder and the excitation give, beside its pose."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RecordLayout:
-    """Layout of a flat observation: global elements, then slots of equal layout."""
-
-    global_elements: tuple[Element, ...]
-    """Elements of the pose and of what has been spent."""
-    slot_elements: tuple[Element, ...]
-    """Elements of one record."""
-    slots: int
-    """Number of records that are shown."""
-
-    @property
-    def space(self) -> spaces.Box:
-        """The observation space; an empty slot is zero, whatever its bounds."""
-        first, each = self.global_elements, self.slot_elements
-        low = [e.low for e in first] + [min(e.low, 0.0) for e in each] * self.slots
-        high = [e.high for e in first] + [max(e.high, 0.0) for e in each] * self.slots
-        bounds = np.array([low, high], dtype=np.float32)
-        return spaces.Box(bounds[0], bounds[1], dtype=np.float32)
-
-    def split(
-        self, observation: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Global elements (globals,) and records (slots, slot size) of an observation (size,)."""
-        count = len(self.global_elements)
-        return observation[:count], observation[count:].reshape(self.slots, -1)
-
-
 class _RecordWrapper(DiagnosisWrapper):
     """A wrapper that shows the records in another layout."""
 
@@ -137,7 +110,7 @@ class _RecordWrapper(DiagnosisWrapper):
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         super().__init__(env)
-        found: RecordLayout | ObservationLayout = env.get_wrapper_attr("layout")
+        found: RecordLayout = env.get_wrapper_attr("layout")
         self.inner = RecordLayout(
             global_elements=found.global_elements,
             slot_elements=found.slot_elements,

@@ -19,7 +19,7 @@ from loose_env.envs.gap_env import (
     ModelGapSettings,
     make_model_gap,
 )
-from loose_env.envs.observation import Element, ObservationLayout
+from loose_env.envs.observation import Element, ObservationLayout, RecordLayout
 from loose_env.envs.palette import EDGE, FAINT, INK, MEASURED, MUTED, PAPER, SHAKEN, TRUTH
 from loose_env.envs.rendering import (
     ArmDrawing,
@@ -73,6 +73,7 @@ __all__ = [
     "Outcome",
     "Picture",
     "Prices",
+    "RecordLayout",
     "VectorState",
     "batch_seeds",
     "difficulty_named",

@@ -1,4 +1,10 @@
-"""Episodes."""
+"""Episodes: the rules of the diagnosis, for any number of arms at once.
+
+The single and the vector environment are thin shells around `EpisodeBatch`, so that both
+give the same episode bit for bit. Every random draw comes from a stream of its own, keyed by
+(seed, episode, stream, record): what an agent does, how many arms run beside it and what ran
+before change nothing.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +21,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, Drift, LinearArm, LinearPose, Mismatch, MismatchDraw
+from loose_env.arms import Arm, Drift, LinearArm, LinearPose, MismatchDraw
 from loose_env.diagnosis import (
     NominalLinks,
     SensorFloor,
@@ -100,86 +106,48 @@ class RawMeasurement(Measurement):
         )
 
 
-def raw_space(arm: Arm, settings: DiagnosisSettings, layout: ObservationLayout) -> spaces.Dict:
-    """Space of the statistics and the latest record's signals, padded to the longest record."""
-    n, d, count = arm.n, len(arm.axes), _longest(settings)
-
-    def box(*shape: int) -> spaces.Box:
-        return spaces.Box(-_LIMIT, _LIMIT, shape, dtype=np.float32)
-
-    signals: dict[str, spaces.Space[Any]] = {
-        "statistics": layout.space,
-        "command": box(n, count),
-        "encoder": box(n, count),
-        "tool": box(d, count),
+def raw_shapes(arm: Arm, settings: DiagnosisSettings) -> dict[str, tuple[int, ...]]:
+    """Shapes of the latest record's signals, padded to the longest record."""
+    n, count = arm.n, round(max(settings.durations) * settings.sensors.rate)
+    shapes: dict[str, tuple[int, ...]] = {
+        "command": (n, count),
+        "encoder": (n, count),
+        "tool": (len(arm.axes), count),
     }
     choice = settings.sensors.on_links
     if choice is not None:
-        signals["links"] = box(len(choice.on(arm)), len(link_axes(arm, choice)), count)
-    return spaces.Dict(signals)
+        shapes["links"] = (len(choice.on(arm)), len(link_axes(arm, choice)), count)
+    return shapes
 
 
-def raw_observation(
-    arm: Arm, settings: DiagnosisSettings, flat: NDArray[np.float32], last: Measurement | None
+def raw_signals(
+    shapes: Mapping[str, tuple[int, ...]], last: Measurement | None
 ) -> dict[str, NDArray[np.float32]]:
-    """Lay the signals of the latest record beside the statistics.
+    """Signals of the latest record, zero where there is none.
 
     The command is in N·m, or N where the joint slides; the encoder in mrad, or mm, off the
     commanded pose; the tool in m/s², and so the links where they carry accelerometers.
     """
-    n, d, count = arm.n, len(arm.axes), _longest(settings)
-    signals = {
-        "command": np.zeros((n, count), dtype=np.float32),
-        "encoder": np.zeros((n, count), dtype=np.float32),
-        "tool": np.zeros((d, count), dtype=np.float32),
-    }
-    choice = settings.sensors.on_links
-    if choice is not None:
-        shape = (len(choice.on(arm)), len(link_axes(arm, choice)), count)
-        signals["links"] = np.zeros(shape, dtype=np.float32)
+    signals = {name: np.zeros(shape, dtype=np.float32) for name, shape in shapes.items()}
     if last is not None and last.failure is None:
         channels = {
             "command": last.command,
             "encoder": 1e3 * (last.encoder[:, 1:-1] - last.pose[:, None]),
             "tool": last.tool,
+            "links": last.links,
         }
-        if choice is not None and last.links is not None:
-            channels["links"] = last.links
-        for name, channel in channels.items():
-            signals[name][..., : channel.shape[-1]] = np.clip(channel, -_LIMIT, _LIMIT)
-    return {"statistics": flat, **signals}
-
-
-def _longest(settings: DiagnosisSettings) -> int:
-    return round(max(settings.durations) * settings.sensors.rate)
+        for name, signal in signals.items():
+            channel = channels[name]
+            if channel is not None:
+                signal[..., : channel.shape[-1]] = np.clip(channel, -_LIMIT, _LIMIT)
+    return signals
 
 
 def checked_true_arm(true_arm: Arm | None, arm: Arm) -> Arm:
-    """Return the arm that is measured: the nominal one where none is given.
+    """Return the arm that is measured, which is to be moved and read as the nominal one.
 
-    Parameters
-    ----------
-    true_arm : Arm, optional
-        The arm that is measured. Its drives carry what gravity puts on it, as servos do.
-    arm : Arm
-        The nominal arm.
-
-    Raises
-    ------
-    InvalidSetting
-        If they differ in their joints, ranges, tool axes or band: a pose or a record of one would
-        mean something else on the other.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar, with_compliance
-    >>> checked_true_arm(with_compliance(planar(2), mode_hz=60.0), planar(2)).name
-    'planar2-compliant'
-    >>> checked_true_arm(planar(3), planar(2))
-    Traceback (most recent call last):
-        ...
-    loose_env.errors.InvalidSetting: the true arm 'planar3' differs from the nominal arm \
-'planar2' in joints: ('joint1', 'joint2', 'joint3') and ('joint1', 'joint2')...
+    A pose or a record of one would else mean something else on the other. The nominal arm where
+    none is given. Its drives carry what gravity puts on it, as servos do.
     """
     if true_arm is None:
         return arm
@@ -211,84 +179,21 @@ def _alike(own: object, other: object) -> bool:
     return own == other
 
 
-_KNOWN = ("fault", "pose", "mismatch_scale", "preload_g")
+_OPTIONS = ("fault", "pose", "mismatch_scale", "preload_g")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ResetOptions:
-    """Options of one episode; what is not given is drawn as ever."""
-
-    arm: Arm
-    fault: Fault | str | None = None
-    """A fault, or the name of a hypothesis under which to draw one."""
-    pose: NDArray[np.float64] | None = None
-    """First pose [rad, m where a joint slides] (n,)."""
-    mismatch_scale: float = 1.0
-    """Factor on the standard deviations of the mismatch [1]."""
-    preload_g: float = 0.0
-    """Constant load on every loose seat, over the weight it carries [1]."""
-
-    @classmethod
-    def of(cls, given: Mapping[str, Any] | None, arm: Arm) -> ResetOptions:
-        """Check the options that a user gave.
-
-        Raises
-        ------
-        UnknownName
-            If there is no such option or no such fault.
-        InvalidSetting
-            If a pose does not fit the arm, or a number is none.
-
-        Examples
-        --------
-        >>> from loose_env.arms import planar
-        >>> ResetOptions.of({"fault": "backlash@joint2", "mismatch_scale": 3}, planar(2)).fault
-        'backlash@joint2'
-        """
-        if given is not None and not isinstance(given, Mapping):
-            raise InvalidSetting(
-                "options of reset() are a mapping such as {'fault': 'healthy'}, got "
-                f"{given!r:.60}"
-            )
-        options = dict(given or {})
-        unknown = set(options) - set(_KNOWN)
-        if unknown:
-            raise UnknownName(
-                f"unknown reset options {sorted(unknown, key=str)}; known: {', '.join(_KNOWN)}"
-            )
-        scale = _number("mismatch_scale", options.get("mismatch_scale"), 1.0)
-        if scale < 0:
-            raise InvalidSetting(f"mismatch_scale is a factor, zero or more; got {scale:g}")
-        return cls(
-            arm=arm,
-            fault=_fault(options.get("fault"), arm),
-            pose=_pose(options.get("pose"), arm),
-            mismatch_scale=scale,
-            preload_g=_number("preload_g", options.get("preload_g"), 0.0),
+def checked_options(given: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Refuse options of `reset` that there are not; their values are checked where they count."""
+    if given is not None and not isinstance(given, Mapping):
+        raise InvalidSetting(
+            f"options of reset() are a mapping such as {{'fault': 'healthy'}}, got {given!r:.60}"
         )
-
-    def hidden_fault(self, sampler: FaultSampler, rng: np.random.Generator) -> Fault:
-        """Return the fault to hide; it takes from ``rng`` only what is to be drawn."""
-        fault = self.fault
-        if fault is None:
-            fault = sampler.draw(rng)
-        elif fault == SEVERAL_FAULTS:
-            fault = sampler.several(rng)
-        elif isinstance(fault, str):
-            fault = sampler.draw(rng, hypothesis=fault)
-        return preloaded(self.arm, fault, self.preload_g) if self.preload_g else fault
-
-    def first_pose(self, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return the pose to start in; drawn from ``rng`` if none was given."""
-        return self.arm.random_pose(rng) if self.pose is None else self.pose
-
-    def true_arm(self, mismatch: Mismatch, rng: np.random.Generator) -> MismatchDraw:
-        """Draw how the true arm differs from the nominal one.
-
-        The same generator gives the same draw at every scale, only larger or smaller.
-        """
-        scale = self.mismatch_scale
-        return (mismatch if scale == 1 else mismatch.scaled(scale)).draw(self.arm, rng)
+    unknown = set(given or {}) - set(_OPTIONS)
+    if unknown:
+        raise UnknownName(
+            f"unknown reset options {sorted(unknown, key=str)}; known: {', '.join(_OPTIONS)}"
+        )
+    return dict(given or {})
 
 
 def _number(name: str, given: Any, default: float) -> float:
@@ -311,25 +216,6 @@ def _fault(given: Any, arm: Arm) -> Fault | str | None:
     )
 
 
-def _pose(given: Any, arm: Arm) -> NDArray[np.float64] | None:
-    if given is None:
-        return None
-    try:
-        pose = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        pose = np.empty(0)
-    if pose.shape != (arm.n,) or not np.isfinite(pose).all():
-        raise InvalidSetting(f"a pose is {arm.n} finite numbers [rad or m], got {given!r}")
-    if not arm.within_ranges(pose).all():
-        ranges = [r and (float(r[0]), float(r[1])) for r in arm.joint_ranges]
-        raise InvalidSetting(f"pose {pose.tolist()} leaves the joint ranges {ranges} [rad or m]")
-    return arm.wrap(pose)
-
-
-_TOGETHER = 64
-"""Records worked out at once: their signals fit the processor's cache."""
-
-
 @dataclass(kw_only=True, eq=False)
 class AskedRecord:
     """A record that one arm is asked for in a step, and what becomes of it."""
@@ -344,78 +230,10 @@ class AskedRecord:
     failure: str | None = None
 
 
-class RecordWriter:
-    """Writes records into the slots of their episodes.
-
-    Parameters
-    ----------
-    arm : Arm
-        The nominal arm.
-    settings : DiagnosisSettings
-        Settings of the environment.
-    observations : ObservationLayout
-        Layout of the slots.
-    floor : SensorFloor
-        Noise that statistics are predicted with.
-    """
-
-    def __init__(
-        self,
-        arm: Arm,
-        settings: DiagnosisSettings,
-        observations: ObservationLayout,
-        floor: SensorFloor,
-    ) -> None:
-        choice = settings.sensors.on_links
-        self.observations, self.floor = observations, floor
-        self._nominal_links = None if choice is None else NominalLinks(arm, choice)
-
-    def write(self, measured: Iterable[tuple[AskedRecord, Measurement]]) -> None:
-        """Write records as they are measured, those of one form together."""
-        alike: dict[tuple[object, ...], list[AskedRecord]] = {}
-        for asked, measurement in measured:
-            asked.measurement, asked.failure = measurement, measurement.failure
-            if measurement.failure is None:
-                key = (measurement.tool.shape[1], int(measurement.excited.sum()))
-                alike.setdefault(key, []).append(asked)
-                if len(alike[key]) == _TOGETHER:
-                    self._show(alike.pop(key))
-        for members in alike.values():
-            self._show(members)
-
-    def _show(self, asked: Sequence[AskedRecord]) -> None:
-        """Fill the slots of records; one that makes no statistics is marked as failed."""
-        try:
-            self._fill_slots(asked)
-        except InvalidData as error:
-            if len(asked) == 1:
-                asked[0].failure = f"the readings make no statistics: {error}"
-                return
-            for each in asked:
-                self._show([each])
-
-    def _fill_slots(self, asked: Sequence[AskedRecord]) -> None:
-        """Enter records, alike in length and in the number of excited joints, into their slots."""
-        measured = [each.measurement for each in asked if each.measurement is not None]
-        links = expected = None
-        if self._nominal_links is not None:
-            links = link_readings_of_all(measured)
-            expected = np.array(
-                [self._nominal_links.transmission(m.pose, m.excited) for m in measured]
-            )
-        rows = self.observations.slots_for(
-            np.array([each.action.levels for each in asked]),
-            np.array([each.share for each in asked]),
-            statistics_of_all(measured),
-            predictions([each.at for each in asked], [m.excitation for m in measured], self.floor),
-            links=links,
-            nominal_links=expected,
-        )
-        for each, row in zip(asked, rows, strict=True):
-            each.episode.slots[each.episode.records] = row
-
-
 _FAULT, _MISMATCH, _POSE, _RECORD, _DRIFT = range(5)
+"""Streams of random draws of an episode."""
+_TOGETHER = 64
+"""Records worked out at once: their signals fit the processor's cache."""
 
 
 class BatchRig(Protocol):
@@ -483,7 +301,9 @@ class EpisodeBatch:
             Excitation(torque_rms=(0.0,) * arm.n, duration=seconds, band=arm.band)
         self.observations = ObservationLayout(arm, settings)
         self.floor = SensorFloor.of(settings.sensors, arm.band)
-        self._writer = RecordWriter(arm, settings, self.observations, self.floor)
+        links = settings.sensors.on_links
+        self._nominal_links = None if links is None else NominalLinks(arm, links)
+        self._raw = raw_shapes(arm, settings) if settings.raw else {}
         self.divergences: Counter[str] = Counter()
         self._episodes: list[Episode | None] = [None] * num
         self._levels = np.array([0.0, *arm.levels])
@@ -491,8 +311,14 @@ class EpisodeBatch:
     @property
     def space(self) -> spaces.Space[Any]:
         """Observation space of one arm: flat, or with raw signals where the settings ask."""
-        flat = self.observations
-        return raw_space(self.arm, self.settings, flat) if self.settings.raw else flat.space
+        flat = self.observations.space
+        if not self.settings.raw:
+            return flat
+        boxes = {
+            name: spaces.Box(-_LIMIT, _LIMIT, shape, dtype=np.float32)
+            for name, shape in self._raw.items()
+        }
+        return spaces.Dict({"statistics": flat, **boxes})
 
     def has_episode(self, slot: int) -> bool:
         """Return whether an episode was started in a slot."""
@@ -519,17 +345,50 @@ class EpisodeBatch:
 
     def drawn(self, *, seed: int, number: int, options: Mapping[str, Any] | None = None) -> Episode:
         """Draw all that is hidden in an episode, and its first pose."""
-        given = ResetOptions.of(options, self.true_arm)
+        given = checked_options(options)
         blank = np.zeros(
             (self.settings.max_records, len(self.observations.slot_elements)), dtype=np.float32
         )
         episode = Episode(
             seed=seed, number=number, fault=Healthy(), pose=np.zeros(self.arm.n), slots=blank
         )
-        episode.fault = given.hidden_fault(self.sampler, episode.stream(_FAULT))
-        episode.pose = given.first_pose(episode.stream(_POSE))
-        episode.mismatch = given.true_arm(self.difficulty.mismatch, episode.stream(_MISMATCH))
+        fault, pose = _fault(given.get("fault"), self.true_arm), given.get("pose")
+        scale = _number("mismatch_scale", given.get("mismatch_scale"), 1.0)
+        share = _number("preload_g", given.get("preload_g"), 0.0)
+        if scale < 0:
+            raise InvalidSetting(f"mismatch_scale is a factor, zero or more; got {scale:g}")
+        rng = episode.stream(_POSE)
+        episode.pose = self.true_arm.random_pose(rng) if pose is None else self._checked(pose)
+        rng = episode.stream(_FAULT)
+        if fault == SEVERAL_FAULTS:
+            fault = self.sampler.several(rng)
+        elif fault is None or isinstance(fault, str):
+            fault = self.sampler.draw(rng, hypothesis=fault)
+        episode.fault = preloaded(self.true_arm, fault, share) if share else fault
+        mismatch = self.difficulty.mismatch
+        # The same stream gives the same draw at every scale, only larger or smaller.
+        scaled = mismatch if scale == 1 else mismatch.scaled(scale)
+        episode.mismatch = scaled.draw(self.true_arm, episode.stream(_MISMATCH))
         return episode
+
+    def _checked(self, given: Any) -> Array:
+        """Check a pose, and turn its hinges into their ranges."""
+        arm = self.true_arm
+        try:
+            pose = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            pose = np.empty(0)
+        if pose.shape != (arm.n,) or not np.isfinite(pose).all():
+            raise InvalidSetting(f"a pose is {arm.n} finite numbers [rad or m], got {given!r}")
+        if not arm.within_ranges(pose).all():
+            ranges = [r and (float(r[0]), float(r[1])) for r in arm.joint_ranges]
+            raise InvalidSetting(
+                f"pose {pose.tolist()} leaves the joint ranges {ranges} [rad or m]"
+            )
+        return arm.wrap(pose)
+
+    _TOGETHER = 64
+    """Records worked out at once: their signals fit the processor's cache."""
 
     def begin(self, slot: int, episode: Episode) -> dict[str, Any]:
         """Begin a drawn episode in a slot, and mount its arm on the rig."""
@@ -583,7 +442,7 @@ class EpisodeBatch:
         flat = self.observe(slot)
         if not self.settings.raw:
             return flat
-        return raw_observation(self.arm, self.settings, flat, self.episode(slot).last)
+        return {"statistics": flat, **raw_signals(self._raw, self.episode(slot).last)}
 
     def step(self, slots: Sequence[int], actions: Sequence[Any]) -> list[Outcome]:
         """Take one step in each of the given slots; arms that measure do so together."""
@@ -635,7 +494,51 @@ class EpisodeBatch:
                 jobs.append(self._job(each.slot, each.episode, excitation))
                 played.append(each)
         measured = self._measured(jobs)
-        self._writer.write((played[k], measurement) for k, measurement in measured)
+        self._write((played[k], measurement) for k, measurement in measured)
+
+    def _write(self, measured: Iterable[tuple[AskedRecord, Measurement]]) -> None:
+        """Write records as they are measured, those of one form together."""
+        alike: dict[tuple[object, ...], list[AskedRecord]] = {}
+        for asked, measurement in measured:
+            asked.measurement, asked.failure = measurement, measurement.failure
+            if measurement.failure is None:
+                key = (measurement.tool.shape[1], int(measurement.excited.sum()))
+                alike.setdefault(key, []).append(asked)
+                if len(alike[key]) == _TOGETHER:
+                    self._show(alike.pop(key))
+        for members in alike.values():
+            self._show(members)
+
+    def _show(self, asked: Sequence[AskedRecord]) -> None:
+        """Fill the slots of records; one that makes no statistics is marked as failed."""
+        try:
+            self._fill_slots(asked)
+        except InvalidData as error:
+            if len(asked) == 1:
+                asked[0].failure = f"the readings make no statistics: {error}"
+                return
+            for each in asked:
+                self._show([each])
+
+    def _fill_slots(self, asked: Sequence[AskedRecord]) -> None:
+        """Enter records, alike in length and in the number of excited joints, into their slots."""
+        measured = [each.measurement for each in asked if each.measurement is not None]
+        links = expected = None
+        if self._nominal_links is not None:
+            links = link_readings_of_all(measured)
+            expected = np.array(
+                [self._nominal_links.transmission(m.pose, m.excited) for m in measured]
+            )
+        rows = self.observations.slots_for(
+            np.array([each.action.levels for each in asked]),
+            np.array([each.share for each in asked]),
+            statistics_of_all(measured),
+            predictions([each.at for each in asked], [m.excitation for m in measured], self.floor),
+            links=links,
+            nominal_links=expected,
+        )
+        for each, row in zip(asked, rows, strict=True):
+            each.episode.slots[each.episode.records] = row
 
     def _drift(self, slot: int, episode: Episode) -> None:
         """Let the true arm drift since the record before, if there was one and it does."""

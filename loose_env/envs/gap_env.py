@@ -254,61 +254,36 @@ class GapObservation:
     ranks: int
     """Sets that a verdict can name (R)."""
 
-    @property
-    def probability(self) -> slice:
-        """Log10 of the probability that each candidate is missing, at least 10⁻⁶ (N)."""
-        return slice(0, self.candidates)
+    probability: slice = field(init=False)
+    """Log10 of the probability that each candidate is missing, at least 10⁻⁶ (N)."""
+    evidence: slice = field(init=False)
+    """Log evidence x [nats] of each candidate alone, as sign(x) ln(1 + |x|) (N)."""
+    parameter: slice = field(init=False)
+    """Log10 of each candidate's visibility on the battery, were it alone (N)."""
+    interval: slice = field(init=False)
+    """Standard deviation of that (N)."""
+    sets: slice = field(init=False)
+    """Log10 of the probabilities of the R most probable sets (R)."""
+    members: slice = field(init=False)
+    """Number of effects in each of them (R)."""
+    taken: slice = field(init=False)
+    """Repetitions of each motion so far (M)."""
+    rest: slice = field(init=False)
+    """Rms of each motion's latest residual that no candidate spans, less 1 [noise sd] (M)."""
+    information: slice = field(init=False)
+    """Expected information of each motion about the missing set [nats] (M)."""
+    gain: slice = field(init=False)
+    """Expected gain in the reward of the best verdict by each motion (M)."""
+    spent: slice = field(init=False)
+    """Minutes of machine time, wear [s], motions over the most, log10 of the misfit (4)."""
 
-    @property
-    def evidence(self) -> slice:
-        """Log evidence x [nats] of each candidate alone, as sign(x) ln(1 + |x|) (N)."""
-        return slice(self.candidates, 2 * self.candidates)
-
-    @property
-    def parameter(self) -> slice:
-        """Log10 of each candidate's visibility on the battery, were it alone (N)."""
-        return slice(2 * self.candidates, 3 * self.candidates)
-
-    @property
-    def interval(self) -> slice:
-        """Standard deviation of that (N)."""
-        return slice(3 * self.candidates, 4 * self.candidates)
-
-    @property
-    def sets(self) -> slice:
-        """Log10 of the probabilities of the R most probable sets (R)."""
-        return slice(4 * self.candidates, 4 * self.candidates + self.ranks)
-
-    @property
-    def members(self) -> slice:
-        """Number of effects in each of them (R)."""
-        return slice(self.sets.stop, self.sets.stop + self.ranks)
-
-    @property
-    def taken(self) -> slice:
-        """Repetitions of each motion so far (M)."""
-        return slice(self.members.stop, self.members.stop + self.motions)
-
-    @property
-    def information(self) -> slice:
-        """Expected information of each motion about the missing set [nats] (M)."""
-        start = self.taken.stop + self.motions
-        return slice(start, start + self.motions)
-
-    @property
-    def rest(self) -> slice:
-        """Rms of each motion's latest residual that no candidate spans, less 1 [noise sd] (M)."""
-        return slice(self.taken.stop, self.taken.stop + self.motions)
-
-    @property
-    def gain(self) -> slice:
-        """Expected gain in the reward of the best verdict by each motion (M)."""
-        return slice(self.information.stop, self.information.stop + self.motions)
-
-    @property
-    def spent(self) -> slice:
-        """Minutes of machine time, wear [s], motions over the most, log10 of the misfit (4)."""
-        return slice(self.gain.stop, self.gain.stop + 4)
+    def __post_init__(self) -> None:
+        """Lay the groups one after the other."""
+        n, m, r = self.candidates, self.motions, self.ranks
+        start = 0
+        for each, count in zip(fields(self)[3:], (n, n, n, n, r, r, m, m, m, m, 4), strict=True):
+            object.__setattr__(self, each.name, slice(start, start + count))
+            start += count
 
     @property
     def size(self) -> int:

@@ -138,7 +138,40 @@ def slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
         yield log(f"link_rms.link{link}_{axis}", "m/s²", top)
 
 
-class ObservationLayout:
+@dataclass(kw_only=True, eq=False)
+class RecordLayout:
+    """Layout of a flat observation: global elements, then slots of equal layout."""
+
+    global_elements: tuple[Element, ...]
+    """Elements of the pose and of what has been spent."""
+    slot_elements: tuple[Element, ...]
+    """Elements of one record."""
+    slots: int
+    """Number of records that are shown."""
+
+    @property
+    def size(self) -> int:
+        """Number of elements of an observation."""
+        return len(self.global_elements) + self.slots * len(self.slot_elements)
+
+    @property
+    def space(self) -> spaces.Box:
+        """The observation space: flat, float32, finite; an empty slot is zero."""
+        first, each = self.global_elements, self.slot_elements
+        low = [e.low for e in first] + [min(e.low, 0.0) for e in each] * self.slots
+        high = [e.high for e in first] + [max(e.high, 0.0) for e in each] * self.slots
+        bounds = np.array([low, high], dtype=np.float32)
+        return spaces.Box(bounds[0], bounds[1], dtype=np.float32)
+
+    def split(
+        self, observation: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Global elements (globals,) and records (slots, slot size) of an observation (size,)."""
+        count = len(self.global_elements)
+        return observation[:count], observation[count:].reshape(self.slots, -1)
+
+
+class ObservationLayout(RecordLayout):
     """Layout and scaling of the flat observation.
 
     Global elements come first, then ``max_records`` slots of equal layout. A slot that has
@@ -160,11 +193,12 @@ class ObservationLayout:
     """
 
     def __init__(self, arm: Arm, settings: DiagnosisSettings) -> None:
+        super().__init__(
+            global_elements=tuple(global_elements(arm, settings)),
+            slot_elements=tuple(slot_elements(arm, settings)),
+            slots=settings.max_records,
+        )
         self.arm, self.settings = arm, settings
-        self.global_elements = tuple(global_elements(arm, settings))
-        self.slot_elements = tuple(slot_elements(arm, settings))
-        self.slots = settings.max_records
-        self.size = len(self.global_elements) + self.slots * len(self.slot_elements)
         self._joint_pose = JointPose(arm)
         self._global_scaling = _Scaling(self.global_elements)
         self._slot_scaling = _Scaling(self.slot_elements)
@@ -187,20 +221,6 @@ class ObservationLayout:
             for e in self.slot_elements
         )
         return (*self.global_elements, *slots)
-
-    @property
-    def space(self) -> spaces.Box:
-        """The observation space: flat, float32, finite bounds."""
-        low = [e.low for e in self.global_elements]
-        high = [e.high for e in self.global_elements]
-        # An empty slot is all zero, whatever its bounds.
-        slot_low = [min(e.low, 0.0) for e in self.slot_elements]
-        slot_high = [max(e.high, 0.0) for e in self.slot_elements]
-        return spaces.Box(
-            np.array(low + slot_low * self.slots, dtype=np.float32),
-            np.array(high + slot_high * self.slots, dtype=np.float32),
-            dtype=np.float32,
-        )
 
     def globals_of(
         self, pose: Array, records: int, seconds: float, levels: int

@@ -248,16 +248,9 @@ class ArmDrawing:
     ) -> list[_Mark]:
         """Strokes of an arm in a pose [rad or m] (n,).
 
-        Parameters
-        ----------
-        pose : ndarray (n,)
-            The pose.
-        excited : ndarray (n,), optional
-            Joints that are shaken, the others being held; without it joints are neither.
-        loose : collection of int
-            Links in the colour of the truth.
-        fault : Fault, optional
-            Fault whose direction, axis or joint is pointed at.
+        Excited joints are marked, the others as held; without ``excited`` joints are neither.
+        Loose links and the play of a fault are in the colour of the truth; its directions and
+        axes are pointed at.
         """
         arm, data, turn, r = self.arm, self._data, self.turn, self.thickness
         mujoco.mj_resetData(arm.model, data)
@@ -270,6 +263,8 @@ class ArmDrawing:
         points = np.vstack([_apart(anchors, axes, tool, 0.06 * arm.reach), tool])
         parts = () if fault is None else parts_of(fault)
         play = {part.joint for part in parts if isinstance(part, Backlash)}
+        flanged = [p for p in parts if isinstance(p, (StructuralLooseness, RotationalLooseness))]
+        loose = {*loose, *(part.link for part in flanged)}
         found = []
         for k in range(arm.n):
             color = TRUTH if k + 1 in loose else BODY
@@ -283,9 +278,7 @@ class ArmDrawing:
         for k in arm.axes:
             end = tool + 0.16 * arm.reach * frame[:, k]
             found.append(_Mark(kind="axis", start=tool, end=end, color=INK, label="xyz"[k]))
-        for part in parts:
-            if not isinstance(part, (StructuralLooseness, RotationalLooseness)):
-                continue
+        for part in flanged:
             k, body = part.link - 1, data.body(arm.seat_bodies[part.link - 1])
             seat, middle = turn @ body.xmat.reshape(3, 3), 0.55 * points[k] + 0.45 * points[k + 1]
             if isinstance(part, RotationalLooseness):
@@ -481,14 +474,7 @@ class Picture:
         self._window: Any = None
 
     def draw(self, episode: Episode, *, verdict: str | None = None) -> NDArray[np.uint8] | None:
-        """Draw an episode as it stands.
-
-        Parameters
-        ----------
-        episode : Episode
-            The episode.
-        verdict : str, optional
-            The hypothesis that the agent named; shown once the episode has ended.
+        """Draw an episode as it stands; the verdict shows once it has ended.
 
         Returns
         -------
@@ -560,9 +546,7 @@ class Picture:
         bottom = 2.25 if both is not None else 0.4
         axes = figure.add_axes((0.0, bottom / height, 1.0, 1 - (top + bottom) / height))
         excited = None if record is None else record.excited
-        marks = drawing.marks(
-            episode.pose, excited=excited, loose=loose_links_of(truth), fault=truth
-        )
+        marks = drawing.marks(episode.pose, excited=excited, fault=truth)
         drawing.draw(axes, marks, self._stage if lit else None)
         figure.text(
             0.96, bottom / height, drawing.seen, color=MUTED, fontsize=9, ha="right", va="bottom"
@@ -657,10 +641,3 @@ def _list(noun: str, items: Iterable[object]) -> str:
     """Join items with commas and "and" behind their noun."""
     *first, last = map(str, items)
     return f"{noun}s {', '.join(first)} and {last}" if first else f"{noun} {last}"
-
-
-def loose_links_of(fault: Fault | None) -> frozenset[int]:
-    """Return the numbers of the links that are loose on their flanges."""
-    parts = () if fault is None else parts_of(fault)
-    kinds = StructuralLooseness, RotationalLooseness
-    return frozenset(part.link for part in parts if isinstance(part, kinds))

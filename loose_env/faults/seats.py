@@ -1,4 +1,4 @@
-"""Seats of faults: degrees of freedom, their kinds and their link motion.
+"""Seats of faults: degrees of freedom, their kinds, their link motion and the load they carry.
 
 A seat is one or more extra degrees of freedom between the flange of a link and the link
 itself, called ``seat``, ``seat2``, ...: a slide for structural looseness, a hinge for rotational
@@ -7,39 +7,28 @@ looseness, the joint's own motion for backlash.
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import replace
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
 
-from loose_env.arms import Arm
+from loose_env.arms import GRAVITY, Arm
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults.faults import (
     Backlash,
     CompoundLooseness,
     Fault,
     Healthy,
+    LooseSeat,
     Preload,
     RotationalLooseness,
     SeveralFaults,
     StructuralLooseness,
+    is_fault,
     unit,
 )
 from loose_env.typing import Array
-
-__all__ = [
-    "SEAT",
-    "SeatKind",
-    "SinglePart",
-    "gaps_of",
-    "part_seats",
-    "parts_of",
-    "seat_name",
-    "seat_names",
-    "seat_of",
-    "seats_of",
-    "twist_of",
-]
 
 SEAT = "seat"
 """Name of the first loose degree of freedom in every model under test."""
@@ -60,15 +49,27 @@ def parts_of(fault: Fault) -> tuple[SinglePart, ...]:
 
 def gaps_of(fault: Fault) -> tuple[float, ...]:
     """Free travel of each part of a fault [m or rad]; 0 if nothing is loose."""
-    return tuple(
-        0.0 if isinstance(part, (Healthy, Preload)) else part.gap for part in parts_of(fault)
-    )
+    return tuple(part.gap if isinstance(part, LooseSeat) else 0.0 for part in parts_of(fault))
+
+
+_KIND_OF: dict[type[Any], SeatKind] = {
+    Healthy: "slide",
+    Preload: "slide",
+    StructuralLooseness: "slide",
+    RotationalLooseness: "hinge",
+    Backlash: "play",
+}
 
 
 def part_seats(fault: Fault) -> tuple[tuple[int, ...], tuple[SeatKind, ...]]:
     """Link and kind of the seat of each part of a fault.
 
     There are no links where any will do.
+
+    Raises
+    ------
+    UnknownName
+        If it is no fault.
 
     Examples
     --------
@@ -79,17 +80,23 @@ def part_seats(fault: Fault) -> tuple[tuple[int, ...], tuple[SeatKind, ...]]:
     >>> part_seats(Healthy())
     ((), ('slide',))
     """
-    if isinstance(fault, SeveralFaults):
-        links, kinds = zip(*(part_seats(one) for one in fault.faults), strict=True)
-        return sum(links, ()), sum(kinds, ())
-    link, own = seats_of(fault)
-    return (() if link is None else (link,) * len(own)), own
+    if not is_fault(fault):
+        raise UnknownName(
+            "a fault is Healthy, Preload, StructuralLooseness, Backlash, RotationalLooseness, "
+            f"CompoundLooseness or SeveralFaults, got {type(fault).__name__}: {fault!r}"
+        )
+    parts = parts_of(fault)
+    kinds = tuple(_KIND_OF[type(part)] for part in parts)
+    return tuple(_link_of(part) for part in parts if not isinstance(part, Healthy)), kinds
+
+
+def _link_of(part: Preload | LooseSeat) -> int:
+    """Number of the link that carries the seat of a part."""
+    return part.link if isinstance(part, Preload) else part.place
 
 
 def seats_of(fault: Fault) -> tuple[int | None, tuple[SeatKind, ...]]:
-    """Link of a fault's seat (None: any) and the kind of each of its parts.
-
-    For one fault; `part_seats` knows several as well.
+    """Link of one fault's seat (None: any) and the kind of each of its parts.
 
     Raises
     ------
@@ -107,22 +114,8 @@ def seats_of(fault: Fault) -> tuple[int | None, tuple[SeatKind, ...]]:
         raise InvalidSetting(
             "several faults have seats on several links: take them one by one, or use part_seats"
         )
-    if isinstance(fault, CompoundLooseness):
-        return fault.link, tuple(
-            "slide" if isinstance(part, StructuralLooseness) else "hinge" for part in fault.parts
-        )
-    if isinstance(fault, Backlash):
-        return fault.joint, ("play",)
-    if isinstance(fault, RotationalLooseness):
-        return fault.link, ("hinge",)
-    if isinstance(fault, (StructuralLooseness, Preload)):
-        return fault.link, ("slide",)
-    if isinstance(fault, Healthy):
-        return None, ("slide",)
-    raise UnknownName(
-        "a fault is Healthy, Preload, StructuralLooseness, Backlash, RotationalLooseness, "
-        f"CompoundLooseness or SeveralFaults, got {type(fault).__name__}: {fault!r}"
-    )
+    links, kinds = part_seats(fault)
+    return links[0] if links else None, kinds
 
 
 def seat_of(fault: Fault) -> tuple[int | None, SeatKind]:
@@ -176,9 +169,9 @@ def twist_of(arm: Arm, part: SinglePart) -> Array:
     """
     velocity, turn = np.zeros(3), np.zeros(3)
     if isinstance(part, (StructuralLooseness, Preload)):
-        velocity = unit("a direction", part.direction)
+        velocity = unit(part.direction)
     elif isinstance(part, RotationalLooseness):
-        turn = unit("an axis", part.axis)
+        turn = unit(part.axis)
         velocity = np.cross(np.asarray(part.pivot, dtype=float), turn)
     elif isinstance(part, Backlash):
         joint = arm.model.joint(arm.joints[arm.link_number(part.joint) - 1])
@@ -205,3 +198,88 @@ def seat_names(model: mujoco.MjModel) -> tuple[str, ...]:
 def seat_name(k: int) -> str:
     """Name of the k-th loose degree of freedom, counted from 0."""
     return SEAT if k == 0 else f"{SEAT}{k + 1}"
+
+
+def seat_weight(arm: Arm, part: SinglePart) -> float:
+    """Maximum load of 1 g, in any direction, on a seat of the nominal arm at zero pose.
+
+    A slide carries the weight m g of all that lies beyond it; a hinge that weight times the
+    distance of its centre of mass from the axis.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    part : StructuralLooseness, RotationalLooseness or Backlash
+        One degree of freedom of a seat.
+
+    Returns
+    -------
+    float
+        Force of a slide [N], torque of a hinge [N·m].
+
+    Raises
+    ------
+    InvalidSetting
+        If the fault is no single degree of freedom.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> slide = StructuralLooseness(link=1, direction=(1, 0, 0), gap=1e-4, stiffness=(1e5, 1e5))
+    >>> arm = planar(2)
+    >>> mass = arm.model.body(arm.seat_bodies[0]).subtreemass[0]
+    >>> bool(np.isclose(seat_weight(arm, slide), 9.81 * mass))
+    True
+    """
+    twist = twist_of(arm, part)
+    if len(twist) == 3:  # in the plane: x, y and the turn about z
+        twist = np.array([twist[0], twist[1], 0.0, 0.0, 0.0, twist[2]])
+    link = _link_of(part)  # type: ignore[arg-type]
+    model, data = arm.model, mujoco.MjData(arm.model)
+    data.qpos[arm.pose_addresses] = 0.0
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    body = model.body(arm.seat_bodies[arm.link_number(link) - 1]).id
+    frame = data.xmat[body].reshape(3, 3)
+    centre = frame.T @ (data.subtree_com[body] - data.xpos[body])
+    per_travel = twist[:3] + np.cross(twist[3:], centre)
+    return float(GRAVITY * model.body_subtreemass[body] * np.linalg.norm(per_travel))
+
+
+def preloaded(arm: Arm, fault: Fault, share: float) -> Fault:
+    """Preload every loose seat of a fault on its upper stop by a share of its weight.
+
+    At 1 it takes a shake of 1 g along the seat to open it.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    fault : Fault
+        The fault. Where nothing is loose, nothing changes.
+    share : float
+        Load over `seat_weight` [1]; below zero it presses on the lower stop.
+
+    Raises
+    ------
+    InvalidSetting
+        If the share is no finite number.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> play = Backlash(joint=2, gap=1e-3, stiffness=(1e3, 1e3))
+    >>> pressed = preloaded(planar(2), play, 0.5)
+    >>> pressed.preload == 0.5 * seat_weight(planar(2), play)
+    True
+    """
+    if isinstance(fault, LooseSeat):
+        if not np.isfinite(share):
+            raise InvalidSetting(f"a share of the weight is a finite number, got {share!r}")
+        return replace(fault, preload=float(share) * seat_weight(arm, fault))
+    if isinstance(fault, (CompoundLooseness, SeveralFaults)):
+        name = "parts" if isinstance(fault, CompoundLooseness) else "faults"
+        pressed = tuple(preloaded(arm, one, share) for one in getattr(fault, name))
+        return replace(fault, **{name: pressed})  # type: ignore[arg-type]
+    return fault
