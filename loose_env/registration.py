@@ -2,7 +2,7 @@
 
 The simulator is imported when an environment is made: `import loose_env` stays light.
 
-Every id takes ``hold``: "brake", "servo" or "compliant"; see `loose_env.arms.holding.compliance`;
+Every id takes ``hold``: "brake", "servo" or "compliant"; see `loose_env.arms.holding`;
 ``levels``, the excitation levels, ``gravity``, a vector in the world's axes [m/s²], and
 ``link_accelerometers``, short for sensors that have them.
 """

@@ -36,7 +36,7 @@ class Accelerometer(Checked):
     """A two- or three-axis accelerometer and its recorder.
 
     Gains, cross-axis sensitivity and mounting differ from arm to arm: they are part of
-    `loose_env.arms.response.mismatch.Mismatch` and reach the readings as one matrix.
+    `loose_env.arms.mismatch.Mismatch` and reach the readings as one matrix.
     """
 
     noise_density: NonNegative = 100e-6 * STANDARD_GRAVITY
@@ -78,7 +78,7 @@ class LinkAccelerometers:
 
     Else it has the arm's axes, in the frame of the body that carries it."""
     place: Place = "distal"
-    """End of the link; see `loose_env.arms.response.sensor_sites.link_site`."""
+    """End of the link; see `loose_env.arms.sites.link_site`."""
 
     def __post_init__(self) -> None:
         if self.place not in ("proximal", "distal"):

@@ -54,7 +54,7 @@ SEALED = {"statistics": {"loose_env.rig", "mujoco"}}
 OUTSIDE = {"loose_agents", "agents", "scripts", "tests"}
 
 # Deep modules that others may import: one needs an optional extra, one is the command itself.
-DEEP = {"loose_env.envs.sb3", "loose_env.cli.main"}
+DEEP = {"loose_env.envs.sb3", "loose_env.cli.command", "loose_env.cli.main"}
 
 HEAVY = {
     "jinja2",

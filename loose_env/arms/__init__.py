@@ -1,59 +1,65 @@
-"""Arms under test: their models, their linear response, how joints are braked or servoed.
+"""Arms under test: their models, their linear response, how joints are braked or servoed."""
 
-Data flow: engine_warnings -> reach -> shaker -> packed_spec -> arm -> response -> spec_parts ->
-holding -> library -> files.
-"""
-
-from loose_env.arms.arm import Arm, Gears, Holding, HoldKind
-from loose_env.arms.engine_warnings import quiet
-from loose_env.arms.files.load import (
+from loose_env.arms.arm import (
+    COIL,
+    Arm,
+    Gears,
+    Holding,
+    HoldKind,
+    Shaker,
+    add_shaker,
+    place_shaker,
+    quiet,
+)
+from loose_env.arms.file_chain import Chain, find_chain
+from loose_env.arms.from_file import (
     DESK_ARM,
     SERVO_ARM,
     SIX_AXIS_SERVO_ARM,
+    FileReport,
     arm_from_file,
     arm_of_model_file,
     describe_file,
+    report,
     unfelt_words,
 )
-from loose_env.arms.files.model_reader import (
-    ModelFile,
-    compile_spec,
-    load_spec,
-    model_file,
-    read_model_file,
-    require_numbers,
+from loose_env.arms.holding import (
+    CREST_FACTOR,
+    FASTEST_TURN,
+    GRAVITY,
+    HOLDING_MODE_HZ,
+    held,
+    held_inertia,
+    holdings,
+    new_spec,
+    servoed,
+    wind_up,
+    with_compliance,
 )
-from loose_env.arms.files.report import FileReport, report
-from loose_env.arms.files.safe_scan import files_of
-from loose_env.arms.files.serial_chain import Chain, find_chain
-from loose_env.arms.holding.compliance import held, servoed, wind_up, with_compliance
-from loose_env.arms.library.planar import planar
-from loose_env.arms.library.puma560 import six_axis
-from loose_env.arms.library.scara import scara
-from loose_env.arms.library.vera import (
+from loose_env.arms.library import (
     BENDING_MODE_HZ,
     BLOCK_MASS,
     LINK2_MASS,
     LINK_LENGTH,
     BendingLink2,
+    planar,
+    scara,
+    six_axis,
     vera,
     vera_spec,
 )
-from loose_env.arms.response.linear import LinearArm, LinearPose, Response
-from loose_env.arms.response.mismatch import Drift, Mismatch, MismatchDraw, MismatchIndices
-from loose_env.arms.response.sensor_sites import LinkSite, Place, link_site
-from loose_env.arms.response.shaken import ShakenArm
-from loose_env.arms.response.stiffness import inertance_rate
-from loose_env.arms.shaker import COIL, Shaker, add_shaker, place_shaker
-from loose_env.arms.spec_parts import (
-    CREST_FACTOR,
-    FASTEST_TURN,
-    GRAVITY,
-    HOLDING_MODE_HZ,
-    held_inertia,
-    holdings,
-    new_spec,
+from loose_env.arms.linear import LinearArm, LinearPose, Response, inertance_rate
+from loose_env.arms.mismatch import Drift, Mismatch, MismatchDraw, MismatchIndices
+from loose_env.arms.model_file import (
+    ModelFile,
+    compile_spec,
+    files_of,
+    load_spec,
+    model_file,
+    read_model_file,
+    require_numbers,
 )
+from loose_env.arms.sites import LinkSite, Place, ShakenArm, link_site
 
 __all__ = [
     "BENDING_MODE_HZ",

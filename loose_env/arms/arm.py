@@ -1,33 +1,422 @@
-"""The arm under test: a MuJoCo spec, its joints in order, its tool, its gears."""
+"""The arm under test: a MuJoCo spec, its joints in order, its tool, its gears, its shaker."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import ctypes
+import os
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.packed_spec import PackedSpec
-from loose_env.arms.reach import largest_levers, largest_reach
-from loose_env.arms.shaker import COIL, Shaker
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.io import Checked, NonNegative, all_of, is_finite
+from loose_env.io import Checked, NonNegative, Positive, all_of, is_finite
 from loose_env.typing import Array
 
-__all__ = [
-    "GEAR_DAMPING",
-    "GEAR_MODE_HZ",
-    "Arm",
-    "Gears",
-    "HoldKind",
-    "Holding",
-    "PerJoint",
-    "each_joint",
-]
+_lock = threading.Lock()
+_before: list[tuple[mujoco.MjLogConfig, int | None]] = []  # one for every call inside `quiet`
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep MuJoCo's warnings off the console and out of its log file, and its stopwatch still.
+
+    A diverging simulation is reported through its measurement. Both settings belong to the
+    whole process: the first call in saves them, the last one out puts them back.
+    """
+    with _lock:
+        _before.append((mujoco.MjLogConfig.get(), STOPWATCH.value))
+        silent = mujoco.MjLogConfig.get()
+        silent.logto_console = silent.logto_file = False
+        silent.set()
+        STOPWATCH.value = None
+    try:
+        yield
+    finally:
+        with _lock:
+            log, clock = _before.pop()
+            if not _before:
+                log.set()
+                STOPWATCH.value = clock
+
+
+_LOADED_ALREADY = getattr(os, "RTLD_NOLOAD", 0) | getattr(os, "RTLD_NOW", 0)
+"""Mode that opens a library only if the process has loaded it, as the import above does."""
+
+
+def _found() -> ctypes.c_void_p:
+    """Pointer in the engine's library; one that nobody reads where that is out of reach."""
+    names = {"win32": "mujoco.dll", "darwin": "libmujoco*.dylib"}
+    files = sorted(Path(mujoco.__file__).parent.glob(names.get(sys.platform, "libmujoco.so*")))
+    for file in files:
+        with suppress(OSError, ValueError):
+            library = ctypes.CDLL(str(file), mode=_LOADED_ALREADY)
+            return ctypes.c_void_p.in_dll(library, "mjcb_time")
+    return ctypes.c_void_p()
+
+
+STOPWATCH = _found()
+"""The engine's pointer to the function that reads the time; set to None, it does not time itself.
+
+It is read at the beginning and the end of every part of every step, for `MjData.timer`: on small
+models up to a third of the time of a simulation. No motion depends on it."""
+
+
+Range = tuple[float, float] | None
+
+_STARTS = 12
+"""Random poses from which the search starts, beside the model's own."""
+_SWEEPS = 60
+_POSES = 24
+"""Random poses at which levers are looked at."""
+_ENOUGH = 1e-9
+"""Relative gain below which a sweep over the joints ends, and a pose counts as no farther."""
+
+
+def largest_reach(
+    model: mujoco.MjModel, joints: Sequence[str], ranges: Sequence[Range], tool: str
+) -> float:
+    """Find the largest distance from the first joint's anchor to the tool over all poses [m].
+
+    One joint is moved at a time. With the others still, the squared distance is a cosine of a
+    hinge's angle and a convex parabola in a slide's position, so each joint goes straight to
+    its best place within its range, and no step makes the distance smaller. Several starts, the
+    same ones in every call, guard against a bent arm in which no single joint gains.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The bare arm; bending modes stay at rest.
+    joints : sequence of str
+        Its driven joints, base first.
+    ranges : sequence of (float, float) or None
+        Allowed positions of each joint [rad or m]; None for a hinge that turns without end.
+    tool : str
+        Site of the tool.
+
+    Returns
+    -------
+    float
+        Reach [m]. Where no pose reaches farther than the model's own zero and that lies within
+        the ranges, exactly its distance.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> arm = planar(3)
+    >>> round(largest_reach(arm.model, arm.joints, arm.joint_ranges, arm.tool), 9)
+    0.9
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    anchor = data.joint(joints[0]).xanchor.copy()
+    ids = [int(model.joint(name).id) for name in joints]
+    at = np.array([int(model.jnt_qposadr[j]) for j in ids])
+    own = model.qpos0[at].copy()
+    site = int(model.site(tool).id)
+    own_distance = float(np.linalg.norm(data.site_xpos[site] - anchor))
+
+    low = np.array([-np.pi if r is None else r[0] for r in ranges])
+    high = np.array([np.pi if r is None else r[1] for r in ranges])
+    best = own_distance if bool(np.all((own >= low) & (own <= high))) else 0.0
+    rng = np.random.default_rng(0)  # the same arm always has the same reach
+    starts = [np.clip(own, low, high), *(low + (high - low) * rng.random((_STARTS, len(ids))))]
+    for start in starts:
+        data.qpos[at] = start
+        reached = 0.0
+        for _ in range(_SWEEPS):
+            for k, j in enumerate(ids):
+                mujoco.mj_kinematics(model, data)
+                data.qpos[at[k]] = _best_place(
+                    slides=bool(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE),
+                    axis=data.xaxis[j],
+                    tool=data.site_xpos[site] - data.xanchor[j],
+                    base=anchor - data.xanchor[j],
+                    now=float(data.qpos[at[k]]),
+                    limits=ranges[k],
+                )
+            mujoco.mj_kinematics(model, data)
+            before, reached = reached, float(np.linalg.norm(data.site_xpos[site] - anchor))
+            if reached <= before * (1 + _ENOUGH):
+                break
+        if reached > best * (1 + _ENOUGH):
+            best = reached
+    return best
+
+
+def _best_place(
+    *, slides: bool, axis: Array, tool: Array, base: Array, now: float, limits: Range
+) -> float:
+    """Position of one joint at which the tool is farthest from the base."""
+    if slides:
+        if limits is None:
+            return now
+        along = float((tool - base) @ axis)
+        return max(limits, key=lambda place: abs(along + place - now))
+    across = tool - (tool @ axis) * axis
+    # Turned by t, the distance falls with base . tool = constant + c cos t + s sin t.
+    c, s = float(base @ across), float(base @ _cross(axis, across))
+    if np.hypot(c, s) < 1e-12:
+        return now
+    place = now + float(np.arctan2(-s, -c))
+    if limits is None:
+        return place
+    low, high = limits
+    place += (
+        2 * np.pi * float(np.ceil((low - place) / (2 * np.pi)))
+    )  # the first such angle above low
+    if place <= high:
+        return place
+    farthest: float = max(limits, key=lambda end: -c * np.cos(end - now) - s * np.sin(end - now))
+    return farthest
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross product of two vectors (3,), without what `numpy.cross` asks of many."""
+    (x, y, z), (u, v, w) = a, b
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+
+
+def largest_levers(
+    model: mujoco.MjModel, joints: Sequence[str], ranges: Sequence[Range], tool: str
+) -> Array:
+    """Largest distance of the tool from each joint's axis over random poses [m] (n,).
+
+    Infinite where a joint slides: every motion of it moves the tool.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The bare arm; bending modes stay at rest.
+    joints : sequence of str
+        Its driven joints, base first.
+    ranges : sequence of (float, float) or None
+        Allowed positions of each joint [rad or m]; None for a hinge that turns without end.
+    tool : str
+        Site of the tool.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> arm = planar(2)
+    >>> largest_levers(arm.model, arm.joints, arm.joint_ranges, arm.tool).round(2).tolist()
+    [0.6, 0.3]
+    """
+    data = mujoco.MjData(model)
+    ids = [int(model.joint(name).id) for name in joints]
+    slides = np.array([model.jnt_type[i] == mujoco.mjtJoint.mjJNT_SLIDE for i in ids])
+    low = np.array([-np.pi if r is None else r[0] for r in ranges])
+    high = np.array([np.pi if r is None else r[1] for r in ranges])
+    rng = np.random.default_rng(0)  # the same arm always has the same levers
+    found = np.zeros(len(ids))
+    for _ in range(_POSES):
+        data.qpos[[model.jnt_qposadr[i] for i in ids]] = low + (high - low) * rng.random(len(ids))
+        mujoco.mj_kinematics(model, data)
+        away = data.site(tool).xpos - data.xanchor[ids]
+        found = np.maximum(found, np.linalg.norm(np.cross(data.xaxis[ids], away), axis=1))
+    return np.where(slides, np.inf, found)
+
+
+COIL = "shaker_coil"
+"""Body of the coil; a site of the same name carries its accelerometer."""
+DRIVE = "drive_shaker"
+"""Actuator that forces the coil."""
+_STAND = "shaker_stand"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shaker(Checked):
+    """An external source of excitation, as in Experiments Two to Six.
+
+    The coil slides along a line fixed to its stand and pushes one point of the arm through
+    a stinger, a rod that is stiff along itself and turns freely at its end. Wherever the arm
+    is taken, the stand is set up again so that the stinger meets its point along `direction`.
+    """
+
+    joint: int
+    """Joint the shaker moves, from 1 at the base; it is released while the shaker runs."""
+    body: str
+    """Body of the arm that the stinger pushes."""
+    point: tuple[float, float, float]
+    """Point of attack in that body's frame [m]."""
+    direction: tuple[float, float, float]
+    """Direction of its push, in that body's frame."""
+    coil_mass: Positive
+    """Mass of the coil and the table on it [kg]."""
+    stinger_stiffness: Positive
+    """Stiffness of the stinger along itself [N/m] (6.12)."""
+    stinger_damping: NonNegative
+    """Damping of the stinger [N·s/m]."""
+    stinger_length: Positive
+    """Length of the stinger [m]."""
+    suspension_stiffness: NonNegative
+    """Spring that centres the coil [N/m]; it takes the lowest frequencies away."""
+    suspension_damping: NonNegative
+    """Damping of the coil's suspension and back EMF [N·s/m]."""
+    stand: str = "world"
+    """Body the stand is fixed to; it takes the reaction."""
+    force_limit: Positive = 500.0
+    """Largest force of the coil [N]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not np.linalg.norm(self.direction) > 0:
+            raise InvalidSetting("a shaker's direction must not be zero")
+
+
+def add_shaker(spec: mujoco.MjSpec, shaker: Shaker) -> None:
+    """Add stand, coil, stinger and drive to a spec; `place_shaker` puts them in their place.
+
+    Raises
+    ------
+    InvalidSetting
+        If the spec lacks a body that the shaker names.
+    """
+    pushed = spec.body(shaker.body)
+    stand_on = spec.worldbody if shaker.stand == "world" else spec.body(shaker.stand)
+    for name, body in ((shaker.body, pushed), (shaker.stand, stand_on)):
+        if body is None:
+            known = ", ".join(b.name for b in spec.bodies)
+            raise InvalidSetting(f"the shaker needs a body {name!r}; the arm has {known}")
+    stand = stand_on.add_body(name=_STAND)
+    coil = stand.add_body(
+        name=COIL,
+        mass=shaker.coil_mass,
+        ipos=[0, 0, 0],
+        inertia=[1e-3, 1e-3, 1e-3],  # it does not turn
+        explicitinertial=True,
+    )
+    coil.add_joint(
+        name="shaker",
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=[1, 0, 0],
+        stiffness=[shaker.suspension_stiffness, 0, 0],
+        damping=[shaker.suspension_damping, 0, 0],
+    )
+    coil.add_site(name=COIL)
+    pushed.add_site(name="stinger_end", pos=list(shaker.point))
+    stinger = spec.add_tendon(
+        name="stinger",
+        stiffness=[shaker.stinger_stiffness, 0, 0],
+        damping=[shaker.stinger_damping, 0, 0],
+        springlength=[shaker.stinger_length, shaker.stinger_length],
+    )
+    stinger.wrap_site(COIL)
+    stinger.wrap_site("stinger_end")
+    spec.add_actuator(name=DRIVE, trntype=mujoco.mjtTrn.mjTRN_JOINT, target="shaker")
+
+
+def place_shaker(model: mujoco.MjModel, data: mujoco.MjData, shaker: Shaker) -> None:
+    """Set the stand up for the positions in ``data.qpos``, the stinger at its own length.
+
+    Parameters
+    ----------
+    model : MjModel
+        Changed: the stand's place in its parent.
+    data : MjData
+        Positions of the arm; scratch space otherwise.
+    shaker : Shaker
+        The shaker of the model.
+    """
+    mujoco.mj_kinematics(model, data)
+    body = data.body(shaker.body)
+    rotation = body.xmat.reshape(3, 3)
+    push = rotation @ np.asarray(shaker.direction, dtype=float)
+    push /= np.linalg.norm(push)
+    origin = body.xpos + rotation @ np.asarray(shaker.point) - shaker.stinger_length * push
+    stand = model.body(_STAND)
+    parent = data.body(int(stand.parentid[0]))
+    turn = parent.xmat.reshape(3, 3).T
+    model.body_pos[stand.id] = turn @ (origin - parent.xpos)
+    model.body_quat[stand.id] = _turn_x_to(turn @ push)
+
+
+def _turn_x_to(direction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quaternion that turns the x axis to a unit vector."""
+    x = np.array([1.0, 0.0, 0.0])
+    cross = np.cross(x, direction)
+    quaternion = np.array([1.0 + x @ direction, *cross])
+    if np.linalg.norm(quaternion) < 1e-9:  # straight back
+        return np.array([0.0, 0.0, 0.0, 1.0])
+    return np.asarray(quaternion / np.linalg.norm(quaternion))
+
+
+_KINDS = (
+    *("bodies", "joints", "sites", "geoms", "cameras", "lights", "meshes", "materials"),
+    *("actuators", "sensors", "equalities", "tendons", "excludes", "pairs"),
+)
+_SETTINGS = ("option", "compiler", "stat")
+_OWN = ("id", "classname", "signature")
+"""Attributes that belong to the object, not to what it describes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackedSpec:
+    """A spec as text and numbers.
+
+    Examples
+    --------
+    >>> spec = mujoco.MjSpec()
+    >>> body = spec.worldbody.add_body(name="rod", mass=1 / 3, inertia=[0.1, 0.2, 0.2])
+    >>> body.explicitinertial = True
+    >>> PackedSpec.of(spec).unpack().body("rod").mass
+    0.3333333333333333
+    """
+
+    xml: str
+    """Its XML."""
+    numbers: dict[tuple[str, int, str], Any]
+    """Numbers by kind of element, index and attribute."""
+
+    @classmethod
+    def of(cls, spec: mujoco.MjSpec) -> PackedSpec:
+        """Pack a spec, which stays as it is."""
+        written = spec.copy()
+        written.compile()
+        return cls(xml=written.to_xml(), numbers=dict(_spec_numbers(spec)))
+
+    def unpack(self) -> mujoco.MjSpec:
+        """Build the spec."""
+        spec = mujoco.MjSpec.from_string(self.xml)
+        elements = dict(_elements(spec))
+        for (kind, index, name), value in self.numbers.items():
+            element = elements[kind, index]
+            now = getattr(element, name)
+            if isinstance(now, np.ndarray):
+                now[:] = value
+            elif now != value:
+                setattr(element, name, value)
+        return spec
+
+
+def _elements(spec: mujoco.MjSpec) -> Iterator[tuple[tuple[str, int], Any]]:
+    """Elements and settings of a spec, in order."""
+    for kind in _KINDS:
+        for index, element in enumerate(getattr(spec, kind)):
+            yield (kind, index), element
+    for kind in _SETTINGS:
+        yield (kind, 0), getattr(spec, kind)
+
+
+def _spec_numbers(spec: mujoco.MjSpec) -> Iterator[tuple[tuple[str, int, str], Any]]:
+    """Every number of a spec."""
+    for (kind, index), element in _elements(spec):
+        for name in dir(element):
+            if name.startswith("_") or name in _OWN:
+                continue
+            value = getattr(element, name)
+            if isinstance(value, np.ndarray) and value.dtype.kind in "fiu":
+                yield (kind, index, name), np.array(value)
+            elif isinstance(value, (int, float)):
+                yield (kind, index, name), value
 
 
 PerJoint = float | Sequence[float]

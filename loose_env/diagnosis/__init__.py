@@ -1,6 +1,6 @@
 """Diagnosis from several records: likelihoods, learned posteriors, link finding, design.
 
-Data flow: records -> likelihood -> learned -> experiment_design -> link_finding -> multi_sensor
+Data flow: records -> likelihood -> learned -> experiment_design -> link_finding
 -> research.
 """
 
@@ -99,20 +99,6 @@ from loose_env.diagnosis.link_finding.spatial import (
     confusable_faults,
     link_posterior,
 )
-from loose_env.diagnosis.multi_sensor.link_evidence import (
-    SensorVerdict,
-    weigh_links,
-)
-from loose_env.diagnosis.multi_sensor.sensed_arm import (
-    SensedArm,
-)
-from loose_env.diagnosis.multi_sensor.sensor_rows import (
-    SensorRows,
-    StackedRecord,
-    rows_of,
-    splitting_order,
-    stack,
-)
 from loose_env.diagnosis.records.excitation_design import (
     Proposal,
     holding_modes,
@@ -139,21 +125,6 @@ from loose_env.diagnosis.records.record_statistics import (
     statistics_of,
     statistics_of_all,
 )
-from loose_env.diagnosis.research.line_spectrum.direction import (
-    DynamicDirection,
-    direction_by_dynamics,
-)
-from loose_env.diagnosis.research.particles.evidence import (
-    Evidence,
-    ParticleSettings,
-    evidence_by_particles,
-    probabilities_from,
-)
-from loose_env.diagnosis.research.particles.synthetic_likelihood import (
-    Repeated,
-    SyntheticLikelihood,
-    summaries_of,
-)
 from loose_env.diagnosis.research.pose_sets.limits import (
     bingham_width,
     direction_limit,
@@ -163,14 +134,6 @@ from loose_env.diagnosis.research.pose_sets.limits import (
 from loose_env.diagnosis.research.pose_sets.pose_sets import (
     PLANNED,
     PoseSets,
-)
-from loose_env.diagnosis.research.sequential.stopping_rule import (
-    Ending,
-    StoppingRule,
-    measure_direction,
-)
-from loose_env.diagnosis.research.sequential.transmission_change import (
-    change_of_transmission,
 )
 
 __all__ = [
@@ -190,9 +153,6 @@ __all__ = [
     "ChangeModel",
     "ChangeSighting",
     "DirectionSighting",
-    "DynamicDirection",
-    "Ending",
-    "Evidence",
     "FaultPosterior",
     "ImaginedFaults",
     "InformationFactors",
@@ -203,7 +163,6 @@ __all__ = [
     "NominalLinks",
     "NoveltyReference",
     "Order",
-    "ParticleSettings",
     "PlaceDirections",
     "PooledScatter",
     "PoseSets",
@@ -213,32 +172,22 @@ __all__ = [
     "RecordInformation",
     "RecordScatter",
     "RecordStatistics",
-    "Repeated",
     "SeatCoverage",
     "SeatFeatures",
     "SeatNetwork",
     "Seen",
-    "SensedArm",
     "SensedPlaces",
     "SensorFloor",
-    "SensorRows",
-    "SensorVerdict",
     "Sighting",
-    "StackedRecord",
-    "StoppingRule",
-    "SyntheticLikelihood",
     "ToolFrames",
     "TurnSearch",
     "backlash_joint",
     "bingham_width",
     "candidate_poses",
-    "change_of_transmission",
     "choose_move",
     "choose_open_move",
     "confusable_faults",
-    "direction_by_dynamics",
     "direction_limit",
-    "evidence_by_particles",
     "fault_locations",
     "fit_record",
     "holding_modes",
@@ -250,29 +199,22 @@ __all__ = [
     "link_readings_of_all",
     "log_mean_bingham",
     "looks_healthy",
-    "measure_direction",
     "next_joint",
     "one_by_one_share",
     "precision_of",
     "predict",
     "predict_seats",
     "predictions",
-    "probabilities_from",
     "propose_excitation",
     "read_network",
-    "rows_of",
     "scattered_axes",
     "shape_of_motion",
     "shipped_table",
     "sight_change",
-    "splitting_order",
-    "stack",
     "statistics_of",
     "statistics_of_all",
     "stiffness_errors",
-    "summaries_of",
     "used_columns",
     "variants",
-    "weigh_links",
     "write_network",
 ]

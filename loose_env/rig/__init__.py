@@ -1,32 +1,17 @@
-"""Rigs: sources of measurements, simulated or recorded.
+"""Rigs: sources of measurements, simulated or recorded."""
 
-Data flow: jobs -> measurement -> plant -> recorded -> simulation -> reduced -> simulated.
-"""
-
-from loose_env.rig.jobs import (
-    Job,
-    Run,
-)
-from loose_env.rig.measurement import (
-    Measurement,
-    Rig,
-)
-from loose_env.rig.plant import (
-    PlantShop,
-)
-from loose_env.rig.reduced import (
-    ReducedRig,
-)
-from loose_env.rig.simulated import (
-    SimulatedRig,
-)
+from loose_env.rig.measurement import Job, Measurement, RecordedRig, Rig
+from loose_env.rig.plant import Plant, PlantShop
+from loose_env.rig.reduced import ReducedRig
+from loose_env.rig.simulated import SimulatedRig
 
 __all__ = [
     "Job",
     "Measurement",
+    "Plant",
     "PlantShop",
+    "RecordedRig",
     "ReducedRig",
     "Rig",
-    "Run",
     "SimulatedRig",
 ]

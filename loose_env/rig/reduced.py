@@ -3,7 +3,7 @@
 It answers the same calls as `SimulatedRig`, draws the same torques, noise and starting
 places from the same generators, and reads its records with the same sensors. Only the engine
 differs: no collision, no solver, one compiled loop that takes eight arms at once from torque to
-low-passed readings (see `loose_env.rig.simulation.small_motion`). Linearisation and sensors work on
+low-passed readings (see `loose_env.rig.small_motion`). Linearisation and sensors work on
 whole batches; every sum is taken in an order that the batch does not change. It needs numba, which
 ``pip install 'loose-env[fast]'`` brings.
 """
@@ -21,13 +21,19 @@ import numpy as np
 from loose_env.arms import Arm, LinearArm, MismatchDraw
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault, Healthy
-from loose_env.rig.jobs import Job, check_jobs, whole_factor
-from loose_env.rig.measurement import Measurement
+from loose_env.rig.measurement import Job, Measurement, check_jobs, whole_factor
 from loose_env.rig.plant import Plant, PlantIndices, PlantShop
-from loose_env.rig.simulation.controls import Controls, controls
-from loose_env.rig.simulation.reading import AxesRead, Motion, Noise, draw_noise, read_records
-from loose_env.rig.simulation.slots import SlotRig, checked_slots, checked_threads
-from loose_env.rig.simulation.small_motion import (
+from loose_env.rig.reading import (
+    AxesRead,
+    Controls,
+    Motion,
+    Noise,
+    controls,
+    draw_noise,
+    read_records,
+)
+from loose_env.rig.simulated import SlotRig, checked_slots, checked_threads
+from loose_env.rig.small_motion import (
     MotionLayout,
     SmallMotion,
     require_one_part,
@@ -88,8 +94,7 @@ class ReducedRig(SlotRig):
         threads: int = 0,
     ) -> None:
         try:
-            from loose_env.rig.simulation import small_motion_loop
-            from loose_env.rig.simulation.lanes import LANES
+            from loose_env.rig import small_motion_loop
         except ImportError as error:
             raise InvalidSetting(
                 "the reduced engine needs numba: pip install 'loose-env[fast]', or take the "
@@ -108,7 +113,7 @@ class ReducedRig(SlotRig):
         )
         # numba's stubs know no signature.
         self._integrate: Callable[..., None] = small_motion_loop.integrate
-        self._lanes = LANES
+        self._lanes = small_motion_loop.LANES
         self._threads = threads or os.cpu_count() or 1
         self._axes = AxesRead(arm, self.sensors)
         self._layouts: dict[PlantIndices, MotionLayout] = {}

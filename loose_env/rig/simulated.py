@@ -1,38 +1,153 @@
-"""Rig that measures many simulated arms at once."""
+"""Rigs that measure many simulated arms at once on the batched engine of MuJoCo."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
+from numpy.typing import NDArray
 
 from loose_env.arms import Arm, LinearArm, MismatchDraw, quiet
+from loose_env.errors import InvalidSetting
+from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy
-from loose_env.rig.jobs import Job, Run, check_jobs, whole_factor
-from loose_env.rig.measurement import Measurement
+from loose_env.rig.measurement import Job, Measurement, check_jobs, whole_factor
 from loose_env.rig.plant import Plant, PlantShop
-from loose_env.rig.simulation.controls import Controls, controls
-from loose_env.rig.simulation.engines import Engine, Engines
-from loose_env.rig.simulation.reading import AxesRead, draw_noise, read_records, sampled
-from loose_env.rig.simulation.slots import SlotRig, checked_slots, checked_threads
+from loose_env.rig.reading import AxesRead, Controls, controls, draw_noise, read_records, sampled
 from loose_env.sensors import SensorSuite, decimation_filter
 from loose_env.typing import Array
 
-__all__ = ["Job", "SimulatedRig"]
+
+def checked_slots(slots: int) -> int:
+    """Return a number of arms, or raise `InvalidSetting`."""
+    if isinstance(slots, bool) or not isinstance(slots, (int, np.integer)) or slots < 1:
+        raise InvalidSetting(f"a rig needs at least one slot, got {slots!r}")
+    return int(slots)
+
+
+def checked_threads(threads: int) -> int:
+    """Return a number of threads, 0 for all, or raise `InvalidSetting`."""
+    if isinstance(threads, bool) or not isinstance(threads, int) or threads < 0:
+        raise InvalidSetting(f"threads is a whole number, 0 for all, got {threads!r}")
+    return threads
+
+
+class SlotRig(ABC):
+    """A rig with one true arm in each slot; subclasses say how several are measured."""
+
+    plants: list[Plant]
+    """The arm of every slot."""
+
+    @property
+    def slots(self) -> int:
+        """Number of arms."""
+        return len(self.plants)
+
+    @abstractmethod
+    def measure_each(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Measurement]]:
+        """Take measurements; yield the index of each job with its measurement."""
+
+    def measure(
+        self,
+        pose: Array,
+        excitation: Excitation,
+        *,
+        rng: np.random.Generator | None = None,
+        slot: int = 0,
+    ) -> Measurement:
+        """Measure one arm (the first seam: any rig answers this call)."""
+        generator = np.random.default_rng(0) if rng is None else rng
+        job = Job(
+            slot=slot, pose=np.asarray(pose, dtype=float), excitation=excitation, rng=generator
+        )
+        return self.measure_many([job])[0]
+
+    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
+        """Take measurements on different slots at once; results in the order of the jobs.
+
+        Raises
+        ------
+        InvalidSetting
+            If a slot is named twice, or a pose or excitation does not fit the arm.
+        """
+        results = dict(self.measure_each(jobs))
+        return [results[k] for k in range(len(jobs))]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Engine:
+    """One batch, in which every arm has its slot."""
+
+    batch: Batch
+    """The batch; all its models have the same layout."""
+    rest: NDArray[np.float64]
+    """State of an arm at rest with all positions zero."""
+
+
+class Engines:
+    """Engines by number of loose degrees of freedom, created on demand.
+
+    All models of a batch must have one layout, and a seat loose in two directions has a joint
+    more than one loose in one. Arms whose seats have the same number share an engine; nobody
+    else's number changes what an engine does. Arms of another layout leave their slots in it to
+    the template of its own, which is never simulated.
+
+    Parameters
+    ----------
+    shop : PlantShop
+        Source of the templates.
+    slots : int
+        Number of arms.
+    threads : int
+        Simulation threads; 0 takes all processors.
+    """
+
+    def __init__(self, shop: PlantShop, slots: int, threads: int) -> None:
+        self._shop, self._slots, self._threads = shop, slots, threads
+        self._made: dict[int, Engine] = {}
+
+    def of(self, parts: int) -> Engine:
+        """Return the engine for seats with a number of degrees of freedom."""
+        found = self._made.get(parts)
+        if found is None:
+            batch = Batch(self._shop.spare(parts), self._slots, self._threads)
+            rest = batch.state[0].copy()
+            rest[:] = 0.0
+            found = self._made[parts] = Engine(batch=batch, rest=rest)
+        return found
+
+    def load(self, plants: Sequence[Plant]) -> None:
+        """Load the models of the arms into every engine."""
+        for parts in {plant.parts for plant in plants}:
+            spare = self._shop.spare(parts)
+            models = [plant.model if plant.parts == parts else spare for plant in plants]
+            self.of(parts).batch.set_models(models)
+
 
 _CHUNK = 16  # arms simulated in one call; reading one chunk overlaps with the next
 
 
 @dataclass(kw_only=True, eq=False)
-class _EngineRun(Run):
-    """Batch of jobs, what is played to it, and the engine that simulates it."""
+class _Batch:
+    """Jobs with one duration and one model layout, and the engine that simulates them."""
 
+    jobs: Sequence[Job]
     engine: Engine
     control: Controls
+    delivered: Array
+    """Torques that the drives deliver, and the shaker's force (jobs, steps, drives)."""
+    recorded: Array
+    """Sensor channels of every step (jobs, steps, channels)."""
+    before: int
+    """Steps of run-in."""
+    count: int
+    """Samples of the record."""
+    failures: dict[int, str] = field(default_factory=dict)
 
 
 class SimulatedRig(SlotRig):
@@ -143,7 +258,7 @@ class SimulatedRig(SlotRig):
             yield self._read_all(run)
             return
         with ThreadPoolExecutor(max_workers=1) as engine:
-            pending: tuple[_EngineRun, Future[None]] | None = None
+            pending: tuple[_Batch, Future[None]] | None = None
             for k, chunk in enumerate(chunks):
                 run = self._prepare(chunk, k % 2)
                 if pending is not None:
@@ -156,7 +271,7 @@ class SimulatedRig(SlotRig):
                 pending[1].result()
                 yield self._read_all(pending[0])
 
-    def _prepare(self, jobs: Sequence[Job], room: int) -> _EngineRun:
+    def _prepare(self, jobs: Sequence[Job], room: int) -> _Batch:
         """Sample the torques of a batch of jobs and set up their arms."""
         factor, rate = self.factor, self.sensors.rate
         half = len(decimation_filter(factor, self.sensors.accelerometer.bandwidth, rate)) // 2
@@ -182,7 +297,7 @@ class SimulatedRig(SlotRig):
                 released[self.arm.shaker.joint - 1] = True
             active[job.slot, plant.brakes] = ~released
             delivered[k, :, : self.arm.n] *= plant.mismatch.drive_gain
-        return _EngineRun(
+        return _Batch(
             jobs=jobs,
             engine=engine,
             control=control,
@@ -192,7 +307,7 @@ class SimulatedRig(SlotRig):
             count=round(jobs[0].excitation.duration * rate),
         )
 
-    def _simulate(self, run: _EngineRun) -> None:
+    def _simulate(self, run: _Batch) -> None:
         """Run the engine; store its recordings and the failed arms."""
         batch, data, failures = run.engine.batch, run.recorded, run.failures
         ids = np.array([job.slot for job in run.jobs])
@@ -226,7 +341,7 @@ class SimulatedRig(SlotRig):
             self._rooms[room] = np.empty(size)
         return self._rooms[room][:size].reshape(jobs, steps, -1)
 
-    def _read_all(self, run: _EngineRun) -> list[Measurement]:
+    def _read_all(self, run: _Batch) -> list[Measurement]:
         mismatches = [self.plants[job.slot].mismatch for job in run.jobs]
         motion = sampled(
             run.recorded,

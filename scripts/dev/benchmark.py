@@ -30,7 +30,7 @@ import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import DESK_ARM, quiet
 from loose_env.envs import DiagnosisEnv, EpisodeBatch
 from loose_env.errors import InvalidSetting
-from loose_env.rig import Run, SimulatedRig
+from loose_env.rig import SimulatedRig
 
 EARLIER = "e3f7207"
 """Last commit whose reduced engine worked out one record after the other."""
@@ -40,7 +40,7 @@ IDS = ("loose_env/Vera-v0", "loose_env/Planar-v0", "loose_env/SixAxis-v0")
 class PythonLoopRig(SimulatedRig):
     """Rival: `mj_step` called from Python, one arm after the other."""
 
-    def _simulate(self, run: Run) -> None:
+    def _simulate(self, run: Any) -> None:
         for k, job in enumerate(run.jobs):
             model = self.plants[job.slot].model
             data = mujoco.MjData(model)
@@ -56,7 +56,7 @@ class PythonLoopRig(SimulatedRig):
 class RolloutRig(SimulatedRig):
     """Rival: `mujoco.rollout`, which simulates many models on a thread pool."""
 
-    def _simulate(self, run: Run) -> None:
+    def _simulate(self, run: Any) -> None:
         models = [self.plants[job.slot].model for job in run.jobs]
         if not hasattr(self, "_pool"):
             threads = os.cpu_count() or 1
@@ -151,7 +151,7 @@ def bare_seconds_per_record(env_id: str, arms: int, rounds: int, duration: int |
     kept: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     simulate = rig._simulate
 
-    def keep(run: Run) -> None:
+    def keep(run: Any) -> None:
         ids = np.array([job.slot for job in run.jobs])
         kept.append((ids, rig._batch.state[ids].copy(), run.delivered))
         simulate(run)  # type: ignore[arg-type]

@@ -12,10 +12,9 @@ import pytest
 
 from loose_env.arms import Arm, arm_from_file, planar, scara, six_axis, vera, with_compliance
 from loose_env.arms.arm import Gears
-from loose_env.arms.holding.compliance import compliant, fastest_turn, servoed
-from loose_env.arms.holding.gears import BARE_ROTOR
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import Mismatch
+from loose_env.arms.holding import BARE_ROTOR, compliant, fastest_turn, servoed
+from loose_env.arms.linear import LinearArm
+from loose_env.arms.mismatch import Mismatch
 from loose_env.diagnosis import SensorFloor, predict, statistics_of, variants
 from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidSetting, UnknownName

@@ -14,9 +14,9 @@ import pytest
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.arms.files.load import arm_from_file, describe_file
-from loose_env.arms.response.linear import LinearArm
-from loose_env.arms.response.mismatch import MismatchDraw
+from loose_env.arms.from_file import arm_from_file, describe_file
+from loose_env.arms.linear import LinearArm
+from loose_env.arms.mismatch import MismatchDraw
 from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError, UnknownName
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar, scara, six_axis, vera
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.linear import LinearArm
 
 UPRIGHT = [planar(3, vertical=True), six_axis(), scara(), arm_from_file(DESK_ARM)]
 LEVEL = [planar(3), vera()]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from loose_env.arms import Arm, scara
-from loose_env.arms.library.scara import INNER, OUTER, STROKE
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.library import INNER, OUTER, STROKE
+from loose_env.arms.linear import LinearArm
 from loose_env.typing import Array
 
 BRACKET = 0.08

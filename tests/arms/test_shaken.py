@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from loose_env.arms import planar
-from loose_env.arms.response.shaken import ShakenArm
-from loose_env.arms.shaker import COIL, Shaker, add_shaker, place_shaker
+from loose_env.arms.arm import COIL, Shaker, add_shaker, place_shaker
+from loose_env.arms.sites import ShakenArm
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Healthy, Preload

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from loose_env.arms import Arm, six_axis
-from loose_env.arms.library.puma560 import TOOL
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.library import TOOL
+from loose_env.arms.linear import LinearArm
 from loose_env.typing import Array
 
 READY = np.array([0.0, -np.pi / 2, np.pi / 2, 0.0, 0.0, 0.0])

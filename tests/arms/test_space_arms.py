@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from loose_env.arms import Arm, scara, six_axis
-from loose_env.arms.response.linear import LinearArm
+from loose_env.arms.linear import LinearArm
 from loose_env.diagnosis import SensorFloor, predict, statistics_of
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Fault, StructuralLooseness

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms.engine_warnings import quiet
+from loose_env.arms.arm import quiet
 
 MODEL = """
 <mujoco>

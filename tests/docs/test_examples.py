@@ -125,10 +125,7 @@ def test_from_a_model_file_to_a_loose_link(
     posterior, hidden = names["posterior"], names["hidden"]
     direction = posterior.directions[2]
     true = np.array(hidden.direction) / np.linalg.norm(hidden.direction)
-    whole = names["whole"]
-    assert whole.location == "structural_looseness@link3"
-    for found in (direction, whole.direction_in_link):
-        assert np.degrees(np.arccos(min(1.0, abs(float(found @ true))))) < 10.0
+    assert np.degrees(np.arccos(min(1.0, abs(float(direction @ true))))) < 10.0
 
 
 def test_the_loop_around_a_robot_settles_and_so_does_its_recording(
@@ -150,15 +147,6 @@ def test_getting_started_finds_the_fault(
     names = run(ROOT / "docs" / "getting_started.md", tmp_path)
     assert names["info"]["is_success"] and float(names["probabilities"].max()) > 0.9
     assert "structural_looseness@link2 was right" in capsys.readouterr().out
-
-
-def test_the_table_of_sensors_is_the_stored_study(capsys: pytest.CaptureFixture[str]) -> None:
-    from scripts.studies.sensors import main
-
-    main(["--show", str(ROOT / "docs" / "figures" / "sensors_number.json")])
-    page = (ROOT / "docs" / "space.md").read_text(encoding="utf-8")
-    for line in capsys.readouterr().out.splitlines():
-        assert line.rstrip() in page
 
 
 def test_the_examples_of_the_gap_page_find_the_friction(

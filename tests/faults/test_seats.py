@@ -31,8 +31,7 @@ from loose_env.faults import (
     seats_of,
     set_seat,
 )
-from loose_env.rig import PlantShop, SimulatedRig
-from loose_env.rig.plant import Plant
+from loose_env.rig import Plant, PlantShop, SimulatedRig
 from loose_env.typing import Array
 
 KINDS: tuple[SeatKind, ...] = ("slide", "hinge", "play")

@@ -35,8 +35,7 @@ from loose_env.faults import (
     set_seat,
     twist_of,
 )
-from loose_env.rig import Job, PlantShop, SimulatedRig
-from loose_env.rig.plant import Plant
+from loose_env.rig import Job, Plant, PlantShop, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
 

@@ -8,13 +8,14 @@ import pytest
 
 from loose_env.arms import Arm, planar, vera
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.kinematics.pose_choice import (
+from loose_env.kinematics import (
     chebyshev_nodes,
     chebyshev_poses,
     choose_poses,
+    reactions,
     worst_push,
+    wrench_rank,
 )
-from loose_env.kinematics.seat_loads import reactions, wrench_rank
 from loose_env.thesis import cylindrical
 
 

@@ -20,8 +20,7 @@ from loose_env.envs import DiagnosisSettings, Difficulty, EpisodeBatch, FaultSam
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import at_levels
 from loose_env.faults import CompoundLooseness, Healthy, Preload, StructuralLooseness, hypotheses
-from loose_env.rig import SimulatedRig
-from loose_env.rig.reduced import ReducedRig
+from loose_env.rig import ReducedRig, SimulatedRig
 from loose_env.sensors import SensorSuite
 
 ARMS = {

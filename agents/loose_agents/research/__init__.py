@@ -1,5 +1,4 @@
-"""Particle posteriors and pose-set policies.
+"""Pose-set policies.
 
-Data flow: particle_posterior -> particle_check -> particle_calibration -> pose_set_policies ->
-pose_set_trials.
+Data flow: pose_set_policies -> pose_set_trials.
 """

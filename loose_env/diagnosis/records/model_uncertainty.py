@@ -17,19 +17,14 @@ from copy import copy
 from dataclasses import replace
 from functools import lru_cache
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import LinearArm, LinearPose, Mismatch, Response
-from loose_env.statistics import TransmissionEstimate
+from loose_env.arms import LinearArm, Mismatch, Response
 from loose_env.typing import Array
 
 __all__ = [
-    "bent_by_seats",
-    "calibrate_sensor",
     "joint_zero_errors",
-    "kinematic_errors",
     "sensor_errors",
     "sensor_matrices",
     "stiffness_errors",
@@ -91,62 +86,6 @@ def sensor_errors(b: Array, mismatch: Mismatch) -> Array:
     return np.asarray(sensor_matrices(len(b), mismatch) @ b)
 
 
-def calibrate_sensor(
-    healthy: TransmissionEstimate, nominal: Array, kinematic: Array, mismatch: Mismatch
-) -> tuple[Array, Array]:
-    """Calibrate the accelerometer on a healthy arm of known transmission.
-
-    What differs between the healthy transmission and the nominal one is the sensor's doing or the
-    model's. Both are given the sizes that the mismatch expects, and the sensor's part is what
-    the difference leaves most probable (a linear Gaussian estimate).
-
-    Parameters
-    ----------
-    healthy : TransmissionEstimate
-        Measured on the healthy arm (d, m).
-    nominal : ndarray (d, m)
-        The same by the nominal model.
-    kinematic : ndarray (K, d, m)
-        Errors of the model, from `kinematic_errors`.
-    mismatch : Mismatch
-        Standard deviations of the errors.
-
-    Returns
-    -------
-    ndarray (d, d)
-        Best estimate of the reading per true acceleration, about one.
-    ndarray (L, d, d)
-        Remaining errors of it, independent errors of one standard deviation each.
-
-    Examples
-    --------
-    >>> nominal = np.random.default_rng(0).standard_normal((3, 6))
-    >>> true = np.eye(3) + 0.02 * np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0.0]])
-    >>> small = 1e-8 * np.eye(18).reshape(3, 6, 3, 6)
-    >>> read = TransmissionEstimate(true @ nominal, small)
-    >>> found, left = calibrate_sensor(read, nominal, np.zeros((0, 3, 6)), Mismatch())
-    >>> bool(np.abs(found - true).max() < 0.002)
-    True
-    """
-    d = len(nominal)
-    matrices = sensor_matrices(d, mismatch)
-    size = nominal.size
-    by_sensor = (matrices @ nominal).reshape(len(matrices), size)
-    rest = kinematic.reshape(len(kinematic), size)
-    noise = healthy.covariance.reshape(size, size) + rest.T @ rest
-    noise += 1e-9 * float(np.mean(nominal**2)) * np.eye(size)  # the model is not exact
-    seen = noise + by_sensor.T @ by_sensor
-    gain = np.linalg.solve(seen, by_sensor.T).T
-    strength = gain @ (healthy.b - nominal).ravel()
-    left = np.eye(len(matrices)) - gain @ by_sensor.T
-    values, vectors = np.linalg.eigh((left + left.T) / 2)
-    roots = vectors * np.sqrt(np.maximum(values, 0.0))
-    return (
-        np.eye(d) + np.einsum("k,kij->ij", strength, matrices),
-        np.einsum("kl,kij->lij", roots, matrices),
-    )
-
-
 def joint_zero_errors(linear: LinearArm, pose: Array, mismatch: Mismatch) -> Array:
     """Change of the tool's Jacobian by an error of each joint's zero, tool frame [m] (n, d, n).
 
@@ -160,115 +99,6 @@ def joint_zero_errors(linear: LinearArm, pose: Array, mismatch: Mismatch) -> Arr
         moved[k] += tiny
         slopes.append((linear.at(moved).kinematic - kinematic) / tiny)
     return np.asarray(np.radians(mismatch.joint_zero) * np.array(slopes))
-
-
-def kinematic_errors(linear: LinearArm, pose: Array, mismatch: Mismatch) -> Array:
-    """Change of the tool's Jacobian by each error of a joint zero and of a link's length.
-
-    Parameters
-    ----------
-    linear : LinearArm
-        The nominal arm.
-    pose : ndarray (n,)
-        Pose [rad or m].
-    mismatch : Mismatch
-        Standard deviations of the errors.
-
-    Returns
-    -------
-    ndarray (K, d, n)
-        Changes by one standard deviation each, tool frame [m]: a zero for every joint, then a
-        length for every body between tool and base, the tool's own place first.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> linear = LinearArm(planar(2))
-    >>> errors = kinematic_errors(linear, np.zeros(2), Mismatch(length=0.01, joint_zero=0.0))
-    >>> np.abs(errors).sum(0).round(4).tolist()
-    [[0.0, 0.0], [0.006, 0.003]]
-    """
-    arm = linear.arm
-    axes = list(arm.axes)
-    errors = list(joint_zero_errors(linear, pose, mismatch))
-    model = arm.model
-    data = mujoco.MjData(model)
-    data.qpos[arm.pose_addresses] = pose
-    mujoco.mj_kinematics(model, data)
-    joints = [model.joint(name).id for name in arm.joints]
-    turning = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE
-    frame = data.site_xmat[model.site(arm.tool).id].reshape(3, 3)
-    site = model.site(arm.tool)
-    body = int(site.bodyid[0])
-    offsets = [(body, data.site_xpos[site.id] - data.xpos[body])]
-    while body:
-        parent = int(model.body_parentid[body])
-        offsets.append((parent, data.xpos[body] - data.xpos[parent]))
-        body = parent
-    for carrier, offset in offsets:
-        longer = np.zeros((3, arm.n))
-        for j, joint in enumerate(joints):
-            # Only what lies beyond the joint's axis lengthens its lever.
-            moves = model.jnt_bodyid[joint] in _ancestors(model, carrier)
-            if turning[j] and moves:
-                longer[:, j] = np.cross(data.xaxis[joint], mismatch.length * offset)
-        errors.append((frame.T @ longer)[axes])
-    return np.array(errors)
-
-
-def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
-    found = {body}
-    while body:
-        body = int(model.body_parentid[body])
-        found.add(body)
-    return found
-
-
-_IN_STEP = 0.3
-"""Least share of a seat's motion that is taken to be in step with the command."""
-
-
-def bent_by_seats(pose: LinearPose, excited: NDArray[np.bool_]) -> Array:
-    """Direction error of the tool motion by a seat of each link.
-
-    Parameters
-    ----------
-    pose : LinearPose
-        The nominal arm at the pose, in the band that was played.
-    excited : ndarray of bool (n,)
-        Joints that were excited together.
-
-    Returns
-    -------
-    ndarray (m, n, d, d)
-        For each excited joint and link: what is added to a change of transmission z, over it, for
-        a seat that floats in that link and slides along z in the tool frame.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> from loose_env.arms import vera
-    >>> def most(arm):
-    ...     at = LinearArm(arm).at([0.0, 1.2])
-    ...     return float(np.abs(bent_by_seats(at, np.array([True, False]))).max())
-    >>> most(planar(2)) < 0.03, most(vera()) > 0.1
-    (True, True)
-    """
-    answer, opened = pose.response(excited), pose.open_response(excited)
-    b = _transmission(answer, excited)
-    stiff = pose.jacobian[:, pose.linear.slide_dofs].transpose(1, 0, 2)  # (n, d, s)
-    column = opened.tool_open_slide - np.einsum("dm,kmis->kdis", b, opened.joint_open_slide)
-    mass = np.einsum("kiss->kis", opened.mass_slide)
-    free = -answer.slide / mass[..., None]  # (K, n, s, m)
-    shown = np.einsum("kdis,kism->midsk", column, free).real.mean(axis=-1)
-    step = free.real.mean(axis=0)
-    size = np.sqrt(np.mean(np.abs(free) ** 2, axis=0))
-    off = shown - np.einsum("ids,ism->mids", stiff, step)
-    scale = np.maximum(np.abs(step), _IN_STEP * size).transpose(2, 0, 1)[:, :, None]
-    signed = np.where(step < 0, -1.0, 1.0).transpose(2, 0, 1)[:, :, None]
-    share = np.divide(signed * off, scale, out=np.zeros_like(off), where=scale > 0)
-    # From axes of the link to axes of the tool.
-    return np.asarray(np.einsum("mids,ies->mide", share, stiff))
 
 
 def stiffness_errors(

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidData
 from loose_env.statistics._checks import as_angles, as_direction
 from loose_env.statistics.directions.angles import wrap_axial
 from loose_env.statistics.records.covariance import (
@@ -33,50 +33,10 @@ class MaximumCorrelation(NamedTuple):
     """Unit vector in the tool frame, shape (d,)."""
 
 
-def correlation_along(x: ArrayLike, a: ArrayLike, direction: ArrayLike) -> float:
-    """Correlate x with the component of a along a direction (4.10 to 4.13).
-
-    Parameters
-    ----------
-    x : array, shape (N,)
-        Acceleration of the excited joint, rad/s^2.
-    a : array, shape (d, N)
-        Tool acceleration in the tool frame, m/s^2.
-    direction : array, shape (d,)
-        Direction in the tool frame, of any length above zero.
-
-    Returns
-    -------
-    float
-        Correlation, -1 to 1. Zero along a direction in which the tool does not move.
-
-    Raises
-    ------
-    InvalidData
-        If the record or the direction cannot be used, or x has several rows.
-
-    Examples
-    --------
-    >>> x = [1.0, -1.0, 1.0, -1.0]
-    >>> a = [[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0]]
-    >>> round(correlation_along(x, a, [1.0, 1.0]), 4)
-    0.7071
-    """
-    return correlation_along_from(covariances(x, a), direction)
-
-
-def correlation_along_from(cov: Covariances, direction: ArrayLike) -> float:
-    """`correlation_along` on covariances."""
-    c = single_excitation(cov)
-    u = as_direction(direction, len(c))
-    variance = float(np.einsum("i,ij,j", u, cov.aa, u))
-    if variance <= STILL * float(np.trace(cov.aa)):
-        return 0.0
-    return float(np.sum(u * c)) / math.sqrt(float(cov.xx[0, 0]) * variance)
-
-
 def correlation_loop(x: ArrayLike, a: ArrayLike, angles: ArrayLike) -> Array:
     """Trace the correlation vector: the correlation at every angle of the plane (4.14).
+
+    Each is the Pearson correlation with the component along that angle (4.10 to 4.13).
 
     Parameters
     ----------
@@ -158,64 +118,6 @@ def lowest_correlation_direction_from(cov: Covariances) -> float:
     if not c.any():
         raise InvalidData("x is uncorrelated with a in every direction; none is the lowest")
     return wrap_axial(math.atan2(c[1], c[0]) + math.pi / 2)
-
-
-def lowest_correlation_search(x: ArrayLike, a: ArrayLike, tolerance: float = 1e-9) -> float:
-    """Find the direction of lowest correlation by the thesis's bisection.
-
-    The correlation changes sign from 0 to pi (4.15), so a crossing lies between.
-    `lowest_correlation_direction` gives the same angle at once.
-
-    Parameters
-    ----------
-    x : array, shape (N,)
-        Acceleration of the excited joint, rad/s^2.
-    a : array, shape (2, N)
-        Tool acceleration in the tool frame, m/s^2.
-    tolerance : float
-        Width of the last bracket, rad.
-
-    Returns
-    -------
-    float
-        Angle from the tool's x axis in [0, pi), rad.
-
-    Raises
-    ------
-    InvalidData
-        As `lowest_correlation_direction`.
-    InvalidSetting
-        If the tolerance is not above zero.
-
-    Examples
-    --------
-    >>> x = [1.0, -1.0, 1.0, -1.0]
-    >>> round(lowest_correlation_search(x, [x, [1.0, 1.0, -1.0, -1.0]]), 4)
-    1.5708
-    """
-    if not tolerance > 0.0:
-        raise InvalidSetting(f"tolerance is {tolerance} rad; it must be above zero")
-    cov = covariances(x, a)
-    c = planar_excitation(cov)
-    if not c.any():
-        raise InvalidData("x is uncorrelated with a in every direction; none is the lowest")
-
-    def correlation(phi: float) -> float:
-        return correlation_along_from(cov, (math.cos(phi), math.sin(phi)))
-
-    low, high = 0.0, math.pi
-    at_low = correlation(low)
-    if at_low == 0.0:
-        return 0.0
-    while high - low > tolerance:
-        middle = 0.5 * (low + high)
-        if not low < middle < high:
-            break  # The bracket is two neighbouring floats wide.
-        if correlation(middle) * at_low > 0.0:
-            low = middle
-        else:
-            high = middle
-    return wrap_axial(0.5 * (low + high))
 
 
 def maximum_correlation(x: ArrayLike, a: ArrayLike) -> MaximumCorrelation:

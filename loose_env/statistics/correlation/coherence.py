@@ -1,13 +1,10 @@
 """Coherence of the tool's motion with several excited joints at once."""
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import chdtrc
 
-from loose_env.errors import InvalidData
 from loose_env.statistics.directions.angles import axial_vector
 from loose_env.statistics.records.covariance import (
     Covariances,
@@ -27,17 +24,6 @@ class LowestCoherence(NamedTuple):
     """Share rho^2 of the variance along it that the excited joints explain, 0 to 1."""
     coherences: Array
     """All generalised eigenvalues rho^2, rising, shape (d,)."""
-
-
-class RankTest(NamedTuple):
-    """Test for a direction uncorrelated with every excited joint."""
-
-    statistic: float
-    """Chi-square."""
-    degrees: int
-    """Degrees of freedom."""
-    p_value: float
-    """Chance of a statistic this large when such a direction exists."""
 
 
 def lowest_coherence_direction(x: ArrayLike, a: ArrayLike) -> LowestCoherence:
@@ -95,63 +81,3 @@ def lowest_coherence_direction_from(cov: Covariances) -> LowestCoherence:
         float(lowest) if cov.aa.ndim == 2 else lowest,
         coherences[..., ::-1],
     )
-
-
-def rank_test(x: ArrayLike, a: ArrayLike, count: float | None = None) -> RankTest:
-    """Test whether some tool direction is uncorrelated with all excited joints.
-
-    If it does, -[N - 1 - (d + m + 1)/2] ln(1 - rho_d^2) is chi-square with m - d + 1 degrees of
-    freedom. A small p-value says that every direction follows. A missing direction is no proof
-    of a fault: compliance makes one too.
-
-    Parameters
-    ----------
-    x : array, shape (m, N)
-        Accelerations of the excited joints, rad/s^2; m >= d.
-    a : array, shape (d, N)
-        Tool acceleration in the tool frame, m/s^2.
-    count : float, optional
-        Number of independent samples, by default N. A record that fills only part of the band
-        below half the sampling rate has fewer: see `effective_samples`.
-
-    Returns
-    -------
-    RankTest
-        Statistic, degrees of freedom, p-value.
-
-    Raises
-    ------
-    InvalidData
-        If the record cannot be used, x has fewer rows than a, or there are too few samples.
-
-    References
-    ----------
-    Bartlett, The statistical significance of canonical correlations, Biometrika 32 (1941).
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(0)
-    >>> x, slide = rng.standard_normal((2, 400)), rng.standard_normal(400)
-    >>> bool(rank_test(x, [x[0], slide]).p_value > 0.05)
-    True
-    >>> bool(rank_test(x, [x[0], slide + x[1]]).p_value < 1e-6)
-    True
-    """
-    return rank_test_from(covariances(x, a), count)
-
-
-def rank_test_from(cov: Covariances, count: float | None = None) -> RankTest:
-    """`rank_test` on covariances."""
-    m, d = cov.xa.shape
-    if m < d:
-        raise InvalidData(f"x has {m} rows and a has {d}; the test needs as many excited joints")
-    factor = (cov.count if count is None else count) - 1 - (d + m + 1) / 2
-    if not (math.isfinite(factor) and factor > 0.0):
-        raise InvalidData(
-            f"count is {cov.count if count is None else count}; the test needs more than "
-            f"{1 + (d + m + 1) / 2} independent samples"
-        )
-    lowest = lowest_coherence_direction_from(cov).coherence
-    statistic = math.inf if lowest >= 1.0 else -factor * math.log1p(-lowest)
-    degrees = m - d + 1
-    return RankTest(statistic, degrees, float(chdtrc(degrees, statistic)))

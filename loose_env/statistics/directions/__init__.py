@@ -1,4 +1,4 @@
 """Axial directions in the plane and in space.
 
-Data flow: angle_information -> angles -> sphere.
+Data flow: angles -> sphere.
 """

@@ -3,26 +3,17 @@
 Sums are divided by the number of samples, as in the thesis (4.16 to 4.20).
 """
 
-from typing import NamedTuple, overload
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import as_angles, as_direction, as_record, as_samples
+from loose_env.statistics._checks import as_direction, as_samples
 from loose_env.typing import Array
 
 # Standard deviation relative to the mean, or of one component to the other, taken as rounding.
 ROUNDING = 1e-12
-
-
-class DirectionalMoments(NamedTuple):
-    """Skewness and excess kurtosis at every angle of the plane."""
-
-    skewness: Array
-    """Shape (K,)."""
-    kurtosis: Array
-    """Excess, shape (K,)."""
 
 
 @overload
@@ -32,7 +23,8 @@ def skewness(a: ArrayLike, direction: ArrayLike) -> float: ...
 def skewness(a: ArrayLike, direction: ArrayLike | None = None) -> Array | float:
     """Measure the asymmetry of the distribution, E[(X - mu)^3] / sigma^3 (4.19).
 
-    Zero for a Gaussian motion. Stops of unequal stiffness make it differ from zero.
+    Zero for a Gaussian motion. Stops of unequal stiffness make it differ from zero. Mean and
+    variance of a component are those of (4.16 to 4.18).
 
     Parameters
     ----------
@@ -128,72 +120,6 @@ def shape_of(rows: ArrayLike) -> tuple[Array, Array]:
     third = np.einsum("...n,...n->...", square, z) / count
     fourth = np.einsum("...n,...n->...", square, square) / count - 3.0
     return np.asarray(third), np.asarray(fourth)
-
-
-def moments_by_direction(a: ArrayLike, angles: ArrayLike) -> DirectionalMoments:
-    """Measure skewness and excess kurtosis of the component at every angle of the plane.
-
-    Mean and variance are those of (4.16 to 4.18). A moment along a direction is a polynomial in its
-    cosines, so the record is read once, however many angles there are.
-
-    Parameters
-    ----------
-    a : array, shape (2, N)
-        Tool acceleration in the tool frame, m/s^2.
-    angles : array, shape (K,)
-        Angles from the tool's x axis, rad.
-
-    Returns
-    -------
-    DirectionalMoments
-        Skewness and excess kurtosis, each of shape (K,).
-
-    Raises
-    ------
-    InvalidData
-        If a or the angles cannot be used, or the tool moves along one line only.
-
-    Examples
-    --------
-    >>> a = [[-1.0, 1.0, -1.0, 1.0], [0.0, 0.0, 0.0, 4.0]]
-    >>> moments_by_direction(a, np.radians([0.0, 90.0])).skewness.round(4).tolist()
-    [0.0, 1.1547]
-    """
-    record, phi = as_record(a, "a"), as_angles(angles)
-    if len(record) != 2:
-        raise InvalidData(f"a has shape {record.shape}; an angle needs two rows")
-    count = record.shape[1]
-    with np.errstate(invalid="ignore", over="ignore"):
-        means = record.mean(axis=1, keepdims=True)
-        centred = record - means
-        squares = np.einsum("in,in->i", centred, centred) / count
-    if not np.isfinite(squares).all():
-        raise InvalidData("a holds NaN, infinite or too large values")
-    # The larger component, and what of the other it does not explain: uncorrelated with unit
-    # variance, so that moments along nearly still directions keep their precision.
-    major = int(np.argmax(squares))
-    if squares[major] <= (ROUNDING * float(np.abs(means).max())) ** 2:
-        raise InvalidData("a is constant; it must vary in the plane")
-    p, q = centred[major], centred[1 - major]
-    slope = float(np.einsum("n,n", p, q)) / count / float(squares[major])
-    rest = q - slope * p
-    sd_p = float(np.sqrt(squares[major]))
-    sd_rest = float(np.sqrt(np.einsum("n,n", rest, rest) / count))
-    if sd_rest <= ROUNDING * sd_p:
-        raise InvalidData("a moves along one line; across it there are no moments")
-    z = np.stack((p / sd_p, rest / sd_rest))
-    pairs = np.stack((z[0] * z[0], z[0] * z[1], z[1] * z[1]))
-    third = np.einsum("in,jn->ij", pairs, z) / count
-    fourth = np.einsum("in,jn->ij", pairs, pairs) / count
-
-    u = np.cos(phi), np.sin(phi)
-    v, w = (u[major] + slope * u[1 - major]) * sd_p, u[1 - major] * sd_rest
-    length = np.sqrt(v * v + w * w)
-    v, w = v / length, w / length
-    powers = np.stack((v * v, 2 * v * w, w * w))
-    cubic = np.einsum("ik,ij,jk->k", powers, third, np.stack((v, w)))
-    quartic = np.einsum("ik,ij,jk->k", powers, fourth, powers)
-    return DirectionalMoments(cubic, quartic - 3.0)
 
 
 def _standardised(a: ArrayLike, direction: ArrayLike | None) -> Array:

@@ -182,54 +182,6 @@ def transfer_function(
     return TransferFunction(frequencies, response, np.minimum(coherence, 1.0))
 
 
-def spectral_flatness(
-    signal: ArrayLike, rate: float, band: tuple[float, float], segments: int = 8
-) -> Array:
-    """Measure the flatness of the power spectrum in a band: geometric over arithmetic mean.
-
-    One for a flat spectrum, near zero for a few sharp peaks. The scatter of the spectrum lowers
-    it: flat noise gives about 0.94 with eight segments, 0.57 with one.
-
-    Parameters
-    ----------
-    signal : array, shape (N,) or (d, N)
-        Signal of any unit.
-    rate : float
-        Sampling rate, Hz.
-    band : tuple of float
-        Lowest and highest frequency looked at, Hz.
-    segments : int
-        Number of segments over which the spectrum is averaged, as in `transfer_function`.
-
-    Returns
-    -------
-    array, shape () or (d,)
-        Flatness, 0 to 1.
-
-    Raises
-    ------
-    InvalidData
-        If the signal, the rate or the band cannot be used, or a row has no power in the band.
-
-    Examples
-    --------
-    >>> noise = np.random.default_rng(0).standard_normal(1200)
-    >>> hum = np.sin(2 * np.pi * 60 * np.arange(1200) / 1000)
-    >>> flat = spectral_flatness([noise, hum], 1000.0, (30.0, 150.0))
-    >>> bool(flat[0] > 0.8), bool(flat[1] < 0.1)
-    (True, True)
-    """
-    record = as_record(signal, "signal")
-    spectra, length = _segment_spectra(record, segments)
-    power = np.sum(np.abs(spectra) ** 2, axis=1)[:, band_bins(length, rate, band)]
-    mean = power.mean(axis=-1)
-    if not (mean > 0.0).all():
-        raise InvalidData("signal has no power in the band in one row at least")
-    floored = np.maximum(power, EMPTY * power.max(axis=-1, keepdims=True))
-    flatness = np.exp(np.log(floored).mean(axis=-1)) / mean
-    return np.asarray(flatness.reshape(np.shape(signal)[:-1]))
-
-
 def _segment_spectra(record: Array, segments: int) -> tuple[NDArray[np.complex128], int]:
     """Return the spectra of the segments of each row, (k, segments, K), and their length."""
     require_finite(record, "the record")

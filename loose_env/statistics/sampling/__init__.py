@@ -1,4 +1,1 @@
-"""Autocorrelated samples: effective sample size, block bootstrap.
-
-Data flow: autocorrelation -> block_bootstrap -> effective_samples.
-"""
+"""Autocorrelated samples: effective sample size, block bootstrap."""

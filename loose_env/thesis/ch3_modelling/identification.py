@@ -30,7 +30,7 @@ EQUATIONS: dict[str, str] = {
         "loose_env.thesis.methods.looseness.parameter_recursion.velocity_components",
     ),
     "3.53": "loose_env.thesis.methods.looseness.looseness_joint.tool_velocity",
-    **dict.fromkeys(("3.54", "3.55"), "loose_env.kinematics.chain.geometric_jacobian"),
+    **dict.fromkeys(("3.54", "3.55"), "loose_env.kinematics.geometric_jacobian"),
     **dict.fromkeys(
         ("3.56", "3.58", "3.59", "3.60"),
         "loose_env.thesis.methods.looseness.parameter_recursion.rotation_arms",

@@ -35,13 +35,11 @@ from loose_env.thesis.printed import printed
 from loose_env.thesis.shared.sections import Section
 
 EQUATIONS: dict[str, str] = {
-    **dict.fromkeys(
-        ("3.2", "3.28", "3.29", "3.32"), "loose_env.kinematics.chain.geometric_jacobian"
-    ),
+    **dict.fromkeys(("3.2", "3.28", "3.29", "3.32"), "loose_env.kinematics.geometric_jacobian"),
     **dict.fromkeys(
         ("3.3", "3.30"), "loose_env.thesis.methods.looseness.looseness_joint.tool_velocity"
     ),
-    "3.1": "loose_env.kinematics.chain.Chain.of",
+    "3.1": "loose_env.kinematics.Chain.of",
     "3.26": "loose_env.thesis.methods.looseness.looseness_joint.looseness_transform",
     "3.27": "loose_env.thesis.methods.looseness.looseness_joint.slot_direction",
     "3.31": "loose_env.thesis.methods.looseness.looseness_joint.insert_looseness",

@@ -15,8 +15,8 @@ from loose_env.statistics import (
     axial_difference,
     correlation_loop,
     lowest_correlation_direction,
-    lowest_correlation_search,
 )
+from loose_env.thesis.methods.motion.signals import lowest_correlation_search
 from loose_env.thesis.printed import printed
 from loose_env.thesis.shared.sections import Section, Table
 from loose_env.typing import Array
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 
 EQUATIONS: dict[str, str] = {
-    "4.10": "loose_env.statistics.correlation.by_direction.correlation_along",
-    "4.11": "loose_env.statistics.correlation.by_direction.correlation_along",
-    "4.12": "loose_env.statistics.correlation.by_direction.correlation_along",
-    "4.13": "loose_env.statistics.correlation.by_direction.correlation_along",
+    "4.10": "loose_env.statistics.correlation.by_direction.correlation_loop",
+    "4.11": "loose_env.statistics.correlation.by_direction.correlation_loop",
+    "4.12": "loose_env.statistics.correlation.by_direction.correlation_loop",
+    "4.13": "loose_env.statistics.correlation.by_direction.correlation_loop",
     "4.14": "loose_env.statistics.correlation.by_direction.correlation_loop",
     "4.15": "loose_env.statistics.correlation.by_direction.correlation_loop",
 }

@@ -54,7 +54,7 @@ def cylindrical(*, hold: HoldKind = "brake") -> Arm:
     Parameters
     ----------
     hold : {"brake", "servo", "compliant"}
-        How joints that are not excited are held; see `loose_env.arms.holding.compliance`.
+        How joints that are not excited are held; see `loose_env.arms.holding`.
 
     Examples
     --------

@@ -30,9 +30,9 @@ from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.statistics import (
     acceleration_from_angle,
     axial_difference,
-    spectral_flatness,
     transfer_function,
 )
+from loose_env.thesis.methods.motion.signals import spectral_flatness
 from loose_env.typing import Array
 from scripts.study_parts.arms import seat_in_tool
 

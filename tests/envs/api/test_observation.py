@@ -31,8 +31,7 @@ from loose_env.envs.settings import DiagnosisSettings, Difficulty
 from loose_env.envs.vector_env import DiagnosisVectorEnv
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import Fault, Healthy
-from loose_env.rig import Job, Measurement, SimulatedRig
-from loose_env.rig.plant import Plant
+from loose_env.rig import Job, Measurement, Plant, SimulatedRig
 from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 from loose_env.typing import Array
 

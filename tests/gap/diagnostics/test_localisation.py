@@ -7,11 +7,9 @@ import pytest
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.diagnostics.joint_torque_residual import JointMotion, joint_motion
 from loose_env.gap.diagnostics.localisation import locate, location_notes, main_band, strongest
-from loose_env.gap.diagnostics.regressors import REGRESSORS, binned, dependence, direction_of
-from loose_env.gap.diagnostics.residual_spectra import band_edges, density, series_of, spectrum
+from loose_env.gap.diagnostics.regressors import REGRESSORS
 from loose_env.gap.diagnostics.residual_tests import residual_tests
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.output.evidence_schema import Band, ChannelResidual, Location
 from loose_env.gap.residuals.residual_model import Rows
 from loose_env.typing import Array
 
@@ -104,13 +102,6 @@ def test_a_residual_is_told_by_what_it_goes_with(on_q: Array, quantity: str) -> 
     assert goes_with(on_q) == quantity
 
 
-def test_what_only_shares_slow_time_with_the_motion_explains_nothing_surely() -> None:
-    drift = np.cumsum(np.random.default_rng(5).normal(0, 0.05, COUNT))
-    gap = locate(residual(drift), rows_of(), [trial_of()], CHANNELS, [motion()]).channels[0]
-    assert gap.rms > 1.5
-    assert strongest(gap.dependences) is None
-
-
 def test_a_resonance_is_found_in_its_band_and_named_in_words() -> None:
     gap = locate(
         residual(6 * np.sin(2 * np.pi * 47 * TIME)), rows_of(), [trial_of()], CHANNELS, [motion()]
@@ -130,53 +121,6 @@ def test_a_constant_is_called_constant() -> None:
         locate(residual(np.full(COUNT, 9.0)), rows_of(), [trial_of()], CHANNELS, [motion()])
     )
     assert "almost constant" in said[0]
-
-
-def test_the_worst_run_speaks_for_a_channel() -> None:
-    both = np.concatenate([residual(3 * SPEED), residual(9 * SPEED, 2)])
-    location = locate(
-        both, rows_of(2), [trial_of(), trial_of("run-02.csv")], CHANNELS, [motion(), motion()]
-    )
-    assert len(location.channels) == 4
-    assert "(run-02.csv)" in location_notes(location)[0]
-
-
-FAINT = 0.25 * np.sign(SPEED)
-"""A friction that shows as 1.03 of the noise: nothing by its size, and surely there."""
-
-
-def test_a_gap_that_is_hardly_larger_than_the_noise_is_told_of_where_it_hangs_together() -> None:
-    location = locate(residual(FAINT), rows_of(), [trial_of()], CHANNELS, [motion()])
-    gap = location.channels[0]
-    assert gap.rms < 1.1 and gap.autocorrelation_z > 4
-    assert gap.autocorrelated_rms == pytest.approx(0.25, rel=0.2)
-    (words,) = location_notes(location)
-    assert words.startswith("sensor.q has a residual of about its noise")
-    assert "direction of turn" in words and "run-01.csv" in words and "Hz" in words
-
-
-def test_noise_does_not_hang_together() -> None:
-    sure = [
-        gap.autocorrelation_z
-        for seed in range(40)
-        for gap in locate(
-            residual(np.zeros(COUNT), seed), rows_of(), [trial_of()], CHANNELS, [motion()]
-        ).channels
-    ]
-    assert max(sure) < 4
-
-
-def test_something_known_to_disagree_is_always_given_a_place() -> None:
-    faint = ChannelResidual(
-        run="a", channel="sensor.q", rms=1.15, offset=0.0,
-        bands=(Band(low=0, high=1, rms=3.0, share=0.9),), dependences=(), autocorrelation_z=2.0,
-        autocorrelated_rms=0.3,
-    )  # fmt: skip
-    location = Location(channels=(faint,))
-    assert location_notes(location) == []
-    (words,) = location_notes(location, always=True)
-    assert "sensor.q" in words and "0 and 1 Hz" in words
-    assert "no significant dependence on position, velocity, direction, acceleration, load" in words
 
 
 def simulated(damping: float, friction: float, *, noise: float = 2e-5) -> Trial:
@@ -237,38 +181,6 @@ def test_dry_friction_shows_as_torque_that_goes_with_the_direction() -> None:
         "turn has a residual torque of 0.7" in location_notes(location)[0]
         and "N·m" in location_notes(location)[0]
     )
-
-
-def test_dependence_needs_blocks_and_a_regressor_that_changes() -> None:
-    rng = np.random.default_rng(1)
-    values, block = rng.normal(0, 1, 600), np.arange(600) // 100
-    assert dependence(values, np.zeros(600), block) is None
-    assert dependence(values, values, np.zeros(600, dtype=np.intp)) is None
-    assert dependence(values[:20], values[:20], block[:20]) is None
-    with_gaps = np.where(np.arange(600) % 7 == 0, np.nan, values)
-    found = dependence(with_gaps, values, block)
-    assert found is not None and found.share > 0.9
-
-
-def test_bins_hold_every_sample_once_and_ties_stay_together() -> None:
-    values = np.repeat(np.arange(40.0), np.arange(1, 41))
-    labels, centres = binned(values, bins=8)
-    assert set(labels) == set(range(len(centres)))
-    for level in np.unique(values):
-        assert len(set(labels[values == level])) == 1
-    assert np.all(np.diff(centres) > 0)
-    assert set(direction_of(np.array([-1.0, 0.0, 1.0, np.nan]))[:3]) == {-1.0, 0.0, 1.0}
-
-
-def test_spectra_are_one_for_noise_whatever_the_rate_and_gaps() -> None:
-    series = series_of(residual(np.zeros(COUNT)), rows_of(), [trial_of()], CHANNELS)
-    frequency, power = density(series[0])
-    assert frequency[-1] == pytest.approx(RATE / 2)
-    assert np.mean(power) == pytest.approx(1, abs=0.06)
-    few, levels = spectrum(series[:1], points=20)
-    assert len(few) <= 20 and np.all(np.diff(few) > 0)
-    assert np.all((levels > 0.3) & (levels < 3))
-    assert band_edges(250.0) == [0.0, 1.0, 3.0, 10.0, 30.0, 100.0, 250.0]
 
 
 def test_noise_that_is_left_is_called_white_and_a_rest_is_not() -> None:

@@ -87,15 +87,6 @@ def test_the_truth_restarted_from_exact_readings_stays_on_them(kind: str) -> Non
     assert wrong[-1].rms > 3 * max(right[-1].rms, 0.1)
 
 
-def test_a_delayed_accelerometer_is_no_error_of_the_truth() -> None:
-    own = machine()
-    effect = next(e for e in candidates(own, ["sensor_delay"]) if e.where == "shake")
-    truth = hypothesis_of(effect, np.array([0.0024]))
-    trial = measured(own, truth)
-    assert all(e.rms < 0.1 for e in errors(own, trial, truth))
-    assert errors(own, trial, hypothesis_of(None))[0].rms > 1.0
-
-
 def test_with_noise_the_truth_is_at_the_floor_and_a_wrong_model_is_not() -> None:
     own = machine()
     effect = candidates(own, ["viscous_friction"])[0]
@@ -108,18 +99,6 @@ def test_with_noise_the_truth_is_at_the_floor_and_a_wrong_model_is_not() -> None
     assert max(wrong[-1].by_channel, key=lambda c: wrong[-1].by_channel[c]) == "sensor.encoder1"
 
 
-@pytest.mark.parametrize(("kind", "value"), [("command_delay", 0.0024), ("actuator_lag", 0.0017)])
-def test_commands_that_change_within_a_step_are_no_error_of_their_own(
-    kind: str, value: float
-) -> None:
-    own = machine()
-    effect = next(e for e in candidates(own) if e.kind == kind and e.where == "servo2")
-    truth = hypothesis_of(effect, np.array([value]))
-    trial = measured(own, truth)
-    for each in horizon_errors(own, [trial], CHANNELS, FLOORS, truth, threads=1):
-        assert each.rms < 0.05, (each.horizon, each.by_channel)
-
-
 def test_missing_samples_are_skipped_and_count_for_nothing() -> None:
     own = machine()
     truth = hypothesis_of(None)
@@ -129,12 +108,6 @@ def test_missing_samples_are_skipped_and_count_for_nothing() -> None:
     found = errors(own, trial, truth)
     assert all(0.95 < e.rms < 1.1 for e in found)
     assert "sensor.rate3" not in found[0].by_channel
-
-
-def test_a_horizon_longer_than_the_run_is_left_out() -> None:
-    own = machine()
-    trial = measured(own, hypothesis_of(None)).until(1.0)
-    assert [e.horizon for e in errors(own, trial, hypothesis_of(None))] == [0.1, 0.5]
 
 
 def test_inverse_runs_have_no_open_loop() -> None:

@@ -75,13 +75,6 @@ def test_residual_torque_is_that_of_the_truth(rate: float, error: str) -> None:
     assert found < 0.1 * WEIGHT
 
 
-def test_uneven_stamps_add_no_torque() -> None:
-    time, angle, true = swing(100.0)
-    rng = np.random.default_rng(4)
-    noisy = angle + rng.normal(0, 1e-3, len(angle))
-    assert told(np.sort(time + rng.uniform(-3e-3, 3e-3, len(time))), noisy) < 1.3 * true
-
-
 def test_a_model_that_lacks_nothing_lacks_no_torque() -> None:
     time = np.arange(3000) / 200
     model = mujoco.MjModel.from_xml_string(MODEL)

@@ -34,20 +34,6 @@ def test_a_number_whose_interval_includes_nothing_may_be_nothing() -> None:
         assert intervals.include_zero(effect, slice(0, 1)) is nothing
 
 
-def test_parts_that_trade_against_each_other_are_judged_together() -> None:
-    rng = np.random.default_rng(4)
-    along = rng.normal(0.0, 0.05, 2000)  # neither part is known, their sum is
-    size = len(CATALOGUE["link_com"](machine_of("planar"), "link2").parameters)
-    assert size >= 2
-    for sum_of_both, nothing in ((0.0, True), (0.02, False)):
-        draws = rng.normal(0.0, 0.001, (2000, size))
-        draws[:, 0] += along + 0.5 * sum_of_both
-        draws[:, 1] += -along + 0.5 * sum_of_both
-        intervals, effect = around(draws, "link_com", "link2")
-        assert np.all((intervals.low < 0) & (intervals.high > 0))
-        assert intervals.include_zero(effect, slice(0, size)) is nothing
-
-
 @pytest.mark.parametrize(
     ("kind", "where", "name", "end"),
     [
@@ -108,30 +94,6 @@ def test_runs_that_disagree_widen_an_interval_and_never_to_nothing() -> None:
     exact = replace(fitted, residual=np.zeros(rows))
     least = widened(comparison, exact, sharp)  # type: ignore[arg-type]
     assert (least.low[0], least.high[0]) == pytest.approx((0.995 * scale, 1.005 * scale))
-
-
-def test_no_interval_comes_to_hold_nothing_because_no_law_is_exact() -> None:
-    effect = CATALOGUE["sensor_gain"](machine_of("planar"), "encoder1")
-    free = free_of(effect.parameters, np.array([1.003]))
-    fitted = fit_of(effect, free, np.zeros(9))
-    narrow = Intervals(
-        low=np.array([1.00299]), high=np.array([1.00301]), free=free, covariance=np.eye(1)
-    )
-    comparison = SimpleNamespace(rows=SimpleNamespace(trial=np.zeros(9, dtype=int)))
-    found = widened(comparison, fitted, narrow)  # type: ignore[arg-type]
-    assert 1.0 < found.low[0] <= 1.00299 and found.high[0] >= 1.00301
-    assert not found.include_zero(effect, slice(0, 1))
-
-
-def test_a_gain_of_a_twentieth_is_known_to_half_a_percent_of_itself() -> None:
-    effect = CATALOGUE["actuator_gain"](machine_of("planar"), "servo1")
-    free = free_of(effect.parameters, np.array([0.05]))
-    fitted = fit_of(effect, free, np.zeros(9))
-    value = np.full(1, 0.05)
-    narrow = Intervals(low=value, high=value, free=free, covariance=np.eye(1))
-    comparison = SimpleNamespace(rows=SimpleNamespace(trial=np.zeros(9, dtype=int)))
-    found = widened(comparison, fitted, narrow)  # type: ignore[arg-type]
-    assert (found.low[0], found.high[0]) == pytest.approx((0.04975, 0.05025))
 
 
 @pytest.mark.parametrize(("first", "nothing"), [(0.0, True), (3.0, False)])

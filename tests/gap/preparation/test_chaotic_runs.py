@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import mujoco
@@ -10,27 +9,17 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.diagnostics.feature_localisation import feature_channels
 from loose_env.gap.diagnostics.joint_torque_residual import joint_motion
-from loose_env.gap.fitting.holdout_score import Scorer
-from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.residuals.preparation import chaotic_runs as chaotic
-from loose_env.gap.residuals.preparation.chaotic_runs import chaotic_runs
 from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
-from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.residuals.windows import windowed
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.evidence import diagnose_residuals
-from loose_env.gap.workflow.pipeline import GapSolution, find_gap
+from loose_env.gap.workflow.pipeline import find_gap
 from loose_env.gap.workflow.summary import result_of
 from loose_env.recording import Recording, Run, write_recording
-from loose_env.report.gap.page import render_gap_page
-from tests.gap.cases.gap_case import stated
 from tests.gap.cases.level_arm import FINE, LEVEL, recorded
 
 COUNT = 1800
@@ -93,69 +82,13 @@ def shaken(name: str, count: int, rate: float, *, still: int = 0) -> Run:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("rate", [50.0, 90.0])
-def test_a_run_too_short_for_features_is_compared_sample_by_sample(
-    rate: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    machine = NominalModel(mujoco.MjSpec.from_string(LEVEL), step=1e-3)
-    runs = [
-        shaken("long.csv", 300, rate),
-        shaken("resting.csv", 450, rate, still=240),
-        shaken("short.csv", 150, rate),
-        shaken("unmoved.csv", 300, rate, still=300),
-    ]
-    channels = channels_of(runs)
-    trials = [align_run(run, machine, channels, step=1e-3) for run in runs]
-    trials[1].measured[230:] *= 5.0  # least like the model where its command rests
-    floors = np.full(len(channels), 1e-5)
-    monkeypatch.setattr(chaotic, "CHAOTIC_SHARE", -1.0)  # whatever is drawn anew is enough
-    with_stops = [CATALOGUE["backlash"](machine, "joint1")]
-    found = chaotic_runs(machine, trials, channels, floors, with_stops, threads=1)
-    assert found == {"long.csv", "resting.csv"}
-    comparison = ResidualModel(machine, trials, channels, floors, threads=1, chaotic=found)
-    short = windowed(comparison, 6.0)
-    by_features = {short.trials[t].name for t in short.features}
-    assert by_features == found & {trial.name for trial in short.trials}
-    assert all(len(short.trials[t].time) >= 200 for t in short.features)
-
-
 def test_struck_stops_are_compared_by_features(impact_fit: Recording, problem: GapProblem) -> None:
     assert problem.search.chaotic == {run.name for run in impact_fit.runs}
     assert problem.search.rows.is_feature.all()
     assert any("chaotic (impacts against stops)" in warning for warning in problem.warnings)
 
 
-def test_features_are_weighed_by_the_noise_there_is_whatever_counts_as_noise(
-    problem: GapProblem,
-) -> None:
-    runs = problem.search
-    assert runs.rows.is_feature.all()
-    scaled = problem.with_noise_scaled(np.full(len(runs.channels), 30.0)).search
-    nothing = Hypothesis()
-    assert np.array_equal(runs.residuals([nothing]), scaled.residuals([nothing]))
-    assert not runs.channel_rms(np.ones(len(runs))).any()
-
-
-class Bump(ViscousFriction):
-    """Stops of somebody's own, whose figures have other names."""
-
-    kind = "bump"
-    has_stops = True
-
-
-def test_stops_of_ones_own_may_have_parameters_of_any_name(problem: GapProblem) -> None:
-    runs = problem.search
-    found = chaotic_runs(
-        problem.machine,
-        runs.trials,
-        runs.channels,
-        runs.floors,
-        [Bump(problem.machine, "joint1")],
-        threads=1,
-    )
-    assert found == frozenset()  # they draw nothing anew
-
-
+@pytest.mark.slow
 def test_the_loose_link_is_named_by_features(impact_fit: Recording) -> None:
     kinds = ("structural_looseness", "joint_compliance", "viscous_friction")
     settings = GapSettings(threads=1, kinds=kinds, most_effects=1)
@@ -172,23 +105,6 @@ def test_the_loose_link_is_named_by_features(impact_fit: Recording) -> None:
     before, after = result.gap.by_channel["sensor.shake.y"]
     assert before > 3 and after < 0.6 * before
     assert {left.channel for left in result.residual_tests} == names
-
-
-def test_where_a_run_of_struck_stops_disagrees_is_told_from_its_features(
-    impact_fit: Recording, problem: GapProblem
-) -> None:
-    base = Scorer(problem.fit, problem.held_out_whole).score(stated(problem.fit, [], []))
-    solution = GapSolution(problem=problem, base=base, best=base, verdict="unexplained")
-    evidence = diagnose_residuals(solution)
-    result = result_of(solution, evidence)
-    assert {gap.run for gap in result.location.channels} == {run.name for run in impact_fit.runs}
-    assert result.location_words and all(".parquet" in words for words in result.location_words)
-    assert any("Hz" in words for words in result.location_words)
-    assert any("sensor.shake" in words for words in result.remaining)
-    assert result.remaining[0].startswith(f"Residual on the held-out runs: {result.gap.after:.3g}")
-    page = render_gap_page(solution, evidence, result)
-    assert "Spectra before and after" in page and "By how much the power of sensor.shake" in page
-    assert "by features" in page and not re.search(r"\bnan\b", page, re.IGNORECASE)
 
 
 def test_a_right_model_of_struck_stops_disagrees_nowhere(problem: GapProblem) -> None:

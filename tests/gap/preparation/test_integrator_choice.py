@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
-import pytest
 
 from loose_env.gap.data.aligned_run import channels_of
 from loose_env.gap.model.effects.drives.actuators import ActuatorGain
@@ -79,38 +77,6 @@ def test_what_happens_after_the_beginning_counts() -> None:
     late = chosen(run_of(wave(3.0, 6.0, still=2.5), noise=1e-3))
     assert still.nominal_error < 0.1
     assert late.nominal_error > 1
-
-
-def test_the_fastest_run_counts_wherever_it_stands() -> None:
-    slow = run_of(wave(0.1, 4.0), noise=1e-3)
-    fast = run_of(wave(3.0, 4.0), noise=1e-3, name="b.csv")
-    alone, both = chosen(slow), chosen(slow, fast)
-    assert both.nominal_error > 3 * alone.nominal_error
-    assert both.nominal_error == pytest.approx(chosen(fast, slow).nominal_error, rel=0.6)
-
-
-def test_a_step_that_was_changed_is_told_of() -> None:
-    run = run_of(wave(1.0, 4.0), noise=1e-3)
-    first = chosen(run)
-    # noise at which the model's own step is off by 0.4 of it
-    found = chosen(run_of(wave(1.0, 4.0), noise=1e-3 * first.nominal_error / 0.4))
-    assert 0.3 < found.nominal_error < 0.5
-    assert found.integrator == RK4
-    (words,) = found.notes(own=0.01)
-    assert "0.01 s" in words and "Runge-Kutta" in words
-    quiet = chosen(run_of(wave(1.0, 4.0), noise=1e-3 * first.nominal_error / 0.05))
-    assert quiet.notes(own=0.01) == []
-
-
-def test_what_is_far_off_need_not_be_simulated_to_the_noise() -> None:
-    right = run_of(wave(3.0, 4.0), noise=1e-4)
-    off = replace(right, sensors={"q": 4.0 * right.sensors["q"]})
-    found, sloppy = chosen(right), chosen(off)
-    assert found.nominal_relative_error > 0.3 and found.notes(own=0.01)
-    assert (
-        sloppy.nominal_error > 0.3
-        and sloppy.nominal_relative_error < 0.5 * found.nominal_relative_error
-    )
 
 
 def test_a_step_that_stays_too_coarse_is_warned_of(tmp_path: Path) -> None:

@@ -138,74 +138,12 @@ def test_noise_is_added_to_simulated_readings_alone() -> None:
     assert (found.of(values)[rest] - found.measured[rest] > 0.5).all()
 
 
-def test_without_chaos_impacts_count_as_repeated() -> None:
-    rng = np.random.default_rng(6)
-    u = command(rng)
-    values = response(u) + impacts(rng, size=8.0) + noise(rng)
-    both, once = features(values, u), features(values, u, chaos=0.0)
-    assert both.names == once.names
-    assert (both.scales >= 0.999 * once.scales).all()
-    loud = of_kind(both, "kurtosis")
-    assert (both.scales[loud] > 3 * once.scales[loud]).all()
-
-
-def test_how_much_a_simulation_draws_anew_is_measured() -> None:
-    rng = np.random.default_rng(14)
-    u = command(rng)
-    impact_fit = impacts(rng)
-    found = features(response(u) + impacts(rng) + noise(rng), u)
-    first = response(u) + impact_fit
-    assert found.chaotic_share(first, first + 1e-9) < 1e-6
-    assert 0.8 < found.chaotic_share(first, response(u) + impacts(rng)) <= 1
-    half = np.where(np.arange(COUNT)[:, None] < COUNT // 2, impact_fit, impacts(rng))
-    assert 0.25 < found.chaotic_share(first, response(u) + half) < 0.75
-
-
-def test_gaps_are_treated_alike_on_both_sides() -> None:
-    rng = np.random.default_rng(7)
-    u = command(rng)
-    true = response(u)
-    values = true + noise(rng)
-    values[1000:1010, 0] = np.nan
-    found = features(values, u)
-    assert np.abs(found.differences(true)).max() < 5
-    values[:, 1] = np.nan
-    assert not any("shake.x" in name for name in features(values, u).names)
-
-
 def test_wild_simulations_give_no_features() -> None:
     rng = np.random.default_rng(8)
     u = command(rng)
     values = response(u)
     values[3000:] = np.nan
     assert np.isnan(features(response(u) + noise(rng), u).of(values)).all()
-
-
-def test_two_commands_are_told_apart() -> None:
-    rng = np.random.default_rng(9)
-    u = np.hstack([command(rng), command(rng)])
-    true = response(u[:, :1]) + 0.5 * response(u[:, 1:], mode=20.0)
-    found = features(true + noise(rng), u)
-    assert np.abs(found.differences(true)).max() < 5
-    wrong = response(u[:, :1]) + 0.6 * response(u[:, 1:], mode=20.0)
-    apart = np.abs(found.differences(wrong))
-    first = [k for k in of_kind(found, "gain", "phase") if "to command 0" in found.names[k]]
-    second = [k for k in of_kind(found, "gain", "phase") if "to command 1" in found.names[k]]
-    assert apart[second].max() > 3 * apart[first].max()
-
-
-def test_coarse_steps_widen_the_mean() -> None:
-    rng = np.random.default_rng(10)
-    u = command(rng)
-    values = response(u) + noise(rng)
-    still = np.full(COUNT, 0.3)
-    step = 0.01
-    values[:, 0] = np.round((still + 0.003 * rng.normal(size=COUNT)) / step) * step
-    found = features(values, u)
-    simulated = response(u)
-    simulated[:, 0] = 0.3 + 0.004
-    mean = of_kind(found, "mean of sensor.encoder")[0]
-    assert found.scales[mean] > 0.02 / np.sqrt(COUNT)
 
 
 def test_a_trial_names_its_excited_joints() -> None:

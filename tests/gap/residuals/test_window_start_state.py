@@ -8,14 +8,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.residuals.windows import INVERSE, windowed
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.explain import explain_gap
 from loose_env.recording import read_recording, write_recording
 from tests.gap.cases.effect_arms import PLANAR
-from tests.gap.cases.recorded_runs import PENDULUM, compared, measurable, pendulum_run, torque_run
+from tests.gap.cases.recorded_runs import PENDULUM, measurable, pendulum_run, torque_run
+
+pytestmark = pytest.mark.slow
 
 OIL, SEAL, AIR = 0.004, 0.012, 0.002
 """What slows a pendulum down: N·m·s/rad, N·m, N·m·s²/rad²."""
@@ -68,20 +68,3 @@ def test_damping_far_above_that_of_the_machine_is_named_at_all_joints(tmp_path: 
     for effect in found.effects:
         nominal = DAMPING[machine.joint_number(effect.where)]
         assert effect.parameters["damping"] == pytest.approx(-nominal, rel=0.05)
-
-
-def test_long_inverse_runs_are_looked_at_in_windows() -> None:
-    machine = NominalModel(damped(DAMPING))
-    rng = np.random.default_rng(8)
-    runs = [
-        torque_run(machine, machine.model, rng, rate=100.0, duration=30.0, name=f"run-{k}")
-        for k in range(3)
-    ]
-    whole = compared(machine, runs)
-    assert windowed(whole, 90.0 / INVERSE) is whole
-    short = windowed(whole, 6.0)
-    lengths = [float(trial.time[-1]) for trial in short.trials]
-    assert lengths == pytest.approx([INVERSE * 6.0 / 3] * 3, abs=0.02)
-    assert len(short) < 0.35 * len(whole)
-    residual = short.residuals([Hypothesis()])[0]
-    assert 0.6 < np.sqrt(np.mean(residual**2)) < 1.35

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -18,8 +16,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.residuals.preparation.integrator_choice import corrected_step_notes
 from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
-from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.selection.impacts import impact_search as with_stops
 from loose_env.gap.selection.impacts.impact_power import ImpactPower
 from loose_env.gap.selection.impacts.impact_search import ImpactFit, find_impacts
 from loose_env.gap.settings import GapSettings
@@ -95,6 +91,7 @@ def test_powers_tell_a_slide_that_no_trajectory_follows(loose: GapProblem) -> No
     assert by_sample[1] > 0.2 * by_sample[0]
 
 
+@pytest.mark.slow
 def test_the_loose_link_is_found_with_its_direction(loose: GapProblem) -> None:
     found = search(loose, "structural_looseness")
     assert found is not None and found.effect.where == "link2"
@@ -103,39 +100,6 @@ def test_the_loose_link_is_found_with_its_direction(loose: GapProblem) -> None:
     angle, gap = found.fitted.free[0] * 0.5, found.intervals
     assert np.cos(angle - TRUE[0]) ** 2 > 0.98
     assert gap.low[1] < gap.high[1] and 0.5 < found.intervals.high[1] / TRUE[1] < 4
-
-
-def test_what_needs_no_gap_is_no_play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[str] = []
-    monkeypatch.setattr(with_stops, "IMPACT_EXPLAINED", 0.7)
-    assert search(prepared_arm(tmp_path / "dry", friction=6.0), "backlash", say=said.append) is None
-    # dry friction has the powers of a springy gear, which gives way without any play
-    assert any("no clearance is needed" in line for line in said)
-
-
-def test_only_runs_with_commands_are_compared_by_powers(loose: GapProblem) -> None:
-    assert ImpactPower.worth_while(loose.held_out)
-    (trial,) = loose.held_out.trials
-    freed, impact_fit = copy(loose.held_out), copy(loose.held_out)
-    freed.trials = [replace(trial, form="free")]
-    impact_fit.chaotic = frozenset([trial.name])
-    assert not ImpactPower.worth_while(freed)
-    assert not ImpactPower.worth_while(impact_fit)
-
-
-def test_readings_that_were_lost_cost_stretches_only_where_they_are_many(loose: GapProblem) -> None:
-    held, rng = loose.held_out, np.random.default_rng(3)
-    whole = len(ImpactPower(held, known(loose)))
-    lost = [
-        replace(t, measured=np.where(rng.random(t.measured.shape) < 0.05, np.nan, t.measured))
-        for t in held.trials
-    ]
-    brief = replace(held.trials[0].until(0.02), name="brief")
-    few = ResidualModel(held.machine, [*lost, brief], held.channels, held.floors, threads=1)
-    impact_power = ImpactPower(few, known(loose))
-    assert len(impact_power) == whole and len(impact_power.trials) == len(lost)
-    nothing = Hypothesis()
-    assert np.isfinite(impact_power.residuals([nothing])).all()
 
 
 def test_no_step_is_blamed_for_blows(loose: GapProblem) -> None:

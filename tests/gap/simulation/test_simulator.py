@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
 
 from loose_env.gap.data.aligned_run import Channel, Trial
-from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.hypothesis import Hypothesis, compiled
+from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.export_mjcf import corrected_spec
-from loose_env.gap.residuals.preparation.prepare import prepare
-from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulation.simulator import Simulator
-from loose_env.recording import Run, write_recording
 from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR
 
@@ -160,11 +154,6 @@ GEARED = """
   <sensor><jointpos name="encoder" joint="shoulder"/></sensor>
 </mujoco>
 """
-CHANGING = {
-    '<motor tendon="rope"/>': ("shoulder", "elbow"),
-    '<motor site="wrist" gear="1 0 0 0 0 0"/>': ("shoulder", "elbow"),
-    '<adhesion body="upper" ctrlrange="0 1"/>': ("shoulder",),
-}
 
 
 def geared(more: str = "") -> NominalModel:
@@ -192,35 +181,6 @@ def test_forces_of_tendons_count_as_torque_on_the_joints_they_pull() -> None:
         mujoco.mj_step(machine.model, data)
 
 
-@pytest.mark.parametrize("more", CHANGING)
-def test_joints_are_known_whose_lever_changes_with_the_pose(more: str) -> None:
-    assert geared(more).pose_dependent_joints == CHANGING[more]
-
-
-def test_a_torque_that_no_simulation_tells_is_left_out_and_said(tmp_path: Path) -> None:
-    more = '<motor name="winch" tendon="rope"/>'
-    rng, time = np.random.default_rng(2), np.arange(400) * STEP
-    runs = []
-    for k in range(3):
-        sensors = {"encoder": 1e-3 * rng.normal(size=400) + np.sin(5 * time)}
-        runs.append(
-            Run(
-                name=f"run-{k}.csv", time=time,
-                controls={"coupled": np.sin(7 * time), "winch": 0 * time},
-                sensors=sensors,
-                torques={joint: rng.normal(size=400) for joint in ("shoulder", "rail")},
-            )
-        )  # fmt: skip
-    xml = GEARED.format(more=more)
-    recording = write_recording(tmp_path / "r", model_xml=xml, runs=runs, file_format="csv")
-    problem = prepare(recording, GapSettings(threads=1, kinds=("viscous_friction",)))
-    rows = problem.search.rows
-    compared = {problem.search.channels[k].column for k in np.unique(rows.channel)}
-    assert compared == {"sensor.encoder", "torque.rail"}
-    (said,) = [line for line in problem.warnings if line.startswith("torque.shoulder: ")]
-    assert "not compared in the simulated runs" in said
-
-
 def test_a_delay_of_the_model_stays_at_a_finer_step() -> None:
     late = '<position name="servo2" delay="0.01" nsample="12"'
     spec = mujoco.MjSpec.from_string(PLANAR.replace('<position name="servo2"', late))
@@ -233,32 +193,3 @@ def test_a_delay_of_the_model_stays_at_a_finer_step() -> None:
         shown.append(abs(data.actuator_force[1]) > 100.0)
     assert shown.index(True) == pytest.approx(80, abs=1)
     assert corrected_spec(machine, Hypothesis()).actuators[1].nsample >= 40
-
-
-def test_a_delay_of_the_model_holds_after_it_came_to_rest() -> None:
-    late = '<position name="servo2" delay="0.01" nsample="12"'
-    spec = mujoco.MjSpec.from_string(PLANAR.replace('<position name="servo2"', late))
-    machine, trial = NominalModel(spec, step=STEP), recorded()
-    simulator = Simulator(machine, [trial], CHANNELS[:3], threads=1)
-    shown = simulator.predict([Hypothesis()])[0][0]
-    data = mujoco.MjData(machine.model)
-    for _ in range(round(SETTLE / STEP)):
-        data.ctrl[:] = trial.controls[0]
-        mujoco.mj_step(machine.model, data)
-    for command, row in zip(trial.controls, shown, strict=True):
-        data.ctrl[:] = command
-        mujoco.mj_step(machine.model, data)
-        assert np.allclose(row, data.sensordata[:3], atol=1e-6)
-
-
-def test_no_word_on_inertias_that_are_tried(recwarn: pytest.WarningsRecorder) -> None:
-    spec = mujoco.MjSpec()
-    link = spec.worldbody.add_body(name="link")
-    link.add_geom(size=[0.1, 0, 0])
-    for name in ("first", "second"):  # on one axis, with nothing in between
-        link.add_joint(name=name, axis=[0, 1, 0])
-    assert compiled(spec).nv == 2
-    assert not recwarn.list
-    spec.worldbody.add_joint(name="wrong")
-    with pytest.raises(ValueError):
-        compiled(spec)

@@ -13,17 +13,14 @@ from scipy.integrate import solve_ivp
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_of
-from loose_env.gap.diagnostics.prediction_horizon import horizon_errors
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, register
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.export_mjcf import correction_code, write_model
-from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.selection.screening.data_driven_starts import residual_torque
 from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
-from loose_env.gap.simulation.torque_terms import BatchWithTerms, torque_terms
+from loose_env.gap.simulation.torque_terms import torque_terms
 from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR
 from tests.gap.cases.own_effects import (
@@ -129,20 +126,6 @@ def test_neither_encoder_nor_accelerometer_sees_that_it_is_held(
     assert np.all(off[3:] < 0.02 * visible[3:]), (off / visible).round(4)
 
 
-def test_beside_a_delay_within_the_step_accelerations_are_those_of_the_sample() -> None:
-    own = machine()
-    late = CATALOGUE["command_delay"](own, "all")
-    term = Cogging(own, "joint2")
-    both = Hypothesis(effects=(late, term), values=(np.array([0.0024]), np.array([12.0])))
-    expected = fine(of(term, 12.0), delay=0.0024)
-    simulator = Simulator(own, [trial()], CHANNELS, threads=1)
-    (shown,), (without,) = simulator.predict([both, of(late, 0.0024)])
-    off = np.sqrt(np.mean((shown - expected) ** 2, axis=0))
-    visible = np.sqrt(np.mean((without - expected) ** 2, axis=0))
-    assert np.all(off[:3] < 0.01 * visible[:3]), (off / visible).round(4)
-    assert np.all(off[3:] < 0.05 * visible[3:]), (off / visible).round(4)
-
-
 @pytest.mark.parametrize("integrator", [RK4, IMPLICIT])
 @pytest.mark.parametrize("form", ["forward", "free"])
 def test_a_linear_spring_is_the_catalogues_spring(form: str, integrator: int) -> None:
@@ -161,43 +144,6 @@ def test_a_linear_spring_is_the_catalogues_spring(form: str, integrator: int) ->
     assert np.all(off < 0.005 * visible), (off / visible).round(5)
 
 
-def test_only_hypotheses_with_terms_are_stepped_from_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = machine()
-    plain = of(CATALOGUE["viscous_friction"](own, "joint2"), 3.0)
-    term = of(CubicSpring(own, "joint2"), 30.0)
-    rolled, rollout = [], BatchWithTerms.rollout
-
-    def counted(self: BatchWithTerms, *args: object, **given: object) -> object:
-        rolled.append(self.nsim)
-        return rollout(self, *args, **given)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(BatchWithTerms, "rollout", counted)
-    alone = Simulator(own, [trial()], CHANNELS, threads=1).predict([NOTHING, plain])
-    assert not rolled
-    beside = Simulator(own, [trial()], CHANNELS, threads=1).predict([NOTHING, term, plain])
-    assert set(rolled) == {1}
-    assert np.array_equal(alone[0][0], beside[0][0])
-    assert np.array_equal(alone[1][0], beside[2][0])
-
-
-def test_each_run_and_each_hypothesis_has_its_own_term() -> None:
-    own = machine()
-    runs = [trial(), trial(name="run-02.csv", controls=-0.5 * commands())]
-    hypotheses = [of(CubicSpring(own, "joint2"), size) for size in (30.0, 90.0)]
-    together = Simulator(own, runs, CHANNELS, threads=1).predict(hypotheses)
-    for hypothesis, found in zip(hypotheses, together, strict=True):
-        for run, values in zip(runs, found, strict=True):
-            alone = Simulator(own, [run], CHANNELS, threads=1).predict([hypothesis])[0][0]
-            assert np.allclose(values, alone, atol=1e-9)
-
-
-def test_a_term_that_is_too_steep_makes_its_own_simulation_wild_and_no_other() -> None:
-    own = machine()
-    steep, mild = of(LinearSpring(own, "joint2"), 1e9), of(LinearSpring(own, "joint2"), 10.0)
-    (diverged,), (fit,) = Simulator(own, [trial()], CHANNELS, threads=1).predict([steep, mild])
-    assert np.isnan(diverged).all() and np.isfinite(fit).all()
-
-
 def test_a_term_of_the_wrong_shape_says_so() -> None:
     class Short(CubicSpring):
         kind = "short_spring"
@@ -208,19 +154,6 @@ def test_a_term_of_the_wrong_shape_says_so() -> None:
     own = machine()
     with pytest.raises(InvalidData, match=r"short_spring@joint2: torque .* each joint"):
         Simulator(own, [trial()], CHANNELS, threads=1).predict([of(Short(own, "joint2"), 1.0)])
-
-
-def test_restarted_from_what_was_measured_the_truth_stays_on_it() -> None:
-    own = machine()
-    term = of(Cogging(own, "joint2"), 12.0)
-    seen = Simulator(own, [trial()], CHANNELS, threads=1).predict([term])[0][0]
-    motion = {f"joint{k}": seen[:, k - 1] for k in (1, 2, 3)}
-    run = trial(measured=seen, motion=motion)
-    right, wrong = (
-        horizon_errors(own, [run], CHANNELS, NOISE, h, every=0.3, horizons=(0.1, 0.5), threads=1)
-        for h in (term, NOTHING)
-    )
-    assert all(r.rms < 0.05 * w.rms for r, w in zip(right, wrong, strict=True))
 
 
 def test_backwards_a_linear_spring_is_the_catalogues_spring() -> None:
@@ -246,18 +179,6 @@ def test_backwards_a_linear_spring_is_the_catalogues_spring() -> None:
     assert np.nanmax(np.abs(a - b)) < 0.02 * scale
 
 
-def test_what_a_term_explains_is_no_longer_missing() -> None:
-    own = machine()
-    term = of(CubicSpring(own, "joint2"), 300.0)
-    seen = Simulator(own, [trial()], CHANNELS, threads=1).predict([term])[0][0]
-    motion = {f"joint{k}": seen[:, k - 1] for k in (1, 2, 3)}
-    comparison = compared_with(own, trial(measured=seen, motion=motion))
-    before, after = residual_torque(comparison, NOTHING), residual_torque(comparison, term)
-    assert before is not None and after is not None
-    explained = (before[3] - after[3])[:, 1]  # what the joint needed against the spring
-    assert np.allclose(explained, 300 * before[0][:, 1] ** 3) and explained.max() > 100
-
-
 def test_a_free_pendulum_with_a_cubic_spring() -> None:
     own = NominalModel(mujoco.MjSpec.from_string(PENDULUM))
     time = np.arange(400) * 0.01
@@ -276,10 +197,6 @@ def test_a_free_pendulum_with_a_cubic_spring() -> None:
     simulator = Simulator(own, [run], (Channel("sensor.encoder"),), threads=1)
     (shown,) = simulator.predict([of(CubicSpring(own, "pivot"), size)])[0]
     assert np.abs(shown[:, 0] - truth).max() < 2e-3
-
-
-def compared_with(own: NominalModel, run: Trial) -> ResidualModel:
-    return ResidualModel(own, [run], CHANNELS, NOISE, threads=1)
 
 
 def test_the_code_of_the_result_applies_a_term_to_the_written_model(tmp_path: Path) -> None:

@@ -12,16 +12,14 @@ import pytest
 
 from loose_env.errors import InvalidData
 from loose_env.gap import NextMotionSettings
-from loose_env.gap.fitting.holdout_score import Scorer
 from loose_env.gap.output.checkpoints import Stages, key_of
 from loose_env.gap.output.result import DeletionTest, EffectLocation, NamedEffect, read_result
-from loose_env.gap.selection.checkpoint_codec import plain_fit, restored_fit
 from loose_env.gap.workflow import summary
 from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residuals
 from loose_env.gap.workflow.pipeline import GapSolution
 from loose_env.gap.workflow.summary import result_of, write_gap
 from loose_env.recording import Recording, read_recording
-from tests.gap.cases.gap_case import DAMPING, GAIN, record, solution_for, stated
+from tests.gap.cases.gap_case import DAMPING, GAIN, record, solution_for
 
 
 @pytest.fixture(scope="module")
@@ -152,71 +150,6 @@ def test_what_the_corrected_model_has_without_its_being_named_is_told(
     nominal, model = solution.problem.machine.model, mujoco.MjModel.from_xml_path(str(file))
     dof = nominal.joint("joint2").dofadr[0]
     assert model.dof_damping[dof] > 1.0 + nominal.dof_damping[dof]
-
-
-def test_what_is_named_is_not_told_of_as_nameless(
-    solution: GapSolution, evidence: ResidualDiagnostics, tmp_path: Path
-) -> None:
-    assert solution.unnamed.pairs == ()
-    result = result_of(solution, evidence)
-    assert not any("without its being named" in words for words in result.warnings)
-    bare = replace(solution, verdict="unexplained", effects=(), best=solution.base)
-    assert bare.unnamed.pairs == ()
-    bare_result, (file, _) = write_gap(tmp_path, bare)
-    assert not any("without its being named" in words for words in bare_result.warnings)
-    head = file.read_text("utf-8")
-    assert "No effect was added to the nominal model." in head and "On top of" not in head
-
-
-def test_what_is_left_after_the_named_effects_is_told_with_its_place(
-    solution: GapSolution, evidence: ResidualDiagnostics
-) -> None:
-    assert result_of(solution, evidence).remaining == ()
-    # Only the friction at joint2 was named: the sensor's gain is left, and no torque.
-    problem, corrected = solution.problem, solution.corrected
-    scorer = Scorer(problem.fit, problem.held_out_whole)
-    stopped = replace(
-        solution,
-        best=scorer.score(stated(problem.fit, corrected.effects[:1], corrected.values[:1])),
-        effects=solution.effects[:1],
-    )
-    found = diagnose_residuals(stopped)
-    result = result_of(stopped, found)
-    assert result.remaining[0] == (
-        f"Residual on the held-out runs: {result.gap.after:.3g} of {result.gap.before:.3g} noise "
-        f"standard deviations ({100 * result.gap.after / result.gap.before:.0f} %); a further "
-        "effect is missing that was not identified."
-    )
-    assert (
-        result.remaining[1].startswith("sensor.rate3 has a residual of up to")
-        and "velocity" in result.remaining[1]
-    )
-    assert not any("joint2 has a residual torque of 4." in words for words in result.remaining)
-    assert any("joint2 has a residual torque" in words for words in result.location_words)
-    written = json.loads(result.to_json())
-    assert written["remaining"] == list(result.remaining)
-    assert len({gap["run"] for gap in written["remaining_location"]["channels"]}) == 3
-
-
-def test_unexplained_torque_stays_told_of_where_nothing_was_added(solution: GapSolution) -> None:
-    bare = replace(solution, verdict="unexplained", effects=(), best=solution.base)
-    said = result_of(bare, diagnose_residuals(bare)).location_words
-    assert any(words.startswith("joint2 has a residual torque of 4.") for words in said)
-
-
-def test_a_judged_fit_is_kept_and_taken_up_again(
-    solution: GapSolution, recording: Recording, tmp_path: Path
-) -> None:
-    key = key_of(recording, {"tolerance": 0.03})
-    assert key != key_of(recording, {"tolerance": 0.04})
-    Stages(tmp_path, key)("best", lambda: plain_fit(solution.best))
-    stages = Stages(tmp_path, key)
-    kept = stages("best", lambda: pytest.fail("it was made again"))
-    assert stages.taken_up == ["best"]
-    back = restored_fit(kept, solution.problem.machine, solution.base.fitted.structure.nuisance)
-    assert [repr(e) for e in back.fitted.effects] == [repr(e) for e in solution.best.fitted.effects]
-    assert np.array_equal(back.held_out_residual, solution.best.held_out_residual)
-    assert back.held_out_rms == solution.best.held_out_rms
 
 
 def test_stages_of_another_version_are_made_again(

@@ -8,13 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loose_env.instrument.data.held_pose import run_setup
-from loose_env.instrument.data.spectral_lines import lines_of
 from loose_env.instrument.inference.evidence import Evidence
 from loose_env.instrument.inference.laplace_fit import seats_of
-from loose_env.instrument.inference.response.frequency_response import respond
-from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
-from loose_env.instrument.model.instrumented_arm import read_recorded_arm
 from loose_env.instrument.pipeline import Workbench
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
@@ -74,36 +69,6 @@ def test_a_servo_that_answers_late_is_named(tmp_path: Path) -> None:
         bench.add(late_commands(run, -5e-3))
     found = bench.diagnosis(plan=False)
     assert any("5.0 ms after what the model makes" in words for words in found.warnings)
-
-
-@pytest.mark.parametrize("noted", ["controls", "torques"])
-@pytest.mark.parametrize("number", [0, 2])
-def test_slopes_of_a_runs_delays_are_those_of_its_answer(
-    tmp_path: Path, noted: str, number: int
-) -> None:
-    run = runs("healthy", 1)[0]
-    if noted == "torques":
-        torques = {j: run.controls[f"motor{j[-1]}"] for j in run.excited}
-        run = dataclasses.replace(run, controls={}, torques=torques)
-    machine = read_recorded_arm(write_model(tmp_path))
-    uncertain = UncertainArm(machine, SETTINGS.tolerances)
-    held = run_setup(machine, run)
-    lines = lines_of(machine, run, held.pose, held.excited, number=number)
-    at = uncertain.at(held.pose)
-    errors = np.zeros(uncertain.count(3))
-    answer = respond(at, lines, errors)
-    slopes = answer.slopes(np.zeros((len(lines.frequency), 7 * machine.n)))
-    for column in range(uncertain.count(0), uncertain.count(3)):
-        moved = errors.copy()
-        moved[column] = 1e-3
-        up = respond(at, lines, moved).mean
-        change = (up - answer.mean) / 1e-3
-        own = column in range(*uncertain.delays(number).indices(len(errors)))
-        assert np.abs(change).any() == own
-        # An accelerometer's delay acts on what the taper leaks in too, which is not followed.
-        close = 1e-3 if column % 2 == uncertain.count(0) % 2 else 0.1
-        scale = np.abs(change).max(axis=0) + 1e-300
-        assert (np.abs(slopes[:, :, column] - change) <= close * scale + 1e-30).all()
 
 
 def test_two_runs_of_one_name_are_two_runs(tmp_path: Path) -> None:

@@ -64,43 +64,6 @@ def test_encoders_slower_than_the_rows_do_not_make_a_sound_arm_loose(
     assert not any("no sensor of the excited joint" in words for words in found.warnings)
 
 
-@pytest.mark.parametrize(("every", "half"), [(16, 31.25), (8, 62.5), (4, 125.0)])
-def test_a_slow_sensor_is_read_below_half_its_own_rate_alone(
-    tmp_path: Path, every: int, half: float
-) -> None:
-    one = lines(tmp_path, slow_joints(runs("healthy")[0], every))
-    for k, (reading, _) in enumerate(one.row):
-        top = one.frequency[one.read[:, k]].max()
-        if reading.kind == "acceleration":
-            assert one.read[:, k].all()
-        else:
-            assert 0.6 * half < top < 1.15 * half
-
-
-def test_the_noise_of_a_slow_sensor_is_no_less_than_of_the_same_one_read_at_every_row(
-    tmp_path: Path,
-) -> None:
-    run = runs("healthy")[0]
-    own = {r.sensor: k for k, (r, _) in enumerate(lines(tmp_path, run).row)}
-    fast, slow = lines(tmp_path, run), lines(tmp_path, slow_joints(run, 8))
-    for k, (reading, _) in enumerate(slow.row):
-        if reading.kind == "velocity":
-            assert slow.noise[:, k].min() > 0.5 * fast.noise[:, own[reading.sensor]].min()
-
-
-def test_sensors_at_the_rate_of_the_rows_are_read_at_every_line(tmp_path: Path) -> None:
-    assert lines(tmp_path, runs("healthy")[0]).read.all()
-    quiet = with_sensors(runs("healthy")[0], _without_noise)
-    assert lines(tmp_path, quiet).read.all()
-
-
-def _without_noise(name: str, values: np.ndarray) -> np.ndarray:
-    """Nothing above the excited band, as in a simulation of perfect sensors."""
-    spectrum = np.fft.rfft(values - values.mean(axis=0), axis=0)
-    spectrum[np.fft.rfftfreq(len(values), 1e-3) > 150.0] = 0.0
-    return np.asarray(np.fft.irfft(spectrum, len(values), axis=0) + values.mean(axis=0))
-
-
 def test_a_missing_sample_costs_no_sensor(tmp_path: Path) -> None:
     def missing(name: str, values: np.ndarray) -> np.ndarray:
         values = values.copy()

@@ -49,28 +49,6 @@ def test_a_late_accelerometer_names_no_fault(tmp_path: Path) -> None:
     assert bench_of(tmp_path, 5e-3).diagnosis(plan=False).fault.kind == "healthy"
 
 
-def test_a_common_clock_is_left_alone(tmp_path: Path) -> None:
-    result = bench_of(tmp_path, 0.0).diagnosis(plan=False)
-    assert not any("clock" in each for each in (*result.open_because, *result.warnings))
-
-
-def test_shifting_back_leaves_no_offset(tmp_path: Path) -> None:
-    bench = bench_of(tmp_path, 5e-3)
-    clocks = clocks_of(bench.uncertain, bench.suspect)
-    assert clocks.offset is not None
-    again = clock_offset(bench.uncertain, [clocks.corrected(one) for one in bench.suspect])
-    assert again is not None and abs(again.seconds) < 1e-4
-
-
-def test_correlation_is_drawn_on_one_clock(tmp_path: Path) -> None:
-    prompt, delayed = (bench_of(tmp_path, s, "slide").diagnosis(plan=False) for s in (0.0, 5e-3))
-    assert prompt.fault.hypothesis == delayed.fault.hypothesis
-    for one, other in zip(prompt.records, delayed.records, strict=True):
-        for first, second in zip(one.loops, other.loops, strict=True):
-            # The direction is estimated anew; 5 ms turn the phase by up to half a turn.
-            assert second.correlation == pytest.approx(first.correlation, abs=0.15)
-
-
 def test_free_travel_is_estimated_on_one_clock(tmp_path: Path) -> None:
     whole = []
     for seconds in (0.0, 5e-3):

@@ -11,23 +11,20 @@ import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.instrument.model.instrumented_arm import read_arm
-from loose_env.instrument.model.motion_limits import motion_limits
 from loose_env.instrument.planning.files import signal_files
 from loose_env.instrument.planning.files.plan_files import PlanFiles, write_plan
 from loose_env.instrument.planning.next_measurement import NextSettings
 from loose_env.instrument.planning.plan import Plan, next_for, plan
-from loose_env.instrument.planning.signals.band_choice import level_cap
 from loose_env.instrument.result import Diagnosis, Fault, RecordSeen
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
 from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.recording import read_recording, write_csv
 from loose_env.recording.parquet_file import read_parquet
-from loose_env.report.plan.plan_text import commands_after, steps
+from loose_env.report.plan.plan_text import commands_after
 from tests.instrument.arms.plan_arms import MOTORS, SERVOED, URDF, written
 from tests.instrument.arms.playing import play
 
 FEW = NextSettings(poses=8, seconds=1.2)
-_FEW = ("poses", "seconds")
 
 
 @pytest.fixture(scope="module")
@@ -43,13 +40,6 @@ def motors(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def first(servoed: Path) -> Plan:
     return plan(servoed, choice=FEW)
-
-
-@pytest.fixture(scope="module")
-def torn(first: Plan) -> Diagnosis:
-    """A diagnosis between two hypotheses, with what it wants next."""
-    so_far = known(first, post_s=0.45, fore_s=0.45)
-    return replace(so_far, next=next_for(first.arm, so_far, FEW, motion=MotionSettings()))
 
 
 def known(made: Plan, **shares: float) -> Diagnosis:
@@ -89,27 +79,6 @@ def test_what_is_played_on_servos_does_what_the_plan_says(servoed: Path, joint: 
     assert did.travel == pytest.approx(signal.travel, rel=0.15, abs=2e-5)
     assert did.standing < 1e-3 * did.tool_rms  # it holds its pose before the noise begins
     assert did.held_at == pytest.approx(made.pose, abs=1e-5)
-
-
-def test_the_signal_of_an_arm_that_sags_begins_where_the_arm_was_sent(
-    tmp_path: Path,
-) -> None:
-    """A command that steps from the pose to what holds it would make the arm jump."""
-    soft = SERVOED.replace('kp="900"', 'kp="200"').replace("-2.2 2.2", "-3 3")
-    model = written(tmp_path, soft)
-    pose = (0.0, -20.0, 60.0)
-    made = plan(model, choice=FEW, own=PlanSettings(joint="pan", pose_deg=pose, hold_s=1.0))
-    signal, lift = made.signals[0], made.signals[0].commands["lift_servo"]
-    assert lift[0] == lift[-1] == signal.start["lift_servo"] == pytest.approx(made.pose[1])
-    assert abs(signal.sags[1]) > np.radians(1.0)
-    steady = (signal.time >= signal.steady_s[0]) & (signal.time < signal.steady_s[1])
-    assert lift[steady] == pytest.approx(made.pose[1] + signal.sags[1])
-    assert np.abs(np.diff(lift)).max() < 0.01 * abs(signal.sags[1])
-    did = play(made)
-    assert did.first_step < 0.3  # a step of the sag makes it 5 and more
-    assert did.held_at == pytest.approx(made.pose, abs=1e-3)
-    assert any("servos sag" in words and "lift by" in words for words in made.warnings)
-    assert "lift_servo at -0.3491" in " ".join(steps(made, ("run-01.csv",)))
 
 
 def test_motors_are_given_torque_that_holds_the_pose_too(motors: Path) -> None:
@@ -192,60 +161,6 @@ def test_a_plan_takes_what_the_diagnosis_wants_next(servoed: Path, first: Plan) 
         assert not any("asks for next" in warning for warning in made.warnings)
 
 
-def test_what_limits_leave_little_of_is_chosen_anew(servoed: Path, first: Plan) -> None:
-    wanted = next_for(first.arm, settings=FEW)
-    so_far = replace(known(first, fore_s=0.5), next=wanted)
-    slow = MotionSettings(max_acceleration_rad_s2=(20.0,))
-    made = plan(servoed, so_far, choice=FEW, motion=slow)
-    assert any("the controller's limits leave" in warning for warning in made.warnings)
-    assert all(peak.within for peak in made.signals[0].peaks)
-
-
-def test_what_a_diagnosis_asks_for_within_the_limits_is_planned_as_it_is(
-    servoed: Path, first: Plan
-) -> None:
-    slow = MotionSettings(max_acceleration_rad_s2=(100.0,), command_bandwidth_hz=120.0)
-    free = next_for(first.arm, settings=FEW, motion=MotionSettings(max_speed_rad_s=(1e3,)))
-    wanted = next_for(first.arm, settings=FEW, motion=slow)
-    cap = level_cap(first.arm, first.arm.linear, motion_limits(first.arm, slow), "model")
-    pose, joint = first.arm.pose_of(wanted.pose), first.arm.joints.index(wanted.joints[0])
-    assert wanted.band_hz[1] == 120.0
-    assert wanted.torques[0] == pytest.approx(cap(pose, joint, wanted.band_hz))
-    assert wanted.torques[0] < 0.5 * free.torques[0]
-    made = plan(servoed, replace(known(first, fore_s=0.5), next=wanted), choice=FEW, motion=slow)
-    assert made.next.pose == wanted.pose
-    assert not any("asks for next" in warning for warning in made.warnings)
-    assert all(peak.within for peak in made.signals[0].peaks)
-
-
-@pytest.mark.parametrize(
-    ("changed", "own"),
-    [
-        ({"most_tool": 2.0}, PlanSettings()),
-        ({"seconds": 1.4}, PlanSettings()),
-        ({"in_turn": 2}, PlanSettings()),
-        ({"band_high": 70.0}, PlanSettings()),
-        ({"ground_m": 0.3}, PlanSettings()),
-        ({}, PlanSettings(from_deg=(20.0, -30.0, 60.0))),
-    ],
-)
-def test_settings_that_are_given_count_beside_what_the_diagnosis_wants_next(
-    servoed: Path, first: Plan, torn: Diagnosis, changed: dict[str, float], own: PlanSettings
-) -> None:
-    choice = replace(FEW, **changed)  # type: ignore[arg-type]
-    made = plan(servoed, torn, choice=choice, own=own)
-    anew = next_for(first.arm, torn, choice, own, MotionSettings())
-    assert made.next.pose == anew.pose
-    assert made.next.joints == anew.joints
-    assert made.next.seconds == choice.seconds
-    assert len(made.signals) == choice.in_turn
-    assert all(signal.tool_rms < 1.1 * choice.most_tool for signal in made.signals)
-    if choice.band_high is not None:
-        assert made.next.band_hz[1] <= choice.band_high
-    assert any("asks for next" in warning for warning in made.warnings)
-    assert set(made.again) - set(_FEW) == set(changed) - set(_FEW)
-
-
 def test_what_a_diagnosis_wants_next_is_not_taken_through_the_floor(
     servoed: Path, first: Plan
 ) -> None:
@@ -278,21 +193,6 @@ def test_the_next_command_has_the_options_that_the_session_began_with(servoed: P
         assert words in command
     assert "--joint" not in command
     assert "--noise-ug" not in command
-
-
-def test_the_diagnosis_and_the_plan_choose_alike(servoed: Path, first: Plan) -> None:
-    so_far = known(first, post_s=0.45, fore_s=0.45)
-    motion = MotionSettings()
-    chosen = next_for(first.arm, so_far, FEW, motion=motion)
-    assert chosen.pose == plan(servoed, so_far, choice=FEW).next.pose
-
-
-def test_what_a_settled_diagnosis_was_limited_to_still_holds(servoed: Path, first: Plan) -> None:
-    limits = {"most_tool": 2.0, "poses": 2, "seconds": 1.0, "sure": 0.98}
-    settled = replace(known(first, fore_s=0.99), settled=True, settings=limits)
-    made = plan(servoed, settled)
-    assert made.settings["most_tool"] == 2.0
-    assert made.signals[0].tool_rms < 2.2
 
 
 def test_several_joints_are_played_in_turn(servoed: Path) -> None:

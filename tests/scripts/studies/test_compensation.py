@@ -12,7 +12,8 @@ from loose_env.arms import LinearArm, vera
 from loose_env.excitation import at_levels
 from loose_env.rig import Measurement, SimulatedRig
 from loose_env.sensors import SensorSuite
-from loose_env.statistics import acceleration_from_angle, spectral_flatness
+from loose_env.statistics import acceleration_from_angle
+from loose_env.thesis.methods.motion.signals import spectral_flatness
 
 
 @pytest.fixture(scope="module")

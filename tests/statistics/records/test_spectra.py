@@ -10,7 +10,6 @@ from loose_env.errors import InvalidData
 from loose_env.statistics import (
     acceleration_from_angle,
     bandpass,
-    spectral_flatness,
     transfer_function,
 )
 
@@ -127,29 +126,12 @@ def test_nothing_is_said_where_the_input_has_no_power():
     assert (found.response[0, far] == 0).all()
 
 
-@pytest.mark.parametrize("memory", [0.0, 0.5, 0.8])
-def test_flatness_of_a_first_order_process_is_its_innovation_over_its_variance(rng, memory):
-    # Szego and Kolmogorov: the geometric mean of a spectrum is the innovation variance.
-    noise = scipy_signal.lfilter([1.0], [1.0, -memory], rng.standard_normal(200_000))
-    found = spectral_flatness(noise, RATE, (0.0, 500.0), segments=400)
-    assert float(found) == pytest.approx(1 - memory**2, rel=0.03)
-
-
-def test_flatness_does_not_depend_on_level_and_falls_with_a_peak(rng):
-    noise = rng.standard_normal(1200)
-    peaked = noise + 5 * wave(83.0)
-    flat = spectral_flatness([noise, 1e3 * noise, peaked], RATE, BAND)
-    assert flat.shape == (3,)
-    assert flat[0] == pytest.approx(flat[1])
-    assert 0 < flat[2] < 0.3 * flat[0] < 0.3
-
-
 @pytest.mark.parametrize(
     "band", [(-1.0, 50.0), (50.0, 30.0), (50.0, 50.0), (30.0, 500.1), (math.nan, 50.0)]
 )
 def test_a_band_outside_zero_and_half_the_rate_is_refused(rng, band):
     noise = rng.standard_normal(200)
-    for function in (bandpass, acceleration_from_angle, spectral_flatness):
+    for function in (bandpass, acceleration_from_angle):
         with pytest.raises(InvalidData, match="band"):
             function(noise, RATE, band)
 
@@ -170,7 +152,7 @@ def test_a_rate_must_be_above_zero(rng, rate):
 
 @pytest.mark.parametrize("bad", [[1.0, 2.0, 3.0], [1.0] * 50 + [math.nan], 3.0])
 def test_signals_that_cannot_be_used_are_refused(bad):
-    for function in (bandpass, acceleration_from_angle, spectral_flatness):
+    for function in (bandpass, acceleration_from_angle):
         with pytest.raises(InvalidData):
             function(bad, RATE, BAND)
     with pytest.raises(InvalidData):
@@ -197,5 +179,3 @@ def test_input_and_output_must_be_sampled_together(rng):
 def test_a_still_signal_has_no_spectrum(rng):
     with pytest.raises(InvalidData, match="constant"):
         transfer_function(np.ones(100), rng.standard_normal(100), RATE)
-    with pytest.raises(InvalidData, match="no power"):
-        spectral_flatness(np.ones(100), RATE, BAND, 1)

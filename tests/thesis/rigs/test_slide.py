@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import find_peaks
 
 from loose_env.arms import COIL, ShakenArm
-from loose_env.arms.response.shaken import ShakenResponse
+from loose_env.arms.sites import ShakenResponse
 from loose_env.excitation import Excitation
 from loose_env.rig import SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite

@@ -12,13 +12,14 @@ import numpy as np
 
 from loose_env.envs import FAINT, INK, MUTED
 from loose_env.sensors import STANDARD_GRAVITY
-from loose_env.statistics import moments_by_direction, spectral_flatness
+from loose_env.statistics import kurtosis
 from loose_env.thesis.ch6_experiments.shaken_vera.cases import RATE, Cases, poses
 from loose_env.thesis.ch6_experiments.shaken_vera.tables import (
     coherence_by_direction,
     moment_points,
 )
 from loose_env.thesis.methods.motion.histogram import contour_levels, histogram
+from loose_env.thesis.methods.motion.signals import spectral_flatness
 from loose_env.thesis.rigs.shaken_vera import SHAKEN_BAND
 from loose_env.thesis.shared.plots import (
     COLOURS,
@@ -68,7 +69,7 @@ def direction_figure(
     for state in states:
         x, a = cases[state][pose].pairs[0]
         for name, values in (
-            ("kurtosis", moments_by_direction(a, angles).kurtosis),
+            ("kurtosis", np.array([kurtosis(a, u) for u in units.T])),
             ("flatness", spectral_flatness(units.T @ a, RATE, SHAKEN_BAND)),
             ("coherence", coherence_by_direction(x, a, angles)),
         ):

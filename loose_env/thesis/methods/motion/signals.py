@@ -9,8 +9,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import welch
+from scipy.stats import gmean
 
 from loose_env.errors import InvalidData
+from loose_env.statistics import correlation_loop
 from loose_env.typing import Array
 
 DifferenceRule = Literal["two_point", "three_point"]
@@ -244,3 +247,26 @@ def _filter(g: ArrayLike, rule: Rule) -> Array:
     count = samples.shape[-1] - len(rule.weights) + 1
     terms = (w * samples[..., k : k + count] for k, w in enumerate(rule.weights))
     return np.asarray(sum(terms))
+
+
+def lowest_correlation_search(x: ArrayLike, a: ArrayLike, tolerance: float = 1e-9) -> float:
+    """Direction of lowest correlation by bisection; it changes sign from 0 to pi (4.15) [rad]."""
+    low, high = 0.0, np.pi
+    at_low = correlation_loop(x, a, [low])[0]
+    while high - low > tolerance:
+        middle = 0.5 * (low + high)
+        if correlation_loop(x, a, [middle])[0] * at_low > 0.0:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def spectral_flatness(
+    signal: Array, rate: float, band: tuple[float, float], segments: int = 8
+) -> Array:
+    """Geometric over arithmetic mean of a Welch spectrum in a band (4.1.2), 0 to 1."""
+    half = signal.shape[-1] // (segments + 1)
+    frequency, power = welch(signal[..., : half * (segments + 1)], rate, nperseg=2 * half)
+    inside = (frequency >= band[0]) & (frequency <= band[1])
+    return np.asarray(gmean(power[..., inside], axis=-1) / power[..., inside].mean(axis=-1))

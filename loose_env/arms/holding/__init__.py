@@ -1,4 +1,0 @@
-"""Brakes, position servos and elastic gears at the joints.
-
-Data flow: gears -> compliance.
-"""

@@ -1,4 +1,0 @@
-"""Arms that come with the package.
-
-Data flow: planar -> puma560 -> scara -> vera.
-"""

@@ -1,0 +1,489 @@
+"""Frequency response of the nominal arm to small excitation, in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms.arm import Arm
+from loose_env.errors import InvalidSetting
+from loose_env.typing import Array, ComplexArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenResponse:
+    """Response of the arm through each of its seats, were it open, over the band."""
+
+    tool_open_slide: ComplexArray
+    """Change of tool acceleration per unit seat acceleration, (K, d, n links, s axes)."""
+    joint_open_slide: ComplexArray
+    """Change of excited joint acceleration per unit seat acceleration, (K, m, n, s)."""
+    mass_slide: ComplexArray
+    """Apparent mass seen by the seats' slides [kg], (K, n, s, s)."""
+    tool_open_hinge: ComplexArray
+    """As `tool_open_slide`, for play in a joint, (K, d, n)."""
+    joint_open_hinge: ComplexArray
+    """As `joint_open_slide`, for play in a joint, (K, m, n)."""
+    inertia_hinge: ComplexArray
+    """Apparent inertia seen by the joints' link sides [kg·m², kg where it slides], (K, n)."""
+    tool_open_twist: ComplexArray | None = None
+    """As `tool_open_slide`, for slides and rotations of links, (K, d, n, t); None without."""
+    joint_open_twist: ComplexArray | None = None
+    """As `joint_open_slide`, for slides and rotations of links, (K, m, n, t); None without."""
+    mass_twist: ComplexArray | None = None
+    """Apparent mass of slides and rotations of links [kg, kg·m, kg·m²], (K, n, t, t)."""
+
+
+def inertance_rate(timestep: float) -> float:
+    """Corner [rad/s] of the holding constraint: its inertance is stiffness / corner².
+
+    A brake is a constraint of MuJoCo's solver. The solver adds an inertance to the spring
+    and the damper, which keeps a stiff brake stable; half a radian per step is well inside
+    the stable range of the integrator.
+    """
+    return 0.5 / timestep
+
+
+def dynamic_stiffness(
+    arm: Arm,
+    mass: Array,
+    excited: NDArray[np.bool_],
+    frequency: Array,
+    springs: Array,
+    dampers: Array,
+) -> ComplexArray:
+    """Force per motion of joints, then bending modes, over the band.
+
+    Parameters
+    ----------
+    arm : Arm
+        The arm; it says what holds and what centres its joints.
+    mass : ndarray (B, v, v)
+        Inertia in each of B poses.
+    excited : ndarray of bool (B, n)
+        Joints that are excited; all others are held.
+    frequency : ndarray (K,)
+        Frequencies [Hz].
+    springs, dampers : ndarray (v,)
+        Of the arm itself.
+
+    Returns
+    -------
+    ndarray (v, v, B, K)
+    """
+    omega = 2 * np.pi * frequency
+    s = 1j * omega
+    loose = s * dampers[:, None] + springs[:, None]
+    for j in range(arm.n):
+        loose[j] += arm.centring.stiffness[j] + s * arm.centring.damping[j]
+    held = loose.copy()
+    for j in range(arm.n):
+        k, c = arm.holding.stiffness[j], arm.holding.damping[j]
+        inertance = k / inertance_rate(arm.timestep) ** 2
+        held[j] += k + s * c - omega**2 * inertance
+    stiffness = mass.transpose(1, 2, 0)[..., None] * (-(omega**2) + 0j)
+    for v in range(len(springs)):
+        free = excited[:, v, None] if v < arm.n else True  # bending modes are never held
+        stiffness[v, v] += np.where(free, loose[v], held[v])
+    return np.asarray(stiffness)
+
+
+def solved(stiffness: ComplexArray, force: ComplexArray) -> ComplexArray:
+    """Solve systems of equations that lie along the last axes, (v, v, ...) and (v, m, ...).
+
+    Gauss-Jordan elimination of all of them at once, by operations on single elements: a system's
+    solution does not depend on the others. Dampers keep the pivots of a dynamic stiffness off
+    zero. Both arrays are overwritten.
+    """
+    for p in range(len(stiffness)):
+        scale = 1.0 / stiffness[p, p]
+        ahead = stiffness[p, p + 1 :] * scale
+        known = force[p] * scale
+        for v in range(len(stiffness)):
+            if v != p:
+                factor = stiffness[v, p]
+                stiffness[v, p + 1 :] -= factor * ahead
+                force[v] -= factor * known
+        stiffness[p, p + 1 :] = ahead
+        force[p] = known
+    return force
+
+
+_TURNS = {2: (5,), 3: (3, 4, 5)}  # rotations among the six motions of a link: in plane, in space
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Response:
+    """The healthy arm's answer per unit torque at each excited joint, over the band."""
+
+    pose: LinearPose
+    """The arm in its pose."""
+    acceleration: ComplexArray
+    """Acceleration of joints, then bending modes, per torque (K, v, m)."""
+    tool: ComplexArray
+    """Tool acceleration per torque, tool frame [m/s² per N·m], (K, d, m)."""
+
+    @property
+    def frequency(self) -> Array:
+        """Frequencies [Hz] (K,)."""
+        return self.pose.linear.frequency
+
+    @property
+    def joint(self) -> ComplexArray:
+        """Joint acceleration per torque [rad/s² per N·m], (K, n joints, m excited)."""
+        return self.acceleration[:, : self.pose.linear.arm.n]
+
+    @property
+    def slide(self) -> ComplexArray:
+        """Force each shut slide transmits per torque [N per N·m], (K, n links, s axes, m)."""
+        n, axes = self.pose.linear.slide_dofs.shape
+        return self._transmitted[:, : n * axes].reshape(-1, n, axes, self.tool.shape[-1])
+
+    @property
+    def hinge(self) -> ComplexArray:
+        """Load each joint's link side transmits per torque (K, n joints, m).
+
+        A torque [1], or a force where the joint slides [N per N·m].
+        """
+        n, axes = self.pose.linear.slide_dofs.shape
+        return self._transmitted[:, n * axes : n * axes + n]
+
+    @property
+    def twist(self) -> ComplexArray | None:
+        """Load through each shut seat per torque (K, n links, t, m); None without rotations.
+
+        Forces, then moments about the link frame's origin [N or N·m per N·m]; see
+        `LinearArm.twist_dofs`.
+        """
+        pose = self.pose
+        return self._transmitted[:, pose.twists] if pose.linear.rotations else None
+
+    @cached_property
+    def _transmitted(self) -> ComplexArray:
+        pose = self.pose
+        coupling = pose.inertia[np.ix_(pose.linear.moving, pose.seats)]
+        return np.asarray(np.einsum("vs,kvm->ksm", coupling, self.acceleration))
+
+
+class LinearArm:
+    """The nominal arm with all its seats, linearised wherever it is asked to be.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    points : int, optional
+        Number of frequencies across the band. Default: 24 where every mode lies outside the
+        band, 240 where the arm has bending modes of its own or is held by servos.
+    remember : int
+        Number of poses whose answers are kept.
+    rotations : bool
+        Whether links may rotate on their flanges as well. Slower; all other answers are the
+        same to rounding.
+
+    Raises
+    ------
+    InvalidSetting
+        If a link has joints of its own beside the seat and ``rotations`` is asked for: a body of
+        MuJoCo moves in six ways at most.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> at = LinearArm(planar(2)).at([0.0, 0.5])
+    >>> at.kinematic.shape
+    (2, 2)
+    """
+
+    def __init__(
+        self, arm: Arm, *, points: int | None = None, remember: int = 512, rotations: bool = False
+    ) -> None:
+        self.arm = arm
+        self.rotations = rotations
+        spec = arm.spec.copy()
+        sliding = np.eye(3)[: len(arm.axes)]
+        # Play that the link's slides and turns already hold is made of them.
+        made = arm.sliding | rotations
+        turning = np.eye(3)[3 - len(_TURNS[len(arm.axes)]) :] if rotations else np.zeros((0, 3))
+        for i, (body_name, joint_name) in enumerate(
+            zip(arm.seat_bodies, arm.joints, strict=True), start=1
+        ):
+            body, joint = spec.body(body_name), spec.joint(joint_name)
+            if not made[i - 1]:
+                body.add_joint(
+                    name=f"open_hinge{i}",
+                    type=mujoco.mjtJoint.mjJNT_HINGE,
+                    axis=joint.axis,
+                    pos=joint.pos,
+                )
+            if rotations and len(body.joints) + len(sliding) + len(turning) > 6:
+                raise InvalidSetting(
+                    f"link {i} of arm {arm.name!r} has joints of its own; its rotations cannot be "
+                    "added: put these joints on a body of their own"
+                )
+            for k, axis in enumerate(sliding):
+                body.add_joint(
+                    name=f"open_slide{i}_{k}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=list(axis)
+                )
+            for k, axis in enumerate(turning):
+                body.add_joint(
+                    name=f"open_turn{i}_{k}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=list(axis)
+                )
+        self.model = model = spec.compile()
+        self._data = mujoco.MjData(model)
+        address = {model.joint(j).name: model.joint(j).dofadr[0] for j in range(model.njnt)}
+        self.joint_dofs = np.array([address.pop(j) for j in arm.joints], dtype=np.intp)
+        places = range(1, arm.n + 1)
+
+        def seats(kind: str, axes: int) -> NDArray[np.intp]:
+            each = [[address.pop(f"open_{kind}{i}_{k}") for k in range(axes)] for i in places]
+            return np.array(each, dtype=np.intp).reshape(arm.n, axes)
+
+        self.slide_dofs = seats("slide", len(sliding))
+        self.turn_dofs = seats("turn", len(turning))
+        self.hinge_dofs = np.asarray(model.nv - 1 + np.cumsum(made), dtype=np.intp)
+        for joint in np.flatnonzero(~made):
+            self.hinge_dofs[joint] = address.pop(f"open_hinge{joint + 1}")
+        # Play made of slides and rotations of the link (nv, joints); None where no joint has it.
+        self.play = self._play_columns(np.flatnonzero(made)) if made.any() else None
+        self.flexible_dofs = np.array(sorted(address.values()), dtype=np.intp)
+        self.tool = model.site(arm.tool).id
+        if points is None:
+            # Bending and servo modes reach into the band; brakes lie far above it.
+            points = 240 if len(self.flexible_dofs) or arm.hold == "servo" else 24
+        self.frequency = np.linspace(*arm.band, points)
+        self._remember = remember
+        self._cache: dict[bytes, LinearPose] = {}
+
+    def variant(self, arm: Arm, model: mujoco.MjModel | None = None) -> LinearArm:
+        """Answer for the same bodies in another band, held otherwise, or with other springs."""
+        other = copy(self)
+        other.arm, other.model, other._cache = arm, self.model if model is None else model, {}
+        other.frequency = np.linspace(*arm.band, len(self.frequency))
+        return other
+
+    @property
+    def twist_dofs(self) -> NDArray[np.intp]:
+        """Slides, then rotations of each link about its frame's origin (n, t).
+
+        With rotations t is 3 in the plane (x, y, the turn about z) and 6 in space, which are the
+        coordinates of `loose_env.faults.twist_of`.
+        """
+        return np.concatenate([self.slide_dofs, self.turn_dofs], axis=1)
+
+    @property
+    def moving(self) -> NDArray[np.intp]:
+        """Degrees of freedom that answer: joints, then bending modes (v,)."""
+        return np.concatenate([self.joint_dofs, self.flexible_dofs])
+
+    @property
+    def springs(self) -> tuple[Array, Array]:
+        """Stiffness and damping of the arm itself at every degree of freedom (nv,) each.
+
+        In the order of `LinearPose.inertia`; nothing of what holds the joints is in it.
+        """
+        model = self.model
+        more = 0 if self.play is None else self.play.shape[1]
+        stiffness = model.jnt_stiffness[model.dof_jntid]
+        return np.pad(stiffness, (0, more)), np.pad(model.dof_damping, (0, more))
+
+    def _play_columns(self, joints: NDArray[np.intp]) -> Array:
+        """Motion of some joints' link sides in the model's coordinates (nv, joints)."""
+        model, bare = self.model, self.arm.model
+        columns = np.zeros((model.nv, len(joints)))
+        for column, i in enumerate(joints):
+            joint = bare.joint(self.arm.joints[i])
+            twist = np.concatenate([joint.axis, np.zeros(3)])
+            if not self.arm.sliding[i]:
+                twist = np.concatenate([np.cross(joint.pos, joint.axis), joint.axis])
+            kept = [*range(self.slide_dofs.shape[1]), *_TURNS[len(self.arm.axes)]]
+            # Without rotations only the slides are there; a sliding joint needs no more.
+            columns[self.twist_dofs[i], column] = twist[kept][: self.twist_dofs.shape[1]]
+        return columns
+
+    def at(self, pose: Sequence[float] | Array) -> LinearPose:
+        """Linearise at a pose [rad] (n,). Recent poses are remembered.
+
+        Raises
+        ------
+        InvalidSetting
+            If the pose does not have one finite number for every joint.
+        """
+        q = np.asarray(pose, dtype=float)
+        if q.shape != (self.arm.n,) or not np.isfinite(q).all():
+            raise InvalidSetting(
+                f"a pose of {self.arm.name!r} is {self.arm.n} finite numbers [rad], got {pose!r}"
+            )
+        key = q.tobytes()
+        found = self._cache.get(key)
+        if found is None:
+            while len(self._cache) >= self._remember:
+                del self._cache[next(iter(self._cache))]  # the oldest
+            found = self._cache[key] = self._linearise(q)
+        return found
+
+    def responses(self, poses: Sequence[LinearPose], excited: NDArray[np.bool_]) -> list[Response]:
+        """Frequency responses at several poses of this arm at once; they remember them.
+
+        ``excited`` (B, n) says which joints are excited in each pose; all others are held.
+        """
+        masks = [tuple(row) for row in excited.tolist()]
+        missing: dict[int, dict[tuple[int, tuple[bool, ...]], LinearPose]] = {}
+        for pose, mask in zip(poses, masks, strict=True):
+            if mask not in pose.remembered:
+                missing.setdefault(sum(mask), {})[id(pose), mask] = pose
+        for asked in missing.values():
+            own = [mask for _, mask in asked]
+            answers = self._respond(list(asked.values()), np.array(own))
+            for pose, mask, answer in zip(asked.values(), own, answers, strict=True):
+                pose.remembered[mask] = answer
+        return [pose.remembered[mask] for pose, mask in zip(poses, masks, strict=True)]
+
+    def _respond(self, poses: Sequence[LinearPose], excited: NDArray[np.bool_]) -> list[Response]:
+        """Responses with equally many joints excited in each pose."""
+        move = self.moving
+        mass = np.array([pose.inertia[np.ix_(move, move)] for pose in poses])
+        count, m = excited.shape[0], int(excited[0].sum())
+        torque = np.zeros((len(move), m, count, len(self.frequency)), dtype=complex)
+        owner, driven = np.nonzero(excited)
+        torque[driven, np.tile(np.arange(m), count), owner] = 1.0
+        answer = solved(self.dynamic_stiffness(mass, excited), torque)
+        answer *= -((2 * np.pi * self.frequency) ** 2)
+        jacobian = np.array([pose.jacobian[:, move] for pose in poses])
+        tool = np.zeros((jacobian.shape[1], *answer.shape[1:]), dtype=complex)
+        for v in range(len(move)):
+            tool += jacobian[:, :, v].T[:, None, :, None] * answer[v]
+        # Contiguous for each pose, so that sums over it do not depend on the others.
+        acceleration = np.ascontiguousarray(answer.transpose(2, 3, 0, 1))
+        tool = np.ascontiguousarray(tool.transpose(2, 3, 0, 1))
+        return [
+            Response(pose=pose, acceleration=own, tool=moved)
+            for pose, own, moved in zip(poses, acceleration, tool, strict=True)
+        ]
+
+    def dynamic_stiffness(self, mass: Array, excited: NDArray[np.bool_]) -> ComplexArray:
+        """Dynamic stiffness of joints and bending modes (v, v, B, K)."""
+        springs, dampers = (own[self.moving] for own in self.springs)
+        return dynamic_stiffness(self.arm, mass, excited, self.frequency, springs, dampers)
+
+    def _linearise(self, q: Array) -> LinearPose:
+        model, data = self.model, self._data
+        position = data.qpos
+        position[:] = model.qpos0
+        position[model.jnt_qposadr[model.dof_jntid[self.joint_dofs]]] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_makeM(model, data)
+        inertia = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, inertia)
+        load = np.zeros(model.nv)
+        mujoco.mj_rne(model, data, 0, load)  # at rest: gravity alone
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jacSite(model, data, jacobian, None, self.tool)
+        frame = data.site_xmat[self.tool].reshape(3, 3)
+        jacobian = (frame.T @ jacobian)[list(self.arm.axes)]
+        if self.play is not None:
+            all_of = np.hstack([np.eye(model.nv), self.play])
+            inertia, jacobian, load = all_of.T @ inertia @ all_of, jacobian @ all_of, load @ all_of
+        return LinearPose(linear=self, pose=q, inertia=inertia, jacobian=jacobian, load=load)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinearPose:
+    """The linear arm at one pose."""
+
+    linear: LinearArm
+    pose: Array
+    """Joint positions [rad] (n,)."""
+    inertia: Array
+    """Inertia matrix of joints, bending modes and seats (nv, nv)."""
+    jacobian: Array
+    """Tool motion per motion of each degree of freedom, tool frame (d, nv)."""
+    load: Array
+    """Generalised force that holds each degree of freedom against gravity (nv,)."""
+
+    @property
+    def kinematic(self) -> Array:
+        """Tool motion per joint motion, every other joint still (d, n) [m]."""
+        return self.jacobian[:, self.linear.joint_dofs]
+
+    @property
+    def gravity_torque(self) -> Array:
+        """Torque that holds each joint against gravity [N·m] (n,)."""
+        return self.load[self.linear.joint_dofs]
+
+    @property
+    def seat_load(self) -> Array:
+        """Force that each link's slides carry at rest [N] (n, s)."""
+        return self.load[self.linear.slide_dofs]
+
+    @cached_property
+    def remembered(self) -> dict[tuple[bool, ...], Response]:
+        """Responses so far, by the joints excited; see `LinearArm.responses`."""
+        return {}
+
+    @property
+    def seats(self) -> NDArray[np.intp]:
+        """Degrees of freedom of all seats: slides, link sides of joints, then rotations."""
+        lin = self.linear
+        return np.concatenate([lin.slide_dofs.ravel(), lin.hinge_dofs, lin.turn_dofs.ravel()])
+
+    @property
+    def twists(self) -> NDArray[np.intp]:
+        """Indices of each link's slides and rotations among the seats (n, t)."""
+        slides, turns = self.linear.slide_dofs, self.linear.turn_dofs
+        first = slides.size + len(self.linear.hinge_dofs)
+        return np.concatenate(
+            [
+                np.arange(slides.size).reshape(slides.shape),
+                first + np.arange(turns.size).reshape(turns.shape),
+            ],
+            axis=1,
+        )
+
+    def response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> Response:
+        """Return the frequency response with the given joints excited and all others held."""
+        return self.linear.responses([self], np.array([excited], dtype=bool))[0]
+
+    def open_response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> OpenResponse:
+        """Return the answer through every seat, with the given joints excited."""
+        lin, move, seats = self.linear, self.linear.moving, self.seats
+        mask = np.array([bool(e) for e in excited])
+        n, axes, d = lin.arm.n, lin.slide_dofs.shape[1], self.jacobian.shape[0]
+        driven = np.flatnonzero(mask)
+        count, m = len(lin.frequency), len(driven)
+        # Unit seat acceleration pushes back on the moving coordinates through the inertia.
+        coupling = self.inertia[np.ix_(move, seats)]
+        push = np.broadcast_to(-coupling.astype(complex), (count, *coupling.shape))
+        by_seat = self._accelerations(mask, push)
+        tool = np.einsum("dv,kvs->kds", self.jacobian[:, move], by_seat) + self.jacobian[:, seats]
+        apparent = np.einsum("vs,kvt->kst", coupling, by_seat) + self.inertia[np.ix_(seats, seats)]
+        ns = n * axes
+        blocks = apparent[:, :ns, :ns].reshape(count, n, axes, n, axes)
+        hinges, at = slice(ns, ns + n), self.twists
+        return OpenResponse(
+            tool_open_slide=tool[:, :, :ns].reshape(count, d, n, axes),
+            joint_open_slide=by_seat[:, driven, :ns].reshape(count, m, n, axes),
+            mass_slide=np.einsum("kiaib->kiab", blocks),
+            tool_open_hinge=tool[:, :, hinges],
+            joint_open_hinge=by_seat[:, driven, hinges],
+            inertia_hinge=np.einsum("kii->ki", apparent[:, hinges, hinges]),
+            tool_open_twist=tool[:, :, at] if lin.rotations else None,
+            joint_open_twist=by_seat[:, driven][:, :, at] if lin.rotations else None,
+            mass_twist=apparent[:, at[:, :, None], at[:, None, :]] if lin.rotations else None,
+        )
+
+    def _accelerations(self, excited: NDArray[np.bool_], force: ComplexArray) -> ComplexArray:
+        """Accelerations of joints and bending modes under generalised forces (K, v, ...)."""
+        omega = 2 * np.pi * self.linear.frequency
+        move = self.linear.moving
+        mass = self.inertia[np.ix_(move, move)]
+        stiffness = self.linear.dynamic_stiffness(mass[None], excited[None])[:, :, 0]
+        motion = np.linalg.solve(stiffness.transpose(2, 0, 1), force)
+        return np.asarray(-(omega**2)[:, None, None] * motion, dtype=np.complex128)

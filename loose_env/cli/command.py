@@ -1,0 +1,273 @@
+"""Command lines from settings dataclasses: parsing by tyro, errors in one line, exit codes.
+
+Every script and every subcommand of ``loose`` goes through here. Exit codes: 0 done; 1 something
+given cannot be used; 2 the command line is wrong; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from typing import Any, NoReturn, TypeVar, get_type_hints
+
+import gymnasium
+import tyro
+from tyro import _errors as rejected  # no public name tells what a command line was refused for
+from tyro.constructors import PrimitiveConstructorSpec
+
+from loose_env.errors import InvalidSetting, LooseEnvError, words_of
+from loose_env.io import unmet
+
+REFUSED, WRONG, INTERRUPTED = 1, 2, 130
+"""Exit codes beside 0."""
+
+ERRORS = (LooseEnvError, OSError, ImportError, ValueError, gymnasium.error.Error)
+"""Errors of what was given; any other is a fault of the program and keeps its trace."""
+
+_CONFIG = (
+    tyro.conf.DisallowNone,
+    tyro.conf.HelptextFromCommentsOff,
+    tyro.conf.PositionalMetavarFromFieldName,
+)
+
+S = TypeVar("S")
+
+
+def command(
+    name: str,
+    about: str | None,
+    kind: type[S],
+    action: Callable[[S], object],
+    arguments: Sequence[str] | None = None,
+    *,
+    interrupted: str = "",
+) -> None:
+    """Run a script: settings from the command line, then its action, with errors in one line.
+
+    Each field of the dataclass is an option with the docstring under it as help: a `Literal` is a
+    choice (`one_of` makes one at run time), a tuple takes several values, a boolean is
+    ``--flag`` or ``--no-flag``, a field without default has to be given.
+    ``tyro.conf.Positional[Path]`` has no flag; ``Annotated[int, tyro.conf.arg(aliases=["-n"])]``
+    has a further name; ``tyro.conf.UseAppendAction[tuple[str, ...]]`` is given repeatedly;
+    ``tuple[str, ...] | None`` is None, or () where the flag stands alone. A field that is a
+    dataclass has its options too, ``--field.name``, or ``--name`` as
+    ``tyro.conf.OmitArgPrefixes[Kind]``. Values are checked by the rules of
+    the annotations, such as `Count`.
+
+    Parameters
+    ----------
+    name : str
+        Name that an error begins with.
+    about : str
+        Text of the help.
+    kind : type
+        Dataclass of the settings.
+    action : callable
+        Takes the settings.
+    arguments : sequence of str, optional
+        The command line; that of the process if None.
+    interrupted : str
+        What follows after Ctrl-C, such as how the work goes on.
+
+    Raises
+    ------
+    SystemExit
+        With a line that begins with the name (exit code 1), or 2 or 130 after printing it.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True, kw_only=True)
+    ... class Settings:
+    ...     cases: int = 8
+    ...     steps: tuple[float, ...] = (0.5,)
+    ...     quick: bool = False
+    >>> command("study", "A study.", Settings, print, ["--steps", "0.1", "0.2", "--quick"])
+    Settings(cases=8, steps=(0.1, 0.2), quick=True)
+    """
+    with errors_in_one_line(name, interrupted=interrupted):
+        action(parsed(name, about, kind, arguments))
+
+
+def commands(
+    name: str,
+    about: str | None,
+    actions: Mapping[str, tuple[type[Any], Callable[[Any], object]]],
+    arguments: Sequence[str] | None = None,
+    *,
+    interrupted: str = "",
+) -> None:
+    """Run the subcommand that the command line names first, as `command` does.
+
+    Parameters
+    ----------
+    name, about, arguments, interrupted
+        As in `command`.
+    actions : mapping
+        Subcommand -> dataclass of its settings, whose docstring is its help, and action.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    if words[:1] in ([], ["-h"], ["--help"]):
+        lines = [f"  {each}: {_first_line(kind)}" for each, (kind, _) in actions.items()]
+        print(f"usage: {name} COMMAND [OPTIONS]\n\n{(about or '').strip()}\n", *lines, sep="\n")
+    elif words[0] in actions:
+        kind, action = actions[words[0]]
+        said = f"{name} {words[0]}"
+        command(said, kind.__doc__, kind, action, words[1:], interrupted=interrupted)
+    else:
+        refuse(name, f"{words[0]!r} is no command; there are {', '.join(actions)}")
+
+
+def parsed(
+    name: str,
+    about: str | None,
+    kind: type[S],
+    arguments: Sequence[str] | None = None,
+    *,
+    default: S | None = None,
+) -> S:
+    """Parse a command line into a settings dataclass; see `command`.
+
+    Parameters
+    ----------
+    name, about, kind, arguments
+        As in `command`.
+    default : object, optional
+        Settings whose values hold where no option is given, such as those of a quick run or of an
+        earlier output; the dataclass's own by default.
+
+    Raises
+    ------
+    InvalidSetting
+        Naming the first option whose value its annotation does not allow.
+    SystemExit
+        With exit code 2 after a line on what is wrong, or 0 after the help.
+    """
+    with rejected.on_parse_error(lambda event: _refuse(name, event)):
+        found: S = tyro.cli(
+            kind,
+            args=arguments,
+            prog=name,
+            description=about,
+            config=_CONFIG,
+            default=tyro.MISSING_NONPROP if default is None else default,
+        )
+    _check(found)
+    return found
+
+
+def one_of(names: Sequence[str]) -> Any:
+    """Annotation of a text that is one of some names: ``Annotated[str, one_of(ARMS)]``.
+
+    In a tuple ``tuple[Annotated[str, one_of(ARMS)], ...]``.
+    """
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="{" + ",".join(names) + "}",
+        instance_from_str=lambda words: words[0],
+        is_instance=lambda value: isinstance(value, str),
+        str_from_instance=lambda value: [value],
+        choices=tuple(names),
+    )
+
+
+@contextmanager
+def errors_in_one_line(
+    name: str,
+    *,
+    interrupted: str = "",
+    errors: tuple[type[BaseException], ...] = ERRORS,
+    verbose: bool = False,
+) -> Iterator[None]:
+    """End the process with a one-line message on invalid input or an interrupt.
+
+    Parameters
+    ----------
+    name : str
+        Name that the line begins with.
+    interrupted : str
+        What follows after Ctrl-C.
+    errors : tuple of type
+        Errors of what was given; others keep their trace.
+    verbose : bool
+        Print the trace of an error too.
+
+    Examples
+    --------
+    >>> with errors_in_one_line("train"):
+    ...     raise LooseEnvError("there is no arm 'vero'")
+    Traceback (most recent call last):
+        ...
+    SystemExit: train: there is no arm 'vero'
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted" + (f"; {interrupted}" if interrupted else ""), file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    except BrokenPipeError:  # whoever read the output has gone, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(REFUSED)
+    except errors as error:
+        if verbose:
+            traceback.print_exc()
+        sys.exit(f"{name}: {words_of(error)}")
+
+
+def refuse(name: str, words: str) -> NoReturn:
+    """End the process because the command line is wrong."""
+    print(f"{name}: {words}; --help lists the options", file=sys.stderr)
+    sys.exit(WRONG)
+
+
+def _refuse(name: str, event: Any) -> None:
+    """Say in one line why tyro refuses a command line; an invalid setting is raised."""
+    if isinstance(event, rejected.InstantiationFailure) and event.argument is None:
+        raise InvalidSetting(str(event.message))
+    if isinstance(event, rejected.InvalidChoice):
+        words = f"{_flag(event.argument)} must be one of {', '.join(event.choices)}"
+        refuse(name, f"{words}; got {event.value!r}")
+    if isinstance(event, rejected.UnrecognizedArgs):
+        refuse(name, f"unrecognized: {' '.join(event.tokens)}")
+    if isinstance(event, rejected.MissingArgs):
+        if event.unrecognized_tokens:
+            refuse(name, f"unrecognized: {' '.join(event.unrecognized_tokens)}")
+        refuse(
+            name, f"{', '.join(_flag(each.arg) for each in event.missing_arguments)} must be given"
+        )
+    if isinstance(event, rejected.MutexConflict):
+        refuse(name, f"{event.first_token} and {event.second_token} exclude each other")
+    argument = getattr(event, "argument", None)
+    if argument is None:
+        refuse(name, "the command line is incomplete")
+    takes = f"{_flag(argument)} takes {argument.lowered.metavar}"
+    given = re.search(r"instantiated from \[(.*)\]|('[^']*')$", str(getattr(event, "message", "")))
+    refuse(name, takes + (f"; got {given[1] or given[2]}" if given else ""))
+
+
+def _flag(argument: Any) -> str:
+    """Longest name of an option, or the metavar of a positional argument."""
+    if argument.is_positional():
+        return str(argument.lowered.metavar)
+    return str(max(argument.lowered.name_or_flags, key=len))
+
+
+def _check(settings: Any) -> None:
+    """Refuse values that the annotations do not allow, by the name of their option."""
+    hints = get_type_hints(type(settings), include_extras=True)
+    for each in fields(settings):
+        value = getattr(settings, each.name)
+        if is_dataclass(value):
+            _check(value)
+        elif words := unmet(hints[each.name], value):
+            flag = f"--{each.name.replace('_', '-')}"
+            raise InvalidSetting(f"{flag} must be {words}; got {value}")
+
+
+def _first_line(kind: type[Any]) -> str:
+    return (kind.__doc__ or "").strip().partition("\n")[0]

@@ -1,4 +1,0 @@
-"""Particle posterior with synthetic likelihoods and tempering.
-
-Data flow: synthetic_likelihood -> tempering -> evidence.
-"""

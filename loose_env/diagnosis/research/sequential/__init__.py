@@ -1,4 +1,0 @@
-"""Sequential tests: change of transmission, stopping rule.
-
-Data flow: transmission_change -> stopping_rule.
-"""

@@ -1,0 +1,428 @@
+"""Random torques: excitation signals, levels at the tool, and the force that drives a seat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from hashlib import sha256
+from typing import Annotated, Literal, get_args
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms import CREST_FACTOR, Arm, LinearArm, LinearPose, Response
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.io import Checked, NonNegative, positive
+from loose_env.typing import Array
+
+__all__ = [
+    "CREST_FACTOR",
+    "UNFELT_LEVER",
+    "Excitation",
+    "SeatDrive",
+    "SeatReference",
+    "Shaping",
+    "all_at_levels",
+    "at_levels",
+    "torque_periods",
+    "torque_signals",
+]
+
+
+def torque_signals(
+    excitation: Excitation,
+    *,
+    timestep: float,
+    before: int,
+    after: int,
+    rng: np.random.Generator,
+) -> Array:
+    """Draw the torque of every joint, and the force of the shaker where it is on.
+
+    Parameters
+    ----------
+    excitation : Excitation
+        Excitation.
+    timestep : float
+        Sampling step [s].
+    before, after : int
+        Samples of run-in and run-out around the record; they continue its period.
+    rng : numpy.random.Generator
+        Source of the draw. Joints draw in order, whether excited or not, so that the signal
+        of a joint does not depend on which others are on; the shaker draws last.
+
+    Returns
+    -------
+    ndarray (n, before + duration / timestep + after)
+        Torques [N·m]; with the shaker on, one more row, its force [N].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> e = Excitation(torque_rms=(2.0, 0.0), duration=1.2, band=(30.0, 150.0))
+    >>> u = torque_signals(e, timestep=1e-3, before=0, after=0, rng=np.random.default_rng(0))
+    >>> u.shape, bool(abs(u[0].std() - 2.0) < 0.3), float(u[1].std())
+    ((2, 1200), True, 0.0)
+    """
+    period, _, joints = torque_periods([excitation], timestep=timestep, rngs=[rng])
+    count = period.shape[1]
+    torque = np.zeros((len(excitation.levels), before + count + after))
+    torque[joints] = period[:, np.arange(-before, count + after) % count]
+    return torque
+
+
+def torque_periods(
+    excitations: Sequence[Excitation], *, timestep: float, rngs: Sequence[np.random.Generator]
+) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+    """Draw one period of the torque of every excited joint of several records of one length.
+
+    Parameters
+    ----------
+    excitations : sequence of Excitation
+        Excitations of one duration and band.
+    timestep : float
+        Sampling step [s].
+    rngs : sequence of numpy.random.Generator
+        Source of each record's draw, as for `torque_signals`.
+
+    Returns
+    -------
+    ndarray (R, duration / timestep)
+        Torques [N·m], or the force of the shaker [N].
+    ndarray of int (R,)
+        Record of each row.
+    ndarray of int (R,)
+        Joint of each row; n for the shaker.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> e = Excitation(torque_rms=(0.0, 2.0), duration=1.2, band=(30.0, 150.0))
+    >>> rows, records, joints = torque_periods(
+    ...     [e, e], timestep=1e-3, rngs=[np.random.default_rng(k) for k in range(2)]
+    ... )
+    >>> rows.shape, records.tolist(), joints.tolist()
+    ((2, 1200), [0, 1], [1, 1])
+    """
+    first = excitations[0]
+    low, high = first.band
+    if high >= 0.5 / timestep:
+        raise InvalidSetting(
+            f"band {first.band} Hz reaches half the sampling rate, {0.5 / timestep:g} Hz"
+        )
+    count = round(first.duration / timestep)
+    frequency = np.arange(count // 2 + 1) / (count * timestep)
+    inside = np.flatnonzero((frequency >= low - 1e-9) & (frequency <= high + 1e-9))
+    owners, joints, lines = [], [], []
+    for k, (excitation, rng) in enumerate(zip(excitations, rngs, strict=True)):
+        levels = excitation.levels
+        draws = rng.standard_normal((len(levels), len(inside), 2))
+        for j, rms in enumerate(levels):
+            if rms == 0:
+                continue
+            owners.append(k)
+            joints.append(j)
+            # E|line|² = 2; the expected rms of the sum of all lines is the one asked for.
+            own = (draws[j, :, 0] + 1j * draws[j, :, 1]) * (
+                rms * count / (2 * np.sqrt(len(inside)))
+            )
+            shape = None if excitation.shaping is None else (*excitation.shaping, None)[j]
+            if shape is not None:
+                weight = shape(frequency[inside])
+                own *= weight / np.sqrt(np.mean(weight**2))
+            lines.append(own)
+    spectra = np.zeros((len(lines), count // 2 + 1), dtype=complex)
+    spectra[:, inside] = np.reshape(lines, (len(lines), len(inside)))
+    # numpy transforms row by row: no row depends on the others.
+    rows = np.fft.irfft(spectra, n=count)
+    return rows, np.array(owners, dtype=np.intp), np.array(joints, dtype=np.intp)
+
+
+Shaping = Callable[[Array], Array]
+"""Relative amplitude of the excitation at given frequencies [Hz]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Excitation(Checked):
+    """Random torque for one record. Joints with zero rms are held."""
+
+    torque_rms: tuple[NonNegative, ...]
+    """Rms torque of each joint, base first [N·m]; 0 holds the joint."""
+    duration: Annotated[float, positive("seconds")]
+    """Length of the record [s]."""
+    band: tuple[float, float]
+    """Band of the excitation [Hz]."""
+    shaping: tuple[Shaping | None, ...] | None = field(default=None, compare=False)
+    """Spectrum of each joint's torque; None for a flat one."""
+    shaker_rms: NonNegative = 0.0
+    """Rms force of the shaker beside the arm [N]; 0 leaves it off."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.band[0] < self.band[1]:
+            raise InvalidSetting(f"band must be 0 < low < high in Hz, got {self.band}")
+        if self.duration * (self.band[1] - self.band[0]) < 4:
+            raise InvalidSetting(
+                f"a record of {self.duration} s holds fewer than 4 independent lines of the band "
+                f"{self.band} Hz; lengthen it or widen the band"
+            )
+        if self.shaping is not None and len(self.shaping) != len(self.torque_rms):
+            raise InvalidSetting(
+                f"shaping needs one entry for each of {len(self.torque_rms)} joints, "
+                f"got {len(self.shaping)}"
+            )
+
+    @property
+    def excited(self) -> tuple[bool, ...]:
+        """True for each joint that is excited."""
+        return tuple(t > 0 for t in self.torque_rms)
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Rms of every signal: torques of the joints, then the shaker's force where it is on."""
+        return (*self.torque_rms, self.shaker_rms) if self.shaker_rms > 0 else self.torque_rms
+
+
+UNFELT_LEVER = 0.1
+"""Distance from the axis of a joint that the tool does not feel, over the reach, at which its level
+counts [1]: about that of an accelerometer mounted beside the axis."""
+
+
+def at_levels(pose: LinearPose, levels: Array, *, duration: float) -> tuple[Excitation, Array]:
+    """Find the torques that give the nominal tool the wanted acceleration.
+
+    Parameters
+    ----------
+    pose : LinearPose
+        The nominal arm at the pose.
+    levels : array_like (n,)
+        Wanted rms acceleration of the tool from each joint alone, with the brakes as they
+        are for the whole set of excited joints [m/s²]; 0 holds the joint.
+    duration : float
+        Length of the record [s].
+
+    Returns
+    -------
+    Excitation
+        Torques, clipped so that `CREST_FACTOR` times their rms plus the torque that holds
+        the arm against gravity stays within the joint's limit.
+    ndarray (n,)
+        Share of each wanted level that the joint's torque limit allows, 0 to 1; 1 for
+        joints that are held.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from loose_env.arms import planar
+    >>> from loose_env.arms import LinearArm
+    >>> at = LinearArm(planar(2)).at([0.0, 1.0])
+    >>> shake, share = at_levels(at, np.array([0.0, 4.0]), duration=1.2)
+    >>> shake.excited, share.tolist()
+    ((False, True), [1.0, 1.0])
+    """
+    arm = pose.linear.arm
+    wanted = np.asarray(levels, dtype=float)
+    if wanted.shape != (arm.n,) or not np.isfinite(wanted).all() or (wanted < 0).any():
+        raise InvalidSetting(
+            f"levels of {arm.name!r} are {arm.n} numbers, zero or more m/s², got {levels!r}"
+        )
+    (excitation,), share = all_at_levels([pose], wanted[None], durations=[duration])
+    return excitation, share[0]
+
+
+def all_at_levels(
+    poses: Sequence[LinearPose], levels: Array, *, durations: Sequence[float]
+) -> tuple[list[Excitation], Array]:
+    """Find the torques of several records, each as `at_levels`.
+
+    Parameters
+    ----------
+    poses : sequence of B LinearPose
+        One nominal arm at several poses.
+    levels : ndarray (B, n)
+        Wanted rms accelerations [m/s²].
+    durations : sequence of B float
+        Lengths of the records [s].
+
+    Returns
+    -------
+    list of B Excitation
+    ndarray (B, n)
+        Share of each wanted level that is allowed.
+    """
+    arm = poses[0].linear.arm
+    on = levels > 0
+    torque, share = np.zeros(levels.shape), np.ones(levels.shape)
+    limits = np.array(arm.torque_limits)
+    counts = on.sum(axis=1)
+    for m in np.unique(counts[counts > 0]):
+        members = [int(k) for k in np.flatnonzero(counts == m)]
+        chosen = on[members]
+        found = poses[0].linear.responses([poses[k] for k in members], chosen)
+        tool = np.array([answer.tool for answer in found])
+        per_torque = np.sqrt(np.mean(np.sum(np.abs(tool) ** 2, axis=2), axis=1))
+        if arm.unfelt_joints:
+            least = [_least_felt(a, c, arm) for a, c in zip(found, chosen, strict=True)]
+            per_torque = np.maximum(per_torque, least)
+        gravity = np.array([poses[k].gravity_torque for k in members])
+        spare = limits - np.abs(gravity)
+        allowed = np.maximum(spare[chosen].reshape(-1, m), 0.0) / CREST_FACTOR
+        needed = levels[members][chosen].reshape(-1, m) / per_torque
+        given = np.minimum(needed, allowed)
+        rows, columns = np.nonzero(chosen)
+        rows = np.array(members)[rows]
+        torque[rows, columns] = given.ravel()
+        share[rows, columns] = (given / needed).ravel()
+    excitations = [
+        Excitation(torque_rms=tuple(own.tolist()), duration=duration, band=arm.band)
+        for own, duration in zip(torque, durations, strict=True)
+    ]
+    return excitations, share
+
+
+def _least_felt(response: Response, on: NDArray[np.bool_], arm: Arm) -> Array:
+    """Acceleration that counts for an unfelt joint per torque, 0 for the others (m,).
+
+    No torque would give the tool on the joint's axis its level; what is asked for then is the
+    level at a distance of `UNFELT_LEVER` times the reach.
+    """
+    found = np.zeros(int(on.sum()))
+    for k, joint in enumerate(np.flatnonzero(on)):
+        if joint + 1 in arm.unfelt_joints:
+            turning = np.sqrt(np.mean(np.abs(response.joint[:, joint, k]) ** 2))
+            found[k] = UNFELT_LEVER * arm.reach * turning
+    return found
+
+
+SeatReference = Literal["median", "best"]
+"""Pose whose seat load counts: the median one, or the best."""
+
+
+class SeatDrive:
+    """Rms load of each seat under the strongest excitation, to which friction is compared.
+
+    For every joint excited alone at the top level (`Arm.top_level`), the nominal arm says which
+    force a shut seat transmits. The best joint counts; the figure is the median over ``poses``
+    random poses, the same for everybody, or that of the best of them.
+
+    Parameters
+    ----------
+    linear : LinearArm
+        The nominal arm; with rotations if `twist` is to be asked.
+    poses : int
+        Number of poses.
+    over : {"median", "best"}
+        Pose that counts.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> drive = SeatDrive(LinearArm(planar(2)), poses=8)
+    >>> drive.slide(1, (1.0, 0.0, 0.0)) > 0
+    True
+    """
+
+    def __init__(
+        self, linear: LinearArm, *, poses: int = 48, over: SeatReference = "median"
+    ) -> None:
+        if over not in get_args(SeatReference):
+            raise UnknownName(f"over is one of {list(get_args(SeatReference))}, got {over!r}")
+        self._of_poses = _median if over == "median" else _best
+        key = (_digest(linear), poses)
+        if key not in _DRIVES:
+            while len(_DRIVES) >= _REMEMBERED:
+                del _DRIVES[next(iter(_DRIVES))]  # the oldest
+            _DRIVES[key] = _seat_powers(linear, poses)
+        self._slide, self._hinge, self._twist = _DRIVES[key]
+
+    def slide(self, link: int, direction: tuple[float, ...]) -> float:
+        """Rms force across the slide of a link along a direction of its frame [N]."""
+        u = np.asarray(direction, dtype=float)
+        u = u / np.linalg.norm(u)
+        m = self._slide[:, :, link - 1]
+        u = u[: m.shape[-1]]
+        power = np.einsum("a,pjab,b->pj", u, m, u)
+        return self._of_poses(np.sqrt(power.max(axis=1)))
+
+    def hinge(self, joint: int) -> float:
+        """Rms torque across the play of a joint [N·m, N where it slides]."""
+        return self._of_poses(np.sqrt(self._hinge[:, :, joint - 1].max(axis=1)))
+
+    def twist(self, link: int, twist: Array) -> float:
+        """Rms force or torque across a seat of a link that moves it by a twist [N or N·m].
+
+        Parameters
+        ----------
+        link : int
+            Link, from 1 at the base.
+        twist : ndarray (t,)
+            As `loose_env.faults.twist_of` has it.
+
+        Raises
+        ------
+        InvalidSetting
+            If the linear arm has no rotations.
+        """
+        if self._twist is None:
+            raise InvalidSetting("for twists give a LinearArm(arm, rotations=True)")
+        power = np.einsum("a,pjab,b->pj", twist, self._twist[:, :, link - 1], twist)
+        return self._of_poses(np.sqrt(power.max(axis=1)))
+
+
+def _best(values: Array) -> float:
+    return float(values.max())
+
+
+def _median(values: Array) -> float:
+    """Median; numpy's own takes longer than all else of a draw."""
+    ordered, half = np.sort(values), len(values) // 2
+    return float(ordered[half]) if len(values) % 2 else float(ordered[half - 1 : half + 1].mean())
+
+
+_Powers = tuple[Array, Array, Array | None]
+_DRIVES: dict[tuple[bytes, int], _Powers] = {}
+"""Powers by arm and number of poses: every environment and agent of an arm asks for them."""
+_REMEMBERED = 32
+
+
+def _digest(linear: LinearArm) -> bytes:
+    """Digest of all that the answers of a linear arm depend on: equal for equal arms."""
+    figures = {f.name: getattr(linear.arm, f.name) for f in fields(linear.arm)}
+    del figures["spec"], figures["rigid"]  # compiled into the model; no part of the answers
+    model = np.empty(mujoco.mj_sizeModel(linear.model), dtype=np.uint8)
+    mujoco.mj_saveModel(linear.model, None, model)
+    words = repr((figures, linear.rotations, len(linear.frequency)))
+    return sha256(model.tobytes() + words.encode()).digest()
+
+
+def _seat_powers(linear: LinearArm, poses: int) -> _Powers:
+    """Mean square force across slides, torque across joints and both across twists, by pose.
+
+    Of shapes (poses, n, n, s, s), (poses, n, n) and (poses, n, n, t, t), None without rotations;
+    the second axis is the excited joint.
+    """
+    arm = linear.arm
+    rng = np.random.default_rng(0)
+    axes, motions = linear.slide_dofs.shape[1], linear.twist_dofs.shape[1]
+    slides = np.zeros((poses, arm.n, arm.n, axes, axes))
+    hinges = np.zeros((poses, arm.n, arm.n))
+    twists = np.zeros((poses, arm.n, arm.n, motions, motions)) if linear.rotations else None
+    for p in range(poses):
+        at = linear.at(arm.random_pose(rng))
+        for j in range(arm.n):
+            levels = np.zeros(arm.n)
+            levels[j] = arm.top_level
+            excitation, _ = at_levels(at, levels, duration=1.0)
+            # Not those it says are excited: a drive that hardly holds its load is none of them.
+            answer = at.response(levels > 0)
+            power = excitation.torque_rms[j] ** 2
+            slide = answer.slide[..., 0]
+            outer = np.einsum("kia,kib->iab", slide, slide.conj()).real
+            slides[p, j] = power * outer / len(slide)
+            hinges[p, j] = power * np.mean(np.abs(answer.hinge[..., 0]) ** 2, axis=0)
+            if twists is not None and answer.twist is not None:
+                twist = answer.twist[..., 0]
+                outer = np.einsum("kia,kib->iab", twist, twist.conj()).real
+                twists[p, j] = power * outer / len(twist)
+    return slides, hinges, twists

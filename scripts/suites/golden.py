@@ -1,0 +1,814 @@
+"""Golden results: figures that stay from one release to the next, computed anew and compared.
+
+    python -m scripts.suites.golden                        # compute all parts and compare
+    python -m scripts.suites.golden environments gap       # these parts alone
+    python -m scripts.suites.golden thesis --page out/thesis/index.html
+    python -m scripts.suites.golden gap --because "words of the line in CHANGELOG.md"
+
+With --because the figures are written anew, where a change of them is meant. The words have to
+stand in CHANGELOG.md under what is not released yet, and must not have served for an earlier
+change: whoever gets other figures from the same seeds is told why.
+
+Everything is computed through what users call: commands, `gymnasium.make`, `make_agent`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import html
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+# The order in which threads of BLAS add up changes the last digits.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "tests" / "golden"
+"""The kept figures, a file for each part."""
+MEASURED = ROOT.parent / "shared" / "measured"
+"""Recordings of real machines, where there are any; what needs them is skipped elsewhere."""
+DIGITS = 6
+"""Significant digits that are kept."""
+SEED = 20260101
+
+# ------------------------------------------------------------------------- environments
+
+_SHORT = {"durations": (0.1, 0.15)}
+"""Loose stops that are struck carry on what a processor rounds another way: after half a second an
+arm may be somewhere else."""
+_REDUCED = {"engine": "reduced"}
+ENVIRONMENTS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("loose_env/Vera-v0", _SHORT),
+    ("loose_env/Vera-v0", _SHORT | _REDUCED | {"difficulty": "easy"}),
+    ("loose_env/Planar-v0", _SHORT | {"n_links": 3, "hold": "servo"}),
+    ("loose_env/Planar-v0", _SHORT | _REDUCED | {"n_links": 4, "max_excited": 2}),
+    ("loose_env/SixAxis-v0", _SHORT | {"link_accelerometers": True}),
+    ("loose_env/SixAxis-v0", _SHORT | _REDUCED | {"difficulty": "hard"}),
+    ("loose_env/Scara-v0", _SHORT | {"difficulty": "easy"}),
+    ("loose_env/Scara-v0", _SHORT | _REDUCED | {"hold": "compliant"}),
+    ("loose_env/Arm-v0", _SHORT),
+    ("loose_env/Arm-v0", _SHORT | _REDUCED),
+    ("loose_env/ControlTier-v0", _SHORT),
+    ("loose_env/ControlTier-v0", _SHORT | _REDUCED),
+    ("loose_env/StoppingTier-v0", {}),
+    ("loose_env/StoppingTier-v0", _REDUCED),
+    ("loose_env/GravityTier-v0", {}),
+    ("loose_env/GravityTier-v0", _REDUCED),
+    ("loose_env/WeakDriveTier-v0", {}),
+    ("loose_env/WeakDriveTier-v0", _REDUCED),
+)
+"""Environments whose episodes are kept, on both engines."""
+WIDTH, RECORDS = 3, 2
+
+
+def environments(threads: int = 1) -> dict[str, Any]:
+    """Episodes of every environment id, one arm alone and three side by side."""
+    return {
+        f"{env_id} {json.dumps(arguments)}": {
+            "single": _single_trace(env_id, arguments),
+            "vector": _vector_trace(env_id, arguments, threads),
+        }
+        for env_id, arguments in ENVIRONMENTS
+    }
+
+
+def _actions(env: Any, rng: np.random.Generator, width: int) -> Any:
+    """Random records, the last action a verdict."""
+    nvec = env.actions.nvec
+    for step in range(RECORDS + 1):
+        drawn = rng.integers(0, nvec, size=(width, len(nvec)))
+        drawn[:, -1] = 1 if step == RECORDS else 0
+        yield drawn
+
+
+def _trace(seen: Sequence[Any], rewards: Sequence[Any], infos: Sequence[Any]) -> dict[str, Any]:
+    whole = np.array(seen)
+    return {
+        "observations": _digits((whole.astype(float) ** 2).sum(axis=-1)),
+        "rewards": _digits(np.array(rewards)),
+        "info": sorted({str(key) for info in infos for key in info}),
+        "bits": hashlib.sha256(whole.tobytes() + np.array(rewards).tobytes()).hexdigest()[:16],
+    }
+
+
+def _single_trace(env_id: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    import gymnasium
+
+    import loose_env  # noqa: F401
+
+    env: Any = gymnasium.make(env_id, disable_env_checker=True, **arguments)
+    rng = np.random.default_rng(SEED)
+    observation, info = env.reset(seed=SEED)
+    seen, rewards, infos = [observation], [], [info]
+    for (action,) in _actions(env.unwrapped, rng, 1):
+        observation, reward, _, _, info = env.step(action)
+        seen.append(observation)
+        rewards.append(float(reward))
+        infos.append(info)
+    env.close()
+    return _trace(seen, rewards, infos) | {"fault": info["fault"], "verdict": info["verdict"]}
+
+
+def _vector_trace(env_id: str, arguments: Mapping[str, Any], threads: int) -> dict[str, Any]:
+    import gymnasium
+
+    import loose_env  # noqa: F401
+
+    envs: Any = gymnasium.make_vec(env_id, num_envs=WIDTH, threads=threads, **arguments)
+    rng = np.random.default_rng(SEED)
+    observation, info = envs.reset(seed=list(range(SEED, SEED + WIDTH)))
+    seen, rewards, infos = [observation], [], [info]
+    for actions in _actions(envs, rng, WIDTH):
+        observation, reward, _, _, info = envs.step(actions)
+        seen.append(observation)
+        rewards.append(reward)
+        infos.append(info)
+    envs.close()
+    return _trace(seen, rewards, infos)
+
+
+def gap_environment() -> dict[str, Any]:
+    """Episodes of the environment that chooses motions, on a part of the catalogue."""
+    import gymnasium
+
+    import loose_env  # noqa: F401
+
+    kinds = ("viscous_friction", "coulomb_friction", "actuator_gain")
+    with contextlib.redirect_stderr(io.StringIO()):
+        env: Any = gymnasium.make(
+            "loose_env/Gap-v0", disable_env_checker=True, library="battery", kinds=kinds
+        )
+    found: dict[str, Any] = {}
+    for episode in range(3):
+        observation, info = env.reset(seed=SEED + episode)
+        seen, rewards, infos = [observation], [], [info]
+        motions = np.flatnonzero(info["action_mask"])  # before the first, no verdict
+        most_probable = len(motions)
+        for action in (*motions[:: max(1, len(motions) // 3)][:3], most_probable):
+            observation, reward, _, _, info = env.step(int(action))
+            seen.append(observation)
+            rewards.append(float(reward))
+            infos.append(info)
+        trace = _trace(seen, rewards, infos)
+        found[str(episode)] = trace | {"truth": list(info["truth"])}
+    env.close()
+    return found
+
+
+# ------------------------------------------------------------------------------- agents
+
+EPISODES = 20
+AGENTS = ("classical", "greedy", "images", "ppo")
+
+
+def agents() -> dict[str, Any]:
+    """Twenty episodes of four agents on the same arms."""
+    return {name: _episodes(name, "loose_env/Vera-v0", {}, range(EPISODES)) for name in AGENTS}
+
+
+def posterior() -> dict[str, Any]:
+    """Posterior of the environment after each of three records, under every hypothesis."""
+    found = {}
+    for env_id, arguments in (
+        ("loose_env/Vera-v0", {}),
+        ("loose_env/Planar-v0", {"n_links": 3}),
+        ("loose_env/SixAxis-v0", _REDUCED),
+    ):
+        more: dict[str, Any] = {**arguments, **_SHORT, "max_records": 3}
+        found[f"{env_id} {json.dumps(more)}"] = _episodes(
+            "posterior/random", env_id, more, None, probabilities=True
+        )
+    return found
+
+
+def _episodes(
+    name: str,
+    env_id: str,
+    arguments: Mapping[str, Any],
+    numbers: Sequence[int] | None,
+    probabilities: bool = False,
+) -> list[Any]:
+    """Play episodes by number, or one of each hypothesis."""
+    import gymnasium
+    from loose_agents.core.base import Problem
+    from loose_agents.registry import make_agent
+
+    env: Any = gymnasium.make(env_id, disable_env_checker=True, **arguments)
+    inner = env.unwrapped
+    agent = make_agent(name, Problem.of(inner.arm, inner.settings), seed=0)
+    hidden = [None] * len(numbers) if numbers is not None else list(inner.hypotheses)
+    played = []
+    for number, fault in enumerate(hidden):
+        options = None if fault is None else {"fault": fault}
+        observation, info = env.reset(seed=SEED + number, options=options)
+        states, total, ended, steps, said = None, 0.0, False, [], []
+        while not ended:
+            begin = np.array([states is None])
+            action, states = agent.predict(observation[None], states, begin, deterministic=True)
+            p = None if states is None else getattr(states[0], "probabilities", None)
+            if p is not None:
+                said.append(_digits(p) if probabilities else _digits(np.max(p)))
+            steps.append("".join(map(str, np.asarray(action[0]).tolist())))
+            observation, reward, terminated, truncated, info = env.step(np.asarray(action[0]))
+            total += float(reward)
+            ended = terminated or truncated
+        played.append(
+            {
+                "fault": info["fault"],
+                "verdict": info["verdict"],
+                "reward": _digits(total),
+                "actions": steps,
+                "probabilities": said,
+            }
+        )
+    env.close()
+    return played
+
+
+# ------------------------------------------------------------------- recordings of loose gap
+
+_STEP = 0.002
+_GRAVITY = {"flat": "0 0 0", "upright": "0 0 -9.81"}
+
+
+def _arm(joints: int, *, gravity: str = "flat", drive: str = "motor", step: float = _STEP) -> str:
+    """Model of a planar arm of equal links, its joints about the y axis."""
+    body, sensors, drives = "", "", ""
+    for k in range(joints):
+        body += (
+            f'<body name="link{k + 1}" pos="{0.3 if k else 0} 0 0"><joint name="j{k + 1}" '
+            f'axis="0 1 0" damping="{0.5 / (k + 1)}" armature="{0.05 / (k + 1)}"/>'
+            f'<inertial pos=".15 0 0" mass="{2 / (k + 1)}" diaginertia=".002 .02 .02"/>'
+        )
+        sensors += f'<jointpos name="q{k + 1}" joint="j{k + 1}"/>'
+        drives += (
+            f'<motor name="m{k + 1}" joint="j{k + 1}"/>'
+            if drive == "motor"
+            else f'<position name="m{k + 1}" joint="j{k + 1}" kp="{120 / (k + 1)}" '
+            f'kv="{6 / (k + 1)}"/>'
+            if drive == "servo"
+            else ""
+        )
+    body += '<site name="tool" pos=".3 0 0"/>' + "</body>" * joints
+    return (
+        f'<mujoco><option timestep="{step}" integrator="RK4" gravity="{_GRAVITY[gravity]}"/>'
+        f"<worldbody>{body}</worldbody><actuator>{drives}</actuator>"
+        f'<sensor>{sensors}<accelerometer name="acc" site="tool"/></sensor></mujoco>'
+    )
+
+
+def _damped(spec: Any) -> None:
+    spec.joint("j1").damping = np.array([1.4, 0, 0])
+
+
+def _rubbing(spec: Any) -> None:
+    spec.joint("j1").frictionloss = 0.6
+
+
+def _heavy(spec: Any) -> None:
+    spec.body("link2").mass = 1.5
+
+
+def _inert(spec: Any) -> None:
+    spec.joint("j1").armature = 0.09
+
+
+def _weak(spec: Any) -> None:
+    spec.actuator("m2").gainprm[0] *= 0.8
+    spec.actuator("m2").biasprm[1] *= 0.8
+
+
+def _playing(spec: Any, joint: int = 1, play: float = 0.02) -> None:
+    """Free travel between a joint's drive and its link: a second hinge between stops."""
+    import mujoco
+
+    spec.body(f"link{joint}").add_joint(
+        name="play",
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        axis=[0, 1, 0],
+        range=[-play / 2, play / 2],
+        limited=True,
+        solref_limit=[0.004, 1],
+        damping=np.array([0.01, 0, 0]),
+    )
+
+
+def _slipping(spec: Any, link: int = 1, play: float = 1e-3) -> None:
+    """Free travel of all that a link carries, along it: a slide between stops."""
+    import mujoco
+
+    inner = spec.body(f"link{link}")
+    inner.add_joint(
+        name="slip",
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=[0.6, 0, 0.8],
+        range=[-play / 2, play / 2],
+        limited=True,
+        solref_limit=[0.004, 1],
+        damping=np.array([0.5, 0, 0]),
+    )
+
+
+def _nothing(spec: Any) -> None:
+    pass
+
+
+GAPS: dict[str, dict[str, Any]] = {
+    "forward, damping": {"truth": _damped},
+    "forward, dry friction": {"truth": _rubbing},
+    "forward, healthy": {"truth": _nothing},
+    "forward, play": {"truth": _playing},
+    "forward, servos, heavy link": {
+        "truth": _heavy, "joints": 2, "gravity": "upright", "drive": "servo",
+    },
+    "forward, servos, late": {"truth": _nothing, "drive": "servo", "late": 0.012},
+    "inverse, dry friction": {"truth": _rubbing, "form": "inverse", "gravity": "upright"},
+    "inverse, heavy link": {
+        "truth": _heavy, "form": "inverse", "joints": 2, "gravity": "upright",
+    },
+    "random, inertia of the rotor": {"truth": _inert, "form": "random"},
+    "random, weak servo": {"truth": _weak, "form": "random", "joints": 2, "drive": "servo"},
+    "free, damping": {"truth": _damped, "form": "free", "gravity": "upright"},
+    "real servo": {"real": "xl330/xl330_kp100"},
+}  # fmt: skip
+"""Recordings that `loose gap` explains, by name."""
+
+
+def write_gap_recording(
+    folder: Path,
+    *,
+    truth: Callable[[Any], None],
+    form: str = "forward",
+    joints: int = 1,
+    gravity: str = "flat",
+    drive: str = "motor",
+    late: float = 0.0,
+) -> None:
+    """Three short runs of a simulated arm that differs from its model, with sensor noise."""
+    import mujoco
+
+    from loose_env.recording import Run, write_recording
+
+    driven = "none" if form == "free" else drive
+    nominal = _arm(joints, gravity=gravity, drive=driven)
+    spec = mujoco.MjSpec.from_string(nominal)
+    truth(spec)
+    model = spec.compile()
+    rng = np.random.default_rng(1)
+    moment = np.arange(600) * _STEP
+    own = [int(model.joint(f"j{k + 1}").dofadr[0]) for k in range(joints)]
+    places = [int(model.joint(f"j{k + 1}").qposadr[0]) for k in range(joints)]
+    lag = round(late / _STEP)
+    runs = []
+    for number in range(3):
+        commands = _commands(form, drive, joints, number, moment, rng)
+        data = mujoco.MjData(model)
+        if form == "free":
+            data.qpos[places] = 0.5 + 0.2 * number
+        read = np.zeros((len(moment), joints + 3))
+        torque = np.zeros((len(moment), joints))
+        for i in range(len(moment)):
+            if model.nu:
+                data.ctrl[:] = commands[max(i - lag, 0)]
+            mujoco.mj_step(model, data)
+            read[i] = data.sensordata
+            torque[i] = data.qfrc_actuator[own]
+        read += rng.normal(0, [2e-5] * joints + [0.02] * 3, read.shape)
+        torque += rng.normal(0, 2e-3, torque.shape)
+        sensors = {f"q{k + 1}": read[:, k] for k in range(joints)}
+        runs.append(
+            Run(
+                name=f"run-{number}.csv",
+                time=moment,  # type: ignore[arg-type]
+                controls={f"m{k + 1}": commands[:, k] for k in range(joints)}
+                if form in ("forward", "random")
+                else {},
+                torques={f"j{k + 1}": torque[:, k] for k in range(joints)}
+                if form == "inverse"
+                else {},
+                sensors=sensors if form == "inverse" else sensors | {"acc": read[:, joints:]},
+            )
+        )
+    write_recording(folder, model_xml=nominal, runs=runs, file_format="csv")
+
+
+def _commands(
+    form: str, drive: str, joints: int, number: int, moment: Any, rng: np.random.Generator
+) -> Any:
+    """Commands of a run (samples, joints)."""
+    from scipy import signal
+
+    size = np.array([4.0, 1.5])[:joints] if drive == "motor" else np.array([0.4, 0.6])[:joints]
+    ramp = np.minimum(4 * moment, 1.0)[:, None]
+    if form == "random":
+        band = signal.butter(2, 15.0 if drive == "motor" else 2.0, fs=1 / _STEP, output="sos")
+        noise = signal.sosfilt(band, rng.normal(size=(len(moment), joints)), axis=0)
+        return size * ramp * noise / noise.std(axis=0)
+    rates = (3 + 2 * number) * np.array([1.0, 1.7])[:joints]
+    return size * ramp * np.sin(np.outer(moment, rates))
+
+
+def gap(names: Sequence[str] | None = None) -> dict[str, Any]:
+    """What `loose gap` finds in each recording."""
+    found = {}
+    for name in names or GAPS:
+        given = GAPS[name]
+        with tempfile.TemporaryDirectory() as place:
+            if "real" in given:
+                folder = MEASURED / given["real"]
+                if not folder.is_dir():
+                    continue
+            else:
+                folder = Path(place) / "recording"
+                write_gap_recording(folder, **given)
+            out = Path(place) / "found"
+            _loose("gap", str(folder), "--out", str(out), "--threads", "1")
+            found[name] = _gap_figures(json.loads((out / "result.json").read_text("utf-8")))
+    return found
+
+
+def _gap_figures(result: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "verdict": result["verdict"],
+        "effects": [
+            {
+                "kind": e["kind"],
+                "where": e["where"],
+                "variant": e["variant"],
+                "parameters": _digits(e["parameters"]),
+                "interval": _digits(e["interval_95"]),
+                "confusable": sorted(str(each) for each in e["ambiguous_with"]),
+                "probability": _digits(e["probability"]),
+            }
+            for e in result["effects"]
+        ],
+        "before": _digits(result["gap"]["before"]),
+        "after": _digits(result["gap"]["after"]),
+        "ranking": [[e["kind"], e["where"], _digits(e["held_out"])] for e in result["ranking"]],
+        "nominal": _digits(result["nominal_parameters"]),
+    }
+
+
+def _loose(*words: str) -> None:
+    """Run a command of `loose` in this process, silently."""
+    from loose_env.cli.main import main
+
+    said = io.StringIO()
+    with (
+        contextlib.redirect_stdout(said),
+        contextlib.redirect_stderr(said),
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("ignore")
+        code = main([*words])
+    if code:
+        raise RuntimeError(f"loose {' '.join(words)} ended with {code}:\n{said.getvalue()[-2000:]}")
+
+
+# ------------------------------------------------------------- recordings of loose diagnose
+
+_FAULTS: dict[str, Callable[[Any], None]] = {
+    "healthy": _nothing,
+    "play of joint 1": lambda spec: _playing(spec, 1, 4e-3),
+    "play of joint 2": lambda spec: _playing(spec, 2, 6e-3),
+    "loose link 1": lambda spec: _slipping(spec, 2, 1e-3),
+    "loose link 2": lambda spec: _tool_slipping(spec),
+}
+DIAGNOSES: dict[str, dict[str, Any]] = {
+    f"{name}, {gravity}{', reference' * reference}": {
+        "fault": fault, "gravity": gravity, "reference": reference,
+    }
+    for name, fault in _FAULTS.items()
+    for gravity in _GRAVITY
+    for reference in (False, True)
+}  # fmt: skip
+"""Recordings that `loose diagnose` judges, by name."""
+
+
+def _tool_slipping(spec: Any) -> None:
+    """The second link in two halves, the outer one loose."""
+    import mujoco
+
+    inner = spec.body("link2")
+    inner.mass = 0.4
+    spec.delete(spec.site("tool"))
+    outer = inner.add_body(name="outer", mass=0.6, ipos=[0.2, 0, 0], inertia=[0.001, 0.01, 0.01])
+    outer.explicitinertial = True
+    outer.add_joint(
+        name="slip",
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=[0.6, 0, 0.8],
+        range=[-5e-4, 5e-4],
+        limited=True,
+        solref_limit=[0.004, 1],
+        damping=np.array([0.5, 0, 0]),
+    )
+    outer.add_site(name="tool", pos=[0.3, 0, 0])
+
+
+def write_shaken_recording(
+    folder: Path, *, fault: Callable[[Any], None], gravity: str, reference: bool
+) -> None:
+    """Runs of an arm that servos hold in a pose, one joint shaken at random."""
+    import mujoco
+    from scipy import signal
+
+    from loose_env.recording import Run, write_recording
+
+    step = 0.001
+    nominal = _shaken_arm(gravity, step)
+    rng = np.random.default_rng(2)
+    moment = np.arange(1500) * step
+    band = signal.butter(4, [20.0, 100.0], "bandpass", fs=1 / step, output="sos")
+    poses = ((0.1, 0.4, 0), (-0.3, -0.8, 1))
+    plans = [(pose, "suspect") for pose in poses]
+    if reference:
+        plans = [(poses[0], "healthy"), *plans]
+    runs = []
+    for number, ((q1, q2, joint), condition) in enumerate(plans):
+        spec = mujoco.MjSpec.from_string(nominal)
+        if condition == "suspect":
+            fault(spec)
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        held = np.array([q1, q2])
+        data.qpos[[int(model.joint(f"j{k}").qposadr[0]) for k in (1, 2)]] = held
+        noise = [12.0, 5.0][joint] * signal.sosfilt(band, rng.normal(size=len(moment)))
+        shaken = np.zeros((len(moment), 2))
+        shaken[:, joint] = noise
+        read = np.zeros((len(moment), model.nsensordata))
+        for i in range(len(moment)):
+            data.ctrl[:] = [*held, *shaken[i]]
+            mujoco.mj_step(model, data)
+            read[i] = data.sensordata
+        read += rng.normal(0, [1e-6, 1e-6, 0.01, 0.01, 0.01], read.shape)
+        controls = {"m1": np.full(len(moment), q1), "m2": np.full(len(moment), q2)}
+        runs.append(
+            Run(
+                name=f"run-{number}.parquet",
+                time=moment,  # type: ignore[arg-type]
+                controls=controls | {"s1": shaken[:, 0], "s2": shaken[:, 1]},
+                sensors={"q1": read[:, 0], "q2": read[:, 1], "acc": read[:, 2:]},
+                pose={"j1": q1, "j2": q2},
+                excited=(f"j{joint + 1}",),
+                condition=condition,  # type: ignore[arg-type]
+            )
+        )
+    write_recording(folder, model_xml=nominal, runs=runs)
+
+
+def _shaken_arm(gravity: str, step: float) -> str:
+    arm = _arm(2, gravity=gravity, drive="servo", step=step)
+    shakers = '<motor name="s1" joint="j1"/><motor name="s2" joint="j2"/></actuator>'
+    return arm.replace("</actuator>", shakers)
+
+
+def instrument(names: Sequence[str] | None = None) -> dict[str, Any]:
+    """What `loose diagnose` finds in each recording, and what `loose plan` asks for."""
+    found: dict[str, Any] = {}
+    few = ("--poses", "4", "--seconds", "1.0")
+    for name in names or DIAGNOSES:
+        with tempfile.TemporaryDirectory() as place:
+            write_shaken_recording(Path(place) / "recording", **DIAGNOSES[name])
+            out = Path(place) / "found"
+            _loose("diagnose", str(Path(place) / "recording"), "--out", str(out), *few)
+            result = json.loads((out / "result.json").read_text("utf-8"))
+        kept = ("fault", "posterior", "verdict", "settled", "nothing_opened", "misfit", "next")
+        found[name] = {key: _digits(result[key]) for key in kept}
+        found[name]["runs"] = [_digits(each["probabilities"]) for each in result["records"]]
+    return found
+
+
+def plan() -> dict[str, Any]:
+    """What `loose plan` asks for first."""
+    with tempfile.TemporaryDirectory() as place:
+        model = Path(place) / "model.xml"
+        model.write_text(_shaken_arm("flat", 0.001), encoding="utf-8")
+        out = Path(place) / "plan"
+        _loose("plan", str(model), "--out", str(out), "--poses", "4", "--seconds", "1.0")
+        files = sorted(f.name for f in out.iterdir() if f.is_file())
+        asked = json.loads((out / "plan.json").read_text("utf-8"))
+    kept = ("pose", "joints", "band_hz", "levels", "torques", "seconds", "rate_hz", "gain_bits")
+    found = {key: _digits(asked[key]) for key in kept}
+    found["signals"] = [
+        [each["joint"], _digits(each["scale"]), _digits([peak["value"] for peak in each["peaks"]])]
+        for each in asked["signals"]
+    ]
+    return {"files": [name for name in files if not name.startswith(".")], "plan": found}
+
+
+# ------------------------------------------------------------------------------- thesis
+
+
+def thesis(page: Path | None = None) -> dict[str, Any]:
+    """Numbers that the reproduction of the thesis prints, by section of its page."""
+    if page is not None:
+        return thesis_figures(page.read_text(encoding="utf-8"))
+    with tempfile.TemporaryDirectory() as place:
+        script = str(ROOT / "scripts" / "reproduce_thesis.py")
+        subprocess.run([sys.executable, script, "--out", place], cwd=ROOT, check=True)
+        return thesis_figures((Path(place) / "index.html").read_text(encoding="utf-8"))
+
+
+def thesis_figures(text: str) -> dict[str, Any]:
+    """Cells of the tables, and numbers of the paragraphs and captions, by section."""
+    found = {}
+    for key, body in re.findall(r'<section id="(\w+)">(.*?)</section>', text, re.DOTALL):
+        body = re.sub(r"<(svg|style|script)\b.*?</\1>", " ", body, flags=re.DOTALL)
+        rows = re.findall(r"<tr\b[^>]*>(.*?)</tr>", body, re.DOTALL)
+        tables = [
+            [_text(cell) for cell in re.findall(r"<t[dh]\b[^>]*>(.*?)</t[dh]>", row, re.DOTALL)]
+            for row in rows
+        ]
+        prose = _text(re.sub(r"<table\b.*?</table>", " ", body, flags=re.DOTALL))
+        numbers = re.findall(r"[-−+±]?\d[\d,]*(?:\.\d+)?(?:[eE][-+]?\d+)?", prose)
+        found[key] = {"rows": [" | ".join(row) for row in tables], "numbers": " ".join(numbers)}
+    return found
+
+
+def _text(markup: str) -> str:
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", markup)).split())
+
+
+# --------------------------------------------------------------------- compare and rewrite
+
+PARTS: dict[str, Callable[..., dict[str, Any]]] = {
+    "environments": environments,
+    "gap_environment": gap_environment,
+    "agents": agents,
+    "posterior": posterior,
+    "gap": gap,
+    "instrument": instrument,
+    "plan": plan,
+    "thesis": thesis,
+}
+"""Parts of the golden results, by name."""
+
+# Another processor may round another way, and a simulation carries that on.
+RELATIVE, ABSOLUTE = 1e-4, 1e-5
+FITTED = 2e-2  # a search ends where it no longer gains
+SEARCHED = ("gap", "instrument")
+BITS = "bits"
+"""Key of digests: they hold on one processor, and are compared where it is asked for."""
+
+
+def kept(part: str) -> dict[str, Any]:
+    """A part as it is kept: the figures and the reason of their last change."""
+    found: dict[str, Any] = json.loads((FOLDER / f"{part}.json").read_text(encoding="utf-8"))
+    return found
+
+
+def differences(
+    before: Any, now: Any, place: str, *, relative: float = RELATIVE, bits: bool = False
+) -> list[str]:
+    """Places where two trees differ; numbers by more than rounding."""
+    more: dict[str, Any] = {"relative": relative, "bits": bits}
+    if isinstance(before, dict) and isinstance(now, dict):
+        if before.keys() != now.keys():
+            return [f"{place}: {sorted(before)} before, {sorted(now)} now"]
+        parts = [
+            differences(before[k], now[k], f"{place}.{k}", **more)
+            for k in before
+            if bits or k != BITS
+        ]
+        return [each for part in parts for each in part]
+    if isinstance(before, list) and isinstance(now, list):
+        if len(before) != len(now):
+            return [f"{place}: {len(before)} before, {len(now)} now"]
+        both = zip(before, now, strict=True)
+        parts = [differences(a, b, f"{place}[{i}]", **more) for i, (a, b) in enumerate(both)]
+        return [each for part in parts for each in part]
+    if isinstance(before, float) and isinstance(now, (int, float)):
+        absolute = ABSOLUTE if relative else 0.0
+        if np.isclose(now, before, rtol=relative, atol=absolute, equal_nan=True):
+            return []
+    elif before == now:
+        return []
+    return [f"{place}: {before} before, {now} now"]
+
+
+def compare(part: str, now: Mapping[str, Any], *, exact: bool = False) -> list[str]:
+    """Differences between the kept figures of a part and those of now.
+
+    ``exact`` compares digests too, and all kept digits. What could not be computed here, as the
+    recordings of real machines where there are none, is left out.
+    """
+    before = kept(part)["found"]
+    if part == "gap":
+        before = {name: each for name, each in before.items() if name in now}
+    relative = 0.0 if exact else FITTED if part in SEARCHED else RELATIVE
+    fresh = json.loads(json.dumps(now))
+    return differences(before, fresh, part, relative=relative, bits=exact)
+
+
+def write(part: str, now: Mapping[str, Any], because: str) -> None:
+    """Keep the figures of a part from now on.
+
+    Raises
+    ------
+    InvalidSetting
+        If CHANGELOG.md does not have the words, or they served for an earlier change.
+    """
+    from loose_env.errors import InvalidSetting
+
+    file = FOLDER / f"{part}.json"
+    fresh = json.loads(json.dumps(now))
+    if file.is_file():
+        old = kept(part)
+        if old["found"] == fresh:
+            return
+        if old["because"] == because:
+            raise InvalidSetting(
+                f"{part}: {because!r} was the reason of an earlier change; give CHANGELOG.md a "
+                "line on this one"
+            )
+        if part == "gap":
+            fresh = old["found"] | fresh
+    _check_said(because, (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"))
+    lines = [
+        f"{json.dumps(name)}:{json.dumps(each, separators=(',', ':'), ensure_ascii=False)}"
+        for name, each in fresh.items()
+    ]
+    text = f'{{"because":{json.dumps(because)},\n"found":{{\n' + ",\n".join(lines) + "\n}}\n"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    beside = file.with_suffix(".part")
+    beside.write_text(text, encoding="utf-8")
+    beside.replace(file)
+
+
+def _check_said(because: str, changelog: str) -> None:
+    """Refuse words that do not stand under what is not released yet.
+
+    Raises
+    ------
+    InvalidSetting
+        If they do not.
+    """
+    from loose_env.errors import InvalidSetting
+
+    parts = re.split(r"^(?=## )", changelog, flags=re.MULTILINE)
+    new = " ".join(part for part in parts if "unreleased" in part.partition("\n")[0].lower())
+    if not because or because not in " ".join(new.split()):
+        raise InvalidSetting(
+            f"CHANGELOG.md does not say {because!r} under what is unreleased; put it there first, "
+            "for those whose figures change"
+        )
+
+
+def _digits(values: Any) -> Any:
+    """Round every number of a tree to the digits that are kept."""
+    if isinstance(values, Mapping):
+        return {str(key): _digits(value) for key, value in values.items()}
+    if isinstance(values, (list, tuple, np.ndarray)):
+        return [_digits(value) for value in values]
+    if isinstance(values, (float, np.floating)):
+        return float(f"{float(values):.{DIGITS}g}")
+    return values
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Compute parts, and compare or write them."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; or all")
+    parser.add_argument("--page", type=Path, help="page of the thesis that is there already")
+    parser.add_argument("--exact", action="store_true", help="compare to the last kept digit")
+    parser.add_argument("--because", help="write anew; the words of the line in CHANGELOG.md")
+    options = parser.parse_args(words)
+    unknown = sorted(set(options.parts) - set(PARTS))
+    if unknown:
+        parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
+    differ = False
+    for part in options.parts or PARTS:
+        begin = time.process_time()
+        now = thesis(options.page) if part == "thesis" else PARTS[part]()
+        seconds = time.process_time() - begin
+        if options.because is not None:
+            write(part, now, " ".join(options.because.split()))
+            print(f"{part}: kept ({seconds:.0f} CPU s)", flush=True)
+            continue
+        found = compare(part, now, exact=options.exact)
+        differ |= bool(found)
+        print(f"{part}: {f'{len(found)} differences' if found else 'same'} ({seconds:.0f} CPU s)")
+        print("".join(f"  {line}\n" for line in found[:20]), end="", flush=True)
+    return int(differ)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
