@@ -11,12 +11,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from scipy.stats import dirichlet
 
-import loose_env  # noqa: F401
-from loose_env.envs import DiagnosisVectorEnv
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.wrappers import (
     ActionAndPrediction,
     DiagnosisWrapper,
+    JointSideObservation,
     LatestRecord,
     MacroActions,
     MeasuredMinusNominal,
@@ -241,17 +240,39 @@ def test_a_single_file_ppo_trains_through_it(wrapper: type[DiagnosisWrapper]) ->
     assert train(options) == returns
 
 
-def test_gymnasium_s_vector_form_takes_the_wrappers() -> None:
-    envs = gymnasium.make_vec(
-        "loose_env/Planar-v0",
-        num_envs=2,
-        vectorization_mode="sync",
-        wrappers=[PosteriorObservation, MacroActions],
-        n_links=2,
-        durations=(0.2,),
-    )
-    normalised = gymnasium.wrappers.vector.NormalizeObservation(envs)
-    observation, infos = normalised.reset(seed=0)
-    assert observation.shape[0] == 2 and infos["action_mask"].shape[0] == 2
-    assert not isinstance(envs, DiagnosisVectorEnv)
-    normalised.step(np.zeros(2, dtype=int))
+ARGUMENTS = {"n_links": 2, "engine": "reduced", "max_records": 2}
+
+
+def names_of(env):
+    """Elements of the flat observation."""
+    layout = env.get_wrapper_attr("layout")
+    records = [
+        f"record{k + 1}.{each.name}" for k in range(layout.slots) for each in layout.slot_elements
+    ]
+    return [each.name for each in layout.global_elements] + records
+
+
+def test_only_what_torque_and_encoders_give_is_left() -> None:
+    env = JointSideObservation(gymnasium.make("loose_env/Planar-v0", **ARGUMENTS))
+    seen, _ = env.reset(seed=0)
+    assert env.observation_space.contains(seen)
+    names = names_of(env)
+    assert len(names) == len(seen)
+    words = ("tool", "transmission", "coherence", "kurtosis", "skewness", "direction", "link")
+    assert not [name for name in names if any(word in name for word in words)]
+    assert {"record2.inertia.joint2", "record2.nominal_inertia.joint2"} <= set(names)
+    whole = [element.name for element in env.unwrapped.layout.elements]
+    assert {name for name in whole if name.startswith(("now", "spent"))} <= set(names)
+
+
+def test_it_is_made_anew_from_its_spec_and_takes_other_layouts() -> None:
+    env = JointSideObservation(gymnasium.make("loose_env/Planar-v0", **ARGUMENTS))
+    again = gymnasium.make(env.spec)
+    assert again.observation_space == env.observation_space
+    assert np.array_equal(again.reset(seed=1)[0], env.reset(seed=1)[0])
+    difference = MeasuredMinusNominal(gymnasium.make("loose_env/Planar-v0", **ARGUMENTS))
+    alone = JointSideObservation(difference)
+    assert alone.observation_space.contains(alone.reset(seed=1)[0])
+    assert not [name for name in names_of(alone) if "nominal" in name]
+    with pytest.raises(InvalidSetting, match="inside the wrappers"):
+        PosteriorObservation(env)
