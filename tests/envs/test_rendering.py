@@ -41,7 +41,6 @@ from loose_env.statistics import (
     Covariances,
     acceleration_from_angle,
     bandpass,
-    correlation_along,
     covariances,
     maximum_correlation,
 )
@@ -78,6 +77,11 @@ def measured(arm: Arm, fault: Fault | str = "healthy", joint: int = 1, **given: 
     env.reset(seed=3, options={"fault": fault, **given})
     env.step(env.actions.encode(levels=2 * np.eye(arm.n, dtype=int)[joint], duration=0))
     return env
+
+
+def correlation_along(joint: Any, tool: Any, direction: Any) -> float:
+    """Correlation of a joint's motion with the tool's along a direction."""
+    return float(np.corrcoef(joint, direction @ tool)[0, 1])
 
 
 def words_of(picture: Picture, env: Any, verdict: str | None = None) -> list[str]:
