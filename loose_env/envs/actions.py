@@ -18,18 +18,7 @@ from loose_env.typing import Array
 
 
 def checked_indices(name: str, given: Any, choices: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return indices (n,) of choices, one for each number of choices (n,).
-
-    Raises
-    ------
-    InvalidAction
-        If they are of another number, or one is no whole number from 0 to below its choices.
-
-    Examples
-    --------
-    >>> checked_indices("levels", [0, 2.0], np.array([3, 3])).tolist()
-    [0, 2]
-    """
+    """Return indices (n,) of choices, each a whole number from 0 to below its choices (n,)."""
     try:
         found = np.asarray(given)
     except ValueError:  # rows of different length
@@ -54,26 +43,6 @@ class JointPose:
 
     A hinge is its sine and its cosine. A slide is its position within its range, -1 at the low
     end and 1 at the high end, and a zero.
-
-    Parameters
-    ----------
-    arm : Arm
-        The arm.
-
-    Raises
-    ------
-    InvalidSetting
-        If a joint slides without limits.
-
-    Examples
-    --------
-    >>> from loose_env.arms import scara
-    >>> shown = JointPose(scara())
-    >>> first, second = shown.numbers(np.array([0.0, 0.0, -0.21, 0.0]))
-    >>> first.tolist(), second.tolist()
-    ([0.0, 0.0, -1.0, 0.0], [1.0, 1.0, 0.0, 1.0])
-    >>> shown.pose(first, second).tolist()
-    [0.0, 0.0, -0.21, 0.0]
     """
 
     def __init__(self, arm: Arm) -> None:

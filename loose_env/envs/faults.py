@@ -44,14 +44,8 @@ _FASTEST = 0.85 * FASTEST_TURN  # leaves room for the mismatch of masses
 class SeatMasses:
     """Effective masses of seats of the nominal arm, over many poses.
 
-    A seat is given as a vector over the degrees of freedom of the linear arm.
-
-    Parameters
-    ----------
-    linear : LinearArm
-        The nominal arm.
-    poses : sequence of ndarray (n,)
-        Poses to look at; in the first one the distal part is weighed.
+    A seat is given as a vector over the degrees of freedom of the linear arm; in the first pose
+    the distal part is weighed.
     """
 
     def __init__(self, linear: LinearArm, poses: Sequence[Array]) -> None:
@@ -67,16 +61,10 @@ class SeatMasses:
         return int(self._inertias.shape[1])
 
     def stops(self, seat: Array, modes: Array, ratios: Array) -> Stops:
-        """Stops of a seat that is loose in one way.
+        """Stops of a seat (nv,) loose in one way.
 
-        Parameters
-        ----------
-        seat : ndarray (nv,)
-            Its direction among the degrees of freedom of the linear arm.
-        modes : ndarray (2,)
-            Mode of the distal part on each stop with the rest held [Hz].
-        ratios : ndarray (2,)
-            Damping ratio against the seat's effective mass [1].
+        From the modes [Hz] of the distal part on each stop with the rest held (2,), and from the
+        damping ratios (2,) against the seat's effective mass.
         """
         own = np.flatnonzero(seat)
         along = seat[own]
@@ -104,13 +92,7 @@ class SeatMasses:
 
         The effective mass of each part is that with all other parts free. Where parts that rest
         on their stops together would be too fast for the step, all stops are softened alike.
-
-        Parameters
-        ----------
-        seats : ndarray (p, nv)
-            Direction of each part among the degrees of freedom of the linear arm.
-        modes, ratios : ndarray (p, 2)
-            As for `stops`.
+        Seats (p, nv), modes and ratios (p, 2), as for `stops`.
         """
         held = np.einsum("ai,ij,aj->a", seats, self._inertias[0], seats)
         mobility = self._mobility(seats)
@@ -126,14 +108,8 @@ class SeatMasses:
     def softening(self, seats: Array, stiffness: Array, damping: Array) -> float:
         """Factor on stiffness, and by its root on damping, that leaves seats slow enough together.
 
-        At 1 they are slow enough as they are.
-
-        Parameters
-        ----------
-        seats : ndarray (p, nv)
-            Direction of each seat among the degrees of freedom of the linear arm.
-        stiffness, damping : ndarray (p,)
-            Largest of each seat's two stops [N/m and N·s/m, N·m/rad and N·m·s/rad].
+        At 1 they are slow enough as they are. Stiffness and damping (p,) are the larger ones of
+        each seat's two stops.
         """
         mobility = self._mobility(seats)
 
@@ -183,15 +159,6 @@ class FurtherSeats:
     has from the link's frame, or over `SHORTEST_LEVER` times the reach if that is more. A
     compound seat has two slides across each other or a slide and a rotation, as likely; its two
     parts have gap, friction and stops of their own.
-
-    Parameters
-    ----------
-    linear : LinearArm
-        The nominal arm.
-    ranges : Difficulty
-        Ranges to draw from.
-    poses : sequence of ndarray (n,)
-        Poses over which masses and distances are looked at, the straight arm first.
     """
 
     def __init__(self, linear: LinearArm, ranges: Difficulty, poses: Sequence[Array]) -> None:

@@ -15,7 +15,7 @@ from loose_env.arms import Arm, held_inertia
 from loose_env.diagnosis import LinkReadings, Prediction, RecordStatistics, link_axes
 from loose_env.envs.actions import JointPose
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.errors import InvalidData, UnknownName
+from loose_env.errors import UnknownName
 from loose_env.typing import Array
 
 Scaling = Literal["linear", "log10", "asinh"]
@@ -243,24 +243,9 @@ class ObservationLayout(RecordLayout):
     ) -> NDArray[np.float32]:
         """Scale the elements of B records (B, slot size).
 
-        Parameters
-        ----------
-        levels : ndarray of int (B, n)
-            Excitation levels.
-        share : ndarray (B, n)
-            Shares of these that the joints' torque limits allow.
-        record : RecordStatistics
-            Statistics of the records, as `loose_env.diagnosis.statistics_of_all` gives them.
-        nominal : Prediction
-            The same of the nominal arm, as `loose_env.diagnosis.predictions` gives them.
-        links, nominal_links : LinkReadings, ndarray (B, L, a, n)
-            What accelerometers on links measured and would show on the nominal arm; needed
-            where the settings have such sensors.
-
-        Raises
-        ------
-        InvalidData
-            If the settings have accelerometers on links and no readings of them are given.
+        From their levels (B, n), the shares of these that torque limits allow (B, n), statistics
+        and the same as predicted of the nominal arm; where accelerometers stand on links, also
+        what these measured and would show on the nominal arm (B, L, a, n).
         """
         count, n = levels.shape
         joints = np.nonzero(record.torque > 0)[1].reshape(count, -1)
@@ -301,9 +286,7 @@ class ObservationLayout(RecordLayout):
             _axial_numbers(nominal.lowest_direction),
             numbers(nominal.lowest_coherence, nominal.maximum_correlation),
         ]
-        if self.settings.sensors.on_links is not None:
-            if links is None or nominal_links is None:
-                raise InvalidData("the observation holds accelerometers on links; give readings")
+        if links is not None and nominal_links is not None:
             values += [links.transmission_by_instrument, nominal_links, links.rms]
         rows = [np.reshape(each, (count, -1)) for each in values]
         return self._slot_scaling.forward(np.concatenate(rows, axis=1))

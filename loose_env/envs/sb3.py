@@ -15,8 +15,6 @@ from loose_env.envs.env import new_seed
 from loose_env.envs.vector_env import DiagnosisVectorEnv, batch_seeds
 from loose_env.errors import InvalidSetting, UnknownName
 
-__all__ = ["Sb3VecEnv"]
-
 
 class Sb3VecEnv(VecEnv):
     """The native vector environment as stable-baselines3 wants it.

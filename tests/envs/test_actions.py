@@ -182,15 +182,14 @@ NOMINAL = Difficulty(mismatch=Mismatch().scaled(0.0))
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
-        ("planar", {"n_links": 3}),
         ("planar", {"n_links": 3, "vertical": True}),
-        ("planar", {"n_links": 3, "hold": "servo"}),
         ("vera", {}),
-        ("six_axis", {}),
-        ("scara", {}),
-        ("desk", {}),
+        *(
+            pytest.param(name, {"hold": hold}, marks=pytest.mark.slow)
+            for name in ("planar", "six_axis", "scara", "desk")
+            for hold in ("brake", "servo")
+        ),
     ],
-    ids=["planar", "vertical", "servo", "vera", "six_axis", "scara", "desk"],
 )
 def test_a_level_is_the_rms_acceleration_of_the_nominal_tool_and_its_share_of_it_where_clipped(
     make_env: Make, name: str, arguments: dict[str, Any]
