@@ -16,7 +16,7 @@ from pathlib import Path
 
 import loose_env
 from loose_env.errors import LooseEnvError, words_of
-from loose_env.report import write_whole
+from loose_env.io import write_text
 from loose_env.thesis import SECTIONS, Outcome, choose, first_line, render_thesis_page, run_sections
 
 SEED = 1995
@@ -112,7 +112,7 @@ def reproduce(options: argparse.Namespace) -> int:
         seed=options.seed,
         versions=versions(),
     )
-    page = write_whole(out / "index.html", html)
+    page = write_text(out / "index.html", html)
     failed = [o.key for o in outcomes if o.section is None]
     print(f"\n{summary(outcomes)}\n")
     if failed:

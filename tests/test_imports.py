@@ -31,6 +31,7 @@ ORDER = (
     ("importing",),
     ("rig",),
     ("statistics",),
+    ("inference",),
     ("kinematics",),
     ("doctor",),
     ("diagnosis", "gap"),

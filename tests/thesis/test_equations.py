@@ -133,12 +133,10 @@ def test_the_index_is_the_size_of_a_cross_product() -> None:
 
 
 def test_a_wrong_path_is_noticed() -> None:
-    assert callable(
-        function("loose_env.statistics.correlation.comparative_index.comparative_index")
-    )
+    assert callable(function("loose_env.statistics.correlation.comparative_index"))
     assert callable(function("loose_env.errors.LooseEnvError.with_traceback"))
     for path in (
-        "loose_env.statistics.correlation.comparative_index.none_such",
+        "loose_env.statistics.correlation.none_such",
         "loose_env.none_such.f",
     ):
         with pytest.raises(AttributeError):

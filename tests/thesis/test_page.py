@@ -11,8 +11,7 @@ pytest.importorskip("matplotlib")
 from markupsafe import escape
 
 from loose_env.errors import InvalidData
-from loose_env.report import FigureCard, new_figure
-from loose_env.report.pages.svg import THEMED
+from loose_env.report import THEMED, FigureCard, new_figure
 from loose_env.thesis.shared.page import LEFT_OUT, ranges, render_thesis_page
 from loose_env.thesis.shared.sections import Outcome, Section, Table
 

@@ -148,14 +148,14 @@ def test_a_run_killed_while_it_tidies_up_plays_again(
 
 
 @pytest.mark.parametrize(
-    ("where", "stays"), [("diagnose_residuals", True), ("write_gap_page", False)]
+    ("where", "stays"), [("diagnose_residuals", True), ("render_gap_page", False)]
 )
 def test_no_old_result_stands_beside_a_new_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str, stays: bool
 ) -> None:
     """It goes with the first file that changes; until then it is that of the model beside it."""
     from loose_env.gap.workflow import summary
-    from loose_env.report.gap import write as report
+    from loose_env.report import gap as report
 
     def killed(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -165,7 +165,7 @@ def test_no_old_result_stands_beside_a_new_model(
         (summary, "diagnose_residuals"),
         (summary, "_with_probabilities"),
         (summary, "result_of"),
-        (report, "write_gap_page"),
+        (report, "render_gap_page"),
     ):
         monkeypatch.setattr(module, name, killed if name == where else lambda *_, **__: None)
     found: Any = SimpleNamespace(problem=None)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 EQUATIONS: dict[str, str] = dict.fromkeys(
     ("6.15", "6.16", "6.17", "6.18"),
-    "loose_env.statistics.correlation.comparative_index.comparative_index",
+    "loose_env.statistics.correlation.comparative_index",
 )
 """Function of each equation."""
 

@@ -27,13 +27,13 @@ from loose_env.thesis.shared.plots import Points, by_category
 from loose_env.thesis.shared.sections import Section, Table
 from loose_env.typing import Array
 
-_FRAMES = "loose_env.diagnosis.link_finding.direction_images.ToolFrames"
+_FRAMES = "loose_env.diagnosis.directions.ToolFrames"
 EQUATIONS: dict[str, str] = {
-    "4.27": "loose_env.diagnosis.link_finding.direction_images.predicted_images",
+    "4.27": "loose_env.diagnosis.directions.predicted_images",
     "4.28": f"{_FRAMES}.images",
     "4.29": f"{_FRAMES}.images",
     "4.30": f"{_FRAMES}.axes",
-    "4.31": "loose_env.diagnosis.link_finding.planar.judge_turn",
+    "4.31": "loose_env.diagnosis.link_finding.judge_turn",
 }
 """Function of each equation."""
 

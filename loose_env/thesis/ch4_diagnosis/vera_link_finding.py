@@ -32,7 +32,7 @@ from loose_env.thesis.shared.sections import Section, Table
 from loose_env.typing import Array
 
 EQUATIONS: dict[str, str] = {
-    "4.31": "loose_env.diagnosis.link_finding.planar.judge_turn",
+    "4.31": "loose_env.diagnosis.link_finding.judge_turn",
 }
 """Function of each equation."""
 

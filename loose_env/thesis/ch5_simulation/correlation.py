@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 
 
 EQUATIONS: dict[str, str] = {
-    "4.10": "loose_env.statistics.correlation.by_direction.correlation_loop",
-    "4.11": "loose_env.statistics.correlation.by_direction.correlation_loop",
-    "4.12": "loose_env.statistics.correlation.by_direction.correlation_loop",
-    "4.13": "loose_env.statistics.correlation.by_direction.correlation_loop",
-    "4.14": "loose_env.statistics.correlation.by_direction.correlation_loop",
-    "4.15": "loose_env.statistics.correlation.by_direction.correlation_loop",
+    "4.10": "loose_env.statistics.correlation.correlation_loop",
+    "4.11": "loose_env.statistics.correlation.correlation_loop",
+    "4.12": "loose_env.statistics.correlation.correlation_loop",
+    "4.13": "loose_env.statistics.correlation.correlation_loop",
+    "4.14": "loose_env.statistics.correlation.correlation_loop",
+    "4.15": "loose_env.statistics.correlation.correlation_loop",
 }
 """Function of each equation."""
 

@@ -56,12 +56,12 @@ from loose_env.thesis.shared.plots import rms
 from loose_env.thesis.shared.sections import Section
 
 EQUATIONS: dict[str, str] = {
-    "4.16": "loose_env.statistics.records.moments.skewness",
-    "4.17": "loose_env.statistics.records.moments.skewness",
-    "4.18": "loose_env.statistics.records.moments.skewness",
-    "4.19": "loose_env.statistics.records.moments.skewness",
-    "4.20": "loose_env.statistics.records.moments.kurtosis",
-    "6.18": "loose_env.statistics.correlation.comparative_index.comparative_index",
+    "4.16": "loose_env.statistics.moments.skewness",
+    "4.17": "loose_env.statistics.moments.skewness",
+    "4.18": "loose_env.statistics.moments.skewness",
+    "4.19": "loose_env.statistics.moments.skewness",
+    "4.20": "loose_env.statistics.moments.kurtosis",
+    "6.18": "loose_env.statistics.correlation.comparative_index",
 }
 """Function of each equation."""
 

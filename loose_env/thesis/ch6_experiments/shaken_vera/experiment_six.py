@@ -39,8 +39,8 @@ from loose_env.thesis.shared.plots import rms
 from loose_env.thesis.shared.sections import Section, Table
 
 EQUATIONS: dict[str, str] = {
-    "4.10": "loose_env.statistics.correlation.by_direction.correlation_loop",
-    "6.18": "loose_env.statistics.correlation.comparative_index.comparative_index",
+    "4.10": "loose_env.statistics.correlation.correlation_loop",
+    "6.18": "loose_env.statistics.correlation.comparative_index",
 }
 """Function of each equation."""
 

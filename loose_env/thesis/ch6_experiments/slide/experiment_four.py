@@ -30,9 +30,9 @@ from loose_env.thesis.shared.sections import Section, Table
 from loose_env.typing import Array
 
 EQUATIONS: dict[str, str] = {
-    "4.10": "loose_env.statistics.correlation.by_direction.correlation_loop",
-    "4.19": "loose_env.statistics.records.moments.skewness",
-    "4.20": "loose_env.statistics.records.moments.kurtosis",
+    "4.10": "loose_env.statistics.correlation.correlation_loop",
+    "4.19": "loose_env.statistics.moments.skewness",
+    "4.20": "loose_env.statistics.moments.kurtosis",
 }
 """Function of each equation."""
 
