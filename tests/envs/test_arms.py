@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import itertools
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from loose_env.arms import (
     Drift,
     LinearArm,
     Mismatch,
-    MismatchDraw,
     arm_from_file,
     planar,
     servoed,
@@ -33,9 +31,7 @@ from loose_env.envs import (
     FaultSampler,
 )
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.excitation import at_levels
-from loose_env.faults import KINDS, Backlash, hypotheses, places_of_kind
-from loose_env.rig import SimulatedRig
+from loose_env.faults import KINDS, hypotheses, places_of_kind
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
 
@@ -272,8 +268,6 @@ AXES = ("0 0 1", "0 1 0", "1 0 0")
 TURNS = [f'<joint name="j{k}" axis="{AXES[k % 3]}"/>' for k in range(8)]
 
 GANTRY = """<mujoco><compiler autolimits="true"/><worldbody>
-  <body name="x"><joint name="x" type="slide" axis="1 0 0" range="0 1"/>
-    <geom type="box" size=".5 .05 .05" mass="30"/>
     <body name="y"><joint name="y" type="slide" axis="0 1 0" ref=".4" range="0 1"/>
       <geom type="box" size=".1 .1 .1" mass="10"/>
       <body name="z"><joint name="z" type="slide" axis="0 0 1" range="-.5 0"/>
@@ -282,12 +276,6 @@ GANTRY = """<mujoco><compiler autolimits="true"/><worldbody>
   <actuator><motor joint="x" gear="-100" ctrlrange="-5 5"/>
     <motor joint="y" gear="100" ctrlrange="-3 3"/></actuator></mujoco>"""
 
-RAIL = """<mujoco><option gravity="0 0 0"/><worldbody>
-  <body name="cart"><joint name="rail" type="slide" axis="1 0 0" damping="5"/>
-    <geom type="box" size=".2 .2 .1" mass="20"/>
-    <body name="arm" pos="0 0 .2"><joint name="turn" axis="0 1 0" ref="35" range="-90 110"/>
-      <geom type="capsule" fromto="0 0 0 .5 0 0" size=".04"/>
-  </body></body></worldbody></mujoco>"""
 
 # Nested frames and classes, an included file, degrees with an order of angles, off-axis anchors.
 FRAMES = """<mujoco><compiler angle="degree" eulerseq="ZYX" autolimits="true"/>
@@ -338,37 +326,17 @@ SMALL = chain(
     0.04,
     '<site name="tip" pos=".02 .005 0"/>',
 )
-NAMES_OF_THE_RIG = chain(
-    ['<joint name="seat"/>', '<joint name="gear1" axis="0 1 0"/>', '<joint name="hold_seat"/>'],
-    [rod(0.4)] * 3,
-    0.4,
-    '<site name="accelerometer1" pos=".2 .2 0"/>',
-)
-BARE_LONG = chain(TURNS, [rod(0.15)] * 8, 0.15)
-# Bodies of a wrist without mass of their own, which the compiler gives a least one.
-LIGHT_WRIST = chain(
-    [*TURNS[:2], TURNS[2], TURNS[4], TURNS[6]],
-    [rod(0.4), rod(0.4), "", "", '<geom size=".05"/>'],
-    0.1,
-    '<site pos=".1 .1 0"/>',
-).replace("<worldbody>", '<compiler boundmass="0.01" boundinertia="0.0001"/><worldbody>')
 
 ARMS = {
     "gantry.xml": GANTRY,
-    "rail.xml": RAIL,
     "frames.xml": FRAMES,
     "mimic.urdf": MIMIC_FINGERS,
     "heavy.xml": HEAVY,
     "small.xml": SMALL,
-    "names.xml": NAMES_OF_THE_RIG,
-    "bare_long.xml": BARE_LONG,
-    "light_wrist.xml": LIGHT_WRIST,
 }
 JOINTS = {
     "gantry.xml": "slide slide slide",
-    "rail.xml": "slide hinge",
     "mimic.urdf": "slide hinge hinge",
-    "light_wrist.xml": "hinge hinge hinge hinge hinge",
 }
 
 
@@ -422,22 +390,6 @@ def test_a_drive_too_weak_for_its_load_shakes_nothing(tmp_path: Path) -> None:
         assert not truncated
         assert info["level_share"][0] == 0
         assert np.sum(env.layout.physical(observation, "valid")) == filled
-
-
-@pytest.mark.filterwarnings("ignore:.*no torque limits:UserWarning")
-@pytest.mark.parametrize("file", ["bare_long.xml"], indirect=True)
-def test_without_rotors_the_worst_mismatch_does_not_let_it_diverge(file: Path) -> None:
-    # Behind play in joint 3 only a flange of 5e-5 kg·m² is left of the 0.2 that the joint holds.
-    arm = arm_from_file(file)
-    exact = MismatchDraw.none(arm)
-    worst = replace(exact, rotor=0.91 * exact.rotor, damping=1.3 * exact.damping)
-    rig = SimulatedRig(arm, threads=1)
-    for number in range(4):
-        pose = arm.random_pose(np.random.default_rng(number))
-        shake, _ = at_levels(rig.nominal.at(pose), np.full(arm.n, arm.levels[-1]), duration=0.2)
-        rig.mount(0, Backlash(joint=3, gap=6e-5, stiffness=(3e3, 3e3), damping=(0.1, 0.1)), worst)
-        measurement = rig.measure(pose, shake, rng=np.random.default_rng(number))
-        assert measurement.failure is None
 
 
 @pytest.mark.filterwarnings("ignore:.*no torque limits:UserWarning")

@@ -10,14 +10,13 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from loose_agents.policies.model_gap import GAP_AGENTS, GapAgent
-from loose_agents.rl.motion_policy import LearnedGapAgent, MotionPolicy
+from loose_agents.rl.motion_policy import LearnedGapAgent
 
 from loose_env.arms import SIX_AXIS_SERVO_ARM
-from loose_env.envs import GapObservation, GapPrices, ModelGapEnv, ModelGapSettings
+from loose_env.envs import GapPrices, ModelGapEnv, ModelGapSettings
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.gap import (
     BankSettings,
@@ -179,36 +178,6 @@ def test_training_goes_on_and_its_agent_plays(tmp_path: Path) -> None:
         LearnedGapAgent(tmp_path / "nan.pt", env)
     with pytest.raises(InvalidSetting, match="no weights"):
         LearnedGapAgent(tmp_path / "none.zip", env)
-
-
-def observations(layout: GapObservation, count: int) -> np.ndarray:
-    """Beliefs after a motion, of random numbers."""
-    rng = np.random.default_rng(3)
-    found = rng.uniform(0.0, 0.3, (count, layout.size)).astype(np.float32)
-    found[:, layout.sets] = np.log10(rng.dirichlet(np.ones(layout.ranks), count))
-    found[:, layout.taken.start] = 1.0
-    return found
-
-
-def policy_of(layout: GapObservation, seconds: np.ndarray, prices: np.ndarray) -> MotionPolicy:
-    torch.manual_seed(0)
-    actions = spaces.Discrete(layout.motions + layout.ranks)
-    return MotionPolicy(
-        layout.space, actions, lambda _: 1e-3, layout=layout, seconds=seconds, prices=prices
-    )
-
-
-def test_the_first_policy_takes_the_motion_of_the_largest_expected_reward() -> None:
-    layout = GapObservation(candidates=3, motions=4, ranks=5)
-    prices = np.array([0.02, 0.05, 0.01, 0.2])
-    policy = policy_of(layout, np.ones(4), prices)
-    seen = observations(layout, 50)
-
-    logits = policy.mlp_extractor.forward_actor(torch.from_numpy(seen)).detach().numpy()
-
-    worth = seen[:, layout.gain] - prices + 1e-3 * seen[:, layout.information]
-    assert (logits[:, :4].argmax(1) == worth.argmax(1)).all()
-    assert (logits[:, 4:].argmax(1) == seen[:, layout.sets].argmax(1)).all()
 
 
 def test_shipped_weights_serve_another_library() -> None:

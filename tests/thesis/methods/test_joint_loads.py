@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.faults.thesis_equations import Figures, healthy_torques, thesis_arm
 
 from loose_env.arms import planar, vera
 from loose_env.thesis import cylindrical
@@ -13,7 +14,6 @@ from loose_env.thesis.methods.motion.joint_loads import (
     peak_force,
     two_link_loads,
 )
-from tests.faults.thesis_equations import Figures, healthy_torques, thesis_arm
 
 
 @pytest.mark.parametrize("seed", range(4))
