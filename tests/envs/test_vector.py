@@ -210,8 +210,13 @@ def test_what_ran_before_changes_nothing(make_env: Make) -> None:
     assert_same(play_single(env, 7, 2), expected)
 
 
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize(("num_envs", "threads"), [(1, 1), (3, 2), (8, 1), (8, 3)])
+@pytest.mark.parametrize(
+    ("name", "num_envs", "threads"),
+    [
+        *(("planar", num, threads) for num, threads in ((1, 1), (8, 1), (8, 3))),
+        *((name, 3, 2) for name in ("vera", "six_axis", "scara", "desk")),
+    ],
+)
 def test_a_batch_plays_the_episodes_of_its_seeds_at_any_size_and_thread_count(
     make_env: Make, make_vector: Make, name: str, num_envs: int, threads: int
 ) -> None:
