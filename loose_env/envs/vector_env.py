@@ -425,8 +425,9 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _begin(self, i: int, episode: Episode) -> dict[str, Any]:
         """Begin a drawn episode in an environment."""
+        info = self.batch.begin(i, episode)
         self._seeds[i], self._numbers[i] = episode.seed, episode.number
-        return self.batch.begin(i, episode)
+        return info
 
     def _observe(self) -> Any:
         singles = [self.batch.shown(i) for i in range(self.num_envs)]
