@@ -42,7 +42,6 @@ ORDER = (
     ("instrument",),
     ("report",),
     ("api",),
-    ("thesis",),
     ("cli",),
 )
 RANK = {part: rank for rank, parts in enumerate(ORDER) for part in parts}

@@ -173,13 +173,6 @@ class ShakenArm:
     ------
     InvalidSetting
         If the arm has no shaker.
-
-    Examples
-    --------
-    >>> from loose_env.thesis import PROXIMAL, shaken_vera
-    >>> answer = ShakenArm(shaken_vera(), points=50).at([0.0, 1.0])
-    >>> answer.tool.shape, answer.probes[PROXIMAL].shape
-    ((50, 2), (50, 3))
     """
 
     def __init__(self, arm: Arm, *, points: int = 400) -> None:

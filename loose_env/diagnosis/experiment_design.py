@@ -626,6 +626,13 @@ def least_records(
 ) -> Array:
     """Fewest records, on average, that an error rate takes: the larger of the two bounds.
 
+    Information (Fano): to err on a share δ of the arms the records must bring H(prior) - h(δ) - δ
+    ln(K - 1) nat about the hypothesis (Cover and Thomas, Elements of Information Theory, 2nd
+    edition, theorem 2.10.1); with at most I nat a record that takes as many as it goes into this.
+    Success: let s_k be the highest share of right verdicts that k records allow; then P(records >
+    k) >= 1 - δ - s_k. Both count "unsure" as an error, and hold for any choice of records and any
+    stopping rule.
+
     Parameters
     ----------
     error : array_like
@@ -635,20 +642,12 @@ def least_records(
     information : float, optional
         Most that one record says about the hypothesis on average [nat], above 0.
     success : array_like (R,), optional
-        Highest share of right verdicts after 1 to R records. More records than R are not
-        counted, which can only lower the bound.
+        Highest share of right verdicts after 1 to R records, never falling.
 
     Returns
     -------
     ndarray, as ``error``
         At least 1: the environment takes no verdict before the first record.
-
-    Raises
-    ------
-    InvalidData
-        If the prior is no distribution, or a success is no share or falls.
-    InvalidSetting
-        If an error lies outside 0 to 1, or the information is not above 0.
 
     Examples
     --------

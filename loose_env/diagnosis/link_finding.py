@@ -143,7 +143,7 @@ def judge_axes(
 def judge_turn(
     before: Sighting, after: Sighting, joint: int, settings: LinkFindingSettings
 ) -> Finding:
-    """Say whether the planar direction turned when a joint moved, see `judge_axes`.
+    """Say whether the planar direction turned when a joint moved (4.31), see `judge_axes`.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def candidate_poses(
     most: int = 2048,
     rng: np.random.Generator | None = None,
 ) -> Array:
-    """Poses that one move reaches, with the joints in their ranges.
+    """Poses that one move reaches within the ranges (C, n); the first is the pose itself.
 
     Joints that slide stay: they cannot turn a direction. So does joint 1, which carries the
     whole arm along and changes nothing in the tool frame.
@@ -251,31 +251,17 @@ def candidate_poses(
     ----------
     arm : Arm
         The arm, for its ranges.
-    pose : array_like (n,)
-        Current pose [rad, or m].
-    moves : array_like (m,)
-        Moves of one hinge [rad]; staying is always among them.
+    pose, moves : array_like (n,), (m,)
+        Current pose [rad, or m], and moves of one hinge [rad]; staying is always among them.
     joints : {"one", "all"}
-        True if one joint moves, False if all may.
+        Joints that move.
     sliding : sequence of bool (n,)
         Joints that slide.
     most : int
         With more combinations than this, as many are drawn, beside the moves of single joints.
     rng : numpy.random.Generator, optional
         Source of that draw; always the same one by default.
-
-    Returns
-    -------
-    ndarray (C, n)
-        The first row is the pose itself.
-
-    Raises
-    ------
-    InvalidSetting
-        If ``joints`` is neither of the two.
     """
-    if joints not in ("one", "all"):
-        raise InvalidSetting(f"joints is 'one' or 'all', got {joints!r}")
     q = np.asarray(pose, dtype=float)
     options: list[Array] = []
     for j, limits in enumerate(arm.joint_ranges):
@@ -326,14 +312,12 @@ def choose_move(
     posterior : LinkPosterior
         Prior knowledge.
     candidates : array_like (C, n)
-        Poses to choose from.
+        Poses to choose from, ``chunk`` of them weighted at once.
     sd : float or array_like (C, 2 n)
         Standard deviation that the next direction is expected to have, in each pose under each
         hypothesis [rad].
     count : int
         Number of the best candidates to return.
-    chunk : int
-        Candidates that are weighted at once.
 
     Returns
     -------
@@ -341,26 +325,8 @@ def choose_move(
         The best candidates, best first; among equals the order of the candidates.
     confusion : ndarray (count,)
         Their remaining share of confusion, 0 to 1; 1: nothing can be told apart.
-
-    Raises
-    ------
-    InvalidSetting
-        If sd is not positive.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> from loose_env.diagnosis.directions import DirectionSighting, link_posterior
-    >>> arm = planar(2)
-    >>> frames = ToolFrames(arm)
-    >>> known = link_posterior(frames, [DirectionSighting.of([0, 0.5], [0.6, 0.8], 0.05)])
-    >>> where = candidate_poses(arm, [0, 0.5], [-1.0, 1.5], joints="one", sliding=frames.slides)
-    >>> where[choose_move(frames, known, where, sd=0.05)[0]].tolist()
-    [[0.0, 2.0]]
     """
     spread = np.asarray(sd, dtype=float)
-    if not np.isfinite(spread).all() or np.min(spread) <= 0:
-        raise InvalidSetting(f"sd must be a positive angle [rad], got {sd!r}")
     rows, n = np.atleast_2d(np.asarray(candidates, dtype=float)), frames.arm.n
     weight = posterior.probabilities
     alive = np.flatnonzero(weight > 1e-4 * weight.max())
@@ -528,10 +494,10 @@ def choose_open_move(
     level: float,
     shortlist: int = 12,
 ) -> Array:
-    """Choose the pose that discriminates best between seats, gravity considered.
+    """Choose the pose that discriminates best between seats, gravity considered (n,).
 
-    The best candidates by direction alone are looked at again with each hypothesis's standard
-    deviation divided by how open its seat would be there.
+    The ``shortlist`` best candidates by direction alone are looked at again with each hypothesis's
+    standard deviation divided by how open its seat would be there.
 
     Parameters
     ----------
@@ -545,23 +511,17 @@ def choose_open_move(
         Standard deviation of the direction of an open seat [rad].
     level : float
         Excitation: rms acceleration of the tool from each joint [m/s²].
-    shortlist : int
-        Candidates that are looked at again.
-
-    Returns
-    -------
-    ndarray (n,)
-        The pose.
 
     Examples
     --------
     >>> from loose_env.arms import planar
-    >>> from loose_env.diagnosis.link_finding import candidate_poses
-    >>> from loose_env.diagnosis.directions import DirectionSighting, link_posterior
+    >>> from loose_env.diagnosis import DirectionSighting, link_posterior
     >>> arm = planar(2)
     >>> frames = ToolFrames(arm)
     >>> known = link_posterior(frames, [DirectionSighting.of([0, 0.5], [0.6, 0.8], 0.05)])
     >>> where = candidate_poses(arm, [0, 0.5], [-1.0, 1.5], joints="one", sliding=frames.slides)
+    >>> where[choose_move(frames, known, where, sd=0.05)[0]].tolist()
+    [[0.0, 2.0]]
     >>> choose_open_move(frames, LinearArm(arm), known, where, sd=0.05, level=4.0).tolist()
     [0.0, 2.0]
     """

@@ -226,19 +226,13 @@ def wishart_fit(found: Array, fixed: Array, added: Array, amounts: Array, degree
     worked out once for all amounts.
     """
     d = len(found)
-    if d not in (2, 3):
-        raise InvalidData(f"the covariance must be 2 x 2 or 3 x 3, got {found.shape}")
     of_fixed, of_added = _cofactors(fixed), _cofactors(added)
     if d == 2:  # det(A + q B) = det A + q tr(adj A B) + q² det B
         determinant = [_det(fixed, of_fixed), _dot(of_fixed, added), _det(added, of_added)]
         numerator = [_dot(of_fixed, found), _dot(of_added, found)]
     else:
-        determinant = [
-            _det(fixed, of_fixed),
-            _dot(of_fixed, added),
-            _dot(fixed, of_added),
-            _det(added, of_added),
-        ]
+        determinant = [_det(fixed, of_fixed), _dot(of_fixed, added)]
+        determinant += [_dot(fixed, of_added), _det(added, of_added)]
         between = _cofactors(fixed + added) - of_fixed - of_added
         numerator = [_dot(of_fixed, found), _dot(between, found), _dot(of_added, found)]
     expected = np.maximum(_polynomial(determinant, amounts), _TINY)
@@ -255,30 +249,19 @@ def _polynomial(coefficients: list[Array], at: Array) -> Array:
 
 def _dot(a: Array, b: Array) -> Array:
     """Trace of the product of symmetric matrices (...)."""
-    d = a.shape[-1]
-    total = sum(a[..., i, i] * b[..., i, i] for i in range(d))
-    mixed = sum(a[..., i, j] * b[..., i, j] for i in range(d) for j in range(i))
-    return np.asarray(total + 2 * mixed)
+    return np.asarray(np.einsum("...ij,...ij->...", a, b))
 
 
 def _det(matrix: Array, cofactors: Array) -> Array:
     """Determinant, along the first row (...)."""
-    return np.asarray(sum(matrix[..., 0, i] * cofactors[..., 0, i] for i in range(len(matrix.T))))
+    return np.asarray(np.einsum("...i,...i->...", matrix[..., 0, :], cofactors[..., 0, :]))
 
 
 def _cofactors(m: Array) -> Array:
     """Cofactors of symmetric 2 x 2 or 3 x 3 matrices (..., d, d)."""
-    found = np.empty_like(m)
     if m.shape[-1] == 2:
-        found[..., 0, 0], found[..., 1, 1] = m[..., 1, 1], m[..., 0, 0]
-        found[..., 0, 1] = found[..., 1, 0] = -m[..., 0, 1]
-        return found
-    for i in range(3):
-        for j in range(i + 1):
-            a, b, c, e = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
-            found[..., i, j] = m[..., a, c] * m[..., b, e] - m[..., a, e] * m[..., b, c]
-            found[..., j, i] = found[..., i, j]
-    return found
+        return np.asarray(np.trace(m, axis1=-2, axis2=-1)[..., None, None] * np.eye(2) - m)
+    return np.cross(np.roll(m, -1, axis=-2), np.roll(m, -2, axis=-2))
 
 
 RATIOS = np.geomspace(0.05, 100.0, 20)

@@ -475,54 +475,6 @@ def _cell(rows: Sequence[Row]) -> Cell:
     )
 
 
-def table_of(found: Sequence[Standing], *, reference: str | None = None) -> list[dict[str, str]]:
-    """Write the standings as rows of a table, one an agent.
-
-    With intervals of records and return where the standings have them, and with the lead over
-    the reference where there is one.
-    """
-    rows, unsure = [], any(s.unsure for s in found)
-    for s in found:
-        row = {
-            "Agent": s.agent,
-            "Accuracy": f"{100 * s.success:.1f} %",
-            "95 % interval": f"{100 * s.low:.1f} to {100 * s.high:.1f} %",
-            "Location": percent(s.link_success),
-            "False alarms": percent(s.false_alarms),
-            "Missed faults": percent(s.misses),
-            **({"Unsure": percent(s.unsure)} if unsure else {}),
-            "Poses": f"{s.poses:.2f}",
-            "Records": f"{s.records:.2f}{_margin(s.records_interval)}",
-            "Excited": f"{s.seconds:.2f} s",
-            "Return": f"{s.reward:.3f}{_margin(s.reward_interval, 3)}".replace("-", "−"),
-        }
-        if reference is not None:
-            row[f"Return against {reference}"] = "reference" if s.lead is None else _spread(s.lead)
-        rows.append(row)
-    return rows
-
-
-def percent(share: float, digits: int = 1) -> str:
-    """Write a share in per cent; nothing for NaN.
-
-    Examples
-    --------
-    >>> percent(0.8934), percent(float("nan"))
-    ('89.3 %', '')
-    """
-    return "" if np.isnan(share) else f"{100 * share:.{digits}f} %"
-
-
-def _spread(interval: Interval) -> str:
-    """Write a difference with the ends of its interval."""
-    ends = f"{interval.low:+.3f} to {interval.high:+.3f}"
-    return f"{interval.estimate:+.3f} ({ends})".replace("-", "−")
-
-
-def _margin(interval: Interval | None, digits: int = 2) -> str:
-    return "" if interval is None else f" ± {interval.half:.{digits}f}"
-
-
 def who_won(rows: Sequence[Row]) -> list[str]:
     """Say in plain words who earned most, who came next, and who was right more often."""
     best, *others = standings(rows)

@@ -520,43 +520,43 @@ def _next_section(diagnosis: Diagnosis, arm: Arm) -> Section:
         }
         for joint, value in following.pose.items()
     ]
+    numbers = zip(following.joints, following.levels, following.torques, strict=True)
     excitation = [
         {
             "Joint to shake": joint_words(arm, joint),
-            "Band": f"{following.band_hz[0]:g} to {following.band_hz[1]:g} Hz",
             "Acceleration, rms": f"{level:.3g} {units[joint]}/s²",
             "Drive, rms": f"{torque:.3g} {'N' if slides(arm, joint) else 'N·m'}",
-            "Length": f"{following.seconds:g} s",
-            "Sampling rate": f"{following.rate_hz:g} Hz",
         }
-        for joint, level, torque in zip(
-            following.joints, following.levels, following.torques, strict=True
-        )
+        for joint, level, torque in numbers
     ]
     many = "s in yellow one after the other" if len(following.joints) > 1 else " in yellow"
+    low, high = following.band_hz
+    intro = [
+        f"Random noise from {low:g} to {high:g} Hz for {following.seconds:g} s, sampled at "
+        f"{following.rate_hz:g} Hz, one run for each joint."
+    ]
+    if following.gain > 0:
+        intro.append(
+            f"Expected information: {following.gain:.2g} bits about the fault; one bit halves the "
+            "possibilities."
+        )
+    note = (
+        "The drive is what the nominal model needs for this acceleration; check it against the "
+        "drive's limits before it is played."
+    )
     card = FigureCard(
         title="The pose to measure next",
         image=arm_figure(arm, following.pose, fault=diagnosis.fault, excited=following.joints),
         caption=f"Shake the joint{many}, hold the others.",
     )
-    intro = (
-        f"Expected information: {following.gain:.2g} bits about the fault; one bit halves the "
-        "possibilities."
-    )
     return Section(
         heading="The next measurement",
-        intro=[intro] if following.gain > 0 else [],
+        intro=intro,
         cards=[card],
         beside=True,
         tables=[
             Table(rows=pose, note="Positions from the base, every joint held there."),
-            Table(
-                title="Excitation",
-                rows=excitation,
-                note="Random noise in the band, one run for each joint. The drive is what the "
-                "nominal model needs for this acceleration; check it against the drive's limits "
-                "before it is played.",
-            ),
+            Table(title="Excitation", rows=excitation, note=note),
         ],
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import log1p
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -55,54 +55,20 @@ from loose_env.report.page import (
     render_page,
     warnings_section,
 )
+from loose_env.report.words import (
+    RIVALS,
+    Located,
+    deletion_words,
+    effect_words,
+    kind_words,
+    rivals_words,
+    together,
+)
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_PLAIN = {
-    "viscous_friction": "viscous friction",
-    "coulomb_friction": "dry friction",
-    "stribeck_friction": "dry friction that grows near rest",
-    "quadratic_drag": "drag that grows with the square of the speed",
-    "joint_compliance": "a compliant drive",
-    "backlash": "backlash",
-    "structural_looseness": "a loose link",
-    "link_flexibility": "a flexible link",
-    "link_mass": "another mass",
-    "link_com": "another centre of mass",
-    "payload": "a payload",
-    "rotor_inertia": "more rotor inertia",
-    "actuator_gain": "another gain",
-    "actuator_lag": "a lag",
-    "command_delay": "late commands",
-    "encoder_offset": "an encoder whose zero is off",
-    "sensor_misalignment": "a sensor that is mounted askew",
-    "sensor_gain": "a sensor whose scale is off",
-    "sensor_bias": "a sensor with a bias",
-    "sensor_delay": "a late sensor",
-    "base_tilt": "a tilted base",
-    "torque_ripple": "torque ripple",
-    "joint_spring": "a spring",
-    "load_friction": "friction that grows with the load",
-    "asymmetric_friction": "dry friction that differs by direction",
-    "torque_limit": "a limit of the torque",
-    "voltage_limit": "a limit of the voltage",
-    "dead_zone": "a dead zone",
-    "gravity_compensation": "a weight that is carried",
-    "torque_constant": "another torque constant",
-    "base_compliance": "a base that gives way",
-    "gear_eccentricity": "an eccentric gear",
-    "sensor_quantisation": "a coarse sensor",
-}
-_PLACES = {
-    ("payload", "tool"): " at the tool",
-    ("base_tilt", "base"): "",
-    ("command_delay", "all"): " at all actuators",
-    ("base_compliance", "base"): "",
-    ("gravity_compensation", "all"): " of all links",
-}
-"""Locations that are no names of the model; a joint or a link may be called so, too."""
 _ZERO = frozenset(
     {
         "amplitude", "damping", "delay", "drag", "gap", "inertia", "mass", "offset",
@@ -112,7 +78,7 @@ _ZERO = frozenset(
 _VECTORS = frozenset({"link_com", "sensor_misalignment", "sensor_bias", "base_tilt"})
 """Parameters that are zero where the effect is absent, and effects of which all components are."""
 _ONE = frozenset({"factor", "gain", "static_ratio"})
-_RIVALS, _HEADLINE = 5, 36  # confusable effects by name; letters of the effects in the headline
+_HEADLINE = 36  # letters of the effects in the headline
 _ROWS, _PARAMETERS, _BARS = 12, 16, 24  # rows of a table, of that of parameters; channels drawn
 _MOVED = 1e-3  # deviation of a factor from 1 from which it is listed
 _SPECTRA, _JOINTS = 4, 8  # channels with a spectrum, and joints with an overlay
@@ -121,51 +87,6 @@ _PANELS = ("position", "velocity", "load")
 _UNITS = {"N·m": ("rad", "rad/s", "N·m"), "N": ("m", "m/s", "N")}
 _EFFECTS = ["missing effect", "probability", "parameter", "value", "95 % interval", "unit"]
 _QUICK = ["may be missing", "parameter", "value", "unit", "explains", "z", "residual left"]
-
-Located = NamedEffect | EffectLocation
-
-
-# Effects in words
-
-
-def effect_words(kind: str, where: str) -> str:
-    """An effect and its location, as one says it.
-
-    Examples
-    --------
-    >>> effect_words("coulomb_friction", "joint2")
-    'dry friction (joint2)'
-    """
-    return f"{_PLAIN.get(kind, kind.replace('_', ' '))}{_PLACES.get((kind, where), f' ({where})')}"
-
-
-def _together(effects: Iterable[Located], *, plain: bool = True) -> str:
-    """Effects in words, those of one kind together."""
-    places: dict[str, list[str]] = {}
-    for effect in effects:
-        places.setdefault(effect.kind, []).append(effect.where)
-    joined = {kind: ", ".join(where) for kind, where in places.items()}
-    return named_list([effect_words(k, w) if plain else f"{k} at {w}" for k, w in joined.items()])
-
-
-def _rivals(effect: NamedEffect) -> list[str]:
-    """Confusable effects of one, the first by name and the others by their number."""
-    named = [effect_words(o.kind, o.where) for o in effect.ambiguous_with]
-    more = len(named) - _RIVALS
-    return named if more < 2 else [*named[:_RIVALS], f"{more} others, listed in result.json"]
-
-
-def _deletion(effect: NamedEffect) -> str:
-    """Probability of an effect and what is lost without it; "" where neither is known."""
-    found = [] if effect.probability is None else [f"probability {effect.probability:.2f}"]
-    test = effect.deletion
-    if test is not None:
-        words = f"explains {100 * max(0.0, test.share_without):.0f} % of the residual without it"
-        if test.share_in_channel > test.share_without + 0.05:
-            words += f", {100 * test.share_in_channel:.0f} % in one channel"
-        runs = f"z {test.held_out_z:.1f} on held-out runs, {test.training_z:.1f} on fitted ones"
-        found.append(f"{words} ({runs})")
-    return "; ".join(found)
 
 
 # Headline, text
@@ -192,8 +113,8 @@ def gap_headline(result: GapResult) -> str:
 
 def _short(effects: Sequence[Located]) -> str:
     """Effects in one line: with their locations, else without, else their number."""
-    kinds = dict.fromkeys(_PLAIN.get(e.kind, e.kind.replace("_", " ")) for e in effects)
-    fits = (w for w in (_together(effects), named_list(list(kinds))) if len(w) <= _HEADLINE)
+    kinds = dict.fromkeys(kind_words(e.kind) for e in effects)
+    fits = (w for w in (together(effects), named_list(list(kinds))) if len(w) <= _HEADLINE)
     return next(fits, f"{len(effects)} effects")
 
 
@@ -219,11 +140,9 @@ def summary_words(result: GapResult) -> list[str]:
     """Effects with their locations, and the residual before and after, below the headline."""
     found, likely = [], _unsure(result)
     if result.effects:
-        found.append(f"{begun(_together(result.effects))}.")
+        found.append(f"{begun(together(result.effects))}.")
     elif likely is not None:
-        found.append(
-            f"It may be {_together(likely.places)}; that is not significant in these runs."
-        )
+        found.append(f"It may be {together(likely.places)}; that is not significant in these runs.")
     after = "" if result.verdict == "no_gap" else f", {result.gap.after:.2f} after correction"
     found.append(
         f"Residual on held-out runs: {result.gap.before:.2f} noise standard deviations{after} "
@@ -260,7 +179,11 @@ def _brief(result: GapResult, *, warnings: bool) -> Brief:
 def _effect_rows(effect: NamedEffect) -> list[list[str]]:
     """Rows of an effect's parameters; the first names the effect."""
     likely = "" if effect.probability is None else f"{100 * effect.probability:.0f} %"
-    name, others, rows = effect_words(effect.kind, effect.where), ", ".join(_rivals(effect)), []
+    name, others, rows = (
+        effect_words(effect.kind, effect.where),
+        ", ".join(rivals_words(effect)),
+        [],
+    )
     for parameter, value in effect.parameters.items():
         ends = effect.interval_95.get(parameter)
         between = "" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}"
@@ -414,13 +337,13 @@ def gap_steps(result: GapResult) -> list[str]:
             "does not carry them."
         )
     for effect in result.effects:
-        for other in effect.ambiguous_with[:_RIVALS]:
+        for other in effect.ambiguous_with[:RIVALS]:
             advice = how_to_separate(effect.kind, effect.where, other.kind, other.where)
             names = [effect_words(each.kind, each.where) for each in (effect, other)]
             steps.append(f"To separate {' from '.join(names)}: {advice[0].lower()}{advice[1:]}")
     if likely is not None:
         steps.append(
-            f"Record more of these motions, or longer ones: {_together(likely.places)} reduces the "
+            f"Record more of these motions, or longer ones: {together(likely.places)} reduces the "
             f"residual from {result.gap.before:.2f} to {likely.held_out:.2f}, but with a z-score "
             f"of only {likely.improvement_z:.1f}."
         )
@@ -450,18 +373,16 @@ def gap_steps(result: GapResult) -> list[str]:
 def _answers(result: GapResult) -> dict[str, Sequence[str]]:
     """Findings, each under its heading."""
     named = [
-        ", ".join(
-            filter(None, (f"{effect_words(e.kind, e.where)}: {e.kind} at {e.where}", _deletion(e)))
-        )
+        f"{effect_words(e.kind, e.where)}: {e.kind} at {e.where}, {deletion_words(e)}"
         for e in result.effects
     ]
     doubtful = [
-        f"{effect_words(e.kind, e.where)}: {_deletion(e)}; too little to tell it from a stand-in "
-        "for something else"
+        f"{effect_words(e.kind, e.where)}: {deletion_words(e)}; too little to tell it from a "
+        "stand-in for something else"
         for e in result.doubtful
     ]
     found: dict[str, Sequence[str]] = {
-        "Missing effects": named,
+        "Missing effects": [each.rstrip(", ") for each in named],
         "Reduce the error, not identified": doubtful,
         "Location of the residual": result.location_words if result.verdict != "no_gap" else (),
         "Size of the model error": size_words(result),
@@ -503,9 +424,9 @@ def mistaken_words(result: GapResult) -> list[str]:
             own = EffectLocation(kind=effect.kind, where=effect.where)
             first = next((r for r in result.ranking if own in r.places), None)
             groups.setdefault((first.step, first.places) if first else (0, ()), []).append(effect)
-    for (step, together), effects in groups.items():
-        words = _together(effects)
-        others = sum(row.step == step and row.places != together for row in result.ranking)
+    for (step, fitted), effects in groups.items():
+        words = together(effects)
+        others = sum(row.step == step and row.places != fitted for row in result.ranking)
         if not others:
             said.append(f"No other hypothesis was fitted to whole runs in place of {words}.")
             continue
@@ -515,7 +436,7 @@ def mistaken_words(result: GapResult) -> list[str]:
             else f"none of the {others} other hypotheses that were fitted to whole runs explains"
         )
         said.append(f"In place of {words}, {rivals} the held-out runs as well.")
-        if len(together) > 1:
+        if len(fitted) > 1:
             said.append(
                 "These were fitted jointly; another effect at one of the locations, with the "
                 "others unchanged, was not tried."
@@ -525,7 +446,7 @@ def mistaken_words(result: GapResult) -> list[str]:
         said.append(f"No play at another location explains the impact power as well as {words}.")
     said += [
         f"The held-out runs do not separate {effect_words(e.kind, e.where)} from "
-        f"{' or from '.join(_rivals(e))}."
+        f"{' or from '.join(rivals_words(e))}."
         for e in result.effects
         if e.ambiguous_with
     ]
@@ -847,7 +768,7 @@ def _ranking_section(result: GapResult) -> Section:
     for step in steps:
         rows = [
             {
-                "Effect": _together(r.places, plain=False),
+                "Effect": together(r.places, plain=False),
                 "Held-out residual": f"{r.held_out:.3f}",
                 "Improvement": f"{r.improvement_z:.2f}",
                 "BIC": f"{r.bic:.0f}",

@@ -411,7 +411,7 @@ def bar(share: float) -> str:
     Examples
     --------
     >>> bar(0.5).count('width="60.0"'), bar(7.0).count('width="120.0"')
-    (1, 1)
+    (1, 2)
     """
     frame = '<rect width="{:.1f}" height="10" fill="{}"{}/>'
     filled = frame.format(120 * min(max(share, 0.0), 1.0), ink.MEASURED, "")

@@ -174,26 +174,24 @@ def _charts_section(trend: Trend) -> Section:
         p: f"{titles[p]}: {s.channel}, {_band(s)}" if s.quantity == "transmission" else titles[p]
         for p, s in strongest.items()
     }
-    cards = []
-    if places:
-        cards.append(
-            FigureCard(
-                title="Control charts",
-                image=_chart_figure(trend, places, titles),
-                caption="For each excited joint the highest statistic of its axes and bands: "
-                "cumulative sum or single score, whichever is closer to its limit. Above is an "
-                "alarm; it stands until a maintenance record. Vertical lines: maintenance.",
-            )
-        )
-    if strongest:
-        cards.append(
-            FigureCard(
-                title="Strongest changes",
-                image=_level_figure(trend, strongest, named),
-                caption="The axis and band that changed most, over the mean of the sessions before "
-                "it since the last maintenance.",
-            )
-        )
+    charts = (
+        "Control charts",
+        _chart_figure(trend, places, titles) if places else None,
+        "For each excited joint the highest statistic of its axes and bands: cumulative sum or "
+        "single score, whichever is closer to its limit. Above is an alarm; it stands until a "
+        "maintenance record. Vertical lines: maintenance.",
+    )
+    levels = (
+        "Strongest changes",
+        _level_figure(trend, strongest, named) if strongest else None,
+        "The axis and band that changed most, over the mean of the sessions before it since the "
+        "last maintenance.",
+    )
+    cards = [
+        FigureCard(title=title, image=image, caption=caption)
+        for title, image, caption in (charts, levels)
+        if image is not None
+    ]
     return Section(heading="Over the sessions", cards=cards)
 
 

@@ -1,14 +1,63 @@
-"""Words of the reports of a diagnosis, a trend and a plan: joints, links, faults, shares."""
+"""Words of the reports: joints, links, faults, shares, effects."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from loose_env.arms import Arm
 from loose_env.errors import InvalidData
+from loose_env.gap import EffectLocation, NamedEffect
 from loose_env.instrument import HEALTHY
+from loose_env.report.page import named_list
+
+_PLAIN = {
+    "viscous_friction": "viscous friction",
+    "coulomb_friction": "dry friction",
+    "stribeck_friction": "dry friction that grows near rest",
+    "quadratic_drag": "drag that grows with the square of the speed",
+    "joint_compliance": "a compliant drive",
+    "backlash": "backlash",
+    "structural_looseness": "a loose link",
+    "link_flexibility": "a flexible link",
+    "link_mass": "another mass",
+    "link_com": "another centre of mass",
+    "payload": "a payload",
+    "rotor_inertia": "more rotor inertia",
+    "actuator_gain": "another gain",
+    "actuator_lag": "a lag",
+    "command_delay": "late commands",
+    "encoder_offset": "an encoder whose zero is off",
+    "sensor_misalignment": "a sensor that is mounted askew",
+    "sensor_gain": "a sensor whose scale is off",
+    "sensor_bias": "a sensor with a bias",
+    "sensor_delay": "a late sensor",
+    "base_tilt": "a tilted base",
+    "torque_ripple": "torque ripple",
+    "joint_spring": "a spring",
+    "load_friction": "friction that grows with the load",
+    "asymmetric_friction": "dry friction that differs by direction",
+    "torque_limit": "a limit of the torque",
+    "voltage_limit": "a limit of the voltage",
+    "dead_zone": "a dead zone",
+    "gravity_compensation": "a weight that is carried",
+    "torque_constant": "another torque constant",
+    "base_compliance": "a base that gives way",
+    "gear_eccentricity": "an eccentric gear",
+    "sensor_quantisation": "a coarse sensor",
+}
+_PLACES = {
+    ("payload", "tool"): " at the tool",
+    ("base_tilt", "base"): "",
+    ("command_delay", "all"): " at all actuators",
+    ("base_compliance", "base"): "",
+    ("gravity_compensation", "all"): " of all links",
+}
+"""Locations that are no names of the model; a joint or a link may be called so, too."""
+RIVALS = 5  # confusable effects that are listed by name
+
+Located = NamedEffect | EffectLocation
 
 
 def joint_words(arm: Arm, joint: str) -> str:
@@ -96,3 +145,48 @@ def with_plain_names(words: str, names: Mapping[str, str]) -> str:
         if "@" in name:
             words = words.replace(name, f"“{names[name]}”")
     return words
+
+
+def kind_words(kind: str) -> str:
+    """A kind of effect, as one says it."""
+    return _PLAIN.get(kind, kind.replace("_", " "))
+
+
+def effect_words(kind: str, where: str) -> str:
+    """An effect and its location, as one says it.
+
+    Examples
+    --------
+    >>> effect_words("coulomb_friction", "joint2")
+    'dry friction (joint2)'
+    """
+    return f"{kind_words(kind)}{_PLACES.get((kind, where), f' ({where})')}"
+
+
+def together(effects: Iterable[Located], *, plain: bool = True) -> str:
+    """Effects in words, those of one kind together."""
+    places: dict[str, list[str]] = {}
+    for effect in effects:
+        places.setdefault(effect.kind, []).append(effect.where)
+    joined = {kind: ", ".join(where) for kind, where in places.items()}
+    return named_list([effect_words(k, w) if plain else f"{k} at {w}" for k, w in joined.items()])
+
+
+def rivals_words(effect: NamedEffect) -> list[str]:
+    """Confusable effects of one, the first by name and the others by their number."""
+    named = [effect_words(o.kind, o.where) for o in effect.ambiguous_with]
+    more = len(named) - RIVALS
+    return named if more < 2 else [*named[:RIVALS], f"{more} others, listed in result.json"]
+
+
+def deletion_words(effect: NamedEffect) -> str:
+    """Probability of an effect and what is lost without it; "" where neither is known."""
+    found = [] if effect.probability is None else [f"probability {effect.probability:.2f}"]
+    test = effect.deletion
+    if test is not None:
+        words = f"explains {100 * max(0.0, test.share_without):.0f} % of the residual without it"
+        if test.share_in_channel > test.share_without + 0.05:
+            words += f", {100 * test.share_in_channel:.0f} % in one channel"
+        runs = f"z {test.held_out_z:.1f} on held-out runs, {test.training_z:.1f} on fitted ones"
+        found.append(f"{words} ({runs})")
+    return "; ".join(found)

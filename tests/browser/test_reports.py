@@ -40,9 +40,12 @@ from tests.instrument.arms.plan_arms import SERVOED, written
 from tests.instrument.trend.sessions_of_an_arm import named, session
 from tests.report.diagnosis_case import CASES, LONG
 from tests.report.test_comparison import ROWS, Guesser
-from tests.thesis.test_page import FAILED, outcome, render
+from tests.scripts.test_reproduce_thesis import FAILED, outcome, render
 
 __all__ = ["browser"]
+
+
+pytestmark = pytest.mark.slow
 
 
 def gap_page(suffix: str = "") -> Callable[[Path], Path]:

@@ -22,7 +22,6 @@ from loose_env.diagnosis.features import (
 from loose_env.diagnosis.novelty import (
     COLUMNS,
     MODEL_SHARE,
-    SEAT_SHARE,
     residual_change,
     sights,
 )
@@ -89,13 +88,6 @@ def test_each_figure_is_judged_by_its_context(reference: NoveltyReference, figur
     assert novelty[figure] > 5.0
     assert np.abs(np.delete(novelty, figure)).max() < 1.0
     assert reference.surprise(novelty[None]) == 1 / 1000
-
-
-def test_figures_are_weighed_by_how_much_they_spread(reference: NoveltyReference) -> None:
-    wide = replace(reference, spread=np.array([[1.0, 100.0, 1.0]] * 2))
-    assert wide.score(np.array([[1.0, 50.0, 0.0]])) == 1.0
-    shifted = replace(reference, usual=np.array([[0.0, 49.5, 0.0]] * 2))
-    assert shifted.score(np.array([[0.0, 50.0, 0.0]])) == 0.5
 
 
 def test_the_last_table_serves_longer_episodes(reference: NoveltyReference) -> None:
@@ -221,15 +213,6 @@ def test_a_sound_arm_is_a_sound_arm_however_thin_the_errors() -> None:
     assert min(each.healthy for each in far) > 3 * ELEMENTS
 
 
-def test_a_seat_off_the_directions_tried_has_room() -> None:
-    rng = np.random.default_rng(3)
-    one = change(rng, {2: 1.0})
-    found = residual_change(one)
-    room = found.variance[2] - found.variance[2].min()
-    assert (found.variance[2] > (SEAT_SHARE * 0.9) ** 2 * (one.open[2] ** 2).mean()).all()
-    assert room.max() == pytest.approx(0.05**2 - 0.01**2, rel=0.01)
-
-
 def test_the_second_seat_takes_off_what_the_first_leaves() -> None:
     rng = np.random.default_rng(4)
     for _ in range(20):
@@ -238,22 +221,6 @@ def test_the_second_seat_takes_off_what_the_first_leaves() -> None:
         assert int(np.argmax(second)) == 4
         assert second[1] == pytest.approx(0.0, abs=1e-9)
         assert (second >= 0).all()
-
-
-def test_the_unit_does_not_matter() -> None:
-    one = change(np.random.default_rng(5), {0: 0.4})
-    factor = 1e3
-    other = TransmissionChange(
-        measured=factor * one.measured,
-        open=factor * one.open,
-        nominal=factor * one.nominal,
-        covariance=factor**2 * one.covariance,
-    )
-    for name in ("healthy", "residual", "explained", "opening"):
-        assert getattr(residual_change(other), name) == pytest.approx(
-            getattr(residual_change(one), name)
-        )
-    assert residual_change(other).second(0) == pytest.approx(residual_change(one).second(0))
 
 
 def test_it_is_the_scatter_of_records_with_gaussian_commands() -> None:

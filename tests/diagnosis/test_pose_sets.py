@@ -102,13 +102,6 @@ def test_confusion_is_bhattacharyyas_bound_of_two_directions_in_the_plane() -> N
     assert found == pytest.approx(np.exp(-2 * np.sin(turn / 2) ** 2 / (8 * sd**2)))
 
 
-def test_confusion_asks_only_about_the_links_in_question() -> None:
-    frames = ToolFrames(planar(3))
-    stay, move = [0.0, 0.0, 0.0], [0.0, np.pi / 2, 0.0]
-    assert link_confusion(frames, [stay], [move], sd=0.1, links=[2, 3]) == pytest.approx(1.0)
-    assert link_confusion(frames, [stay], [move], sd=0.1, links=[1, 3])[0] < 1e-5
-
-
 def test_unknown_strategies_and_bad_settings_are_refused_with_words() -> None:
     sets, rng = PoseSets(planar(2), moves=MOVES), np.random.default_rng(0)
     with pytest.raises(UnknownName, match="one joint"):
@@ -119,8 +112,8 @@ def test_unknown_strategies_and_bad_settings_are_refused_with_words() -> None:
         sets.make("random", np.zeros(2), 0, rng)
     with pytest.raises(InvalidSetting, match="not all zero"):
         PoseSets(planar(2), moves=[0.0])
-    with pytest.raises(InvalidSetting, match="two or more links"):
-        link_confusion(sets.frames, [[0, 0]], [[0, 1]], sd=0.1, links=[1])
+    with pytest.raises(InvalidSetting, match=r"0\.1 to 52 degrees"):
+        bingham_width(np.radians(60.0), 2)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -179,15 +172,6 @@ def test_the_limit_rises_with_poses_and_falls_with_links_and_scatter() -> None:
     assert (limit(6, 10.0)[1:] > limit(6, 20.0)[1:]).all()
     # In space a direction has two coordinates and says more.
     assert limit(6, 20.0, 3)[1] > limit(6, 20.0)[1] + 0.05
-
-
-def test_impossible_scatter_is_refused() -> None:
-    with pytest.raises(InvalidSetting, match=r"0\.1 to 52 degrees"):
-        bingham_width(np.radians(60.0), 2)
-    with pytest.raises(InvalidSetting, match=r"0\.1 to 43 degrees"):
-        bingham_width(np.radians(45.0), 3)
-    with pytest.raises(InvalidSetting, match="plane"):
-        bingham_width(0.1, 4)
 
 
 def test_one_joint_at_a_time_takes_the_thesiss_number_of_moves() -> None:

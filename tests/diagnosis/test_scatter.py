@@ -134,11 +134,6 @@ def test_a_change_beyond_all_errors_stands_out_and_none_does_not() -> None:
     assert not pooled().stands_out(0.5, rng)
 
 
-def test_a_further_sensor_adds_its_gain_along_the_same_place() -> None:
-    seen = change(np.radians(60.0), 8.0)
-    np.testing.assert_allclose(gain_of(seen, seen, seen), 3 * gain_of(seen))
-
-
 def test_sensors_do_not_outvote_an_error_that_they_share() -> None:
     made = change(0.0, 8.0)
     spring = made.measured[None]

@@ -40,7 +40,9 @@ def page_of(found: Diagnosis, arm: Arm, out: Path, **more: str) -> str:
     return write_page(out / "new" / "report.html", found, arm, **more).read_text("utf-8")
 
 
-@pytest.mark.parametrize("case", ["loose link in the plane", "not decided", "long names"])
+@pytest.mark.parametrize(
+    "case", ["not decided", pytest.param("long names", marks=pytest.mark.slow)]
+)
 def test_the_page_is_whole_and_has_every_record(case: str, tmp_path: Path) -> None:
     arm, found = CASES[case]()
     page = page_of(found, arm, tmp_path, recording="cell <4>")

@@ -37,7 +37,6 @@ from loose_env.gap.workflow import summary as gap_summary
 from loose_env.report import gap as gap_report
 from loose_env.report import gap_headline, gap_text, render_gap_page, to_svg, write_gap_report
 from loose_env.report.gap import (
-    effect_words,
     gap_steps,
     mistaken_words,
     parameters_section,
@@ -45,6 +44,7 @@ from loose_env.report.gap import (
     summary_words,
 )
 from loose_env.report.gap_figures import channel_bars, residual_panels
+from loose_env.report.words import effect_words
 from tests.gap.cases.gap_case import record, solution_for
 from tests.report.page_checks import checked, words
 
@@ -175,6 +175,7 @@ def test_the_code_and_the_motion_that_separates_stand_first(page: str) -> None:
     assert end.count("<li>") == 3
 
 
+@pytest.mark.slow
 def test_an_unexplained_inverse_run_has_its_page_too(
     solution: GapSolution, evidence: ResidualDiagnostics
 ) -> None:
