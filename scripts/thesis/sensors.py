@@ -46,10 +46,11 @@ def gains(record: Measurement, joint: int) -> Array:
     """Acceleration of every link (rows) and of the tool per command of a joint (links + 1, 3)."""
     rate, band = record.rate, record.excitation.band
     command = bandpass(record.command[joint], rate, band)
-    links = [] if record.links is None else list(record.links)
-    tool = np.zeros((3, record.tool.shape[1]))
-    tool[: len(record.tool)] = record.tool
-    signals = bandpass(np.array([*links, tool]), rate, band)
+    tool, links = record.tool, record.links
+    assert links is not None
+    padded = np.zeros((1, links.shape[1], tool.shape[1]))
+    padded[0, : len(tool)] = tool
+    signals = bandpass(np.concatenate([links, padded]), rate, band)
     return np.asarray(signals @ command / (command @ command))
 
 

@@ -30,6 +30,9 @@ FORMS: list[tuple[str, dict[str, Any]]] = [
     ("loose_env/Arm-v0", {"joints": ["base", "elbow"], "tool": "hand"}),
 ]
 
+FEW = [IDS[0], *(pytest.param(env_id, marks=pytest.mark.slow) for env_id in IDS[1:])]
+"""One id in every run, the others before a release."""
+
 
 @pytest.fixture(autouse=True)
 def no_warning_is_let_through() -> Any:
@@ -93,7 +96,7 @@ def test_the_vector_form_is_what_gymnasium_makes_of_single_ones(env_id: str) -> 
     copies.close()
 
 
-@pytest.mark.parametrize("env_id", IDS)
+@pytest.mark.parametrize("env_id", FEW)
 def test_raw_signals_pass_the_checker_and_measurements_compare_by_value(env_id: str) -> None:
     env: Any = gymnasium.make(env_id, raw=True, **SHORT).unwrapped
     check_env(env, skip_render_check=True)
@@ -107,7 +110,7 @@ def test_raw_signals_pass_the_checker_and_measurements_compare_by_value(env_id: 
 
 
 @pytest.mark.parametrize("hold", ["servo", "compliant"])
-@pytest.mark.parametrize("env_id", IDS)
+@pytest.mark.parametrize("env_id", FEW)
 def test_every_id_takes_the_softer_holdings(env_id: str, hold: str) -> None:
     env: Any = gymnasium.make(env_id, hold=hold, **SHORT).unwrapped
     assert (env.arm.hold, env.arm.name.endswith(f"-{hold}")) == (hold, True)
@@ -117,6 +120,7 @@ def test_every_id_takes_the_softer_holdings(env_id: str, hold: str) -> None:
     assert np.isfinite(observation).all() and not truncated
 
 
+@pytest.mark.slow
 def test_a_fresh_process_makes_every_id_without_importing_the_package() -> None:
     code = (
         "import sys, gymnasium\n"
@@ -131,21 +135,26 @@ def test_a_fresh_process_makes_every_id_without_importing_the_package() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_ids_are_registered_with_their_limits_and_tiers_are_their_arms() -> None:
+def test_ids_are_registered_with_their_limits() -> None:
     assert set(IDS) | set(TIERS) <= set(gymnasium.registry)
     loose_env.register()  # once more does no harm
     for env_id in (*IDS, *TIERS):
         spec = gymnasium.spec(env_id)
         assert spec.max_episode_steps == MAX_EPISODE_STEPS
         assert spec.reward_threshold is None or 0 < spec.reward_threshold < 1
-    for tier, (of, arguments) in TIERS.items():
-        env: Any = gymnasium.make(tier, engine="reduced").unwrapped
-        same: Any = gymnasium.make(of, engine="reduced", **arguments).unwrapped
-        assert np.array_equal(env.reset(seed=5)[0], same.reset(seed=5)[0])
-        action = env.actions.encode(levels=np.eye(env.arm.n, dtype=int)[0])
-        assert np.array_equal(env.step(action)[0], same.step(action)[0])
-        settings: Any = gymnasium.make(tier, max_records=3).unwrapped
-        assert settings.settings.max_records == 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tier", TIERS)
+def test_tiers_are_environments_of_their_arms(tier: str) -> None:
+    of, arguments = TIERS[tier]
+    env: Any = gymnasium.make(tier, engine="reduced").unwrapped
+    same: Any = gymnasium.make(of, engine="reduced", **arguments).unwrapped
+    assert np.array_equal(env.reset(seed=5)[0], same.reset(seed=5)[0])
+    action = env.actions.encode(levels=np.eye(env.arm.n, dtype=int)[0])
+    assert np.array_equal(env.step(action)[0], same.step(action)[0])
+    settings: Any = gymnasium.make(tier, max_records=3).unwrapped
+    assert settings.settings.max_records == 3
 
 
 def test_an_episode_ends_by_itself_before_the_limit() -> None:

@@ -91,7 +91,13 @@ def words_of(picture: Picture, env: Any, verdict: str | None = None) -> list[str
     return [line for text in texts for line in text.get_text().split("\n")]
 
 
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("vera", "six_axis") else pytest.param(name, marks=pytest.mark.slow)
+        for name in ARMS
+    ],
+)
 def test_every_arm_can_be_drawn(name: str) -> None:
     arm = ARMS[name]()
     env = measured(arm)

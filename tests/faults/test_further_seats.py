@@ -345,6 +345,7 @@ def stiff(arm: Arm, part: Any, factor: float, *, gap: float) -> Any:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", ["rotation", "compound"])
 def test_as_its_gaps_shut_a_further_seat_fades_into_the_healthy_arm(arm: Arm, make: str) -> None:
     link = 1 + arm.n // 2

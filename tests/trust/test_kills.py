@@ -20,7 +20,7 @@ pytest.importorskip("yaml")
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
-from loose_agents.benchmark.sharded import EvaluationTask, play_task
+from loose_agents.comparison import EvaluationTask, play_task
 
 from loose_env.cli.main import COMMANDS as LOOSE
 from scripts.suites.trust.kills import killing
@@ -120,7 +120,7 @@ def test_a_command_whose_result_depends_on_kills_is_found_out(tmp_path: Path) ->
 def test_a_run_killed_while_it_tidies_up_plays_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import loose_agents.benchmark.sharded as shards
+    import loose_agents.comparison as shards
 
     task = EvaluationTask(
         agent="random",

@@ -50,10 +50,6 @@ def test_the_trap_works(tmp_path: Path) -> None:
 
 OWN = {
     (
-        "agents/loose_agents/execution/local_pools.py",
-        "pickle.loads",
-    ): "what the same line has pickled, to see if it can be",
-    (
         "loose_env/arms/engine_warnings.py",
         "ctypes.CDLL",
     ): "MuJoCo's own library, and only if `import mujoco` has loaded it already",
@@ -158,11 +154,11 @@ def _rows(place: Path, data: bytes) -> Any:
 
 def _shard(kind: str) -> Read:
     def read(place: Path, data: bytes) -> Any:
-        from loose_agents.execution.shard_store import ArrayCodec, RowCodec
+        from loose_agents.jobs import Store
 
-        file = place / "shard"
-        file.write_bytes(data)
-        return (ArrayCodec if kind == "arrays" else RowCodec)().read(file)
+        store = Store(place / "store", {}, arrays=kind == "arrays")
+        store.path(range(2)).write_bytes(data)
+        return store.read(range(2))
 
     return read
 
@@ -188,7 +184,7 @@ def _policy(place: Path, data: bytes) -> Any:
 
 def _model(place: Path, data: bytes) -> Any:
     pytest.importorskip("torch")
-    from loose_agents.rl.checkpoint import read_model
+    from loose_agents.rl.model_files import read_model
 
     place.joinpath("checkpoint.zip").write_bytes(data)
     return read_model(place / "checkpoint.zip")
@@ -248,7 +244,7 @@ def zipped(tmp_path: Path, *, tensors: object, described: dict[str, Any]) -> Pat
 
 def test_the_settings_of_a_stored_model_are_not_unpickled(tmp_path: Path, trap: bytes) -> None:
     pytest.importorskip("sb3_contrib")
-    from loose_agents.rl.checkpoint import network_arguments, read_model
+    from loose_agents.rl.model_files import network_arguments, read_model
 
     serialized = base64.b64encode(trap).decode()
     kwargs = {":type:": "<class 'dict'>", ":serialized:": serialized, "net_arch": [4]}
@@ -262,7 +258,7 @@ def test_the_settings_of_a_stored_model_are_not_unpickled(tmp_path: Path, trap: 
 
 
 def test_tensors_of_a_stored_model_are_tensors(tmp_path: Path, trap: bytes) -> None:
-    from loose_agents.rl.checkpoint import read_model
+    from loose_agents.rl.model_files import read_model
 
     file = zipped(tmp_path, tensors={"a": Trap(tmp_path / "executed")}, described={})
     with pytest.raises(InvalidData, match=r"model\.zip holds no model that can be read"):
@@ -285,7 +281,7 @@ def test_a_training_is_not_continued_from_a_model_that_would_run_something(
 
 def test_the_posterior_s_checkpoint_is_read_without_its_code(tmp_path: Path, trap: bytes) -> None:
     torch = pytest.importorskip("torch")
-    from loose_agents.posterior_training.train import PosteriorTraining
+    from loose_agents.posterior_training import PosteriorTraining
 
     file = tmp_path / "checkpoint.pt"
     torch.save({"layers": Trap(tmp_path / "executed")}, file)

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
     [
-        *("loose_agents.rl.checkpoint", "loose_env.gap.workflow.pipeline"),
+        *("loose_agents.rl.model_files", "loose_env.gap.workflow.pipeline"),
         *("loose_env.instrument.pipeline", "loose_env.report", "matplotlib.pyplot"),
         *("stable_baselines3", "sb3_contrib"),
     ]

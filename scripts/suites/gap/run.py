@@ -6,33 +6,28 @@ stored: the same command goes on where it was stopped. No mark depends on the ba
 of workers. Only rows of the same code are put together (comments aside).
 
 Usage: python -m scripts.suites.gap.run [--quick | --numbers 0-9 1004 2001] [--out FOLDER]
-           [--tool NAME] [--docs] [--backend loky|threading|ray|dask|slurm] [--workers N]
+           [--tool NAME] [--docs] [--backend loky|threading|ray|dask] [--workers N]
        python -m scripts.suites.gap.run --show     (prints what is stored)
 """
 
 from __future__ import annotations
 
-import argparse
 import functools
 import importlib.metadata
 import shutil
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from loose_agents.execution.backends import BackendSettings, add_backend_options
-from loose_agents.execution.local_pools import WorkerDied
-from loose_agents.execution.progress import ProgressLine
-from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.execution.shard_store import RowCodec, ShardStore
-from loose_agents.execution.shards import Shard, ShardFailed, map_shards
-from loose_agents.execution.study import write_between
+from loose_agents.jobs import BackendSettings, ProgressLine, Store, WorkerDied, results_of
 
 import loose_env
+from loose_env.cli.command import command, one_of
 from loose_env.errors import InvalidSetting
+from scripts.study import write_between
 from scripts.suites.gap import rivals
 from scripts.suites.gap.cases.cases import SEED, full_list, quick_list
 from scripts.suites.gap.cases.numbers import mixed, numbers_of
@@ -119,7 +114,7 @@ def tool_named(name: str) -> Tool:
     return functools.partial(rivals.run_method, name=name)
 
 
-def store_in(out: Path, *, tool: str = TOOL, afresh: bool = False) -> ShardStore:
+def store_in(out: Path, *, tool: str = TOOL, afresh: bool = False) -> Store:
     """The rows of a tool in a folder.
 
     Raises
@@ -131,7 +126,7 @@ def store_in(out: Path, *, tool: str = TOOL, afresh: bool = False) -> ShardStore
     if afresh:
         shutil.rmtree(folder, ignore_errors=True)
     try:
-        return ShardStore(folder, configuration(tool), RowCodec())
+        return Store(folder, configuration(tool))
     except InvalidSetting as error:
         raise InvalidSetting(f"{error} (--afresh removes the rows)") from error
 
@@ -139,7 +134,7 @@ def store_in(out: Path, *, tool: str = TOOL, afresh: bool = False) -> ShardStore
 def run_suite(
     numbers: Sequence[int],
     folders: Folders,
-    store: ShardStore,
+    store: Store,
     *,
     tool: Tool = run_tool,
     backend: BackendSettings | None = None,
@@ -152,7 +147,7 @@ def run_suite(
         Cases.
     folders : Folders
         Where recordings and results lie.
-    store : ShardStore
+    store : Store
         Where rows go as they come.
     tool : callable
         The tool; it travels to the workers.
@@ -169,28 +164,25 @@ def run_suite(
     missing = store.missing(shards)
     with ProgressLine(len(shards), done=len(shards) - len(missing), unit="cases") as line:
 
-        def keep(shard: Shard, rows: list[Row]) -> None:
+        def keep(shard: range, rows: list[Row]) -> None:
             store.write(shard, rows)
             _say(line_of(rows[0]))
             line.advance(1)
 
         while missing:
             try:
-                with closing(map_shards(work, missing, settings=backend)) as results:
-                    for position, rows in results:
-                        keep(missing[position], rows)
+                for position, rows in results_of(work, missing, backend):
+                    keep(missing[position], rows)
                 break
-            except ShardFailed as failure:
-                if not isinstance(failure.__cause__, WorkerDied):
-                    raise
+            except WorkerDied as failure:
                 # one case that ends its process every time must not end the suite
-                dead = next(shard for shard in missing if str(failure).startswith(f"{shard}:"))
+                dead = missing[failure.position]
                 keep(dead, [lost(dead.start, str(failure), folders)])
                 missing = store.missing(shards)
     return stored(numbers, store)
 
 
-def stored(numbers: Sequence[int], store: ShardStore) -> list[Row]:
+def stored(numbers: Sequence[int], store: Store) -> list[Row]:
     """Rows that the store has, in the order of their numbers."""
     shards = [shard_for(number) for number in sorted(set(numbers))]
     lacking = {shard.start for shard in store.missing(shards)}
@@ -247,122 +239,102 @@ def tables(rows: Sequence[Row], asked: int) -> str:
     return "\n".join(parts).rstrip() + "\n"
 
 
-def parser_of() -> argparse.ArgumentParser:
-    """The options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+@dataclass(frozen=True, kw_only=True)
+class Options(BackendSettings):
+    """Options of the suite."""
+
+    quick: bool = False
+    """20 cases in a quarter of an hour."""
+    numbers: tuple[str, ...] = ()
+    """Chosen cases, as in 7 or 1000-1022."""
+    tool: Annotated[str, one_of(TOOLS)] = TOOL
+    """Tool that is graded: loose gap, or another method on the same cases."""
+    out: Path | None = None
+    """Folder of rows and results; out/gap_suite by default, of other methods with their name."""
+    blind: Path | None = None
+    """Folder of recordings and truth, made where they lack, never removed; blind in --out by
+    default."""
+    keep_recordings: bool = False
+    """Keep recordings after their case is graded (about 3 MB each)."""
+    show: bool = False
+    """Run nothing, print what is stored."""
+    take: tuple[Path, ...] = ()
+    """Files of rows of the same code to take over, as in docs/gap_suite_rows.jsonl."""
+    afresh: bool = False
+    """Remove stored rows first."""
+    retry_failed: bool = False
+    """Run cases again that failed, not the wrong ones."""
+    docs: tuple[Path, ...] | None = None
+    """Write the tables to a page (docs/gap_suite.md if none is named), as a whole run does by
+    itself."""
+    docs_cases: tuple[Path, ...] | None = None
+    """Write a line for every case asked for to a page, between its marks `cases`."""
+
+    def __post_init__(self) -> None:
+        if self.quick and self.numbers:
+            raise InvalidSetting("--quick and --numbers exclude each other")
+
+
+def _page(given: tuple[Path, ...] | None) -> Path | None:
+    """Page of an option that may stand alone."""
+    return None if given is None else (given or (DOCS,))[0]
+
+
+def grade_suite(chosen: Options) -> None:
+    """Run the cases asked for and print how the tool did."""
+    if chosen.numbers:
+        numbers = numbers_of(chosen.numbers)
+    else:
+        numbers = quick_list() if chosen.quick else full_list()
+    out = (chosen.out or folder_of(chosen.tool)).resolve()
+    folders = Folders(
+        out=out,
+        blind=(chosen.blind or out / "blind").resolve(),
+        keep=chosen.keep_recordings or chosen.blind is not None,
     )
-    which = parser.add_mutually_exclusive_group()
-    which.add_argument("--quick", action="store_true", help="20 cases in a quarter of an hour")
-    which.add_argument(
-        "--numbers", nargs="+", metavar="CASE", help="chosen cases, as in 7 or 1000-1022"
-    )
-    parser.add_argument(
-        "--tool",
-        default=TOOL,
-        choices=TOOLS,
-        help="tool that is graded: loose gap, or another method on the same cases",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        help="folder of rows and results; default: out/gap_suite, of other methods with their name",
-    )
-    parser.add_argument(
-        "--blind",
-        type=Path,
-        help="folder of recordings and truth, made where they lack, never removed; "
-        "default: blind in --out",
-    )
-    parser.add_argument(
-        "--keep-recordings",
-        action="store_true",
-        help="keep recordings after their case is graded (about 3 MB each)",
-    )
-    parser.add_argument("--show", action="store_true", help="run nothing, print what is stored")
-    parser.add_argument(
-        "--take", type=Path, nargs="+", default=[], metavar="FILE",
-        help=f"take over rows of the same code, as in docs/{ROWS}",
-    )  # fmt: skip
-    parser.add_argument("--afresh", action="store_true", help="remove stored rows first")
-    parser.add_argument(
-        "--retry-failed",
-        action="store_true",
-        help="run cases again that failed, not the wrong ones",
-    )
-    parser.add_argument(
-        "--docs",
-        nargs="?",
-        type=Path,
-        const=DOCS,
-        metavar="PAGE",
-        help="write the tables to a page (docs/gap_suite.md if none is named), as a whole "
-        "run does by itself",
-    )
-    parser.add_argument(
-        "--docs-cases",
-        nargs="?",
-        type=Path,
-        const=DOCS,
-        metavar="PAGE",
-        help="write a line for every case asked for to a page, between its marks `cases`",
-    )
-    add_backend_options(parser)
-    return parser
+    store = store_in(out, tool=chosen.tool, afresh=chosen.afresh)
+    for file in chosen.take:
+        print(f"{take_rows(file, store)} rows taken from {file}", file=sys.stderr)
+    if chosen.retry_failed:
+        for row in stored(numbers, store):
+            if row["error"]:
+                store.path(shard_for(row["number"])).unlink()
+    began = time.monotonic()
+    if chosen.show:
+        rows = stored(numbers, store)
+    else:
+        rows = run_suite(
+            numbers,
+            folders,
+            store,
+            tool=tool_named(chosen.tool),
+            backend=chosen,
+        )
+    print("\n" + report(rows, len(numbers)))
+    content = tables(rows, len(numbers))
+    (out / "summary.md").write_text(content, encoding="utf-8")
+    (out / "cases.txt").write_text("".join(line_of(r) + "\n" for r in rows), encoding="utf-8")
+    page = _page(chosen.docs)
+    own = chosen.tool == TOOL
+    if page is not None and not own:
+        raise InvalidSetting("--docs writes the tables of loose gap; see scripts.suites.gap.rivals")
+    whole = not (chosen.quick or chosen.numbers) and len(rows) == len(numbers)
+    if page is None and own and whole:
+        page = DOCS  # a whole run goes to the docs by itself
+    cases_page = _page(chosen.docs_cases)
+    if cases_page is not None:
+        every = lines_of_cases([(row["number"], grade_of(row), row["error"]) for row in rows])
+        write_between(cases_page, every.rstrip(), name="cases")
+    if page is not None:
+        write_between(page, content, new=NEW)
+        write_rows(page.with_name(ROWS), store.configuration, rows)
+    print(f"{time.monotonic() - began:.0f} s; tables: {out / 'summary.md'}", file=sys.stderr)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the cases asked for and print how the tool did."""
-    chosen = parser_of().parse_args(arguments)
-    with errors_in_one_line("gap suite", interrupted="the same command goes on"):
-        if chosen.numbers:
-            numbers = numbers_of(chosen.numbers)
-        else:
-            numbers = quick_list() if chosen.quick else full_list()
-        out = (chosen.out or folder_of(chosen.tool)).resolve()
-        folders = Folders(
-            out=out,
-            blind=(chosen.blind or out / "blind").resolve(),
-            keep=chosen.keep_recordings or chosen.blind is not None,
-        )
-        store = store_in(out, tool=chosen.tool, afresh=chosen.afresh)
-        for file in chosen.take:
-            print(f"{take_rows(file, store)} rows taken from {file}", file=sys.stderr)
-        if chosen.retry_failed:
-            for row in stored(numbers, store):
-                if row["error"]:
-                    store.path(shard_for(row["number"])).unlink()
-        began = time.monotonic()
-        if chosen.show:
-            rows = stored(numbers, store)
-        else:
-            rows = run_suite(
-                numbers,
-                folders,
-                store,
-                tool=tool_named(chosen.tool),
-                backend=BackendSettings.of(chosen),
-            )
-        print("\n" + report(rows, len(numbers)))
-        content = tables(rows, len(numbers))
-        (out / "summary.md").write_text(content, encoding="utf-8")
-        (out / "cases.txt").write_text("".join(line_of(r) + "\n" for r in rows), encoding="utf-8")
-        page = chosen.docs
-        own = chosen.tool == TOOL
-        if page is not None and not own:
-            raise InvalidSetting(
-                "--docs writes the tables of loose gap; see scripts.suites.gap.rivals"
-            )
-        whole = not (chosen.quick or chosen.numbers) and len(rows) == len(numbers)
-        if page is None and own and whole:
-            page = DOCS  # a whole run goes to the docs by itself
-        if chosen.docs_cases is not None:
-            every = lines_of_cases([(row["number"], grade_of(row), row["error"]) for row in rows])
-            write_between(chosen.docs_cases, every.rstrip(), name="cases")
-        if page is not None:
-            write_between(page, content, new=NEW)
-            write_rows(page.with_name(ROWS), store.configuration, rows)
-        print(f"{time.monotonic() - began:.0f} s; tables: {out / 'summary.md'}", file=sys.stderr)
+    going_on = "the same command goes on"
+    command("gap suite", __doc__, Options, grade_suite, arguments, interrupted=going_on)
 
 
 if __name__ == "__main__":

@@ -8,8 +8,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
-from loose_agents.execution.study import write_between
-
+from scripts.study import write_between
 from scripts.suites.machines.disturbances import KINDS, ranges_table
 from scripts.suites.machines.grade import tables
 from scripts.suites.machines.plans import CaseSettings

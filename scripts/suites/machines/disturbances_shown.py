@@ -10,8 +10,7 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
-from loose_agents.execution.study import write_between
-
+from scripts.study import write_between
 from scripts.suites.machines.__main__ import DOCS
 from scripts.suites.machines.case import Case, draw
 from scripts.suites.machines.disturbances import KINDS, Disturbances

@@ -17,9 +17,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from loose_agents.execution.study import write_between
-
 from loose_env.io import write_text
+from scripts.study import write_between
 from scripts.suites.robustness.cases import COMMANDS, case_of
 from scripts.suites.robustness.trial import MOST_BYTES, OUTCOMES, Outcome, as_row, outcome_of, tried
 from scripts.suites.row_files import add, kept

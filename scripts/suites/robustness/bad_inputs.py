@@ -18,10 +18,10 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from loose_agents.execution.study import write_between
 
 from loose_env.cli.main import main as loose
 from loose_env.typing import Array
+from scripts.study import write_between
 from scripts.suites.robustness.cases import write_unchecked
 
 __all__ = ["INPUTS", "BadInput", "main", "table"]

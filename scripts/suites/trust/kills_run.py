@@ -21,8 +21,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from loose_agents.execution.script_errors import errors_in_one_line
 
+from loose_env.cli.command import errors_in_one_line
 from scripts.suites.trust.kills.commands import commands
 from scripts.suites.trust.kills.killing import ROOT, kill_often
 

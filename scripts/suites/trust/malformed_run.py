@@ -21,8 +21,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from loose_agents.execution.script_errors import errors_in_one_line
-
+from loose_env.cli.command import errors_in_one_line
 from scripts.suites.trust.fuzz.cases import KINDS
 from scripts.suites.trust.fuzz.watch import BAD
 

@@ -29,9 +29,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import gymnasium
 import numpy as np
-from loose_agents.execution.script_errors import errors_in_one_line
 
 import loose_env  # noqa: F401  (registers the ids)
+from loose_env.cli.command import errors_in_one_line
 
 ROOT = Path(__file__).resolve().parents[3]
 ARMS: tuple[tuple[str, dict[str, Any]], ...] = (

@@ -17,8 +17,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from loose_agents.execution.shards import Shard
-
 from scripts.suites.gap.cases.cases import name_of, role_of
 from scripts.suites.gap.cases.draw import draw_case, tolerance_of
 from scripts.suites.gap.cases.recordings import is_written, write_case
@@ -75,17 +73,17 @@ class _Times:
             self.spent[stage] = round(time.perf_counter() - began, 3)
 
 
-def shard_for(number: int) -> Shard:
-    """The shard that is one case; its number in the suite is its number among the shards."""
-    return Shard(index=number, start=number, stop=number + 1)
+def shard_for(number: int) -> range:
+    """The span of episodes that is one case."""
+    return range(number, number + 1)
 
 
-def run_case(shard: Shard, *, folders: Folders, tool: Tool = run_tool) -> list[Row]:
+def run_case(shard: range, *, folders: Folders, tool: Tool = run_tool) -> list[Row]:
     """Make the recording of a case, run the tool on it and grade its result.
 
     Parameters
     ----------
-    shard : Shard
+    shard : range
         The case, as `shard_for` makes it.
     folders : Folders
         Where things lie.

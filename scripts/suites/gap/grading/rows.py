@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from loose_agents.execution.shard_store import ShardStore
+from loose_agents.jobs import Store
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import restored, whole_of, written_beside
@@ -42,7 +42,7 @@ def write_rows(path: Path, configuration: Any, rows: Sequence[Row]) -> Path:
     return written_beside(path, lambda beside: beside.write_text(text, encoding="utf-8") and None)
 
 
-def take_rows(path: Path, store: ShardStore) -> int:
+def take_rows(path: Path, store: Store) -> int:
     """Take the rows of a file over into a store, those that it lacks.
 
     Returns

@@ -21,8 +21,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from loose_agents.execution.script_errors import errors_in_one_line
-
+from loose_env.cli.command import errors_in_one_line
 from loose_env.gap import GapSettings, find_gap, result_of
 from loose_env.io import write_text
 from loose_env.recording import read_recording

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from loose_agents.execution.study import write_between
-
 from loose_env.errors import InvalidData
 from loose_env.io import read_result_file, restored, whole_of
+from scripts.study import write_between
 from scripts.suites.gap.public.scoring import FORMAT, Count, Score, number
 
 __all__ = ["PAGE", "leaderboard", "read_score", "stored_scores", "write_board"]

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.execution.study import write_between
 
+from loose_env.cli.command import errors_in_one_line
 from loose_env.errors import InvalidSetting
 from loose_env.gap import read_result
+from scripts.study import write_between
 from scripts.suites.gap.cases.cases import LAST
 from scripts.suites.gap.grading.grade import NAMED, Grade
 from scripts.suites.gap.grading.one_case import Row, grade_of

@@ -19,11 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.execution.study import write_between
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from loose_env.cli.command import errors_in_one_line
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.evaluation import expected_calibration_error, reliability
 from loose_env.gap import (
@@ -38,6 +37,7 @@ from loose_env.gap import (
 from loose_env.io import json_text, restored, write_text, written_beside
 from loose_env.recording import read_text
 from loose_env.typing import Array
+from scripts.study import write_between
 from scripts.suites.gap.grading.parameters import judged_intervals
 
 __all__ = ["CaseEvidence", "EffectEvidence", "fitted", "judged_text", "main", "taken"]

@@ -18,11 +18,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.execution.study import write_between
-
+from loose_env.cli.command import errors_in_one_line
 from loose_env.errors import InvalidData
 from loose_env.recording import Recording, read_recording
+from scripts.study import write_between
 from scripts.suites.gap.cases.draw import draw_case, tolerance_of
 from scripts.suites.gap.cases.recordings import runs_of, write_runs
 

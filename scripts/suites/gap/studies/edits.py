@@ -15,11 +15,10 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.execution.study import write_between
-
+from loose_env.cli.command import errors_in_one_line
 from loose_env.gap import GapSettings, GapSolution, find_gap, prediction_error
 from loose_env.recording import read_recording
+from scripts.study import write_between
 from scripts.suites.gap.cases.cases import HELD_OUT, Case
 from scripts.suites.gap.cases.draw import draw_case, tolerance_of
 from scripts.suites.gap.cases.numbers import numbers_of

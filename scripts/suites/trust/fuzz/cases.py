@@ -128,7 +128,7 @@ def _hyperparameters(around: Surroundings, rng: Rng) -> Attempt:
         k = int(rng.integers(len(hostile)))
         damage, data = f"hostile YAML {k}", hostile[k].encode()
     else:
-        source = HYPERPARAMETERS / str(rng.choice(["ppo.yml", "ppo_lstm.yml", "maskable_ppo.yml"]))
+        source = HYPERPARAMETERS / str(rng.choice(["ppo.yml", "maskable_ppo.yml"]))
         damage, data = damaged_text(source.read_bytes(), rng)
     home = around.fresh({"conf.yml": data})
 
@@ -142,7 +142,7 @@ def _hyperparameters(around: Surroundings, rng: Rng) -> Attempt:
 
 
 def _arguments(around: Surroundings, rng: Rng) -> Attempt:
-    from loose_agents.evaluation.env_arguments import arguments_of, diagnosis_env
+    from loose_agents.evaluation import arguments_of, diagnosis_env
 
     ids = ("loose_env/Planar-v0", "loose_env/Vera-v0", "loose_env/Arm-v0")
     whole = {
@@ -204,7 +204,7 @@ def _safetensors(data: bytes, rng: Rng) -> tuple[str, bytes]:
 
 
 def _policy(home: Path) -> Any:
-    from loose_agents.rl.learned_policy import LearnedAgent
+    from loose_agents.rl.agents import LearnedAgent
 
     agent = LearnedAgent.load(_problem(), home)
     size = agent.form.observation_space.shape
@@ -232,7 +232,7 @@ _KNOWN: list[Any] = []
 
 
 def _problem() -> Any:
-    from loose_agents.core.base import Problem
+    from loose_agents.base import Problem
 
     from loose_env.arms import vera
     from loose_env.envs import DiagnosisSettings

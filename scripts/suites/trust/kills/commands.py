@@ -177,7 +177,7 @@ def _try(problems: list[str], file: Path, read: Callable[[], object]) -> None:
 
 
 def _policies(out: Path) -> list[str]:
-    from loose_agents.rl.checkpoint import RUN, read_model
+    from loose_agents.rl.model_files import RUN, read_model
     from safetensors.numpy import load_file
 
     found: list[str] = []
@@ -212,7 +212,7 @@ def _evaluations(file: Path) -> list[int]:
 
 def _trained(out: Path) -> Any:
     """What does not depend on the faults that a resumed run meets: counts and names of files."""
-    from loose_agents.rl.checkpoint import read_model
+    from loose_agents.rl.model_files import read_model
 
     (checkpoint,) = out.rglob("checkpoint.zip")
     run = read_model(checkpoint).run
@@ -222,13 +222,11 @@ def _trained(out: Path) -> Any:
 
 
 def _rows(out: Path) -> list[str]:
-    from loose_agents.execution.shard_store import RowCodec
-
     from loose_env.evaluation import read_rows
 
     found: list[str] = []
     for file in out.glob("shards/*/shard-*.json"):
-        _try(found, file, lambda f=file: RowCodec().read(f))  # type: ignore[misc]
+        _try(found, file, lambda f=file: json.loads(f.read_bytes())["rows"])  # type: ignore[misc]
     file = out / "rows.parquet"
     _try(found, file, lambda: read_rows(file))
     if file.exists():

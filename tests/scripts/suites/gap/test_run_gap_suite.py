@@ -15,7 +15,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from loose_agents.execution.backends import BackendSettings
+from loose_agents.jobs import BackendSettings
 
 from loose_env.errors import InvalidSetting
 from loose_env.gap import read_result
