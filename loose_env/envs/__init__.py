@@ -25,6 +25,8 @@ from loose_env.envs.rendering import (
     ArmDrawing,
     CorrelationByDirection,
     Picture,
+    draw_arrow,
+    draw_section,
     measured_correlation,
     predicted_correlation,
 )
@@ -75,6 +77,8 @@ __all__ = [
     "VectorState",
     "batch_seeds",
     "difficulty_named",
+    "draw_arrow",
+    "draw_section",
     "fault_words",
     "hypothesis_words",
     "make_model_gap",
