@@ -33,7 +33,7 @@ from loose_env.gap import (
     read_servo_arm,
     signature_bank,
 )
-from loose_env.io import Checked, Count, NonNegative, Positive, Probability, Rule, all_of
+from loose_env.io import Checked, Count, NonNegative, Positive, Probability, Rule
 from loose_env.typing import Array
 
 _SHAPE_LIMIT = 1.5
@@ -149,10 +149,7 @@ class MachineDraw:
         return HiddenEffect(ray, ray.values(size, shape))
 
 
-_KINDS = Rule(
-    "kinds of the catalogue, none for all",
-    lambda kinds: all_of(kinds, lambda k: isinstance(k, str)),
-)
+_KINDS = Rule("kinds of the catalogue, none for all")
 
 
 @dataclass(frozen=True, kw_only=True)

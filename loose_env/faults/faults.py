@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
+from annotated_types import Predicate
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.io import Checked, NonNegative, Rule, is_finite
+from loose_env.io import Checked, NonNegative, Rule
 
 FaultKind = Literal[
     "healthy", "structural_looseness", "backlash", "rotational_looseness", "compound_looseness"
@@ -133,26 +134,14 @@ _INDEPENDENT = 1e-3
 """Smallest singular value of unit vectors that still count as independent [1]."""
 
 
-def _points_somewhere(vector: Any) -> bool:
-    return _is_place(vector) and bool(np.any(vector))
-
-
-def _is_place(vector: Any) -> bool:
-    return np.shape(vector) == (3,) and all(is_finite(value) for value in vector)
-
-
-def _is_two_sided(pair: Any) -> bool:
-    return np.shape(pair) == (2,) and all(is_finite(value) and value >= 0 for value in pair)
-
-
 Vector = tuple[float, float, float]
 Direction = Annotated[
-    Vector, Rule("three finite numbers, not all zero, in the link frame", _points_somewhere)
+    Vector, Rule("three finite numbers, not all zero, in the link frame", (Predicate(any),))
 ]
-Point = Annotated[Vector, Rule("three finite numbers [m] in the link frame", _is_place)]
+Point = Annotated[Vector, Rule("three finite numbers [m] in the link frame")]
 Sides = Annotated[
-    tuple[float, float],
-    Rule("two finite numbers, zero or more, for the lower and the upper stop", _is_two_sided),
+    tuple[NonNegative, NonNegative],
+    Rule("two finite numbers, zero or more, for the lower and the upper stop"),
 ]
 
 
