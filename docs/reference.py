@@ -36,16 +36,9 @@ PARTS = (
     "report",
     "api",
 )
-"""Parts of the package in the order in which data flow, without the command line and the thesis."""
+"""Parts of the package in the order in which data flow, without the command line."""
 
-AGENTS = (
-    "base",
-    "belief",
-    "evaluation",
-    "comparison",
-    "policies/choice",
-    "registry",
-)
+AGENTS = ("base", "belief", "evaluation", "comparison", "policies/choice", "registry")
 """Modules of the agents that somebody who adds one meets."""
 
 

@@ -90,9 +90,11 @@ def compare(settings: Settings) -> None:
     )
     for arm in (vera(), planar(4)):
         loose, quiet, links, errors = study(arm, settings)
+        noise = np.median(quiet, axis=0)  # a sensor that hardly moves scatters most
         for name, sensors in (("tool", [arm.n]), ("tool + all links", list(range(arm.n + 1)))):
-            most, healthy = loose[:, sensors].max(axis=1), quiet[:, sensors].max(axis=1)
-            found = most > np.quantile(healthy, 1 - FALSE_ALARMS, method="higher")
+            most = loose[:, sensors].max(axis=1)
+            seen, healthy = ((x / noise)[:, sensors].max(axis=1) for x in (loose, quiet))
+            found = seen > np.quantile(healthy, 1 - FALSE_ALARMS, method="higher")
             # The last sensor is the tool's, which is carried by the last link.
             first = np.argmax(loose[:, sensors] > 0.5 * most[:, None], axis=1)
             named = np.minimum(1 + first, arm.n) if len(sensors) > 1 else np.full(len(links), arm.n)
