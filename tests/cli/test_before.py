@@ -13,7 +13,7 @@ from loose_env.cli.main import main
 from loose_env.instrument import Diagnosis, change_since, diagnose
 from loose_env.recording import read_recording, write_recording
 from scripts.suites.diagnosis.months import machine, session_runs
-from scripts.suites.gap.simulator.model_xml import model_xml
+from scripts.suites.gap.arms import model_xml
 from tests.instrument.trend.sessions_of_an_arm import named, session
 
 MONTHS = 5

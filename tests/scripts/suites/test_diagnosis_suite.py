@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from loose_env.recording import read_recording, write_recording
-from scripts.suites.diagnosis.blind import marks
+from scripts.suites.diagnosis.__main__ import marks
 from scripts.suites.diagnosis.cases import KINDS, draw
-from scripts.suites.diagnosis.grade import table
-from scripts.suites.diagnosis.measuring import random_motion, taken
-from scripts.suites.gap.simulator.model_xml import model_xml
-from scripts.suites.row_files import kept
+from scripts.suites.diagnosis.__main__ import table
+from scripts.suites.diagnosis.cases import random_motion, taken
+from scripts.suites.gap.arms import model_xml
+from scripts.suites.rows import kept
 from tests.instrument.test_result import diagnosis
 
 

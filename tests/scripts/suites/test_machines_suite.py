@@ -11,11 +11,11 @@ from scripts.suites.machines import __main__ as suite
 from scripts.suites.machines.__main__ import main
 from scripts.suites.machines.case import draw, play
 from scripts.suites.machines.disturbances_shown import table as shown_table
-from scripts.suites.machines.grade import calibration, tables
+from scripts.suites.machines.__main__ import calibration, tables
 from scripts.suites.machines.machine import Unstable
-from scripts.suites.machines.plans import CaseSettings
-from scripts.suites.machines.run import line_of, result_of, row_of, truth_of, write
-from scripts.suites.row_files import add, kept
+from scripts.suites.machines.case import CaseSettings
+from scripts.suites.machines.__main__ import line_of, result_of, row_of, truth_of, write
+from scripts.suites.rows import add, kept
 from tests.instrument.test_result import diagnosis
 
 SHORT = CaseSettings(runs=2, poses=1, seconds=0.3)
@@ -77,7 +77,7 @@ def test_a_machine_that_holds_no_pose_is_counted_apart(monkeypatch: pytest.Monke
     def falls(*_: Any) -> None:
         raise Unstable("a joint left its pose by more than 0.1 rad")
 
-    monkeypatch.setattr("scripts.suites.machines.run.play", falls)
+    monkeypatch.setattr("scripts.suites.machines.__main__.play", falls)
     found = row_of(3, 1, SHORT)
     assert "left its pose" in line_of(found)
     assert tables([found, row(**HEALTHY)]).startswith("1 cases, seed 1. 1 more machines")

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from scripts.suites.robustness.__main__ import main, table
-from scripts.suites.robustness.arms import mjcf_arms, urdf_arms
+from scripts.suites.robustness.cases import mjcf_arms, urdf_arms
 from scripts.suites.robustness.cases import COMMANDS, Case, case_of, cases
-from scripts.suites.robustness.runs import make_run
-from scripts.suites.robustness.trial import MOST_BYTES, Outcome, run_case, tried
+from scripts.suites.robustness.cases import make_run
+from scripts.suites.robustness.__main__ import MOST_BYTES, Outcome, run_case, tried
 
 few = settings(
     max_examples=int(os.environ.get("LOOSE_ROBUSTNESS_EXAMPLES", "4")),

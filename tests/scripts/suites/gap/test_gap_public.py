@@ -22,11 +22,11 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEffect
 from loose_env.importing import import_recording
 from loose_env.recording import Run, read_recording, write_recording
-from scripts.suites.gap.cases.cases import SEED, name_of
-from scripts.suites.gap.cases.draw import draw_case
-from scripts.suites.gap.cases.recordings import truth_of
-from scripts.suites.gap.effects.catalogue import CATALOGUE, kinds
-from scripts.suites.gap.grading.parameters import SAID
+from scripts.suites.gap.cases import SEED, name_of
+from scripts.suites.gap.cases import draw_case
+from scripts.suites.gap.cases import truth_of
+from scripts.suites.gap.effects import CATALOGUE, kinds
+from scripts.suites.gap.grading import SAID
 from scripts.suites.gap.public import (
     Answer,
     Answered,
@@ -43,13 +43,13 @@ from scripts.suites.gap.public import (
     write_lerobot,
 )
 from scripts.suites.gap.public.__main__ import main
-from scripts.suites.gap.public.answers import answer_schema
-from scripts.suites.gap.public.board import PAGE, stored_scores
-from scripts.suites.gap.public.catalogue import places_of
-from scripts.suites.gap.public.making import UNPUBLISHED, drawn_numbers, seed_of
-from scripts.suites.gap.public.scoring import mark_case, total
-from scripts.suites.gap.simulator.arms import ARMS, MACHINES
-from scripts.suites.gap.simulator.model_xml import model_xml
+from scripts.suites.gap.public import answer_schema
+from scripts.suites.gap.public_scores import PAGE, stored_scores
+from scripts.suites.gap.public import places_of
+from scripts.suites.gap.public import UNPUBLISHED, drawn_numbers, seed_of
+from scripts.suites.gap.public_scores import mark_case, total
+from scripts.suites.gap.arms import ARMS, MACHINES
+from scripts.suites.gap.arms import model_xml
 
 PHRASE = "of the tests"
 SETTINGS = MakeSettings(numbers=(310, 1910), seed_phrase=PHRASE, name="tests")

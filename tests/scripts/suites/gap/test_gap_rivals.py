@@ -21,15 +21,15 @@ from loose_env.gap import read_result
 from loose_env.recording import Run, read_recording, write_recording
 from loose_env.typing import Array
 from scripts.suites.gap import run as suite
-from scripts.suites.gap.cases.cases import name_of, role_of
-from scripts.suites.gap.grading.grade import Grade, grade
+from scripts.suites.gap.cases import name_of, role_of
+from scripts.suites.gap.grading import Grade, grade
 from scripts.suites.gap.grading.one_case import Folders
 from scripts.suites.gap.rivals import METHODS, run_method
 from scripts.suites.gap.rivals import __main__ as comparison
-from scripts.suites.gap.rivals.inverse_dynamics import InverseDynamics
-from scripts.suites.gap.rivals.joint_data import FilterSettings, LowPass, joint_runs
+from scripts.suites.gap.rival_stepwise import InverseDynamics
+from scripts.suites.gap.rival_data import FilterSettings, LowPass, joint_runs
 from scripts.suites.gap.rivals.residual_network import NetworkSettings, improvement_z, predicted
-from scripts.suites.gap.rivals.results import Finding, write_finding
+from scripts.suites.gap.rival_data import Finding, write_finding
 
 XML = """
 <mujoco>
@@ -322,7 +322,7 @@ def test_failed_cases_count_in_the_table() -> None:
     marks: dict[str, Any] = {"number": 1000, "grade": None}
     from dataclasses import asdict
 
-    from scripts.suites.gap.grading.grade import failed
+    from scripts.suites.gap.grading import failed
 
     effect = {"kind": "payload", "where": "tool", "size": {"ratio": 2.0}}
     truth = {"case": "c", "role": "single", "form": "forward", "effects": [effect]}

@@ -8,25 +8,25 @@ import mujoco
 import numpy as np
 import pytest
 
-from scripts.suites.gap.effects.catalogue import apply_effect
+from scripts.suites.gap.effects import apply_effect
 
 pytest.importorskip("numba")
 
-from scripts.suites.gap.cases.motions import (
+from scripts.suites.gap.machine import (
     FAMILIES,
     Motion,
     free_motion,
     rich_motion,
     shaken_motion,
 )
-from scripts.suites.gap.cases.true_arm import TrueArm, steps_inside
-from scripts.suites.gap.effects.catalogue import CATALOGUE, OUTSIDE, kinds
-from scripts.suites.gap.effects.types import Effect, Readings
-from scripts.suites.gap.simulator.arms import ARMS, GRAVITY, planar3, spatial3
-from scripts.suites.gap.simulator.build import Factors, build
-from scripts.suites.gap.simulator.chain import add_mass, free_link, mass_matrix, split_link
-from scripts.suites.gap.simulator.dynamics import CARRIED
-from scripts.suites.gap.simulator.laws import (
+from scripts.suites.gap.machine import TrueArm, steps_inside
+from scripts.suites.gap.effects import CATALOGUE, OUTSIDE, kinds
+from scripts.suites.gap.effects import Effect, Readings
+from scripts.suites.gap.arms import ARMS, GRAVITY, planar3, spatial3
+from scripts.suites.gap.simulate import Factors, build
+from scripts.suites.gap.simulate import add_mass, free_link, mass_matrix, split_link
+from scripts.suites.gap.dynamics import CARRIED
+from scripts.suites.gap.dynamics import (
     BACK_EMF,
     DEAD,
     FRICTION,
@@ -37,8 +37,8 @@ from scripts.suites.gap.simulator.laws import (
     SMOOTH_SPEED,
     STRIBECK_SPEED,
 )
-from scripts.suites.gap.simulator.model_xml import model_xml
-from scripts.suites.gap.simulator.simulate import System, simulate
+from scripts.suites.gap.arms import model_xml
+from scripts.suites.gap.simulate import System, simulate
 
 NAMES = list(ARMS)
 

@@ -12,7 +12,7 @@ pytest.importorskip("pyarrow")
 
 from loose_env.gap.data.holdout_split import split_runs
 from loose_env.recording import read_recording
-from scripts.suites.gap.cases.cases import (
+from scripts.suites.gap.cases import (
     HELD_OUT,
     RUNS,
     SEED,
@@ -22,18 +22,18 @@ from scripts.suites.gap.cases.cases import (
     quick_list,
     role_of,
 )
-from scripts.suites.gap.cases.draw import draw_case, tolerance_of
-from scripts.suites.gap.cases.effect_sizing import VISIBLE, Visibility, visible_size
-from scripts.suites.gap.cases.inverse import torque_residual
-from scripts.suites.gap.cases.motions import motions, rich_motion, shaken_motion
-from scripts.suites.gap.cases.recordings import is_written, runs_of, truth_of, write_case
-from scripts.suites.gap.cases.sensing import Noise, add_noise
-from scripts.suites.gap.cases.true_arm import TrueArm
-from scripts.suites.gap.effects.catalogue import CATALOGUE, OUTSIDE, kinds
-from scripts.suites.gap.effects.types import Effect
-from scripts.suites.gap.grading.separability import Comparison
-from scripts.suites.gap.simulator.arms import planar3
-from scripts.suites.gap.simulator.build import TOLERANCE, Factors
+from scripts.suites.gap.cases import draw_case, tolerance_of
+from scripts.suites.gap.cases import VISIBLE, Visibility, visible_size
+from scripts.suites.gap.cases import torque_residual
+from scripts.suites.gap.machine import motions, rich_motion, shaken_motion
+from scripts.suites.gap.cases import is_written, runs_of, truth_of, write_case
+from scripts.suites.gap.machine import Noise, add_noise
+from scripts.suites.gap.machine import TrueArm
+from scripts.suites.gap.effects import CATALOGUE, OUTSIDE, kinds
+from scripts.suites.gap.effects import Effect
+from scripts.suites.gap.grading import Comparison
+from scripts.suites.gap.arms import planar3
+from scripts.suites.gap.simulate import TOLERANCE, Factors
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.joint_elasticity import JointCompliance
 from loose_env.gap.model.effects.sensors import SensorGain
 from loose_env.gap.residuals.preparation.prepare import GapProblem
-from scripts.suites.gap.cases.draw import draw_case
+from scripts.suites.gap.cases import draw_case
 from scripts.suites.gap.grading.exported import exported_gap
 from scripts.suites.gap.studies.edits import EditRow, edit_rows, table
 from tests.gap.cases.exported_case import judged_with, prepared_arm

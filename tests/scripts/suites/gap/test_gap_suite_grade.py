@@ -6,10 +6,10 @@ import pytest
 
 pytest.importorskip("numba")
 
-from scripts.suites.gap.effects.catalogue import CATALOGUE
-from scripts.suites.gap.grading.grade import LISTED, grade
-from scripts.suites.gap.grading.parameters import PARAMETERS
-from scripts.suites.gap.grading.tables import confusion, lines_of_cases, markdown, summary, text
+from scripts.suites.gap.effects import CATALOGUE
+from scripts.suites.gap.grading import LISTED, grade
+from scripts.suites.gap.grading import PARAMETERS
+from scripts.suites.gap.tables import confusion, lines_of_cases, markdown, summary, text
 
 
 def truth(role: str, *effects: tuple[str, str, dict]) -> dict:

@@ -21,7 +21,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.gap import read_result
 from scripts.suites.gap import run as script
 from scripts.suites.gap.cases import cases
-from scripts.suites.gap.cases.cases import full_list, name_of, quick_list, role_of
+from scripts.suites.gap.cases import full_list, name_of, quick_list, role_of
 from scripts.suites.gap.grading import one_case
 from scripts.suites.gap.grading.one_case import Folders, grade_of, run_case, shard_for
 from scripts.suites.gap.grading.tool import EXPORTED, run_tool
