@@ -10,6 +10,7 @@ is neither "refused" nor "read". What ends its process shows by where the run st
 from __future__ import annotations
 
 import functools
+import importlib
 import json
 import os
 import pickle
@@ -424,7 +425,7 @@ def _problem() -> Any:
 
 def _of(module: str, name: str, file: str) -> Callable[[Path], Any]:
     def read(home: Path) -> Any:
-        return getattr(__import__(module, fromlist=[name]), name)(home / file)
+        return getattr(importlib.import_module(module), name)(home / file)
 
     return read
 

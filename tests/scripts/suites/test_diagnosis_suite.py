@@ -5,10 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from loose_env.recording import read_recording, write_recording
-from scripts.suites.diagnosis.__main__ import marks
-from scripts.suites.diagnosis.cases import KINDS, draw
-from scripts.suites.diagnosis.__main__ import table
-from scripts.suites.diagnosis.cases import random_motion, taken
+from scripts.suites.diagnosis.__main__ import marks, table
+from scripts.suites.diagnosis.cases import KINDS, draw, random_motion, taken
 from scripts.suites.gap.arms import model_xml
 from scripts.suites.rows import kept
 from tests.instrument.test_result import diagnosis

@@ -8,13 +8,18 @@ import pytest
 
 from loose_env.recording import read_recording
 from scripts.suites.machines import __main__ as suite
-from scripts.suites.machines.__main__ import main
-from scripts.suites.machines.case import draw, play
-from scripts.suites.machines.disturbances_shown import table as shown_table
-from scripts.suites.machines.__main__ import calibration, tables
+from scripts.suites.machines.__main__ import (
+    calibration,
+    line_of,
+    main,
+    result_of,
+    row_of,
+    tables,
+    truth_of,
+    write,
+)
+from scripts.suites.machines.case import CaseSettings, draw, play
 from scripts.suites.machines.machine import Unstable
-from scripts.suites.machines.case import CaseSettings
-from scripts.suites.machines.__main__ import line_of, result_of, row_of, truth_of, write
 from scripts.suites.rows import add, kept
 from tests.instrument.test_result import diagnosis
 
@@ -130,16 +135,3 @@ def test_the_page_takes_tables_between_its_marks(
     written = page.read_text("utf-8")
     assert written.startswith("Before") and written.endswith("After") and "between" in written
     assert "old" not in written and written.count("`clock_drift`") == 1
-
-
-def test_verdicts_by_disturbance_stand_in_a_line_each() -> None:
-    rows = [row(only="cables"), row(only="cables", **HEALTHY), row(only="none", error="refused")]
-    said = shown_table(rows)
-    assert "| `cables` | faulty: structural_looseness@link2 0.990, wrong |" in said
-    assert "| `none` |" in said and "refused" in said
-
-
-def test_an_unknown_disturbance_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit):
-        main(["--only", "gremlins", "--out", str(tmp_path / "rows")])
-    assert row_of  # the worker's entry is importable by its name

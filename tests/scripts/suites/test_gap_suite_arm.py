@@ -12,22 +12,10 @@ from scripts.suites.gap.effects import apply_effect
 
 pytest.importorskip("numba")
 
-from scripts.suites.gap.machine import (
-    FAMILIES,
-    Motion,
-    free_motion,
-    rich_motion,
-    shaken_motion,
-)
-from scripts.suites.gap.machine import TrueArm, steps_inside
-from scripts.suites.gap.effects import CATALOGUE, OUTSIDE, kinds
-from scripts.suites.gap.effects import Effect, Readings
-from scripts.suites.gap.arms import ARMS, GRAVITY, planar3, spatial3
-from scripts.suites.gap.simulate import Factors, build
-from scripts.suites.gap.simulate import add_mass, free_link, mass_matrix, split_link
-from scripts.suites.gap.dynamics import CARRIED
+from scripts.suites.gap.arms import ARMS, GRAVITY, model_xml, planar3, spatial3
 from scripts.suites.gap.dynamics import (
     BACK_EMF,
+    CARRIED,
     DEAD,
     FRICTION,
     LIMIT,
@@ -37,8 +25,26 @@ from scripts.suites.gap.dynamics import (
     SMOOTH_SPEED,
     STRIBECK_SPEED,
 )
-from scripts.suites.gap.arms import model_xml
-from scripts.suites.gap.simulate import System, simulate
+from scripts.suites.gap.effects import CATALOGUE, OUTSIDE, Effect, Readings, kinds
+from scripts.suites.gap.machine import (
+    FAMILIES,
+    Motion,
+    TrueArm,
+    free_motion,
+    rich_motion,
+    shaken_motion,
+    steps_inside,
+)
+from scripts.suites.gap.simulate import (
+    Factors,
+    System,
+    add_mass,
+    build,
+    free_link,
+    mass_matrix,
+    simulate,
+    split_link,
+)
 
 NAMES = list(ARMS)
 

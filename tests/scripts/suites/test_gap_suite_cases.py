@@ -12,27 +12,37 @@ pytest.importorskip("pyarrow")
 
 from loose_env.gap.data.holdout_split import split_runs
 from loose_env.recording import read_recording
+from scripts.suites.gap.arms import planar3
 from scripts.suites.gap.cases import (
     HELD_OUT,
     RUNS,
     SEED,
+    VISIBLE,
     Case,
+    Visibility,
+    draw_case,
     full_list,
+    is_written,
     name_of,
     quick_list,
     role_of,
+    runs_of,
+    tolerance_of,
+    torque_residual,
+    truth_of,
+    visible_size,
+    write_case,
 )
-from scripts.suites.gap.cases import draw_case, tolerance_of
-from scripts.suites.gap.cases import VISIBLE, Visibility, visible_size
-from scripts.suites.gap.cases import torque_residual
-from scripts.suites.gap.machine import motions, rich_motion, shaken_motion
-from scripts.suites.gap.cases import is_written, runs_of, truth_of, write_case
-from scripts.suites.gap.machine import Noise, add_noise
-from scripts.suites.gap.machine import TrueArm
-from scripts.suites.gap.effects import CATALOGUE, OUTSIDE, kinds
-from scripts.suites.gap.effects import Effect
+from scripts.suites.gap.effects import CATALOGUE, OUTSIDE, Effect, kinds
 from scripts.suites.gap.grading import Comparison
-from scripts.suites.gap.arms import planar3
+from scripts.suites.gap.machine import (
+    Noise,
+    TrueArm,
+    add_noise,
+    motions,
+    rich_motion,
+    shaken_motion,
+)
 from scripts.suites.gap.simulate import TOLERANCE, Factors
 
 

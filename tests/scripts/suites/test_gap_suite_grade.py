@@ -7,8 +7,7 @@ import pytest
 pytest.importorskip("numba")
 
 from scripts.suites.gap.effects import CATALOGUE
-from scripts.suites.gap.grading import LISTED, grade
-from scripts.suites.gap.grading import PARAMETERS
+from scripts.suites.gap.grading import LISTED, PARAMETERS, grade
 from scripts.suites.gap.tables import confusion, lines_of_cases, markdown, summary, text
 
 
