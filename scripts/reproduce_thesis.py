@@ -5,25 +5,30 @@ Usage: python scripts/reproduce_thesis.py --only index_tables link_finding
 
 from __future__ import annotations
 
-import argparse
 import os
 import platform
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import loose_env
-from loose_env.errors import LooseEnvError, words_of
-from loose_env.report import write_whole
-from loose_env.thesis import SECTIONS, Outcome, choose, first_line, render_thesis_page, run_sections
+from loose_env.cli.command import command
+from loose_env.io import write_text
+from scripts.thesis.page import (
+    SECTIONS,
+    Outcome,
+    choose,
+    render_thesis_page,
+    run_sections,
+    text_of,
+)
 
-SEED = 1995
 PACKAGES = ("numpy", "scipy", "mujoco", "gymnasium", "matplotlib", "Jinja2", "odrpack")
-
-_TITLE = "A thesis on loose robot joints, reproduced"
-_TEXT = (
+TITLE = "A thesis on loose robot joints, reproduced"
+TEXT = (
     "A thesis of the 1990s shook a robot arm at random and read from the accelerations where it "
     "was loose, and in which direction. Here its methods are written anew, its rigs are simulated, "
     "and every result stands beside the figure that the thesis printed.",
@@ -32,17 +37,20 @@ _TEXT = (
 )
 
 
-def parser() -> argparse.ArgumentParser:
+@dataclass(frozen=True, kw_only=True)
+class Settings:
     """Options of the reproduction."""
-    options = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    options.add_argument("--out", default="out/thesis", help="folder for the page")
-    options.add_argument("--seed", type=int, default=SEED, help="seed of every section")
-    options.add_argument("--only", nargs="+", metavar="KEY", help="run these sections alone")
-    options.add_argument("--list", action="store_true", help="list the sections and stop")
-    options.add_argument("--workers", type=int, default=2, help="sections run side by side")
-    return options
+
+    out: Path = Path("out/thesis")
+    """Folder for the page."""
+    seed: int = 1995
+    """Seed of every section, 0 or more."""
+    only: tuple[str, ...] = ()
+    """Run these sections alone."""
+    list: bool = False
+    """List the sections and stop."""
+    workers: int = 2
+    """Sections run side by side, 1 or more."""
 
 
 def versions() -> dict[str, str]:
@@ -56,24 +64,17 @@ def versions() -> dict[str, str]:
     return found
 
 
-def command_of(options: argparse.Namespace) -> str:
-    """Return the command that makes the same page."""
-    words = ["python scripts/reproduce_thesis.py", f"--seed {options.seed}"]
-    if options.only:
-        words.append("--only " + " ".join(choose(options.only)))
-    return " ".join(words)
-
-
-def run(keys: Sequence[str], *, seed: int, workers: int) -> list[Outcome]:
+def run(keys: Sequence[str], settings: Settings) -> list[Outcome]:
     """Run the sections; progress and errors go to standard error."""
     found: dict[str, Outcome] = {}
-    for outcome in run_sections(keys, seed=seed, workers=workers):
-        found[outcome.key] = outcome
-        state = f"failed: {outcome.error}" if outcome.section is None else "done"
-        line = (
-            f"{len(found):>3} of {len(keys)}  {outcome.key:<24}{outcome.seconds:>7.1f} s  {state}"
-        )
+    for o in run_sections(keys, seed=settings.seed, workers=settings.workers):
+        found[o.key] = o
+        state = f"failed: {o.error}" if o.section is None else "done"
+        line = f"{len(found):>3} of {len(keys)}  {o.key:<24}{o.seconds:>7.1f} s  {state}"
         print(line, file=sys.stderr, flush=True)
+    for o in found.values():
+        if o.trace:
+            print(f"\n{o.key}:\n{o.trace}", file=sys.stderr)
     return [found[key] for key in keys]
 
 
@@ -90,36 +91,33 @@ def summary(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def reproduce(options: argparse.Namespace) -> int:
-    """Run, print the summary, write the page; return the exit status."""
-    if options.list:
+def reproduce(settings: Settings) -> None:
+    """Run, print the summary, write the page; exit with 1 if a section failed."""
+    if settings.list:
         for key in SECTIONS:
-            print(f"{key:<24}{first_line(key)}")
-        return 0
-    begin = time.perf_counter()
-    keys = choose(options.only)
-    out = Path(options.out)
-    out.mkdir(parents=True, exist_ok=True)  # fails before the run, not after
-    outcomes = run(keys, seed=options.seed, workers=options.workers)
-    for o in outcomes:
-        if o.trace:
-            print(f"\n{o.key}:\n{o.trace}", file=sys.stderr)
+            print(f"{key:<24}{text_of(key)['about']}")
+        return
+    begin, keys = time.perf_counter(), choose(settings.only)
+    settings.out.mkdir(parents=True, exist_ok=True)  # fails before the run, not after
+    outcomes = run(keys, settings)
+    only = f" --only {' '.join(keys)}" if settings.only else ""
     html = render_thesis_page(
         outcomes,
-        title=_TITLE,
-        text=_TEXT,
-        command=command_of(options),
-        seed=options.seed,
+        title=TITLE,
+        text=TEXT,
+        command=f"python scripts/reproduce_thesis.py --seed {settings.seed}{only}",
+        seed=settings.seed,
         versions=versions(),
     )
-    page = write_whole(out / "index.html", html)
+    page = write_text(settings.out / "index.html", html)
     failed = [o.key for o in outcomes if o.section is None]
     print(f"\n{summary(outcomes)}\n")
     if failed:
         print(f"Failed: {', '.join(failed)}")
     print(f"Page: {page}")
     print(f"Took {time.perf_counter() - begin:.0f} s.")
-    return 1 if failed else 0
+    if failed:
+        sys.exit(1)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -127,14 +125,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Each worker has one core: more threads of BLAS would only stand in each other's way.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    options = parser().parse_args(arguments)
-    try:
-        status = reproduce(options)
-    except KeyboardInterrupt:
-        sys.exit("reproduce_thesis: interrupted; nothing was written")
-    except (LooseEnvError, OSError) as error:
-        sys.exit(f"reproduce_thesis: {words_of(error)}")
-    sys.exit(status)
+    command(
+        "reproduce_thesis",
+        __doc__,
+        Settings,
+        reproduce,
+        arguments,
+        interrupted="nothing was written",
+    )
 
 
 if __name__ == "__main__":

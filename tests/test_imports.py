@@ -31,6 +31,7 @@ ORDER = (
     ("importing",),
     ("rig",),
     ("statistics",),
+    ("inference",),
     ("kinematics",),
     ("doctor",),
     ("diagnosis", "gap"),
@@ -41,7 +42,6 @@ ORDER = (
     ("instrument",),
     ("report",),
     ("api",),
-    ("thesis",),
     ("cli",),
 )
 RANK = {part: rank for rank, parts in enumerate(ORDER) for part in parts}

@@ -91,23 +91,6 @@ def largest_reach(
     its best place within its range, and no step makes the distance smaller. Several starts, the
     same ones in every call, guard against a bent arm in which no single joint gains.
 
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        The bare arm; bending modes stay at rest.
-    joints : sequence of str
-        Its driven joints, base first.
-    ranges : sequence of (float, float) or None
-        Allowed positions of each joint [rad or m]; None for a hinge that turns without end.
-    tool : str
-        Site of the tool.
-
-    Returns
-    -------
-    float
-        Reach [m]. Where no pose reaches farther than the model's own zero and that lies within
-        the ranges, exactly its distance.
-
     Examples
     --------
     >>> from loose_env.arms import planar
@@ -191,17 +174,6 @@ def largest_levers(
     """Largest distance of the tool from each joint's axis over random poses [m] (n,).
 
     Infinite where a joint slides: every motion of it moves the tool.
-
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        The bare arm; bending modes stay at rest.
-    joints : sequence of str
-        Its driven joints, base first.
-    ranges : sequence of (float, float) or None
-        Allowed positions of each joint [rad or m]; None for a hinge that turns without end.
-    tool : str
-        Site of the tool.
 
     Examples
     --------

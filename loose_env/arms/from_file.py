@@ -48,22 +48,7 @@ what explicit steps can bear, a drawn stop on the same flange takes up to seven 
 
 
 def propose_limits(model: mujoco.MjModel, joints: list[str], poses: Array) -> Array:
-    """Propose torque limits: twice the gravity load, and 1 g at the tool besides.
-
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        The bare arm.
-    joints : list of str
-        Its joints, base first.
-    poses : ndarray (m, n)
-        Poses to look at [rad or m].
-
-    Returns
-    -------
-    ndarray (n,)
-        Limits [N·m, or N where it slides], two digits.
-    """
+    """Propose torque limits: twice the gravity load, and 1 g at the tool besides."""
     data = mujoco.MjData(model)
     site = model.site("tool").id
     dofs = [int(model.joint(j).dofadr[0]) for j in joints]
@@ -89,16 +74,6 @@ def propose_levels(arm: Arm, poses: Array) -> tuple[float, float, float]:
     The tool's rms acceleration in the band that each joint reaches alone, with the torque that
     is left beside gravity and peaks of three times the rms (`CREST_FACTOR`); the top level is
     the median over poses and joints that move the tool, the others a third and a ninth of it.
-
-    Returns
-    -------
-    tuple of 3 floats
-        Levels [m/s²], two digits.
-
-    Raises
-    ------
-    InvalidData
-        If that median is zero, or no joint moves the tool.
     """
     sprung = arm.gear_joints and arm.rigid is None  # by the file
     linear = LinearArm(arm, points=_SPRUNG_POINTS if sprung else 12)
@@ -130,11 +105,6 @@ def stable_timestep(arm: Arm, poses: Array) -> float:
 
     The rig takes them explicitly, and behind an open seat they act on the flange alone. The step
     is halved until no mode of theirs decays or turns by more than 1 in a step.
-
-    Raises
-    ------
-    InvalidData
-        If even a sixteenth of the usual step is too long.
     """
     linear = LinearArm(arm, points=2)
     joints = linear.joint_dofs
@@ -162,18 +132,6 @@ def calm_centring(arm: Arm, poses: Array) -> Holding:
 
     Behind an open seat they act on the flange alone, which can be a thousandth of what the joint
     carries where the file gives it no rotor inertia. Their springs stay.
-
-    Parameters
-    ----------
-    arm : Arm
-        The arm, its step settled.
-    poses : ndarray (m, n)
-        Poses to look at [rad or m].
-
-    Returns
-    -------
-    Holding
-        The arm's centring, its damping lowered where needed.
     """
     weights = _flange_weights(LinearArm(arm, points=2), poses)
     damping = np.array(arm.centring.damping)
@@ -207,18 +165,6 @@ def with_file_springs(arm: Arm, springs: tuple[str, ...]) -> Arm:
     the flange is all that is left on the spring of its drive: where it is too light for the step, a
     part of the rotor's inertia is moved to it, so that both together stay as they were; where
     that is not enough the step is halved. Records wait until the springs' modes have died away.
-
-    Parameters
-    ----------
-    arm : Arm
-        An arm with a step that is short enough for everything else.
-    springs : tuple of str
-        Its elastic joints, base first. None leaves the arm as it is.
-
-    Raises
-    ------
-    InvalidData
-        If a spring is too stiff for a sixteenth of the step.
     """
     if not springs:
         return arm

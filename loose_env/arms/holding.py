@@ -157,13 +157,7 @@ def gears_of(
     mode_hz: PerJoint | None = None,
     damping_ratio: PerJoint | None = None,
 ) -> Gears:
-    """Parameters of an arm's gears, with what is given in place of its own.
-
-    Raises
-    ------
-    InvalidSetting
-        If both a stiffness and a mode are given, or they do not fit the joints.
-    """
+    """Parameters of an arm's gears, with what is given in place of its own."""
     if stiffness is not None and mode_hz is not None:
         raise InvalidSetting(
             f"gears have a stiffness or a mode, not both; got stiffness={stiffness!r} and "
@@ -197,31 +191,7 @@ def proposed_gears(arm: Arm) -> Gears:
 def geared_spec(
     arm: Arm, stiffness: Array, damping: Array, rotor: Array, moved: Array
 ) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
-    """Copy an arm's spec and add a gear to the body of every joint, behind the joint.
-
-    Parameters
-    ----------
-    arm : Arm
-        The arm, its gears stiff.
-    stiffness, damping : ndarray (n,)
-        Of each gear, per radian or metre.
-    rotor : ndarray (n,)
-        Inertia that stays before each gear, at the motor [kg·m², or kg where it slides].
-    moved : ndarray (n,)
-        Inertia that is added behind each gear, to the flange.
-
-    Returns
-    -------
-    spec : mujoco.MjSpec
-        The arm with gears.
-    gears : tuple of str
-        Names of their joints, base first.
-
-    Raises
-    ------
-    InvalidSetting
-        If a link's seat is on the body of its joint.
-    """
+    """Copy an arm's spec and add a gear to the body of every joint, behind the joint."""
     spec = arm.spec.copy()
     taken = {joint.name for joint in spec.joints}
     gears = []
@@ -448,18 +418,6 @@ def compliant(arm: Arm, gears: Gears | None = None) -> Arm:
     was asked for: the pose is that of the links, as on a robot that corrects for its sag, and the
     wind-up is only missing as a constant in the encoder's reading. It is of the order of a
     milliradian, less than the encoders' zeros are off anyway.
-
-    Parameters
-    ----------
-    arm : Arm
-        Any arm; one with elastic gears gets these instead.
-    gears : Gears, optional
-        Parameters; by default those of the arm.
-
-    Raises
-    ------
-    InvalidSetting
-        If the parameters do not fit the joints, or are too stiff for an eighth of the arm's step.
 
     Examples
     --------

@@ -58,25 +58,7 @@ def dynamic_stiffness(
     springs: Array,
     dampers: Array,
 ) -> ComplexArray:
-    """Force per motion of joints, then bending modes, over the band.
-
-    Parameters
-    ----------
-    arm : Arm
-        The arm; it says what holds and what centres its joints.
-    mass : ndarray (B, v, v)
-        Inertia in each of B poses.
-    excited : ndarray of bool (B, n)
-        Joints that are excited; all others are held.
-    frequency : ndarray (K,)
-        Frequencies [Hz].
-    springs, dampers : ndarray (v,)
-        Of the arm itself.
-
-    Returns
-    -------
-    ndarray (v, v, B, K)
-    """
+    """Force per motion of joints, then bending modes, over the band."""
     omega = 2 * np.pi * frequency
     s = 1j * omega
     loose = s * dampers[:, None] + springs[:, None]

@@ -56,11 +56,6 @@ _UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E"
 def check_counts(root: ET.Element, file: Path) -> None:
     """Refuse numbers in a file that ask for more than any arm needs.
 
-    Raises
-    ------
-    InvalidData
-        With the element, the attribute and what is allowed.
-
     Examples
     --------
     >>> check_counts(ET.fromstring('<size nkey="1000000000"/>'), Path("arm.xml"))
@@ -86,24 +81,7 @@ def check_counts(root: ET.Element, file: Path) -> None:
 def check_expanded(
     root: ET.Element, attached: Mapping[str, float], file: Path, included: float = 0.0
 ) -> float:
-    """Elements of a file with its copies, and with the models that it attaches.
-
-    Parameters
-    ----------
-    root : Element
-        The file.
-    attached : mapping
-        Name of a model of its assets -> elements of that model.
-    file : Path
-        What errors name.
-    included : float
-        Elements that the files it includes add.
-
-    Raises
-    ------
-    InvalidData
-        If there are more than `MOST_ELEMENTS`: copies of copies multiply.
-    """
+    """Elements of a file with its copies, and with the models that it attaches."""
     total = included
     waiting: list[tuple[ET.Element, float]] = [(root, 1.0)]
     while waiting:
@@ -164,13 +142,6 @@ def scan(file: Path, root: Path | None = None) -> ET.Element:
     """Parse a file and those it includes, and return its outermost element.
 
     Files lie in the file's own folder, or in ``root`` where that is given.
-
-    Raises
-    ------
-    InvalidData
-        If one of them is not XML, is a xacro, declares entities, asks for more copies than any
-        arm needs, or refers to anything outside that folder. The message names the
-        first file, and the one in which it is.
     """
     return _looked_over(file, root).parsed[file]
 
@@ -345,26 +316,7 @@ _SCHEME = "package://"
 
 
 def package_root(file: Path, given: str | Path | None) -> Path | None:
-    """Folder within which a URDF may name files.
-
-    Parameters
-    ----------
-    file : Path
-        The URDF, resolved.
-    given : str or Path, optional
-        Folder of the package, or of several packages. By default the folder above the file that
-        holds a ``package.xml``.
-
-    Returns
-    -------
-    Path or None
-        None where there is none: then files lie beside the URDF.
-
-    Raises
-    ------
-    InvalidSetting
-        If there is no such folder.
-    """
+    """Folder within which a URDF may name files."""
     if given is not None:
         folder = Path(given)
         if not folder.is_dir():
@@ -381,11 +333,6 @@ def _urdf_text(file: Path, root: Path) -> str:
 
     ``package://name/rest`` is ``rest`` in ``root``, where root is the package, or ``name/rest``,
     where it holds the packages; any other path counts from the URDF's folder.
-
-    Raises
-    ------
-    InvalidData
-        If a path leaves the folder.
     """
     tree = ET.fromstring(file.read_bytes())
     for element in tree.iter():
@@ -436,15 +383,7 @@ def _places(local: str, file: Path, root: Path) -> Iterator[Path]:
 
 
 def urdf_spec(file: Path, root: Path) -> mujoco.MjSpec:
-    """Read a URDF whose meshes lie in a package.
-
-    Raises
-    ------
-    InvalidData
-        If a path leaves the package's folder.
-    ValueError
-        If MuJoCo cannot read it.
-    """
+    """Read a URDF whose meshes lie in a package."""
     return mujoco.MjSpec.from_string(_urdf_text(file, root))
 
 

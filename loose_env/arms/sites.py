@@ -149,24 +149,7 @@ class ShakenResponse:
     """Acceleration of every probe along its own axes [m/s² per N] (K, 3)."""
 
     def covariances(self, probe: str, axis: int) -> tuple[float, Array, Array]:
-        """Covariances that white force over the band gives.
-
-        Parameters
-        ----------
-        probe : str
-            Site whose acceleration is the reference x.
-        axis : int
-            Axis of that probe.
-
-        Returns
-        -------
-        float
-            Variance of x per N² of force.
-        ndarray (d,)
-            Covariance of x with the tool's acceleration.
-        ndarray (d, d)
-            Covariance of the tool's acceleration.
-        """
+        """Covariances that white force over the band gives."""
         x, a = self.probes[probe][:, axis], self.tool
         count = len(self.frequency)
         return (
@@ -190,13 +173,6 @@ class ShakenArm:
     ------
     InvalidSetting
         If the arm has no shaker.
-
-    Examples
-    --------
-    >>> from loose_env.thesis import PROXIMAL, shaken_vera
-    >>> answer = ShakenArm(shaken_vera(), points=50).at([0.0, 1.0])
-    >>> answer.tool.shape, answer.probes[PROXIMAL].shape
-    ((50, 2), (50, 3))
     """
 
     def __init__(self, arm: Arm, *, points: int = 400) -> None:

@@ -1,139 +1,109 @@
-"""Diagnosis from several records: likelihoods, learned posteriors, link finding, design.
+"""Diagnosis from several records: posteriors, directions, link finding, experiment design.
 
-Data flow: records -> likelihood -> learned -> experiment_design -> link_finding
--> research.
+Data flow: prediction -> records -> posterior -> features -> novelty -> learned ->
+experiment_design -> directions -> link_finding -> scatter -> pose_sets.
 """
 
-from loose_env.diagnosis.experiment_design.information_gain import (
+from loose_env.diagnosis.directions import (
+    ChangeModel,
+    ChangeSighting,
+    DirectionSighting,
+    LinkPosterior,
+    ToolFrames,
+    confusable_faults,
+    fault_locations,
+    link_posterior,
+    log_mean_bingham,
+    precision_of,
+    sight_change,
+)
+from loose_env.diagnosis.experiment_design import (
     ImaginedFaults,
     InformationFactors,
+    Proposal,
     RecordInformation,
-)
-from loose_env.diagnosis.experiment_design.record_bound import (
+    SeatCoverage,
+    holding_modes,
     least_records,
+    propose_excitation,
 )
-from loose_env.diagnosis.learned.amortised_posterior import (
-    REFERENCE,
-    AmortisedBelief,
-    AmortisedPosterior,
-    read_network,
-    write_network,
-)
-from loose_env.diagnosis.learned.features import (
+from loose_env.diagnosis.features import (
     LOCATION_FEATURES,
     RECORD_FEATURES,
     SeatFeatures,
 )
-from loose_env.diagnosis.learned.network import (
+from loose_env.diagnosis.learned import (
+    REFERENCE,
+    AmortisedBelief,
+    AmortisedPosterior,
     SeatNetwork,
+    read_network,
+    write_network,
 )
-from loose_env.diagnosis.learned.novelty import (
+from loose_env.diagnosis.link_finding import (
+    LinkFindingSettings,
+    MotionShape,
+    Order,
+    Sighting,
+    TurnSearch,
+    backlash_joint,
+    candidate_poses,
+    choose_move,
+    choose_open_move,
+    judge_turn,
+    looks_healthy,
+    next_joint,
+    shape_of_motion,
+)
+from loose_env.diagnosis.novelty import (
     NOVELTY_STATISTICS,
     NoveltyReference,
     Seen,
     used_columns,
 )
-from loose_env.diagnosis.likelihood.axial_likelihood import (
-    log_mean_bingham,
-    precision_of,
-)
-from loose_env.diagnosis.likelihood.opening_table import (
-    PRESSES,
-    RATIOS,
-    shipped_table,
-)
-from loose_env.diagnosis.likelihood.posterior import (
-    Belief,
-    FaultPosterior,
-    PosteriorSettings,
-    variants,
-)
-from loose_env.diagnosis.likelihood.record_likelihood import (
-    LOOSE,
-    OPENINGS,
-    SHUT,
-    fit_record,
-)
-from loose_env.diagnosis.likelihood.seat_response import (
-    predict_seats,
-)
-from loose_env.diagnosis.link_finding.direction_images import (
-    ToolFrames,
-    fault_locations,
-)
-from loose_env.diagnosis.link_finding.driven_joint import MotionShape, shape_of_motion
-from loose_env.diagnosis.link_finding.measured_direction import (
-    ChangeModel,
-    ChangeSighting,
-    sight_change,
-)
-from loose_env.diagnosis.link_finding.moves import (
-    candidate_poses,
-    choose_move,
-)
-from loose_env.diagnosis.link_finding.opening_moves import (
-    choose_open_move,
-)
-from loose_env.diagnosis.link_finding.planar import (
-    LinkFindingSettings,
-    Order,
-    Sighting,
-    backlash_joint,
-    judge_turn,
-    looks_healthy,
-    next_joint,
-)
-from loose_env.diagnosis.link_finding.pooled_scatter import (
-    PlaceDirections,
-    PooledScatter,
-    RecordScatter,
-)
-from loose_env.diagnosis.link_finding.search import (
-    TurnSearch,
-)
-from loose_env.diagnosis.link_finding.seat_coverage import SeatCoverage
-from loose_env.diagnosis.link_finding.sensed_places import SensedPlaces
-from loose_env.diagnosis.link_finding.spatial import (
-    DirectionSighting,
-    LinkPosterior,
-    confusable_faults,
-    link_posterior,
-)
-from loose_env.diagnosis.records.excitation_design import (
-    Proposal,
-    holding_modes,
-    propose_excitation,
-)
-from loose_env.diagnosis.records.link_readings import (
-    LinkReadings,
-    NominalLinks,
-    link_axes,
-    link_readings_of,
-    link_readings_of_all,
-)
-from loose_env.diagnosis.records.model_uncertainty import (
-    stiffness_errors,
-)
-from loose_env.diagnosis.records.prediction import (
-    Prediction,
-    SensorFloor,
-    predict,
-    predictions,
-)
-from loose_env.diagnosis.records.record_statistics import (
-    RecordStatistics,
-    statistics_of,
-    statistics_of_all,
-)
-from loose_env.diagnosis.research.pose_sets.limits import (
+from loose_env.diagnosis.pose_sets import (
+    PLANNED,
+    PoseSets,
     bingham_width,
     direction_limit,
     one_by_one_share,
     scattered_axes,
 )
-from loose_env.diagnosis.research.pose_sets.pose_sets import (
-    PLANNED,
-    PoseSets,
+from loose_env.diagnosis.posterior import (
+    LOOSE,
+    OPENINGS,
+    PRESSES,
+    RATIOS,
+    SHUT,
+    Belief,
+    FaultPosterior,
+    PosteriorSettings,
+    fit_record,
+    shipped_table,
+    variants,
+)
+from loose_env.diagnosis.prediction import (
+    Prediction,
+    SensorFloor,
+    predict,
+    predict_seats,
+    predictions,
+    stiffness_errors,
+)
+from loose_env.diagnosis.records import (
+    LinkReadings,
+    NominalLinks,
+    RecordStatistics,
+    link_axes,
+    link_readings_of_all,
+    statistics_of,
+    statistics_of_all,
+)
+from loose_env.diagnosis.scatter import (
+    PlaceDirections,
+    PooledScatter,
+    RecordScatter,
+    SensedPlaces,
 )
 
 __all__ = [
@@ -195,7 +165,6 @@ __all__ = [
     "least_records",
     "link_axes",
     "link_posterior",
-    "link_readings_of",
     "link_readings_of_all",
     "log_mean_bingham",
     "looks_healthy",

@@ -13,17 +13,6 @@ import numpy as np
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = [
-    "Channel",
-    "Factors",
-    "Kind",
-    "Machine",
-    "Runs",
-    "channels_of",
-    "filled",
-    "positions",
-]
-
 Kind = Literal["position", "velocity", "acceleration", "turning", "torque", "command", "other"]
 """Quantity of a channel."""
 
@@ -81,13 +70,7 @@ class Servo:
 
 
 class Machine:
-    """Names, limits and drives of a model, as the checks need them.
-
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        The compiled model of a recording.
-    """
+    """Names, limits and drives of a model, as the checks need them."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model

@@ -25,8 +25,6 @@ from loose_env.recording import (
 )
 from loose_env.typing import Array
 
-__all__ = ["Correction", "write_corrected"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Correction:

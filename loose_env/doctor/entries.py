@@ -13,8 +13,6 @@ from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.thresholds import POSE_SPREAD, SILENT_COMMAND
 from loose_env.recording import Run
 
-__all__ = ["check_entries", "positions_in"]
-
 _RECORD = "note the pose that was held, or record the run again in that pose"
 
 

@@ -10,8 +10,6 @@ from loose_env.doctor.corrections import Correction
 from loose_env.errors import InvalidData
 from loose_env.io import json_text
 
-__all__ = ["Finding", "Report", "Severity", "graded_findings"]
-
 Severity = Literal["error", "warning", "note"]
 """``"error"``: a result would be wrong. ``"warning"``: it may be. ``"note"``: worth knowing."""
 

@@ -27,8 +27,6 @@ from loose_env.doctor.thresholds import HIGHEST_RATE_HZ
 from loose_env.importing import median_step
 from loose_env.recording import Recording, Run
 
-__all__ = ["examine"]
-
 
 def examine(
     recording: Recording,

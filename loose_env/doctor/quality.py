@@ -34,8 +34,6 @@ from loose_env.importing import median_step
 from loose_env.recording import Run, without_corrupt
 from loose_env.typing import Array
 
-__all__ = ["check_quality", "without_absurd"]
-
 _NOISY = ("acceleration", "turning", "torque", "velocity")
 """Kinds whose readings never repeat for long on a machine that runs."""
 _SITE = ("acceleration", "turning")

@@ -26,8 +26,6 @@ from loose_env.importing import median_step
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["check_rates", "check_sampling"]
-
 
 def check_sampling(machine: Machine, run: Run, channels: Sequence[Channel]) -> Iterator[Finding]:
     """Check the time of one run."""

@@ -14,8 +14,6 @@ from loose_env.doctor.thresholds import (
 )
 from loose_env.errors import InvalidSetting
 
-__all__ = ["DoctorSettings"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class DoctorSettings:

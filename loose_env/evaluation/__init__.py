@@ -1,47 +1,39 @@
 """Evaluation: success rates, paired intervals, calibration, strata.
 
-Data flow: calibration -> intervals -> hidden_faults -> success_rates -> rows -> strata.
+Data flow: success -> calibration -> hidden_faults -> rows.
 """
 
-from loose_env.evaluation.calibration import (
-    Calibration,
-    calibration_of,
-    claims_of,
-    expected_calibration_error,
-    reliability,
-)
+from loose_env.evaluation.calibration import Calibration, calibration_of, claims_of
 from loose_env.evaluation.hidden_faults import (
     FaultParameters,
     drive_over_friction,
     fault_parameters,
 )
-from loose_env.evaluation.intervals import (
-    SEPARATOR,
-    Interval,
-    bootstrap_mean,
-    paired_difference,
-    runs_of,
-    trained_agents,
-)
 from loose_env.evaluation.rows import configuration_hash, need_format, read_rows, write_rows
-from loose_env.evaluation.strata import (
+from loose_env.evaluation.success import (
     RATIO_EDGES,
+    SEPARATOR,
     Crossing,
     Division,
-    crossing,
-    divisions,
-    pareto_front,
-    ratio_names,
-    success_after,
-)
-from loose_env.evaluation.success_rates import (
     Row,
     Standing,
     by_agent,
-    percent,
+    crossing,
+    divisions,
+    paired_difference,
+    pareto_front,
+    ratio_names,
+    runs_of,
     standings,
-    table_of,
+    success_after,
+    trained_agents,
     who_won,
+)
+from loose_env.inference import (
+    Interval,
+    bootstrap_mean,
+    expected_calibration_error,
+    reliability,
     wilson,
 )
 
@@ -68,14 +60,12 @@ __all__ = [
     "need_format",
     "paired_difference",
     "pareto_front",
-    "percent",
     "ratio_names",
     "read_rows",
     "reliability",
     "runs_of",
     "standings",
     "success_after",
-    "table_of",
     "trained_agents",
     "who_won",
     "wilson",

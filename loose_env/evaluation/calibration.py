@@ -14,120 +14,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from loose_env.errors import InvalidData
-
-__all__ = [
-    "Calibration",
-    "Claims",
-    "Reliability",
-    "calibration_of",
-    "claims_of",
-    "expected_calibration_error",
-    "log_score",
-    "reliability",
-]
-
-BINS = 15
-"""Bins of equal width from 0 to 1, as in Guo et al. (2017)."""
-
-SMALLEST = 1e-6
-"""Probabilities of the truth below this count as this in the log score."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Reliability:
-    """Accuracy by confidence, in bins that are not empty."""
-
-    confidence: NDArray[np.float64]
-    """Mean confidence (bins,)."""
-    right: NDArray[np.float64]
-    """Share that was right (bins,)."""
-    count: NDArray[np.intp]
-    """Number of claims (bins,)."""
-
-
-def reliability(confidence: ArrayLike, right: ArrayLike, *, bins: int = BINS) -> Reliability:
-    """Sort claims by confidence and see how often each bin was right.
-
-    Parameters
-    ----------
-    confidence : array_like (N,)
-        Probability given to what was claimed, 0 to 1.
-    right : array_like of bool (N,)
-        Whether the claim was right.
-    bins : int
-        Bins of equal width; a claim on an edge belongs to the bin below it.
-
-    Raises
-    ------
-    InvalidData
-        If the two differ in length or a confidence is no probability.
-    """
-    p, hit = np.asarray(confidence, dtype=float), np.asarray(right, dtype=float)
-    if p.ndim != 1 or p.shape != hit.shape:
-        raise InvalidData(
-            f"every claim has a confidence and an outcome, got {p.shape} and {hit.shape}"
-        )
-    if not ((p >= 0) & (p <= 1 + 1e-9)).all():
-        raise InvalidData("a confidence is a probability, from 0 to 1")
-    index = np.clip(np.ceil(p * bins).astype(int) - 1, 0, bins - 1)
-    count = np.bincount(index, minlength=bins)
-    full = count > 0
-    number = count[full]
-    return Reliability(
-        confidence=np.bincount(index, p, minlength=bins)[full] / number,
-        right=np.bincount(index, hit, minlength=bins)[full] / number,
-        count=number,
-    )
-
-
-def expected_calibration_error(
-    confidence: ArrayLike, right: ArrayLike, *, bins: int = BINS
-) -> float:
-    """Mean distance between confidence and share of right claims, weighted by claims.
-
-    Parameters
-    ----------
-    confidence, right, bins
-        As in `reliability`.
-
-    Returns
-    -------
-    float
-        From 0 to 1; NaN without claims. It is never quite 0 in a finite sample: with N claims a
-        perfect posterior shows about sqrt(bins / N) / 3.
-
-    References
-    ----------
-    Naeini, Cooper and Hauskrecht, Obtaining Well Calibrated Probabilities Using Bayesian
-    Binning (AAAI 2015); Guo et al., On Calibration of Modern Neural Networks (ICML 2017).
-
-    Examples
-    --------
-    >>> round(expected_calibration_error([0.8] * 10, [True] * 6 + [False] * 4), 3)
-    0.2
-    """
-    found = reliability(confidence, right, bins=bins)
-    if len(found.count) == 0:
-        return float("nan")
-    distance = np.abs(found.confidence - found.right)
-    return float(np.sum(distance * found.count) / np.sum(found.count))
-
-
-def log_score(truth_probability: ArrayLike) -> float:
-    """Mean natural logarithm of the probability given to the truth [nat]; 0 is the best.
-
-    Probabilities below `SMALLEST` count as that. NaN without claims.
-
-    Examples
-    --------
-    >>> round(log_score([1.0, 0.5]), 4)
-    -0.3466
-    """
-    p = np.asarray(truth_probability, dtype=float)
-    return float(np.mean(np.log(np.maximum(p, SMALLEST)))) if p.size else float("nan")
+from loose_env.inference import expected_calibration_error, log_score
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -201,16 +90,8 @@ def calibration_of(
 ) -> Calibration | None:
     """Judge the probabilities of one agent; None where it keeps none.
 
-    Parameters
-    ----------
-    agent : str
-        Its name.
-    rows : sequence of mapping
-        Its episodes.
-    edges : sequence of float
-        Inner edges of the classes of seat drive over friction.
-    records : int
-        How many records stand alone; later ones are put together.
+    By classes of seat drive over friction with the inner ``edges``, and by record, those after the
+    first few put together.
     """
     claims = claims_of(rows)
     if len(claims.record) == 0:

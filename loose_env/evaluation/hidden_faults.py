@@ -26,8 +26,6 @@ from loose_env.faults import (
     twist_of,
 )
 
-__all__ = ["FaultParameters", "SeatOpenness", "drive_over_friction", "fault_parameters"]
-
 
 class SeatOpenness:
     """Drives the seats of an arm as hard as its levels allow, in a number of poses.
@@ -135,11 +133,7 @@ def fault_parameters(sampler: FaultSampler, fault: Fault) -> FaultParameters:
     >>> round(fault_parameters(sampler, fault).friction_ratio, 6)
     4.0
     """
-    found = [
-        (_ratio(sampler, part), part)
-        for part in parts_of(fault)
-        if not isinstance(part, (Healthy, Preload))
-    ]
+    found = _driven(sampler, fault)
     if not found:
         return FaultParameters()
     ratio, best = max(found, key=lambda pair: pair[0])
@@ -163,12 +157,16 @@ def drive_over_friction(sampler: FaultSampler, fault: Fault) -> float | None:
 
     None where nothing is loose.
     """
-    found = [
-        _ratio(sampler, part)
+    return max((ratio for ratio, _ in _driven(sampler, fault)), default=None)
+
+
+def _driven(sampler: FaultSampler, fault: Fault) -> list[tuple[float, SinglePart]]:
+    """Parts of a fault that can be loose, each with its drive over friction."""
+    return [
+        (_ratio(sampler, part), part)
         for part in parts_of(fault)
         if not isinstance(part, (Healthy, Preload))
     ]
-    return max(found, default=None)
 
 
 @lru_cache(maxsize=4)

@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from loose_env.errors import InvalidData, UnknownName
-from loose_env.evaluation.success_rates import Row
+from loose_env.evaluation.success import Row
 from loose_env.io import write_text, written_beside
-
-__all__ = ["RowsFormat", "configuration_hash", "need_format", "read_rows", "write_rows"]
 
 RowsFormat = Literal["parquet", "json"]
 """File format of rows."""

@@ -14,8 +14,6 @@ import numpy as np
 
 from loose_env.errors import InvalidSetting
 
-__all__ = ["GapSettings", "SearchSettings"]
-
 # Preparation
 CHAOTIC_SHARE = 0.3
 """Share of a random run's incoherent part that a nudge redraws, from which the run counts as
@@ -224,13 +222,7 @@ class GapSettings:
     """Threads of the simulation; 0 for all processors."""
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises
-        ------
-        InvalidSetting
-            If a setting is of another type, or out of its range.
-        """
+        """Check the values."""
         for name, most in (("tolerance", 0.5), ("held_share", 1.0)):
             value = getattr(self, name)
             if not (_is_number(value) and 0 < value < most):

@@ -42,13 +42,7 @@ class Joined:
 def shifts_of(
     mapping: ImportMapping, files: Mapping[str, Path], pool: Pool, say: Callable[[str], None]
 ) -> dict[str, float]:
-    """Shifts of the sources whose clock is set by another one's [s].
-
-    Raises
-    ------
-    InvalidData
-        If two channels do not show the same motion.
-    """
+    """Shifts of the sources whose clock is set by another one's [s]."""
     found = {}
     for name in files:
         align = mapping.sources[name].align
@@ -80,32 +74,7 @@ def joined_run(
     shifts: Mapping[str, float],
     model: mujoco.MjModel,
 ) -> Joined:
-    """Join a run.
-
-    Parameters
-    ----------
-    plan : RunPlan
-        What the mapping says of it.
-    files : mapping
-        File of each source.
-    pool : mapping
-        The samples.
-    shifts : mapping
-        Shift of each source [s].
-    model : mujoco.MjModel
-        The nominal model.
-
-    Returns
-    -------
-    Joined
-        The run; its time starts at 0.
-
-    Raises
-    ------
-    InvalidData
-        If the channels have no time in common, a unit does not fit its column, or more than
-        20 % of a column is missing.
-    """
+    """Join a run."""
     columns = [
         _Column(entry, pool[entry.source, files[entry.source], entry.key], shifts, model)
         for entry in plan.columns

@@ -66,11 +66,6 @@ def file_within(folder: Path, given: str, place: str) -> Path:
     Links are followed, since downloaded datasets consist of them; the name itself may not lead
     out of the folder.
 
-    Raises
-    ------
-    InvalidData
-        If it leaves the folder or is not there.
-
     Examples
     --------
     >>> file_within(Path("bag"), "../other.mcap", "bag/metadata.yaml")
@@ -97,28 +92,7 @@ def checked(
     rows: Sequence[int] | NDArray[np.int64] | None = None,
     row_word: str = "row",
 ) -> Samples:
-    """Samples of a channel, refused where time runs backwards or a value is infinite.
-
-    Parameters
-    ----------
-    place : str
-        File and channel.
-    time, values : ndarray of shape (T,)
-        Times [s] and values; NaN values are missing samples and are left out.
-    origin_ns : int
-        Where time is counted from [ns].
-    unit : str
-        Unit that the file gives.
-    rows : sequence of int, optional
-        Where in the file each sample stands; from 1 on by default.
-    row_word : str
-        What the file's rows are called.
-
-    Raises
-    ------
-    InvalidData
-        With the row.
-    """
+    """Samples of a channel, refused where time runs backwards or a value is infinite."""
 
     def row(i: int) -> str:
         return f"{place}: {row_word} {i + 1 if rows is None else rows[i]}"

@@ -29,9 +29,6 @@ from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.io import json_text
 from loose_env.typing import Array
 
-__all__ = ["FORMAT", "Inspection", "JointSeen", "inspect_model", "screen"]
-
-
 FORMAT = "loose-inspection/1"
 """Format of the file."""
 _DIGITS = 5

@@ -44,8 +44,6 @@ from loose_env.instrument.trend.transmission import spectra_by_fit
 from loose_env.recording import Recording, Run, set_aside
 from loose_env.version import __version__
 
-__all__ = ["Workbench", "diagnose"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Taken:
@@ -58,22 +56,7 @@ class _Taken:
 
 
 class Workbench:
-    """An arm and its runs, which may become more.
-
-    Parameters
-    ----------
-    model : Path
-        MJCF file of the nominal model.
-    settings : DiagnoseSettings
-        Prior knowledge.
-    motion : MotionSettings, optional
-        Limits of the controller that the next measurement keeps to; none by default.
-
-    Raises
-    ------
-    InvalidData
-        If the model is no serial arm on a fixed base.
-    """
+    """An arm and its runs, which may become more."""
 
     def __init__(
         self, model: Path, settings: DiagnoseSettings, motion: MotionSettings | None = None
@@ -96,13 +79,7 @@ class Workbench:
         return [t.lines for t in self._taken if t.lines is not None and not t.lines.healthy]
 
     def add(self, run: Run, *, notes: Sequence[str] = ()) -> None:
-        """Take a run up, with notes on it; one that cannot be used is kept with the reason.
-
-        Raises
-        ------
-        InvalidData
-            If nothing in the run can be read at all.
-        """
+        """Take a run up, with notes on it; one that cannot be used is kept with the reason."""
         run, pauses = unbroken(run, columns_in(self.arm, run))
         held = run_setup(self.arm, run)
         # Runs are told apart by their numbers: two may have one name.
@@ -119,15 +96,7 @@ class Workbench:
     def diagnosis(
         self, *, plan: bool = True, say: Callable[[str], None] = lambda _: None
     ) -> Diagnosis:
-        """Weigh what all runs say together.
-
-        Parameters
-        ----------
-        plan : bool
-            True to propose the next measurement.
-        say : callable
-            Told what goes on, line by line.
-        """
+        """Weigh what all runs say together."""
         paired = beside_references(self.uncertain, self._held(), self._pairs)
         clocks = clocks_of(self.uncertain, paired)
         lines = [clocks.corrected(one) for one in paired]

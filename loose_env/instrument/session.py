@@ -25,8 +25,6 @@ from loose_env.recording import Run
 from loose_env.rig import Measurement
 from loose_env.typing import Array
 
-__all__ = ["Found", "RecordingRig", "Session", "find_fault", "run_of"]
-
 
 class RecordingRig(Protocol):
     """Source of recordings: a robot with its recorder, a simulation, a recording."""
@@ -37,22 +35,7 @@ class RecordingRig(Protocol):
 
 
 class Session:
-    """Diagnosis of one arm, updated by each measurement.
-
-    Parameters
-    ----------
-    model : str or Path
-        MJCF file of the nominal model.
-    settings : DiagnoseSettings, optional
-        Prior knowledge.
-    motion : MotionSettings, optional
-        Limits of the controller that measurements keep to; none by default.
-
-    Raises
-    ------
-    InvalidData
-        If the model is no serial arm on a fixed base.
-    """
+    """Diagnosis of one arm, updated by each measurement."""
 
     def __init__(
         self,
@@ -85,11 +68,6 @@ class Session:
         """Add a measurement and update the diagnosis.
 
         A run whose name another one has is listed with the number of the measurement behind it.
-
-        Raises
-        ------
-        InvalidData
-            If it cannot be used; what was known before still is.
         """
         self._count += 1
         run = measurement
@@ -193,13 +171,7 @@ def find_fault(
 
 
 def run_of(arm: InstrumentedArm, measurement: Measurement, name: str) -> Run:
-    """A measurement of a rig as a run of a recording.
-
-    Raises
-    ------
-    InvalidData
-        If it failed, does not fit the arm, or its tool has not three axes.
-    """
+    """A measurement of a rig as a run of a recording."""
     if measurement.failure is not None:
         raise InvalidData(f"{name}: the measurement failed: {measurement.failure}")
     if len(measurement.pose) != arm.n or len(measurement.tool) != 3:

@@ -1,31 +1,52 @@
-"""Reports and figures.
+"""Reports: comparison of agents, diagnosis, trend, plan, model error.
 
-Data flow: pages -> comparison -> diagnosis -> plan -> gap -> studies.
+Data flow: page, figures, words -> comparison, diagnosis, trend, plan, gap -> rerun -> studies.
 """
 
 from loose_env.envs import FAINT, INK, MUTED
-from loose_env.report.comparison.episode_timeline import episode_timeline
-from loose_env.report.comparison.report import write_comparison
-from loose_env.report.comparison.text import comparison_text
-from loose_env.report.diagnosis.notebook import diagnosis_html, diagnosis_text
-from loose_env.report.diagnosis.page import write_page
-from loose_env.report.diagnosis.text import headline as diagnosis_headline
-from loose_env.report.diagnosis.trend_page import trend_headline, write_trend_page
-from loose_env.report.diagnosis.write import write_diagnosis
-from loose_env.report.gap.notebook import gap_html, gap_text
-from loose_env.report.gap.quick import quick_text
-from loose_env.report.gap.rerun_file import require_rerun, write_rerun
-from loose_env.report.gap.text import headline as gap_headline
-from loose_env.report.gap.write import write_gap_report
-from loose_env.report.pages.figure_card import FigureCard
-from loose_env.report.pages.figures import WIDTH, new_figure, quiet_axes
-from loose_env.report.pages.palette import AGENTS
-from loose_env.report.pages.style import DARK, FONT, LIGHT
-from loose_env.report.pages.svg import standalone, to_svg
-from loose_env.report.pages.template import paragraphs, shown, template, write_whole
-from loose_env.report.plan.plan_page import write_plan_page
-from loose_env.report.plan.plan_text import summary
-from loose_env.report.plan.tool_plan_page import tool_summary, write_tool_page
+from loose_env.io import write_text as write_whole
+from loose_env.report.comparison import (
+    EpisodeTimeline,
+    comparison_text,
+    episode_timeline,
+    write_comparison,
+)
+from loose_env.report.diagnosis import (
+    diagnosis_headline,
+    diagnosis_html,
+    diagnosis_text,
+    write_diagnosis,
+    write_page,
+)
+from loose_env.report.figures import AGENTS, WIDTH, new_figure, quiet_axes
+from loose_env.report.gap import (
+    gap_headline,
+    gap_html,
+    gap_text,
+    quick_text,
+    render_gap_page,
+    write_gap_report,
+)
+from loose_env.report.page import (
+    DARK,
+    FONT,
+    LIGHT,
+    PAPER,
+    THEMED,
+    FigureCard,
+    Section,
+    Table,
+    paragraphs,
+    render_page,
+    shown,
+    standalone,
+    template,
+    to_svg,
+)
+from loose_env.report.plan import plan_commands, plan_steps, summary, write_plan_page
+from loose_env.report.plan import summary as tool_summary
+from loose_env.report.plan import write_plan_page as write_tool_page
+from loose_env.report.rerun import require_rerun, write_rerun
 from loose_env.report.studies import (
     pyplot,
     read_study,
@@ -35,6 +56,7 @@ from loose_env.report.studies import (
     study_head,
     write_study,
 )
+from loose_env.report.trend import trend_headline, write_trend_page
 
 __all__ = [
     "AGENTS",
@@ -44,8 +66,13 @@ __all__ = [
     "INK",
     "LIGHT",
     "MUTED",
+    "PAPER",
+    "THEMED",
     "WIDTH",
+    "EpisodeTimeline",
     "FigureCard",
+    "Section",
+    "Table",
     "comparison_text",
     "diagnosis_headline",
     "diagnosis_html",
@@ -56,10 +83,14 @@ __all__ = [
     "gap_text",
     "new_figure",
     "paragraphs",
+    "plan_commands",
+    "plan_steps",
     "pyplot",
     "quick_text",
     "quiet_axes",
     "read_study",
+    "render_gap_page",
+    "render_page",
     "require_rerun",
     "rounded",
     "save_figure",

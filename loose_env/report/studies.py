@@ -1,12 +1,8 @@
-"""Studies on disk: rows with the settings that reproduce them, written atomically.
-
-The look that the figures of the studies share.
-"""
+"""Studies on disk, rows with the settings that reproduce them, and the look of their figures."""
 
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -18,10 +14,11 @@ import numpy as np
 
 from loose_env.envs import FAINT, INK, MUTED
 from loose_env.errors import InvalidData
+from loose_env.io import write_text, written_beside
 
 
 def study_head(made_by: str, settings: Any, *, version: str, **more: Any) -> dict[str, Any]:
-    """Provenance of rows: the script, its settings, the versions.
+    """Provenance of rows as it will be read back from a file.
 
     Parameters
     ----------
@@ -32,23 +29,14 @@ def study_head(made_by: str, settings: Any, *, version: str, **more: Any) -> dic
     version : str
         Version of this package.
     **more
-        Further figures of it.
-
-    Returns
-    -------
-    dict
-        As it will be read back from a file.
+        Further parts of the provenance.
     """
+    versions = {"loose_env": version, "mujoco": mujoco.__version__, "numpy": np.__version__}
     head = {
         "made_by": made_by,
         "settings": dict(settings) if isinstance(settings, Mapping) else asdict(settings),
         **more,
-        "versions": {
-            "loose_env": version,
-            "mujoco": mujoco.__version__,
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
+        "versions": versions | {"python": platform.python_version()},
     }
     read_back: dict[str, Any] = json.loads(json.dumps(head))
     return read_back
@@ -57,7 +45,7 @@ def study_head(made_by: str, settings: Any, *, version: str, **more: Any) -> dic
 def write_study(
     path: Path, head: dict[str, Any], rows: Sequence[dict[str, Any]], *, digits: int = 4
 ) -> None:
-    """Write a study, a line for each row, beside its place first.
+    """Write a study atomically, a line for each row.
 
     Examples
     --------
@@ -68,11 +56,9 @@ def write_study(
     ...     stored_rows(file, {"made_by": "me"}), stored_rows(file, {"made_by": "you"})
     ([{'error': 1.235}], [])
     """
-    beside = path.with_suffix(".part.json")
     start = json.dumps(head, indent=1).removesuffix("\n}")
     lines = ",\n".join("  " + json.dumps(rounded(row, digits)) for row in rows)
-    beside.write_text(f'{start},\n "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
-    os.replace(beside, path)
+    write_text(path, f'{start},\n "rows": [\n{lines}\n ]\n}}\n')
 
 
 def stored_rows(path: Path, head: dict[str, Any]) -> list[dict[str, Any]]:
@@ -136,7 +122,5 @@ def pyplot() -> Any:
 
 def save_figure(plt: Any, figure: Any, path: Path, *, dpi: int = 130) -> None:
     """Write a figure to a file atomically, and close it."""
-    beside = path.with_suffix(f".part{path.suffix}")
-    figure.savefig(beside, dpi=dpi)
+    written_beside(path, lambda beside: figure.savefig(beside, dpi=dpi))
     plt.close(figure)
-    os.replace(beside, path)

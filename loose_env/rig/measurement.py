@@ -76,13 +76,7 @@ class Job:
 
 
 def check_jobs(arm: Arm, jobs: Sequence[Job]) -> None:
-    """Reject jobs that do not match an arm.
-
-    Raises
-    ------
-    InvalidSetting
-        If a slot is named twice, or a pose or excitation does not fit the arm.
-    """
+    """Reject jobs that do not match an arm."""
     slots = [job.slot for job in jobs]
     if len(set(slots)) != len(slots):
         raise InvalidSetting(f"each slot can be measured once at a time, got slots {slots}")
@@ -101,20 +95,7 @@ def check_jobs(arm: Arm, jobs: Sequence[Job]) -> None:
 
 
 def whole_factor(rate: float, timestep: float) -> int:
-    """Simulation steps per reading.
-
-    Parameters
-    ----------
-    rate : float
-        Sampling rate [Hz].
-    timestep : float
-        Simulation step [s].
-
-    Raises
-    ------
-    InvalidSetting
-        If the rate is no whole fraction of the simulation's.
-    """
+    """Simulation steps per reading."""
     factor = round(1 / (rate * timestep))
     if factor < 1 or abs(factor * rate * timestep - 1) > 1e-6:
         raise InvalidSetting(

@@ -59,17 +59,7 @@ class Controls:
 
 
 def controls(nominal: LinearArm, jobs: Sequence[Job], *, timestep: float) -> Controls:
-    """Sample the torques of measurements of one length; each draws from its own generator.
-
-    Parameters
-    ----------
-    nominal : LinearArm
-        The nominal arm: its gravity is compensated.
-    jobs : sequence of Job
-        The measurements.
-    timestep : float
-        Simulation step [s].
-    """
+    """Sample the torques of measurements of one length; each draws from its own generator."""
     arm = nominal.arm
     limits = np.array(arm.torque_limits)
     periods, records, drives = torque_periods(
@@ -91,15 +81,7 @@ def controls(nominal: LinearArm, jobs: Sequence[Job], *, timestep: float) -> Con
 
 
 class AxesRead:
-    """Accelerometer axes that are read, of all sensors one after the other: tool, links, probes.
-
-    Parameters
-    ----------
-    arm : Arm
-        The nominal arm.
-    sensors : SensorSuite
-        Sensors that read the motion.
-    """
+    """Accelerometer axes that are read, of all sensors one after the other: tool, links, probes."""
 
     def __init__(self, arm: Arm, sensors: SensorSuite) -> None:
         choice = sensors.on_links
@@ -175,21 +157,7 @@ def sampled(
     before: int,
     count: int,
 ) -> Motion:
-    """Filter and sample the channels that MuJoCo recorded.
-
-    Parameters
-    ----------
-    recorded : ndarray (J, steps, channels)
-        Tool accelerometer, joint positions, link accelerometers, probes at every step.
-    axes : AxesRead
-        Axes that are read.
-    mixing : ndarray (J, S, 3)
-        What they make of the true acceleration.
-    sensors : SensorSuite
-        Sensors that read the motion.
-    joints, factor, before, count : int
-        Number of joints, steps per reading, steps of run-in and readings.
-    """
+    """Filter and sample the channels that MuJoCo recorded."""
     first = 3 * axes.sensor + np.where(axes.sensor > 0, joints, 0)
     channels = recorded.transpose(0, 2, 1)
     mixed = sum(mixing[:, :, k, None] * channels[:, first + k] for k in range(3))
@@ -220,31 +188,7 @@ def read_records(
     joint_zero: Array,
     failures: dict[int, str],
 ) -> list[Measurement]:
-    """Read the records of several jobs with an arm's sensors.
-
-    Parameters
-    ----------
-    motion : Motion
-        What the sensors see.
-    noise : Noise
-        What they add.
-    axes : AxesRead
-        Axes that are read.
-    jobs : sequence of J Job
-        The jobs.
-    control : Controls
-        Torques that were played.
-    arm : Arm
-        The nominal arm.
-    sensors : SensorSuite
-        Sensors that read the motion.
-    factor : int
-        Simulation steps per reading.
-    joint_zero : ndarray (J, n)
-        Zeros of the encoders [rad or m].
-    failures : dict of int to str
-        Slots whose simulation failed, and why.
-    """
+    """Read the records of several jobs with an arm's sensors."""
     count = motion.smooth.shape[-1]
     smooth = read_accelerometer(
         motion.smooth, sensor=sensors.accelerometer, rate=sensors.rate, drawn=noise.accelerometers

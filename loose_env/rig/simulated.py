@@ -68,13 +68,7 @@ class SlotRig(ABC):
         return self.measure_many([job])[0]
 
     def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
-        """Take measurements on different slots at once; results in the order of the jobs.
-
-        Raises
-        ------
-        InvalidSetting
-            If a slot is named twice, or a pose or excitation does not fit the arm.
-        """
+        """Take measurements on different slots at once; results in the order of the jobs."""
         results = dict(self.measure_each(jobs))
         return [results[k] for k in range(len(jobs))]
 
@@ -96,15 +90,6 @@ class Engines:
     more than one loose in one. Arms whose seats have the same number share an engine; nobody
     else's number changes what an engine does. Arms of another layout leave their slots in it to
     the template of its own, which is never simulated.
-
-    Parameters
-    ----------
-    shop : PlantShop
-        Source of the templates.
-    slots : int
-        Number of arms.
-    threads : int
-        Simulation threads; 0 takes all processors.
     """
 
     def __init__(self, shop: PlantShop, slots: int, threads: int) -> None:

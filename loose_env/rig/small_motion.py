@@ -65,19 +65,7 @@ class SmallMotion:
 
 
 class MotionLayout:
-    """Order and ancestry of a model's degrees of freedom: the same for all of one template.
-
-    Parameters
-    ----------
-    plant : Plant
-        Any plant of the template.
-
-    Raises
-    ------
-    InvalidSetting
-        If the seat has several degrees of freedom, there is a shaker, or a joint has a spring,
-        a damper or a friction that is not linear.
-    """
+    """Order and ancestry of a model's degrees of freedom: the same for all of one template."""
 
     def __init__(self, plant: Plant) -> None:
         model = plant.model
@@ -134,27 +122,7 @@ def small_motions(
     mixing: Array,
     mixed: NDArray[np.intp],
 ) -> SmallMotion:
-    """Linearise true arms about their initial poses.
-
-    Parameters
-    ----------
-    plants : sequence of J Plant
-        The true arms; `Plant.hold_at` has been called.
-    layouts : sequence of J MotionLayout
-        Layouts of their templates.
-    data : mujoco.MjData
-        Scratch space of the plants' layout.
-    excited : ndarray of bool (J, n)
-        Joints that are excited and not held.
-    places : ndarray (J,)
-        Start of each seat, from the middle between its stops [m or rad].
-    torque : ndarray (J, n)
-        Constant torque of the drives [N·m].
-    mixing : ndarray (J, S, 3)
-        What each axis that is read makes of the true acceleration in its sensor's frame.
-    mixed : ndarray of int (S,)
-        Accelerometer of each of these axes, in the order of the layout's sites.
-    """
+    """Linearise true arms about their initial poses."""
     found = _gathered(plants, layouts, data, places)
     jobs, n = excited.shape
     diagonal = np.arange(found.inertia.shape[1])
@@ -321,13 +289,7 @@ def _row_sums(a: Array) -> Array:
 
 
 def require_one_part(plant: Plant) -> None:
-    """Reject an arm that is loose in more than one degree of freedom.
-
-    Raises
-    ------
-    InvalidSetting
-        If it is.
-    """
+    """Reject an arm that is loose in more than one degree of freedom."""
     if plant.parts != 1:
         raise InvalidSetting(
             "the reduced engine knows faults of one degree of freedom; take the engine 'mujoco' "

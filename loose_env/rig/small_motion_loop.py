@@ -21,19 +21,7 @@ LANES = 8
 def _seat_force(
     free: float, mobility: float, x: float, v: float, law: Any, stiff: Any, k: int
 ) -> float:
-    """Force of friction and stops on the seat of arm k.
-
-    Parameters
-    ----------
-    free, mobility : float
-        Acceleration of the seat without that force, and per force.
-    x, v : float
-        Position and velocity of the seat.
-    law : ndarray (11, 8)
-        `SmallMotion.law`.
-    stiff : ndarray (5, 8)
-        Shares of an acceleration that remain, of `_shares`.
-    """
+    """Force of friction and stops on the seat of arm k."""
     low, high = law[0, k], law[1, k]
     below, above = x < low, high < x
     # Force of the touched stop at no acceleration, and against it; 0 where none is touched.
@@ -105,29 +93,7 @@ def integrate(
     smooth: Any,
     encoder: Any,
 ) -> None:
-    """Integrate eight arms and write what their sensors see.
-
-    Parameters
-    ----------
-    mobility, stiffness, damping, force, start, readings, tilting, still, zero, law
-        As in `loose_env.rig.small_motion.SmallMotion`, the arms last: (..., 8).
-    torque : ndarray (m, period, 8)
-        Torque that drives deliver beyond what is constant, one period, which repeats.
-    driven : ndarray of int (m,)
-        Joint of each of these drives.
-    timestep : float
-        Step [s].
-    before : int
-        Steps before the first reading; whole readings.
-    factor : int
-        Steps per reading.
-    taps : ndarray (8 factor + 1,)
-        Low-pass of the accelerometers.
-    smooth : ndarray (S, N, 8)
-        Written: accelerometers behind their low-pass.
-    encoder : ndarray (n, N + 2, 8)
-        Written: joint positions, one reading more at either end.
-    """
+    """Integrate eight arms and write what their sensors see."""
     count, sensors, joints = len(start), len(still), len(zero)
     period, samples = torque.shape[1], smooth.shape[1]
     length = len(taps)

@@ -6,7 +6,6 @@ Vassilvitskii, k-means++, 2007.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,8 +17,6 @@ from scipy.special import log_ndtr, logsumexp
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.statistics._checks import as_floats, require_finite
 from loose_env.typing import Array
-
-__all__ = ["GaussianMixture", "fit_gaussian_mixture"]
 
 _LOG_2PI = math.log(2.0 * math.pi)
 
@@ -39,8 +36,8 @@ class GaussianMixture:
     >>> mixture = GaussianMixture(
     ...     weights=np.array([1.0]), means=np.zeros((1, 2)), covariances=np.eye(2)[None]
     ... )
-    >>> mixture.log_density([[0.0, 0.0], [2.0, 0.0]]).round(4).tolist()
-    [-1.8379, -3.8379]
+    >>> mixture.log_densities([[0.0, 0.0], [2.0, 0.0]]).round(4).tolist()
+    [[-1.8379], [-3.8379]]
     """
 
     weights: Array
@@ -76,13 +73,7 @@ class GaussianMixture:
             ) from error
 
     def log_densities(self, points: ArrayLike) -> Array:
-        """Log of the weighted density of each component (N, K).
-
-        Parameters
-        ----------
-        points : array, shape (N, D)
-            Points.
-        """
+        """Log of the weighted density of each component at points (N, D), (N, K)."""
         found = _points(points, self.means.shape[1])
         d = found.shape[1]
         logs = np.empty((len(found), len(self.weights)))
@@ -92,21 +83,6 @@ class GaussianMixture:
             logs[:, k] = -0.5 * (white**2).sum(0) - half - 0.5 * d * _LOG_2PI
         with np.errstate(divide="ignore"):
             return np.asarray(logs + np.log(self.weights))
-
-    def log_density(self, points: ArrayLike) -> Array:
-        """Log density of the mixture (N,).
-
-        Parameters
-        ----------
-        points : array, shape (N, D)
-            Points.
-
-        Raises
-        ------
-        InvalidData
-            If the points have a wrong shape or a value that is not finite.
-        """
-        return np.asarray(logsumexp(self.log_densities(points), axis=1))
 
     def log_upper_tail(self, points: ArrayLike) -> Array:
         """Log upper-tail probability of the first dimension, given the others (N,).
@@ -128,7 +104,10 @@ class GaussianMixture:
         [0.5, 0.05]
         """
         found = _points(points, self.means.shape[1])
-        others = self.marginal(range(1, found.shape[1])).log_densities(found[:, 1:])
+        beside = GaussianMixture(
+            weights=self.weights, means=self.means[:, 1:], covariances=self.covariances[:, 1:, 1:]
+        )
+        others = beside.log_densities(found[:, 1:])
         share = others - logsumexp(others, axis=1, keepdims=True)
         tails = np.empty_like(share)
         for k, (mean, covariance) in enumerate(zip(self.means, self.covariances, strict=True)):
@@ -137,33 +116,6 @@ class GaussianMixture:
             sd = math.sqrt(covariance[0, 0] - covariance[0, 1:] @ slope)
             tails[:, k] = log_ndtr((expected - found[:, 0]) / sd)
         return np.asarray(logsumexp(share + tails, axis=1))
-
-    def marginal(self, kept: Sequence[int]) -> "GaussianMixture":
-        """Marginal density of some of the dimensions.
-
-        The log density of all dimensions less that of some is the log density of the others
-        given these.
-
-        Parameters
-        ----------
-        kept : sequence of int
-            Dimensions to keep, at least one.
-
-        Examples
-        --------
-        >>> wide = np.diag([1.0, 9.0])[None]
-        >>> mixture = GaussianMixture(
-        ...     weights=np.ones(1), means=np.array([[1.0, 5.0]]), covariances=wide
-        ... )
-        >>> mixture.marginal([1]).means.tolist(), mixture.marginal([1]).covariances.tolist()
-        ([[5.0]], [[[9.0]]])
-        """
-        at = np.asarray(kept, dtype=np.intp)
-        return GaussianMixture(
-            weights=self.weights,
-            means=self.means[:, at],
-            covariances=self.covariances[:, at[:, None], at],
-        )
 
 
 def fit_gaussian_mixture(

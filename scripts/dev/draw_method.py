@@ -36,7 +36,8 @@ from loose_env.envs import (
 )
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy, StructuralLooseness
-from loose_env.report import standalone, to_svg, write_whole
+from loose_env.io import write_text
+from loose_env.report import standalone, to_svg
 from loose_env.rig import SimulatedRig
 from loose_env.sensors import SensorSuite
 
@@ -67,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ("method_turning", turning(arm)),
         ("method_seat", seat()),
     ):
-        print(write_whole(folder / f"{name}.svg", standalone(to_svg(figure), name)))
+        print(write_text(folder / f"{name}.svg", standalone(to_svg(figure), name)))
 
 
 def loose(link: int = LOOSE) -> StructuralLooseness:

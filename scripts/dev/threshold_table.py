@@ -1,6 +1,6 @@
-"""Print the decision thresholds of a part as the table of its page.
+"""Print the decision thresholds of a part as a table, with unit and reason.
 
-Usage: python -m scripts.dev.threshold_table [doctor | gap | instrument] [--docs]
+Usage: python -m scripts.dev.threshold_table [doctor | gap | instrument]
 """
 
 from __future__ import annotations
@@ -9,21 +9,15 @@ import argparse
 import re
 from pathlib import Path
 
-from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.execution.study import write_between
-
 __all__ = ["PARTS", "main", "threshold_table"]
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = {
-    "gap": (ROOT / "loose_env/gap/settings.py", ROOT / "docs/gap.md"),
-    "doctor": (ROOT / "loose_env/doctor/thresholds.py", ROOT / "docs/doctor.md"),
-    "instrument": (
-        ROOT / "loose_env/instrument/settings/thresholds.py",
-        ROOT / "docs/instrument.md",
-    ),
+    "gap": ROOT / "loose_env/gap/settings.py",
+    "doctor": ROOT / "loose_env/doctor/thresholds.py",
+    "instrument": ROOT / "loose_env/instrument/settings/thresholds.py",
 }
-"""Part -> the module of its thresholds, and the page that has their table."""
+"""Part -> the module of its thresholds."""
 _ENTRY = re.compile(
     r"^(?:# (?P<part>[^\n]+)"
     r'|(?P<name>[A-Z][A-Z_0-9]+) = (?P<value>[^\n]+)\n"""(?P<meaning>.+?)""")$',
@@ -56,22 +50,11 @@ def threshold_table(source: str) -> str:
 
 
 def main() -> None:
-    """Print the table, or write it into the page."""
-    with errors_in_one_line("threshold_table"):
-        _run()
-
-
-def _run() -> None:
+    """Print the table of a part."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("part", nargs="?", default="gap", choices=PARTS)
-    parser.add_argument("--docs", action="store_true", help="write it into the page of the part")
     chosen = parser.parse_args()
-    source, page = PARTS[chosen.part]
-    table = threshold_table(source.read_text(encoding="utf-8"))
-    if chosen.docs:
-        write_between(page, table)
-    else:
-        print(table)
+    print(threshold_table(PARTS[chosen.part].read_text(encoding="utf-8")))
 
 
 if __name__ == "__main__":

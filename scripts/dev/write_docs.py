@@ -1,8 +1,8 @@
-"""Write the tables of the documents that the code itself knows.
+"""Write the parts of docs/environments.md that the code itself knows, between their marks.
 
 Usage: python scripts/dev/write_docs.py [--check]
 
-With --check nothing is written; the exit status says whether the files are up to date.
+With --check nothing is written; the exit status says whether the page is up to date.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import inspect
 import re
 import sys
 import textwrap
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 
@@ -24,7 +24,7 @@ from loose_env.arms import Arm
 from loose_env.envs import DIFFICULTIES, DiagnosisEnv
 from loose_env.registration import IDS, TIERS
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "environments.md"
 COLUMNS = 100
 """Width of prose."""
 LEFT_OUT = ("Version History",)
@@ -40,103 +40,73 @@ TIER_WORDS = {
 }
 """What tells agents apart on each tier."""
 MEANINGS = {
-    "sin_pose, cos_pose": "the pose: sine and cosine of a joint that turns; of one that slides its "
-    "place in its range, from -1 at the low end to 1 at the high end, and a zero",
-    "valid": "1 where the record was measured; 0 in a slot that is empty",
-    "level": "level asked for at the joint, 0 for one that was held",
-    "torque": "rms torque that shook the joint (force where it slides), as a share of the most it "
-    "can give",
-    "level_share": "share of the level that was left once torque was kept within its limit; 1 for "
-    "a joint that was held",
+    "sin_pose": "sine of a hinge's position; of a slide its place in its range, -1 to 1",
+    "cos_pose": "cosine of a hinge's position; 0 for a slide",
+    "valid": "1 where the record was measured, 0 in an empty slot",
+    "level": "level asked for; 0 for a held joint",
+    "torque": "rms torque over the limit (force of a slide)",
+    "level_share": "share of the level left once torque was limited; 1 for a held joint",
     "duration": "length of the record",
-    "transmission": "acceleration of the tool along an axis for each unit of the joint's measured "
-    "acceleration: covariance of the two over the variance of the joint's, in the band",
-    "transmission_by_instrument": "the same, with the command as instrument: covariance of command "
-    "and tool over that of command and joint; noise of the encoder does not shrink it",
+    "transmission": "cov(tool, joint acceleration) / var(joint acceleration), in the band",
+    "transmission_by_instrument": "cov(tool, command) / cov(joint, command): unbiased by encoder "
+    "noise",
     "joint_rms": "rms acceleration of the joint, in the band",
-    "inertia": "apparent inertia of the joint: its torque for each unit of its acceleration "
-    "(mass where it slides)",
+    "inertia": "apparent inertia: torque per acceleration of the joint",
     "tool_rms": "rms acceleration of the tool along an axis, in the band",
-    "tool_correlation": "correlation of the tool's accelerations along two different axes",
-    "lowest_direction": "direction along which the tool follows the shaken joints least, a unit "
-    "vector without a sign: products of two of its components, xx, xy, yy and so on",
-    "coherence.lowest": "squared correlation of the tool with the shaken joints along that "
-    "direction; 0 by construction where fewer joints are shaken than the tool has axes",
-    "correlation.maximum": "highest correlation (not squared) of the tool with the shaken joints "
-    "along any direction",
-    "skewness, kurtosis": "shape of the tool's motion along an axis, not limited to the band; "
-    "kurtosis is counted from that of a Gaussian, so both are 0 for one",
-    "lowest_skewness, lowest_kurtosis": "the same along the direction of `lowest_direction`",
-    "nominal_*": "the same statistic as the nominal, healthy arm would show it",
-    "now.*": "the pose in which the arm is now",
-    "spent.records, spent.seconds, spent.levels": "what has been spent: records as a share of "
-    "those allowed, seconds of excitation, levels added up over joints and records",
+    "tool_correlation": "correlation of the tool's accelerations along two axes",
+    "lowest_direction": "direction of lowest coherence u: products of its components xx, xy, yy, "
+    "...",
+    "coherence.lowest": "squared correlation along it; 0 if fewer joints are shaken than d",
+    "correlation.maximum": "highest correlation along any direction",
+    "skewness": "skewness of the tool along an axis, not limited to the band",
+    "kurtosis": "its excess kurtosis",
+    "lowest_skewness": "skewness along `lowest_direction`",
+    "lowest_kurtosis": "excess kurtosis along it",
+    "spent.records": "records, as a share of those allowed",
+    "spent.seconds": "seconds of excitation",
+    "spent.levels": "levels, added up over joints and records",
     "left.records": "share of the records that are left",
 }
-"""What each name of an element means; ``*`` stands for any of the other names."""
+"""Meaning of each name of an element; `nominal_` and `now.` stand before some of them."""
+
+
+FORMULAS: dict[str, Callable[[int, int], int]] = {
+    "1": lambda n, d: 1,
+    "n": lambda n, d: n,
+    "d": lambda n, d: d,
+    "n d": lambda n, d: n * d,
+    "d (d - 1) / 2": lambda n, d: d * (d - 1) // 2,
+    "d (d + 1) / 2": lambda n, d: d * (d + 1) // 2,
+}
+"""Number of elements of one name, for n joints and d axes."""
 
 
 def environments() -> str:
-    """Describe every environment: its arm, its actions, each element of its observation."""
-    parts = [
-        "# Environments",
-        "",
-        *prose(
-            "Every environment hides a fault in an arm; an agent moves and shakes the arm, and "
-            "names the fault. What all of them have in common comes first: actions, observation, "
-            "rewards, arguments, options of `reset`. Then each environment has its arm and every "
-            "element of its observation."
-        ),
-        "",
-        *prose(
-            "Links and joints are numbered from the base here: `structural_looseness@link3` is the "
-            "link that the third driven joint carries, loose on it, and `backlash@joint3` play in "
-            "that joint. [The instrument](instrument.md) names the same faults by the names in the "
-            "arm's model, such as `structural_looseness@forearm`."
-        ),
-        "",
-        *prose("Printed by `python scripts/dev/write_docs.py`; edit the code, not this page."),
-        "",
-        *docstring_sections(),
-        "",
-        "## Difficulties",
-        "",
-        *difficulty_table(),
-        "",
-        "## Tiers",
-        "",
-        *tiers(),
-        "",
-        "## Names of elements",
-        "",
-        *prose(
-            "One row of an observation's table stands for as many elements as its second column "
-            "says: \\<joint\\> is each joint's name, base first, \\<axis\\> each measured axis of "
-            "the tool frame, \\<axes\\> two of these axes: in `tool_correlation` two different "
-            "ones (xy), in `lowest_direction` also the same one twice (xx, xy, yy). Where an arm "
-            "has both kinds of joints, \\<hinge\\> is one that turns and \\<slide\\> one that "
-            "slides. Elements of a record begin with record\\<k\\>, k from 1. Joints run slower "
-            "than axes, and `print(env.unwrapped.layout.table())` lists every element in order."
-        ),
-        "",
-        *prose(
-            "Each element is scaled, as the fourth column says, and then clipped to its bounds: "
-            "`value / s` for what has a natural range, `log10(value / s)` for amplitudes, "
-            "`asinh(value / s)` for what may have either sign and any size (it is linear near zero "
-            "and a logarithm far from it). The amplitude of a joint that was not shaken is at its "
-            "lower bound. A slot in which nothing has been measured is zero throughout."
-        ),
-        "",
-        "| name | meaning |",
-        "|---|---|",
-        *(f"| {names_cell(names)} | {meaning} |" for names, meaning in MEANINGS.items()),
-    ]
-    for env_id in IDS:
-        env = gymnasium.make(env_id).unwrapped
-        assert isinstance(env, DiagnosisEnv)
-        env.close()
-        parts += ["", f"## {env_id}", "", *arm_table(env.arm), "", *observation_table(env)]
-    return "\n".join(parts) + "\n"
+    """Text of the page, with every generated part as the code has it now."""
+    text = PAGE.read_text(encoding="utf-8")
+    arms = [(env_id, made(env_id)) for env_id in IDS]
+    parts = {
+        "docstring": docstring_sections(),
+        "difficulties": difficulty_table(),
+        "tiers": tiers(),
+        "arms": arm_table(arms),
+        "elements": element_table([env for _, env in arms]),
+    }
+    for name, lines in parts.items():
+        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+        before, _, rest = text.partition(begin)
+        _, mark, after = rest.partition(end)
+        assert mark, f"{PAGE.name} lacks the lines {begin!r} and {end!r}"
+        text = "\n".join([f"{before}{begin}", "", *lines, "", f"{end}{after}"])
+    return text
+
+
+def made(env_id: str) -> DiagnosisEnv:
+    """Environment of an id, without Gymnasium's wrappers."""
+    env = gymnasium.make(env_id).unwrapped
+    assert isinstance(env, DiagnosisEnv)
+    env.close()
+    return env
 
 
 def prose(text: str) -> list[str]:
@@ -154,183 +124,133 @@ def docstring_sections() -> list[str]:
         title, _, body = section.partition("\n")
         if title in LEFT_OUT:
             continue
-        lines += ["", f"## {title}"]
+        lines += ["", f"### {title}"]
         for paragraph in body.strip().split("\n\n"):
             table = paragraph.startswith("|")
             lines += ["", *(paragraph.splitlines() if table else prose(paragraph))]
     return lines[1:]
 
 
-def names_cell(names: str) -> str:
-    """Names of a row of meanings as code."""
-    return ", ".join(f"`{name}`" for name in names.split(", "))
-
-
-def meaning_of(name: str) -> str | None:
-    """What an element's name means, by the table of meanings; None where it has no row.
-
-    Examples
-    --------
-    >>> meaning_of("duration")
-    'length of the record'
-    >>> meaning_of("nominal_joint_rms.joint1") == MEANINGS["nominal_*"]
-    True
-    """
-    rows = {each: meaning for names, meaning in MEANINGS.items() for each in names.split(", ")}
-    for prefix in ("nominal_", "now."):
-        if name.startswith(prefix):
-            known = meaning_of(name.removeprefix(prefix)) is not None
-            return rows[f"{prefix}*"] if known else None
-    return rows.get(name) or rows.get(name.partition(".")[0])
-
-
 def difficulty_table() -> list[str]:
     """Ranges of the named difficulties."""
     first = next(iter(DIFFICULTIES.values()))
     names = list(DIFFICULTIES)
-    rows = ["| figure | " + " | ".join(names) + " |", "|---|" + "---|" * len(names)]
+    rows = ["| parameter | " + " | ".join(names) + " |", "|---|" + "---|" * len(names)]
     for field in dataclasses.fields(first):
         values = [getattr(d, field.name) for d in DIFFICULTIES.values()]
         if field.name == "mismatch":
             for part in dataclasses.fields(values[0]):
                 cells = " | ".join(f"{getattr(v, part.name):g}" for v in values)
-                rows.append(f"| mismatch: {part.name}, standard deviation | {cells} |")
+                rows.append(f"| sd of {part.name} | {cells} |")
         elif field.name == "friction_over":
-            rows.append(f"| friction: pose that counts | {' | '.join(values)} |")
+            rows.append(f"| friction over the seat drive in the pose | {' | '.join(values)} |")
         elif field.name == "kinds":
-            cells = " | ".join(
-                ", ".join(f"{k} {p:.2f}" for k, p in d.probabilities().items())
-                for d in DIFFICULTIES.values()
-            )
-            rows.append(f"| kinds of fault | {cells} |")
+            shares = [d.probabilities().items() for d in DIFFICULTIES.values()]
+            kinds = ", ".join(f"{k} {p:.2f}" for k, p in first.probabilities().items())
+            assert len(set(map(frozenset, shares))) == 1
         else:
             cells = " | ".join(f"{low:g} to {high:g}" for low, high in values)
             rows.append(f"| {field.name} | {cells} |")
-    rows += [
-        "",
-        *prose(
-            "Friction is the guide's Coulomb friction over the rms force that the top level drives "
-            "across the shut seat, the best single joint excited, in the median or in the best of "
-            "48 poses; with the best pose and friction below 1 no seat is shut for every agent, "
-            "gravity aside. The gap is in metres (play in a joint that turns is the gap at "
-            "full reach, in one that slides the gap itself); contact modes are in Hz; tilt, "
-            "misalignment and joint zeros are in degrees, the other mismatches are relative."
-        ),
-    ]
-    return rows
+    return [*rows, "", *prose(f"Kinds of fault, in all of them: {kinds}.")]
 
 
 def tiers() -> list[str]:
-    """Ids of the tiers, and the value of choice measured on each."""
+    """Ids of the tiers."""
     arguments = {
         tier: ", ".join(f"`{name}={value!r}`" for name, value in how.items()) or "none"
         for tier, (_, how) in TIERS.items()
     }
     return [
-        *prose(
-            "Tiers are environments of the arms below with arguments of their own, by what a good "
-            "agent needs on them. Arguments given to `make` replace a tier's."
-        ),
-        "",
         "| id | arm's id | arguments | what separates agents |",
         "|---|---|---|---|",
         *(
             f"| `{tier}` | `{of}` | {arguments[tier]} | {TIER_WORDS[tier]} |"
             for tier, (of, _) in TIERS.items()
         ),
-        "",
-        *prose(
-            "Paired differences of returns on the same fresh arms say what choosing records is "
-            "worth on each: [table and definitions](benchmark.md#metrics)."
-        ),
     ]
 
 
-def arm_table(arm: Arm) -> list[str]:
-    """Figures of an arm, then those of each joint with their units."""
-    gravity = [float(g) for g in arm.model.opt.gravity]
-    figures = {
-        "arm": arm.name,
-        "joints": str(arm.n),
-        "reach [m]": f"{arm.reach:.4g}",
-        "gravity, world axes [m/s²]": ", ".join(f"{g:g}" for g in gravity),
-        "measured axes of the tool": ", ".join("xyz"[a] for a in arm.axes),
-        "levels 1 to 3, rms tool acceleration [m/s²]": ", ".join(f"{v:g}" for v in arm.levels),
-        "band [Hz]": f"{arm.band[0]:g} to {arm.band[1]:g}",
-        "simulation step [ms]": f"{1e3 * arm.timestep:g}",
-    }
-    rows = ["| figure | value |", "|---|---|", *(f"| {k} | {v} |" for k, v in figures.items())]
-    rows += [
-        "",
-        "| joint | kind | range | peak torque | brake stiffness | brake damping "
-        "| servo stiffness |",
-        "|---|---|---|---|---|---|---|",
+def arm_table(arms: Sequence[tuple[str, DiagnosisEnv]]) -> list[str]:
+    """Parameters of the arm of each id, and the sizes of its spaces."""
+    rows = [
+        "| id | joints | reach [m] | tool axes | levels 1 to 3 [m/s²] | band [Hz] | step [ms] "
+        "| peak torques [N·m, N] | observation | hypotheses |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for j, name in enumerate(arm.joints):
-        slides, span = bool(arm.sliding[j]), arm.joint_ranges[j]
-        place, force, spring, damper = (
-            ("m", "N", "N/m", "N·s/m") if slides else ("rad", "N·m", "N·m/rad", "N·m·s/rad")
-        )
+    for env_id, env in arms:
+        arm, layout = env.arm, env.layout
         cells = (
-            name,
-            "slide" if slides else "hinge",
-            "endless" if span is None else f"{span[0]:.3g} to {span[1]:.3g} {place}",
-            f"{arm.torque_limits[j]:g} {force}",
-            f"{arm.brake.stiffness[j]:.3g} {spring}",
-            f"{arm.brake.damping[j]:.3g} {damper}",
-            f"{arm.servo.stiffness[j]:.3g} {spring}",
+            f"`{env_id}`",
+            str(arm.n),
+            f"{arm.reach:.3g}",
+            " ".join("xyz"[a] for a in arm.axes),
+            ", ".join(f"{v:g}" for v in arm.levels),
+            f"{arm.band[0]:g} to {arm.band[1]:g}",
+            f"{1e3 * arm.timestep:g}",
+            ", ".join(f"{v:.3g}" for v in arm.torque_limits),
+            f"{layout.size} = {len(layout.global_elements)} + "
+            f"{layout.slots} · {len(layout.slot_elements)}",
+            str(len(env.hypotheses)),
         )
         rows.append(f"| {' | '.join(cells)} |")
     return rows
 
 
-def observation_table(env: DiagnosisEnv) -> list[str]:
-    """Elements of the observation, those that differ in joint and axis alone in one row."""
-    layout = env.layout
-    rows = [
-        *prose(
-            f"The observation has {layout.size} elements: {len(layout.global_elements)} about now, "
-            f"then {layout.slots} slots of {len(layout.slot_elements)}. The action space is "
-            f"`{env.action_space}`."
-        ),
-        "",
-        "| elements | number | unit | scaling | bounds |",
-        "|---|---|---|---|---|",
-    ]
-    groups = (("", layout.global_elements), ("record\\<k\\>.", layout.slot_elements))
-    for prefix, elements in groups:
-        counts: Counter[tuple[str, ...]] = Counter()
-        for e in elements:
-            scaling = SCALINGS[e.scaling]
-            counts[
-                prefix + pattern(env.arm, e.name),
-                e.unit,
-                scaling.format(f"{e.scale:.3g}"),
-                f"{e.low:g} to {e.high:g}",
-            ] += 1
-        for (name, *cells), count in counts.items():
-            rows.append(f"| {' | '.join([name, str(count), *cells])} |")
+def element_table(envs: Sequence[DiagnosisEnv]) -> list[str]:
+    """Elements of the observation of every environment, a row for each name.
+
+    The number is a formula in the joints n and the axes d that holds for every arm.
+    """
+    seen: dict[str, list[tuple[DiagnosisEnv, list[Any]]]] = {}
+    for env in envs:
+        layout = env.layout
+        named: dict[str, list[Any]] = {}
+        for prefix, elements in (("", layout.global_elements), ("record.", layout.slot_elements)):
+            for element in elements:
+                named.setdefault(prefix + name_of(env.arm, element.name), []).append(element)
+        for name, alike in named.items():
+            seen.setdefault(name, []).append((env, alike))
+    rows = ["| element | number | unit | scaling | meaning |", "|---|---|---|---|---|"]
+    for name, found in seen.items():
+        bare = name.removeprefix("record.")
+        if bare.startswith(("nominal_", "now.")):
+            continue
+        every = [element for _, elements in found for element in elements]
+        units = " or ".join(dict.fromkeys(e.unit for e in every))
+        scales = {f"{e.scale:.3g}" for e in every}
+        scaling = SCALINGS[every[0].scaling].format(scales.pop() if len(scales) == 1 else "s")
+        number = formula(found) + ("" if name == bare else " a record")
+        number += ", and nominal" if f"record.nominal_{bare}" in seen else ""
+        number += ", and now" if f"now.{bare}" in seen else ""
+        low, high = f"{every[0].low:g}", f"{every[0].high:g}"
+        rows.append(
+            f"| `{bare}` | {number} | {units} | {scaling}, {low} to {high} | {MEANINGS[bare]} |"
+        )
     return rows
 
 
-def pattern(arm: Arm, name: str) -> str:
-    """Name of an element with <joint> for its joint, <axis> or <axes> for its axes.
+def formula(found: Sequence[tuple[DiagnosisEnv, list[Any]]]) -> str:
+    """The formula that counts an element in every environment."""
+    for text, count in FORMULAS.items():
+        if all(count(env.arm.n, len(env.arm.axes)) == len(each) for env, each in found):
+            return text
+    raise AssertionError("no formula counts these elements")
 
-    Where an arm has hinges and slides, <hinge> and <slide> tell them apart.
+
+def name_of(arm: Arm, name: str) -> str:
+    """Name of an element without its joint and axis.
+
+    Examples
+    --------
+    >>> from loose_env.arms import scara
+    >>> name_of(scara(), "transmission.joint3_y"), name_of(scara(), "tool_correlation.xz")
+    ('transmission', 'tool_correlation')
+    >>> name_of(scara(), "spent.records")
+    'spent.records'
     """
-    group, dot, last = name.rpartition(".")
-    mixed = bool(arm.sliding.any() and not arm.sliding.all())
-    # The longest name first: a joint may be called like the beginning of another.
-    for joint in sorted(arm.joints, key=len, reverse=True):
-        if last == joint or last.startswith(f"{joint}_"):
-            slides = bool(arm.sliding[arm.joints.index(joint)])
-            kind = ("slide" if slides else "hinge") if mixed else "joint"
-            rest = last.removeprefix(joint)
-            axis = rest[1:] in ("x", "y", "z")
-            return f"{group}.\\<{kind}\\>" + ("_\\<axis\\>" if axis else rest)
-    if dot and set(last) <= set("xyz"):
-        return f"{group}.\\<{'axis' if len(last) == 1 else 'axes'}\\>"
-    return name
+    group, _, last = name.rpartition(".")
+    of_joint = any(last == joint or last.startswith(f"{joint}_") for joint in arm.joints)
+    return group if of_joint or (last and set(last) <= set("xyz")) else name
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -338,13 +258,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="only say whether they are current")
     options = parser.parse_args(arguments)
-    path, text = DOCS / "environments.md", environments()
+    path, text = PAGE, environments()
     if options.check:
-        if not path.is_file() or path.read_text() != text:
+        if path.read_text(encoding="utf-8") != text:
             sys.exit(f"{path.name} is out of date: run python scripts/dev/write_docs.py")
         return
     beside = path.with_suffix(".part")
-    beside.write_text(text)
+    beside.write_text(text, encoding="utf-8")
     beside.replace(path)
     print(f"wrote {path}")
 

@@ -8,8 +8,8 @@ import numpy as np
 from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.errors import UnknownName
 from loose_env.faults import StructuralLooseness
-from loose_env.thesis import cylindrical
 from loose_env.typing import Array
+from scripts.thesis.rigs import cylindrical
 
 __all__ = ["arm_named", "seat_in_tool"]
 

@@ -22,7 +22,7 @@ from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Healthy, hypotheses
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
-from loose_env.thesis.rigs import cylindrical
+from scripts.thesis.rigs import cylindrical
 
 QUIET = SensorFloor(joint=0.0, tool=0.0)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar, scara, six_axis, vera
-from loose_env.thesis.rigs import cylindrical, shaken_vera
+from scripts.thesis.rigs import cylindrical, shaken_vera
 
 
 def distances(arm: Arm, poses: np.ndarray) -> np.ndarray:

@@ -15,8 +15,7 @@ from loose_env.faults import Healthy, Preload
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
 from loose_env.statistics import transfer_function
-from loose_env.thesis import PROXIMAL, ShakenVeraParameters, shaken_vera
-from loose_env.thesis.rigs.shaken_vera import SHAKEN_BAND
+from scripts.thesis.rigs import PROXIMAL, SHAKEN_BAND, ShakenVeraParameters, shaken_vera
 
 RATE = 2000.0
 PERFECT = SensorSuite(

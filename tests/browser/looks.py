@@ -18,7 +18,8 @@ PAPER = 718
 TOO_WIDE = """
 (() => {
   const wide = document.documentElement.clientWidth;
-  const boxes = 'pre, .scroll, .table-wrapper, svg, .sidebar-drawer, .toc-drawer, .unseen';
+  const boxes = ['pre', '.scroll', '.table-wrapper', 'svg', '.sidebar-drawer', '.toc-drawer',
+    '.strip figcaption'].join();
   const held = e => e.closest(boxes);
   return [...document.body.querySelectorAll('*')]
     .filter(e => e.getBoundingClientRect().right > wide + 1 && !held(e.parentElement))

@@ -22,27 +22,30 @@ from loose_env.instrument import (
     change_since,
     plan,
 )
+from loose_env.io import write_text
 from loose_env.report import (
     FigureCard,
     episode_timeline,
+    new_figure,
+    render_gap_page,
     write_comparison,
     write_page,
     write_plan_page,
     write_trend_page,
-    write_whole,
 )
-from loose_env.report.gap.page import write_gap_page
-from loose_env.report.pages.figures import success_bars
 from tests.browser.chromium import Page
 from tests.browser.looks import WIDTHS, browser, fits_on_paper, is_in_order, pictures
 from tests.gap.cases.gap_case import record, solution_for
 from tests.instrument.arms.plan_arms import SERVOED, written
 from tests.instrument.trend.sessions_of_an_arm import named, session
 from tests.report.diagnosis_case import CASES, LONG
-from tests.report.test_page import ROWS, Guesser
-from tests.thesis.test_page import FAILED, outcome, render
+from tests.report.test_comparison import ROWS, Guesser
+from tests.scripts.test_reproduce_thesis import FAILED, outcome, render
 
 __all__ = ["browser"]
+
+
+pytestmark = pytest.mark.slow
 
 
 def gap_page(suffix: str = "") -> Callable[[Path], Path]:
@@ -50,7 +53,7 @@ def gap_page(suffix: str = "") -> Callable[[Path], Path]:
         solution = solution_for(record(folder / "arm", suffix=suffix), suffix=suffix)
         evidence = diagnose_residuals(solution)
         found = result_of(solution, evidence)
-        return write_gap_page(folder / "gap.html", solution, evidence, found)
+        return write_text(folder / "gap.html", render_gap_page(solution, evidence, found))
 
     return write
 
@@ -69,9 +72,11 @@ def comparison_page(folder: Path) -> Path:
 
 
 def thesis_page(folder: Path) -> Path:
-    bars = FigureCard(image=success_bars(ROWS), caption="Bars", title="A name")
+    figure = new_figure(3.0)
+    figure.subplots().plot([1.0, 2.0, 1.5])
+    bars = FigureCard(image=figure, caption="Bars", title="A name")
     section = outcome("first", cards=[bars])
-    return write_whole(folder / "thesis.html", render(section, outcome("second", cards=[]), FAILED))
+    return write_text(folder / "thesis.html", render(section, outcome("second", cards=[]), FAILED))
 
 
 def diagnosis_page(case: str) -> Callable[[Path], Path]:
@@ -101,16 +106,14 @@ def plan_page(in_turn: int) -> Callable[[Path], Path]:
         made = plan(model, choice=settings, own=own)
         files = PlanFiles(folder / "session", made.arm.recording_model.xml)
         planned = files.runs_of(made)
-        runs = [one.file for one in planned if one.kind == "run"]
         # Paths as long as people have them: no command may push the page out of a phone's window.
         long = "measurements/2026-03-18 cell 4 after the collision/session one of three"
         return write_plan_page(
             folder / "plan.html",
             made,
-            runs,
+            planned,
             folder=long,
             model=f"{long}/the arm of cell 4.xml",
-            planned=planned,
         )
 
     return write
@@ -170,7 +173,7 @@ def test_it_can_be_printed(browser: Page, report: tuple[Path, int], tmp_path: Pa
 def test_the_checks_find_what_is_wrong(browser: Page, tmp_path: Path) -> None:
     def page(body: str) -> Path:
         head = '<meta name="viewport" content="width=device-width"><title>t</title>'
-        return write_whole(tmp_path / "page.html", f"{head}<main>{body}</main>")
+        return write_text(tmp_path / "page.html", f"{head}<main>{body}</main>")
 
     wrong = {
         r"is 9\d\d wide": "<div style='width: 900px'>wide</div>",

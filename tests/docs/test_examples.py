@@ -13,55 +13,24 @@ import numpy as np
 import pytest
 
 from loose_env.arms import DESK_ARM
-from loose_env.gap import GapSettings
+from loose_env.cli.main import main
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.recording import read_recording
 from scripts.example_recording import loose_arm
 from tests.docs.pages import PAGES, ROOT, blocks, python
-from tests.gap.cases.effect_arms import PLANAR
-
-UR5E = ROOT.parent / "shared" / "models" / "ur5e_bare.xml"
-OWN = {
-    "your_arm.md": "test_examples.py",
-    "gap.md": "test_examples.py",
-    "importing.md": "test_importing.py",
-    "real_arm.md": "test_examples.py",
-}
-"""Pages whose examples have a test of their own, which looks at what comes out, and its file."""
-
-
-def a_gap_recording(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the page on gaps reads: the example's recording, shortened."""
-    from scripts import example_recording
-
-    monkeypatch.setattr(example_recording, "SECONDS", 1.0)
-    example_recording.example(folder / "recordings" / "arm", seed=1)
-
-
-def corrected_models(folder: Path) -> None:
-    """The files that the page on corrected models names."""
-    for name in ("DIR/model.xml", "nominal.xml", "true.xml"):
-        (folder / name).parent.mkdir(exist_ok=True)
-        shutil.copy(DESK_ARM, folder / name)
-
-
-def some_arm(folder: Path) -> None:
-    """A file by the name that pages use; any serial arm will do."""
-    shutil.copy(UR5E if UR5E.is_file() else DESK_ARM, folder / "ur5e.xml")
+from tests.importing.sample_files import ARM, motion
 
 
 def a_shaken_arm(folder: Path) -> None:
     """A model file, and the recording that pages diagnose."""
-    some_arm(folder)
+    shutil.copy(DESK_ARM, folder / "ur5e.xml")
     loose_arm(folder / "session" / "recording")
 
 
-PREPARED: dict[str, Callable[[Path], None]] = {
-    "README.md": a_shaken_arm,
-    "gap_closing.md": corrected_models,
-    "instrument.md": a_shaken_arm,
-}
+PREPARED: dict[str, Callable[[Path], None]] = {"README.md": a_shaken_arm}
 """What has to be there before a page's examples run."""
+OWN = ("gap.md", "getting_started.md", "instrument.md", "method.md", "recordings.md")
+"""Pages whose examples have a test of their own below, which looks at what comes out."""
 
 
 @pytest.fixture(autouse=True)
@@ -73,10 +42,10 @@ def own_catalogue() -> Any:
     CATALOGUE.update(before)
 
 
-def run(page: Path, folder: Path) -> dict[str, Any]:
-    """Run a page's examples in a folder; return the names they leave."""
+def run(page: Path, change: Callable[[str], str] = str) -> dict[str, Any]:
+    """Run a page's examples in the present folder; return the names they leave."""
     names: dict[str, Any] = {"__name__": page.stem}
-    exec(compile(python(page), str(page), "exec"), names)
+    exec(compile(change(python(page)), str(page), "exec"), names)
     return names
 
 
@@ -88,18 +57,7 @@ def run(page: Path, folder: Path) -> dict[str, Any]:
 def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     PREPARED.get(page.name, lambda folder: None)(tmp_path)
     monkeypatch.chdir(tmp_path)
-    run(page, tmp_path)
-
-
-def test_pages_with_tests_of_their_own_have_them() -> None:
-    for page, test in OWN.items():
-        assert page in (Path(__file__).parent / test).read_text(encoding="utf-8")
-
-
-def test_the_tables_of_environments_are_those_of_the_code() -> None:
-    from scripts.dev.write_docs import DOCS, environments
-
-    assert (DOCS / "environments.md").read_text(encoding="utf-8") == environments()
+    run(page)
 
 
 def test_code_says_its_language() -> None:
@@ -112,27 +70,34 @@ def test_code_says_its_language() -> None:
             assert block.language or not looks, f"{page.name}, line {block.line}"
 
 
-@pytest.mark.skipif(not UR5E.is_file(), reason=f"needs the UR5e file at {UR5E}")
-def test_from_a_model_file_to_a_loose_link(
+def test_getting_started_finds_the_fault(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "ur5e.xml").write_bytes(UR5E.read_bytes())
     monkeypatch.chdir(tmp_path)
-    names = run(ROOT / "docs" / "your_arm.md", tmp_path)
-    printed = capsys.readouterr().out
-    assert "shoulder_pan_joint" in printed
-    assert "structural_looseness@link3, along" in printed
-    posterior, hidden = names["posterior"], names["hidden"]
-    direction = posterior.directions[2]
+    names = run(ROOT / "docs" / "getting_started.md")
+    assert names["info"]["is_success"] and float(names["probabilities"].max()) > 0.9
+    assert "structural_looseness@link2 was right" in capsys.readouterr().out
+
+
+def test_the_method_finds_the_loose_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names = run(ROOT / "docs" / "method.md")
+    assert "structural_looseness@link3, along" in capsys.readouterr().out
+    found, hidden = names["found"], names["hidden"]
     true = np.array(hidden.direction) / np.linalg.norm(hidden.direction)
+    direction = found.directions[names["best"]]
     assert np.degrees(np.arccos(min(1.0, abs(float(direction @ true))))) < 10.0
 
 
+@pytest.mark.slow
 def test_the_loop_around_a_robot_settles_and_so_does_its_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    a_shaken_arm(tmp_path)
     monkeypatch.chdir(tmp_path)
-    names = run(ROOT / "docs" / "real_arm.md", tmp_path)
+    names = run(ROOT / "docs" / "instrument.md")
     ended, again, runs = names["ended"], names["again"], names["runs"]
     assert ended.named and ended.diagnosis.fault.where == "forearm"
     assert again.named and again.measurements == len(runs) >= 2
@@ -140,46 +105,85 @@ def test_the_loop_around_a_robot_settles_and_so_does_its_recording(
     assert again.diagnosis.fault.where == "forearm"
 
 
-def test_getting_started_finds_the_fault(
+@pytest.mark.slow
+def test_the_gap_page_finds_the_friction_and_its_effects_act(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    names = run(ROOT / "docs" / "getting_started.md", tmp_path)
-    assert names["info"]["is_success"] and float(names["probabilities"].max()) > 0.9
-    assert "structural_looseness@link2 was right" in capsys.readouterr().out
+    from scripts import example_recording
 
-
-def test_the_examples_of_the_gap_page_find_the_friction(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    a_gap_recording(tmp_path, monkeypatch)
+    monkeypatch.setattr(example_recording, "SECONDS", 1.0)
+    example_recording.example(tmp_path / "recordings" / "arm", seed=1)
     monkeypatch.chdir(tmp_path)
-    shown = [b.text for b in blocks(ROOT / "docs" / "gap.md") if b.language == "python"]
-    kinds = ROOT.joinpath("docs", "gap.md").read_text(encoding="utf-8")
-    few = re.search(r"`GapSettings\(kinds=(\(.*?\))\)`", kinds)
-    assert few is not None
-    assert "coulomb_friction" in GapSettings(kinds=eval(few[1])).kinds
     # The whole catalogue takes a while; the page says how to ask for a part of it.
     part = 'tolerance=0.03, kinds=("coulomb_friction",), threads=1'
-    code = shown[0].replace("tolerance=0.03", part)
-    exec(compile(code, "gap.md", "exec"), {"__name__": "gap"})
-    assert re.search(r"^coulomb_friction joint2 ", capsys.readouterr().out, re.MULTILINE)
-
-
-def test_the_effect_of_the_gap_page_is_one_and_acts() -> None:
-    text = (ROOT / "docs" / "gap.md").read_text(encoding="utf-8")
-    code = next(b.text for b in blocks(ROOT / "docs" / "gap.md") if "@register" in b.text)
-    assert code.splitlines()[0] in text
-    exec(compile(code, "gap.md", "exec"), {"__name__": "gap"})
-    machine = NominalModel(mujoco.MjSpec.from_string(PLANAR))
-    effect = CATALOGUE["balancer"](machine, "link2")
+    names = run(ROOT / "docs" / "gap.md", lambda code: code.replace("tolerance=0.03", part))
+    printed = capsys.readouterr().out
+    assert re.search(r"^coulomb_friction joint2 ", printed, re.MULTILINE)
+    tried, steps = names["tried"], names["steps"]
+    assert tried.accepted and tried.held_out < 0.5 * tried.before
+    assert abs(tried.parameters["torque"] - 2.0) < 0.2
+    assert [effect.kind for effect in steps.added] == ["coulomb_friction"]
+    assert "coulomb_friction@joint2: torque" in printed
+    assert re.search(r"^hardening_spring@joint2: stiffness .* not accepted$", printed, re.MULTILINE)
+    assert mujoco.MjModel.from_xml_path("corrected.xml").dof_frictionloss[1] > 1.8
+    # The balancer carries all of a link's weight.
+    machine = steps.problem.machine
     spec = machine.fresh()
-    effect.edit(spec, np.array([1.0]))
-    torques = []
-    for each in (machine.fresh(), spec):
-        model = each.compile()
+    CATALOGUE["balancer"](machine, machine.links[-1]).edit(spec, np.array([1.0]))
+    for model, weightless in ((machine.fresh().compile(), False), (spec.compile(), True)):
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
-        torques.append((data.qfrc_bias - data.qfrc_gravcomp)[1])
-    weight = 3 * 9.81 * 0.16
-    assert np.isclose(torques[0] - torques[1], weight, rtol=1e-6)
+        torque = (data.qfrc_bias - data.qfrc_gravcomp)[-1]
+        assert np.isclose(torque, 0.0, atol=1e-9) is np.bool_(weightless)
+
+
+def test_the_page_s_files_become_a_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import tomllib
+
+    page = ROOT / "docs" / "recordings.md"
+    (printed,) = (b.text for b in blocks(page) if b.text.startswith("Logger 5"))
+    mapping = next(b.text for b in blocks(page) if b.language == "toml")
+    monkeypatch.chdir(tmp_path)
+    time = np.arange(1000) / 1000
+    signals = motion(time)
+    rows = np.stack([time * 1e3, np.degrees(signals["elbow"]), *(signals[a] for a in "xyz")], 1)
+    lines = printed.splitlines()[:2]
+    lines += [";".join(f"{v:.9f}".replace(".", ",") for v in row) for row in rows]
+    Path("daq.csv").write_text("\n".join(lines) + "\n")
+    Path("arm.xml").write_text(ARM)
+    Path("mapping.toml").write_text(mapping)
+    run(page)
+    assert "pose-1.parquet 801" in capsys.readouterr().out
+    imported = read_recording("recording").runs[0]
+    tool = 98.0665 * np.stack([signals["x"], signals["z"], -signals["y"]], 1)
+    np.testing.assert_allclose(imported.sensors["tool"], tool[100:901], atol=1e-6)
+    # The printed table itself, its two rows, is recognised by --describe.
+    Path("daq.csv").write_text(printed)
+    assert main(["import", "--describe", "daq.csv"]) == 0
+    found = tomllib.loads(capsys.readouterr().out)["sources"]["daq"]
+    given = tomllib.loads(mapping)["sources"]["daq"]
+    assert {key: found[key] for key in given} == given
+
+
+def test_the_page_s_pieces_of_mappings_are_read() -> None:
+    import tomllib
+
+    from loose_env.importing.mapping.mapping_file import mapping_of
+
+    page = ROOT / "docs" / "recordings.md"
+    first, more_runs, align = (b.text for b in blocks(page) if b.language == "toml")
+    whole = tomllib.loads(first + more_runs)
+    whole["sources"] |= tomllib.loads(align)["sources"] | {"robot": {}}
+    for column in whole["columns"].values():
+        column["source"] = "daq"
+    found = mapping_of(whole, "mapping.toml")
+    assert found.runs[1].pose == {"elbow": pytest.approx(np.pi / 6)}
+    shift = found.sources["vibration"].align
+    assert shift is not None
+    assert shift.to == "robot"
+
+
+def test_the_readme_counts_the_catalogue() -> None:
+    assert f"{len(CATALOGUE)} effects" in (ROOT / "README.md").read_text(encoding="utf-8")

@@ -32,8 +32,8 @@ from loose_env.faults import (
 )
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
-from loose_env.thesis.rigs import cylindrical
 from loose_env.typing import Array
+from scripts.thesis.rigs import cylindrical
 
 UR5E = Path(__file__).parents[3] / "shared" / "models" / "ur5e_bare.xml"
 NAMES = ["vera", "planar3", "six_axis", "scara", *(["ur5e"] if UR5E.exists() else [])]

@@ -282,7 +282,7 @@ def test_a_result_never_stands_beside_the_page_of_another(
     def cut_short(*_: object, **__: object) -> Path:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("loose_env.report.diagnosis.write.write_page", cut_short)
+    monkeypatch.setattr("loose_env.report.diagnosis.write_page", cut_short)
     assert main(given) == 130
     assert not (out / "result.json").exists()
     monkeypatch.undo()

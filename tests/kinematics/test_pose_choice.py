@@ -16,7 +16,7 @@ from loose_env.kinematics import (
     worst_push,
     wrench_rank,
 )
-from loose_env.thesis import cylindrical
+from scripts.thesis.rigs import cylindrical
 
 
 def by_inverse_dynamics(

@@ -1,146 +1,147 @@
+"""The command that reproduces the thesis, and its page."""
+
 from __future__ import annotations
 
 import importlib
-import sys
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
-from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.report import FigureCard
-from loose_env.thesis import SECTIONS, Outcome, run_sections
-from loose_env.thesis.shared import sections as sections_module
-from loose_env.thesis.shared.sections import Section, run_section
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.report import FigureCard, new_figure
+from scripts import reproduce_thesis as script
+from scripts.thesis import page
+from scripts.thesis.page import (
+    LEFT_OUT,
+    SECTIONS,
+    Outcome,
+    Section,
+    Table,
+    choose,
+    ranges,
+    render_thesis_page,
+    run_section,
+    run_sections,
+)
+
+SVG = b'<svg viewBox="0 0 5 4"><g id="a"/><use href="#a"/></svg>'
+FAILED = Outcome(key="third_one", seconds=0.1, error="ValueError: a <b> c", trace="Traceback")
 
 
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    return importlib.import_module("scripts.reproduce_thesis")
+def outcome(key: str, **changes: Any) -> Outcome:
+    settings: dict[str, Any] = {
+        "key": key,
+        "title": f"Title of {key}",
+        "words": [f"Words of {key}."],
+        "tables": [
+            Table(
+                caption=f"Table of {key}",
+                columns=("name", "printed", "here", "remark"),
+                rows=(("mode", "720 Hz", "885 Hz", "from its own figures, which do not agree"),),
+            )
+        ],
+        "cards": [FigureCard(image=SVG, caption=f"Figure of {key}", title="A name")],
+        "finding": f"Outcome of {key}, 7 of 9.",
+        "equations": {"6.15": "loose_env.a.f", "6.2": "loose_env.a.g"},
+        "left_out": [f"Something of {key}, because."],
+    }
+    return Outcome(key=key, seconds=1.5, section=Section(**settings | changes))
 
 
-@pytest.fixture
-def sections(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]:
-    """Three small sections in place of those of the thesis; the second of them fails."""
-    from loose_env.report import new_figure
+def render(*outcomes: Outcome, **changes: Any) -> str:
+    about = {"title": "T", "text": ["Text."], "command": "python x.py --seed 7", "seed": 7}
+    return render_thesis_page(outcomes, **about | {"versions": {"numpy": "1.2.3"}} | changes)
 
-    def drawn(seed: int) -> Section:
-        figure = new_figure(2.0)
-        figure.add_subplot().plot([0, seed])
-        cards = [FigureCard(image=figure, caption="a line")]
-        return Section(
-            key="drawn", title="Drawn", finding="A line.", words=[f"Seed {seed}."], cards=cards
-        )
 
-    def broken(seed: int) -> Section:
-        raise ZeroDivisionError("nothing\nto divide by")
+def test_the_page_holds_every_section_and_links_to_it() -> None:
+    html = render(outcome("first"), outcome("second"), FAILED)
+    for key in ("first", "second"):
+        for word in (f"Words of {key}.", f"Table of {key}", f"Figure of {key}", "885 Hz"):
+            assert word in html
+        assert f'<section id="{key}">' in html
+    for word in ("python x.py --seed 7", "Seed 7", "numpy 1.2.3", "Text.", LEFT_OUT[1][:20]):
+        assert word in html
+    assert "1 of 3 sections failed." in html and "ValueError: a &lt;b&gt; c" in html
+    ids = re.findall(r'\bid="([^"]+)"', html)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'(?:href="#|url\(#)([^")]+)', html)) <= set(ids)
 
-    def plain(seed: int) -> Section:
-        return Section(key="plain", title="Plain", finding="Plain.", words=["Plain words."])
 
-    made = {}
-    for key, function in (("drawn", drawn), ("broken", broken), ("plain", plain)):
-        made[key] = module = ModuleType(key, f"What {key} does.\n\nMore.")
-        module.section = function  # type: ignore[attr-defined]
-        # `find_spec` asks the module itself once it is imported.
-        module.__spec__ = importlib.util.spec_from_loader(key, None)
-        monkeypatch.setitem(sys.modules, key, module)
-    monkeypatch.setattr("loose_env.thesis.shared.sections.SECTIONS", {key: key for key in made})
-    yield made
+def test_the_page_loads_nothing_from_elsewhere_and_escapes_values() -> None:
+    figure = new_figure(2.0)
+    figure.add_subplot().plot([0, 1])
+    bad = Table(caption="<script>", columns=("<i>",), rows=(("<b>",),))
+    cards = [FigureCard(image=figure, caption="f")]
+    html = render(outcome("first", cards=cards, tables=[bad], title="<u>"), command="<s>")
+    assert not re.search(r"""(?:src|href)\s*=\s*["']?\s*(?:https?:)?//""", html)
+    assert "@import" not in html and "<link" not in html
+    assert not re.search(r"<(script|i|b|u|s)>", html)
+    with pytest.raises(InvalidData):
+        render(outcome("first", cards=[FigureCard(image=b"GIF89a", caption="no picture")]))
+    with pytest.raises(InvalidData, match="2 columns"):
+        Table(caption="c", columns=("a", "b"), rows=(("x",),))
+
+
+def test_equations_stand_once_in_the_order_of_their_numbers() -> None:
+    other = outcome("second", equations={"3.41": "loose_env.b.f", "6.15": "loose_env.a.f"})
+    index = render(outcome("first"), other).partition('<section id="every-equation">')[2]
+    places = [index.index(f"({number})") for number in ("3.41", "6.2", "6.15")]
+    assert places == sorted(places) and index.count("<code>loose_env.a.f</code>") == 1
+    row = index[index.index("(6.15)") :].split("</tr>")[0]
+    assert 'href="#first"' in row and 'href="#second"' in row
+    assert ranges(["6.9", "6.10", "6.11", "6.2", "A.1"]) == "6.2, 6.9 to 6.11, A.1"
+
+
+def test_columns_of_numbers_stand_right_and_long_cells_break() -> None:
+    html = render(outcome("first"))
+    assert '<td class="number">720 Hz</td>' in html and '<td class="words">mode</td>' in html
+    assert '<td class="words long">from its own figures' in html
 
 
 def here(keys: list[str], *, seed: int, workers: int) -> Iterator[Outcome]:
-    """Run sections in this process, the last first, as a race of workers might."""
-    return (run_section(key, seed) for key in reversed(keys))
-
-
-def test_an_error_comes_back_as_the_outcome(sections: dict[str, ModuleType]) -> None:
-    outcome = run_section("broken", 0)
-    assert outcome.section is None
-    assert outcome.error == "ZeroDivisionError: nothing to divide by"
-    assert "in broken" in outcome.trace
-    sections["broken"].section = lambda seed: sys.exit("gave up")
-    assert run_section("broken", 0).error == "SystemExit: gave up"
-    assert "no section 'missing'" in run_section("missing", 0).error
-
-
-def test_figures_are_drawn_where_the_section_runs(sections: dict[str, ModuleType]) -> None:
-    section = run_section("drawn", 3).section
-    assert section is not None
-    assert section.words == ["Seed 3."]
-    assert isinstance(section.cards[0].image, bytes)
-    assert b"<svg" in section.cards[0].image
-    assert section.cards[0].caption == "a line"
-
-
-def test_a_section_that_calls_itself_otherwise_fails(sections: dict[str, ModuleType]) -> None:
-    sections["drawn"].section = sections["plain"].section
-    assert "calls itself 'plain'" in run_section("drawn", 0).error
-    sections["drawn"].section = lambda seed: None
-    assert "returned a NoneType" in run_section("drawn", 0).error
+    """Outcomes of some sections, the last first, as a race of workers might give them."""
+    made = {"sizing": outcome("sizing"), "index_tables": outcome("index_tables")}
+    failed = Outcome(key="link_finding", seconds=0.1, error="ZeroDivisionError: x", trace="Trace")
+    return (made.get(key, failed) for key in reversed(keys))
 
 
 def test_one_failure_keeps_the_others_and_shows(
-    script: ModuleType,
-    sections: dict[str, ModuleType],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(script, "run_sections", here)
+    arguments = ["--out", str(tmp_path), "--seed", "5", "--only", "sizing"]
     with pytest.raises(SystemExit) as ended:
-        script.main(["--out", str(tmp_path), "--seed", "5"])
+        script.main([*arguments, "link_finding", "index_tables"])
     assert ended.value.code == 1
-    page = (tmp_path / "index.html").read_text(encoding="utf-8")
-    # In the order of the registry, not in that of their ends.
-    places = [page.index(f'<section id="{key}">') for key in ("drawn", "broken", "plain")]
+    html = (tmp_path / "index.html").read_text(encoding="utf-8")
+    keys = ("sizing", "index_tables", "link_finding")
+    places = [html.index(f'<section id="{key}">') for key in keys]
     assert places == sorted(places)
-    for words in ("Seed 5.", "Plain words.", "ZeroDivisionError", "1 of 3 sections failed."):
-        assert words in page
-    assert "python scripts/reproduce_thesis.py --seed 5<" in page
+    assert f"reproduce_thesis.py --seed 5 --only {' '.join(keys)}<" in html
     said = capsys.readouterr()
-    assert "Failed: broken" in said.out
-    assert f"Page: {tmp_path / 'index.html'}" in said.out
-    assert "3 of 3" in said.err and "Traceback" in said.err
+    assert "Failed: link_finding" in said.out and f"Page: {tmp_path / 'index.html'}" in said.out
+    assert "3 of 3" in said.err and "Trace" in said.err
+    script.main(arguments)  # all well: no exit with an error
+    assert "Failed" not in capsys.readouterr().out
 
 
-def test_all_well_ends_with_zero(
-    script: ModuleType,
-    sections: dict[str, ModuleType],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-) -> None:
-    monkeypatch.setattr(script, "run_sections", here)
-    with pytest.raises(SystemExit) as ended:
-        script.main(["--out", str(tmp_path), "--only", "plain", "drawn"])
-    assert ended.value.code == 0
-    page = (tmp_path / "index.html").read_text(encoding="utf-8")
-    assert "--only drawn plain<" in page
-    assert "failed" not in page.split("</style>")[1]
-
-
-def test_the_list_says_what_each_section_does(
-    script: ModuleType,
-    sections: dict[str, ModuleType],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setattr(script, "SECTIONS", {key: key for key in sections})
-    with pytest.raises(SystemExit) as ended:
-        script.main(["--list"])
-    assert ended.value.code == 0
+def test_the_list_says_what_each_section_does(capsys: pytest.CaptureFixture[str]) -> None:
+    script.main(["--list"])
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].split() == ["drawn", "What", "drawn", "does."]
-    assert len(lines) == 3
+    assert [line.split()[0] for line in lines] == list(SECTIONS)
+    assert lines[7].split(maxsplit=1)[1].startswith("Experiment One: repeatability")
 
 
 @pytest.mark.parametrize("arguments", [["--only", "nothing"], ["--seed", "-1"], ["--workers", "0"]])
 def test_wrong_options_end_in_one_line_and_write_nothing(
-    script: ModuleType, arguments: list[str], tmp_path: Path
+    arguments: list[str], tmp_path: Path
 ) -> None:
     with pytest.raises(SystemExit, match="reproduce_thesis: ") as ended:
         script.main(["--out", str(tmp_path), *arguments])
@@ -148,14 +149,29 @@ def test_wrong_options_end_in_one_line_and_write_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_settings_are_checked_before_anything_runs() -> None:
+def test_sections_are_chosen_in_the_order_of_the_page() -> None:
+    assert choose() == list(SECTIONS)
+    assert choose(["link_finding", "sizing", "sizing"]) == ["sizing", "link_finding"]
+    with pytest.raises(UnknownName, match=r"'nothing'.*index_tables"):
+        choose(["nothing"])
     with pytest.raises(InvalidSetting, match="workers"):
         list(run_sections(["sizing"], seed=0, workers=0))
-    with pytest.raises(UnknownName):
-        list(run_sections(["nothing"], seed=0))
     assert list(run_sections([], seed=0)) == []
 
 
+def test_an_error_comes_back_as_the_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(seed: int) -> Section:
+        raise ZeroDivisionError("nothing\nto divide by")
+
+    module: ModuleType = importlib.import_module("scripts.thesis.index_tables")
+    monkeypatch.setattr(module, "index_tables", broken)
+    found = run_section("index_tables", 0)
+    assert found.section is None and "in broken" in found.trace
+    assert found.error == "ZeroDivisionError: nothing to divide by"
+    assert "no section 'missing'" in run_section("missing", 0).error
+
+
+@pytest.mark.slow
 def test_a_section_is_the_same_in_a_process_of_its_own() -> None:
     (other,) = run_sections(["index_tables"], seed=1, workers=1)
     own = run_section("index_tables", 1)
@@ -166,22 +182,16 @@ def test_a_section_is_the_same_in_a_process_of_its_own() -> None:
 
 
 def test_a_process_that_dies_takes_no_other_section_along(monkeypatch: pytest.MonkeyPatch) -> None:
-    keys = ["sizing", "index_tables", "link_finding"]
-    calls: list[list[str]] = []
+    keys, calls = ["sizing", "index_tables", "link_finding"], []
 
     def pool(own: list[str], seed: int, workers: int) -> Iterator[tuple[str, Outcome | None]]:
         calls.append(list(own))
         for key in own:
             # The pool of all breaks at its second section; alone, only that one dies again.
             died = key == "index_tables" or (len(own) > 1 and key == "link_finding")
-            yield key, None if died else Outcome(key=key, seconds=0.0, section=None, error="x")
+            yield key, None if died else Outcome(key=key, seconds=0.0, error="x")
 
-    monkeypatch.setattr(sections_module, "_pool", pool)
+    monkeypatch.setattr(page, "_pool", pool)
     found = {o.key: o.error for o in run_sections(keys, seed=0)}
     assert found == {"sizing": "x", "index_tables": "its process died", "link_finding": "x"}
     assert calls == [keys, ["index_tables"], ["link_finding"]]
-
-
-def test_the_registry_names_modules_of_the_package() -> None:
-    assert len(set(SECTIONS.values())) == len(SECTIONS)
-    assert all(module.startswith("loose_env.thesis.") for module in SECTIONS.values())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 from collections.abc import Iterator
+from functools import partial
 
 import pytest
 
@@ -39,7 +40,7 @@ def test_a_pickle_in_the_place_of_a_file_is_refused_and_not_loaded(watch: Watch,
     data = pickle.dumps(Trap(watch.cwd / "EXECUTED"))
     for name in KINDS[kind].damaged:
         home = watch.fresh(KINDS[kind].files() | {name: data})
-        outcome, said = watch.judged(lambda: KINDS[kind].read(home))
+        outcome, said = watch.judged(partial(KINDS[kind].read, home))
         assert outcome == "refused", (name, outcome, said)
     assert not (watch.cwd / "EXECUTED").exists()
     pickle.loads(data)  # the trap works

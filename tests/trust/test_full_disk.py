@@ -26,6 +26,8 @@ from scripts.suites.golden import (
     write_shaken_recording,
 )
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 ROOM = 96
 """Size of the small disk [kB]; the model of a training and a page of results do not fit."""

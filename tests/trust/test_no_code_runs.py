@@ -119,6 +119,18 @@ def test_the_search_finds_what_it_looks_for(line: str) -> None:
 # ---- and no loader does
 
 
+def test_arrays_of_a_kept_stage_are_not_unpickled(tmp_path: Path, trap: bytes) -> None:
+    from loose_env.gap import Stages
+
+    array = np.array([Trap(tmp_path / "executed")], dtype=object)
+    stored = io.BytesIO()
+    np.savez(stored, tree=array, a0=array)
+    home = tmp_path / "home"
+    home.mkdir()
+    home.joinpath("fit.npz").write_bytes(stored.getvalue())
+    assert Stages(home, "k")("fit", lambda: 1) == 1  # made anew
+
+
 def zipped(tmp_path: Path, *, tensors: object, described: dict[str, Any]) -> Path:
     """A model's file as stable-baselines3 lays it out."""
     torch = pytest.importorskip("torch")

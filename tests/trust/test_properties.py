@@ -19,6 +19,8 @@ from loose_env.errors import InvalidData, LooseEnvError
 from loose_env.recording import Run, read_recording, write_recording
 from scripts.suites.trust.fuzz import MODEL
 
+pytestmark = pytest.mark.slow
+
 HANGS = 120
 """Time after which an example hangs [s]; it takes less than one."""
 few = settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -374,7 +374,7 @@ def write_tuned(
     fixed : mapping, optional
         Fixed sequences, as `best_sequences` finds them.
     information : mapping, optional
-        Fields of `loose_env.diagnosis.experiment_design.information_gain.InformationFactors`.
+        Fields of `loose_env.diagnosis.experiment_design.InformationFactors`.
     """
     known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     known["stop"] = dict(sorted({**known.get("stop", {}), **stop}.items()))

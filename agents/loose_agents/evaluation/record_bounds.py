@@ -1,6 +1,6 @@
 """Lower bounds on the number of records, from the episodes of a comparison.
 
-The bounds of `loose_env.diagnosis.experiment_design.record_bound` need the most that a record says
+The bounds of `loose_env.diagnosis.experiment_design` need the most that a record says
 and the most arms that k records allow to get right. Neither is known. Both are taken from whoever
 plays:
 

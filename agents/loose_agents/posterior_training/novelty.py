@@ -101,7 +101,7 @@ def episode_sights(
     Returns
     -------
     list of ndarray (records, columns)
-        For each number, what `loose_env.diagnosis.learned.novelty.sights` gives.
+        For each number, what `loose_env.diagnosis.novelty.sights` gives.
     """
     n = (len(prior) - 1) // 2
     hypothesis = np.concatenate([np.repeat(np.arange(n), len(directions)), n + np.arange(n)])

@@ -55,8 +55,6 @@ from loose_env.doctor.thresholds import (
     UNEXPLAINED,
 )
 
-__all__ = ["check_alternatives"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class _Alternative:

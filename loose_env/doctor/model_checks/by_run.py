@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping
 from typing import TypeVar
 
-__all__ = ["judged_runs"]
-
 Part = TypeVar("Part")
 
 
@@ -17,18 +15,6 @@ def judged_runs(
 
     All runs together scatter less; but a recorder that was set up anew between two runs leaves
     one of them in another unit, which a mean over all hides.
-
-    Parameters
-    ----------
-    parts : mapping
-        Name of a run -> its part of the data.
-    verdict : callable
-        Judges one run by itself, given its name and part; None where it tells nothing.
-
-    Returns
-    -------
-    list of tuple
-        Name of the run, "" for all together, and the parts.
 
     Examples
     --------

@@ -45,8 +45,6 @@ from loose_env.recording import Run
 from loose_env.statistics import phase_delay
 from loose_env.typing import Array
 
-__all__ = ["Delay", "check_clocks", "delay_between"]
-
 _NEIGHBOURS = 1.5
 """Lines of a Hann window that are worth one."""
 
@@ -78,20 +76,6 @@ def delay_between(
     x: Array, y: Array, step: float, *, largest: float = LARGEST_DELAY_S
 ) -> Delay | None:
     """Delay of y behind x by the phase of their coherent lines.
-
-    Parameters
-    ----------
-    x, y : ndarray of shape (T,)
-        Two signals of one motion.
-    step : float
-        Time between their samples [s].
-    largest : float
-        Largest delay searched [s].
-
-    Returns
-    -------
-    Delay or None
-        None where too few lines are coherent, the phases are no delay's, or two delays fit alike.
 
     Examples
     --------

@@ -19,8 +19,6 @@ from loose_env.doctor.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["check_encoders"]
-
 
 def check_encoders(machine: Machine, runs: Runs) -> Iterator[Finding]:
     """Look for turns that encoders lose, and for positions that are counts."""

@@ -25,8 +25,6 @@ from loose_env.doctor.thresholds import (
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["check_forces", "recorded_forces"]
-
 _DRIVEN = "the arm of the model is driven by another torque than the machine was"
 _Part = tuple[str, Array, Array]
 """Column of a run's torque, its block means, and those of the torque that the model needs."""

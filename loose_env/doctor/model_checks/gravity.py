@@ -29,8 +29,6 @@ from loose_env.doctor.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["check_gravity"]
-
 _ACCELEROMETER = int(mujoco.mjtSensor.mjSENS_ACCELEROMETER)
 _AXES = "xyz"
 

@@ -27,8 +27,6 @@ from loose_env.doctor.model_checks.torque_fit import (
 from loose_env.doctor.thresholds import LARGEST_GAIN, LARGEST_ZERO_RAD, TURNED_GRAVITY_DEG
 from loose_env.typing import Array
 
-__all__ = ["left_by_model_errors"]
-
 _SMALL = 1e-4
 """Change of a position for its derivative [rad or m]."""
 

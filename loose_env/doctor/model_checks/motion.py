@@ -16,8 +16,6 @@ from loose_env.importing import median_step
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["Blocks", "Motion", "block_means", "block_motion", "carried", "sampled_motion"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
@@ -67,13 +65,7 @@ def carried(machine: Machine, sensor: str, known: frozenset[str]) -> bool:
 def block_motion(
     machine: Machine, run: Run, channels: Sequence[Channel], factors: Factors
 ) -> tuple[Motion, Array] | None:
-    """Motion by block means; None for a run of fewer than four blocks.
-
-    Returns
-    -------
-    tuple of (Motion, ndarray of shape (T + 1,)) or None
-        The motion, and the rows at which its blocks begin and end, in pairs (T, 2).
-    """
+    """Motion by block means; None for a run of fewer than four blocks."""
     rate = 1 / median_step(run.time)
     size = max(2, round(BLOCK_S * rate))
     count = run.samples // size

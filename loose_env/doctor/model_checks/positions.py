@@ -28,8 +28,6 @@ from loose_env.doctor.thresholds import (
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["check_positions"]
-
 _WRONG_UNIT = "every pose and every prediction of the model is wrong by that factor"
 _CONVERT = 'import the column with its unit (unit = "deg" or "mm"), or convert it'
 _WRONG_SIGN = "the model is compared in another pose, and its motion runs backwards"
@@ -41,16 +39,7 @@ _POINTS = 200
 def check_positions(
     machine: Machine, runs: Runs, settings: DoctorSettings
 ) -> tuple[list[Finding], dict[tuple[str, str], float]]:
-    """Check positions and position commands, of all runs together where they agree.
-
-    Returns
-    -------
-    list of Finding
-        Findings.
-    dict
-        Factor that brings the positions of a run and joint to rad or m and to the model's sign,
-        where one is needed.
-    """
+    """Check positions and position commands, of all runs together where they agree."""
     found: list[Finding] = []
     factors: dict[tuple[str, str], float] = {}
     told = _told(machine, runs, settings)

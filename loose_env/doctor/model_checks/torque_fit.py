@@ -20,20 +20,6 @@ from loose_env.importing import median_step
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = [
-    "TorqueData",
-    "compared_points",
-    "left_as_recorded",
-    "mapped",
-    "measured_positions",
-    "measured_torque",
-    "needed_torque",
-    "nuisance",
-    "share_left",
-    "torque_data",
-    "with_friction",
-]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorqueData:

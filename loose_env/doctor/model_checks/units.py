@@ -10,8 +10,6 @@ import numpy as np
 from loose_env.doctor.thresholds import UNIT_MATCH
 from loose_env.typing import Array
 
-__all__ = ["ACCELERATION", "ANGLE", "FORCE", "LENGTH", "Ratio", "inverse", "named_unit", "ratio_of"]
-
 ANGLE: Mapping[str, float] = {"degrees instead of radians": 180 / np.pi}
 """Wrong units of an angle or of its rate, and what they multiply it by."""
 LENGTH: Mapping[str, float] = {"millimetres instead of metres": 1e3}

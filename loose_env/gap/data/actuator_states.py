@@ -7,9 +7,6 @@ import numpy as np
 
 from loose_env.typing import Array
 
-__all__ = ["activations", "steady_activations"]
-
-
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
 _SHORTEST = 1e-15  # MuJoCo's lower bound of a time constant [s]
@@ -21,21 +18,6 @@ def activations(model: mujoco.MjModel, controls: Array, step: float) -> Array | 
     The first command is assumed to have been held before the run, with filters at steady state. The
     state of an integrator depends on its unknown initial value; muscles and others depend on more
     than their commands.
-
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        The model, with the integrator of the simulation.
-    controls : ndarray (steps, actuators)
-        Commands, held from step to step; those of actuators beyond them are zero.
-    step : float
-        Simulation step [s].
-
-    Returns
-    -------
-    ndarray (steps, model.na), or None
-        Means over each step; None where it is not known: an actuator with dynamics is not a
-        first-order filter.
 
     Examples
     --------

@@ -9,13 +9,10 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.data.initial_rest import comes_to_rest, stays
-from loose_env.gap.data.noise_floor import noise_floor, resolution_of
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Run
+from loose_env.statistics import noise_floor, resolution_of
 from loose_env.typing import Array
-
-__all__ = ["Channel", "Trial", "align_run", "channels_of"]
-
 
 _REGULAR = 0.02
 """Largest deviation of a stamp from an even grid, as a share of the sample interval, that counts
@@ -131,11 +128,6 @@ class Trial:
 
         Its initial state is taken from parabolas through the measured motion about it; where a
         joint was not read there, from a straight line between its readings before and after.
-
-        Parameters
-        ----------
-        first, last : int
-            Sample indices; the last is excluded.
         """
         if first <= 0 and last >= len(self.time):
             return self
@@ -220,17 +212,6 @@ def align_run(
 
     Commands are held from the step nearest to their sample to that of the next. A missing command
     keeps the one before. Stamps that are even but for their rounding become even.
-
-    Parameters
-    ----------
-    run : Run
-        The run as recorded.
-    machine : NominalModel
-        The nominal model.
-    channels : tuple of Channel
-        The compared channels; missing ones become NaN.
-    step : float
-        Longest simulation step [s].
     """
     time, interval = run.time - run.time[0], _even_interval(run.time)
     if interval is not None:

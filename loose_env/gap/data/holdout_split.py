@@ -7,8 +7,6 @@ from collections.abc import Sequence
 
 from loose_env.errors import InvalidData
 
-__all__ = ["split_runs"]
-
 _LARGEST = 0.5
 """Share of all runs above which what shares a first word is no family of motions."""
 
@@ -22,20 +20,6 @@ def split_runs(
     ``single_joint_wrist`` for scoring. Runs whose names begin with the same word are a family,
     unless only numbers follow it, or most runs would be in it. Families are held out evenly through
     the recording, at least one, the last among them; whatever the share, one remains for training.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Files of the runs.
-    share : float
-        Approximate held-out share, above 0 and below 1.
-    held_out : sequence of str
-        Files that are held out in place of these, or prefixes of their names.
-
-    Raises
-    ------
-    InvalidData
-        If there are fewer than two runs, or one side is empty, or a name matches no run.
 
     Examples
     --------

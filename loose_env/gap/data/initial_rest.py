@@ -11,12 +11,9 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.data.actuator_states import steady_activations
-from loose_env.gap.data.noise_floor import noise_floor, resolution_of
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.statistics import noise_floor, resolution_of
 from loose_env.typing import Array
-
-__all__ = ["SETTLE", "comes_to_rest", "stays"]
-
 
 SETTLE = 0.4
 """How long an arm at rest is held before the start, so that springs take their load [s]."""
@@ -34,20 +31,6 @@ _NEGLIGIBLE_DRIFT = 1e-3
 
 def stays(time: Array, values: Array, controls: Array) -> bool:
     """Return whether a joint stays at rest while the first commands are held.
-
-    Parameters
-    ----------
-    time : ndarray (T,)
-        Samples [s].
-    values : ndarray (T,)
-        Measured position [rad, m]; NaN where nothing was read.
-    controls : ndarray (T, actuators)
-        Commands at the samples.
-
-    Returns
-    -------
-    bool
-        True, too, where the commands change before it can be determined.
 
     Examples
     --------
@@ -73,15 +56,6 @@ def comes_to_rest(machine: NominalModel, position: Array, commands: Array) -> bo
     """Return whether the nominal model, released at rest in a pose, settles nearby.
 
     A servo moves to where it carries its load; an unopposed torque accelerates without bound.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    position : ndarray (joints,)
-        Pose [rad, m].
-    commands : ndarray (actuators,)
-        Commands that are held.
     """
     model = machine.model
     data = mujoco.MjData(model)

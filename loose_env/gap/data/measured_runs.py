@@ -13,8 +13,6 @@ from loose_env.errors import InvalidData
 from loose_env.importing import median_step
 from loose_env.recording import FEWEST_SAMPLES, Run, set_aside
 
-__all__ = ["file_of", "measured_runs", "pieces_of"]
-
 _PAUSE_S = 1.0
 """Shortest time without a row that is a pause [s]: what the machine does in a second without
 record is unknown, and a clock that jumps would be simulated through."""
@@ -27,27 +25,7 @@ _PIECE = ", from "
 def measured_runs(
     runs: Sequence[Run], model: mujoco.MjModel
 ) -> tuple[list[list[Run]], tuple[str, ...]]:
-    """Pieces of every run that are compared, with a note on what was left out.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Runs as recorded.
-    model : mujoco.MjModel
-        The nominal model.
-
-    Returns
-    -------
-    list of list of Run
-        Pieces of each run; most runs are one piece.
-    tuple of str
-        Notes.
-
-    Raises
-    ------
-    InvalidData
-        If a column is mostly corrupt, or no piece of a run is long enough.
-    """
+    """Pieces of every run that are compared, with a note on what was left out."""
     found, words = [], []
     for run in runs:
         clean, corrupt = set_aside(run, model)
@@ -80,11 +58,6 @@ def pieces_of(run: Run) -> list[Run]:
     """Cut a run where its recorder paused or its clock jumped.
 
     Pieces of fewer than `FEWEST_SAMPLES` are left out.
-
-    Raises
-    ------
-    InvalidData
-        If no piece is longer.
 
     Examples
     --------

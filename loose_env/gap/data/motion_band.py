@@ -11,12 +11,9 @@ from scipy.signal import butter, sosfiltfilt, welch
 from scipy.stats import chi2
 
 from loose_env.gap.data.aligned_run import Channel, Trial
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
-
-__all__ = ["HIGHEST", "ORDER", "Band", "band_end", "low_pass", "motion_band"]
-
 
 ORDER = 4
 """Order of the low-pass filter, which acts twice."""
@@ -58,13 +55,6 @@ class Band:
 
 def motion_band(columns: Sequence[Array], rate: float) -> float:
     """Highest frequency at which any of some readings exceeds its noise [Hz].
-
-    Parameters
-    ----------
-    columns : sequence of ndarray (T,)
-        Positions and speeds, without gaps.
-    rate : float
-        Samples per second.
 
     Examples
     --------
@@ -111,17 +101,6 @@ def band_end(
 
     The end of the motion; or lower, where noise of the acceleration exceeds that of the torque, but
     not so low that it cuts most of the motion: the model is not linear in that.
-
-    Parameters
-    ----------
-    trial : Trial
-        The run.
-    machine : NominalModel
-        The nominal model.
-    channels : sequence of Channel
-        The run's columns.
-    positions, speeds : dict
-        Readings on the run's grid (G,), by joint index.
     """
     rate = trial.rate
     ends = [_ends(values, rate) for values in positions.values()]

@@ -23,18 +23,9 @@ from scipy.signal import sosfiltfilt
 from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.motion_band import HIGHEST, ORDER, Band, band_end, low_pass
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
-
-__all__ = [
-    "SmoothedMotion",
-    "even_grid",
-    "filled",
-    "smooth_motion",
-    "with_readings",
-]
-
 
 _EVALUATED = 1.8
 """Compared samples per period of the band's end; errors of neighbours are little autocorrelated."""
@@ -97,26 +88,7 @@ def smooth_motion(
     readings: dict[str, Array] | None = None,
     band: Band | None = None,
 ) -> SmoothedMotion:
-    """Smooth the motion of a run.
-
-    Parameters
-    ----------
-    trial : Trial
-        The run.
-    machine : NominalModel
-        The nominal model.
-    channels : sequence of Channel
-        The run's columns.
-    readings : dict, optional
-        Column -> readings (T,) in place of those measured.
-    band : Band, optional
-        What passes; by default what holds the motion, as far as the torque's noise is the larger.
-
-    Raises
-    ------
-    InvalidData
-        If the run is too short to be smoothed.
-    """  # fmt: skip
+    """Smooth the motion of a run."""
     grid = even_grid(trial.time)
     rate = trial.rate
     positions, speeds = _joint_columns(trial, machine, channels, readings or {}, grid)
@@ -150,17 +122,7 @@ def with_readings(
     channels: Sequence[Channel],
     readings: Mapping[str, Array],
 ) -> SmoothedMotion:
-    """Motion with other readings of some sensors, through the same filters.
-
-    Parameters
-    ----------
-    motion : SmoothedMotion
-        The smoothed motion of a run. Joints without other readings keep theirs.
-    trial, machine, channels
-        What it was smoothed from.
-    readings : mapping
-        Column -> readings (T,) in place of those measured.
-    """
+    """Motion with other readings of some sensors, through the same filters."""
     there = {j for c in readings if (j := _joint_read(machine, c)[1]) is not None}
     positions, speeds = _joint_columns(trial, machine, channels, readings, motion.time)
     parts = [motion.position.copy(), motion.speed.copy(), motion.acceleration.copy()]

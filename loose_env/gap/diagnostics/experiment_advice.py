@@ -7,8 +7,6 @@ from collections.abc import Callable
 from loose_env.gap.output.evidence_schema import Identifiability, UnidentifiableEffect
 from loose_env.io import duration_words
 
-__all__ = ["how_to_see", "how_to_separate", "identifiability_notes"]
-
 _LISTED = 3
 """Effects, and pairs, that are told of one by one."""
 
@@ -16,17 +14,7 @@ _LISTED = 3
 def identifiability_notes(
     found: Identifiability, separating: Callable[[str, str], str | None] = lambda *_: None
 ) -> list[str]:
-    """Report effects that cannot be seen or distinguished, and experiments that help.
-
-    Parameters
-    ----------
-    found : Identifiability
-        What motions do not show.
-    separating : callable
-        Called with two effects, such as "payload at tool", or "nothing" and one; returns the motion
-        that is expected to separate them, or None where there is none: then general advice is
-        given.
-    """
+    """Report effects that cannot be seen or distinguished, and experiments that help."""
     said, by_kind = [], dict[str, list[UnidentifiableEffect]]()
     for each in found.unidentifiable:
         by_kind.setdefault(each.kind, []).append(each)

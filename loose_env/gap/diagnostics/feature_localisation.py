@@ -23,9 +23,6 @@ from loose_env.gap.output.evidence_schema import Band, ChannelResidual, Dependen
 from loose_env.gap.residuals.residual_model import DIVERGED_RESIDUAL, LONGEST, ResidualModel
 from loose_env.typing import Array
 
-__all__ = ["FeatureChannel", "feature_channels", "feature_tests"]
-
-
 _SCATTER = 2.0
 """By how many of its standard deviations a difference of powers has to exceed chance."""
 _SEGMENT = 2.0
@@ -52,17 +49,7 @@ class FeatureChannel:
 def feature_channels(
     comparison: ResidualModel, hypothesis: Hypothesis, motions: Sequence[JointMotion]
 ) -> list[FeatureChannel]:
-    """Compare runs by their features with a simulation, channel by channel.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The runs; those compared sample by sample are ignored.
-    hypothesis : Hypothesis
-        The simulated hypothesis.
-    motions : sequence of JointMotion
-        Motion of each run.
-    """
+    """Compare runs by their features with a simulation, channel by channel."""
     if not comparison.features:
         return []
     predicted = comparison.predict([hypothesis])[0]

@@ -38,9 +38,6 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["identifiability"]
-
-
 _SECONDS = 4.0
 """How much of the runs is looked at, in all [s]."""
 _NEARLY = 0.2
@@ -65,17 +62,7 @@ class _Signature:
 def identifiability(
     comparison: ResidualModel, best: Fit, candidates: Sequence[Effect]
 ) -> Identifiability:
-    """Determine the effects that the training runs can identify.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The runs.
-    best : Fit
-        The best fit, on them.
-    candidates : sequence of Effect
-        Candidate effects.
-    """
+    """Determine the effects that the training runs can identify."""
     short = windowed(comparison, _SECONDS)
     base = _on(comparison, short, best)
     seconds = sum(float(trial.time[-1]) for trial in comparison.trials)
@@ -154,17 +141,7 @@ class _Fitted:
         return (float(change @ other) - float(one @ taken)) / max(left, 1e-300)
 
     def length(self, change: Array, other: Array | None = None, *, times: float = 1.0) -> float:
-        """Length of a change of the readings (N,), all fitted parameters projected out.
-
-        Parameters
-        ----------
-        change : ndarray (N,)
-            The change.
-        other : ndarray (N,), optional
-            Another that is fitted too, at any size.
-        times : float
-            Factor on the length of the runs: more rows, with the same priors.
-        """
+        """Length of a change of the readings (N,), all fitted parameters projected out."""
         across, curvature, weights = self.jacobian.T @ change, self.curvature, self.weights
         if other is not None:
             beside = self.jacobian.T @ other

@@ -16,14 +16,11 @@ from loose_env.errors import InvalidData
 from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.data.motion_band import Band
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.data.smoothing import SmoothedMotion, filled, smooth_motion
 from loose_env.gap.diagnostics.regressors import direction_of
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
-
-__all__ = ["JointMotion", "joint_motion"]
-
 
 _EDGE = 1.0
 """Periods of the filter's end that are left out at the ends of a run."""
@@ -102,17 +99,6 @@ def joint_motion(
     inverse run it is the measured torque; in a free run there is none. All of them pass the filter
     that smooths the motion. Where an actuator's activation is not known
     (`loose_env.gap.data.actuator_states`), neither is the applied torque.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    trial : Trial
-        The run.
-    channels : sequence of Channel
-        The measured channels.
-    floors : ndarray (C,)
-        Noise standard deviation of each channel.
     """
     joints = machine.joints
     units = tuple("N·m" if machine.turns(joint) else "N" for joint in joints)

@@ -34,9 +34,6 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["depends_on", "locate", "location_notes", "main_band", "strongest"]
-
-
 _SAMPLES = 2500
 """Samples of a run that are held against motion and load, at most."""
 
@@ -51,19 +48,7 @@ def locate(
     channels: Sequence[Channel],
     motions: Sequence[JointMotion],
 ) -> Location:
-    """Locate the model error in a residual.
-
-    Parameters
-    ----------
-    residual : ndarray (N,)
-        Measured less predicted, in noise standard deviations.
-    rows : Rows
-        Run, channel and sample of each number.
-    trials, channels : sequence of Trial, of Channel
-        The runs and the compared channels.
-    motions : sequence of JointMotion
-        Motion of each run, as of `loose_env.gap.diagnostics.joint_torque_residual.joint_motion`.
-    """
+    """Locate the model error in a residual."""
     many = series_of(residual, rows, trials, channels)
     sums = np.zeros((len(trials), len(channels)))
     if many:
@@ -218,16 +203,6 @@ def _shows(gap: ChannelResidual) -> bool:
 
 def location_notes(location: Location, *, most: int = 3, always: bool = False) -> list[str]:
     """Describe the location of a model error in sentences, worst channels first.
-
-    Parameters
-    ----------
-    location : Location
-        The localised model error.
-    most : int
-        Maximum number of channels, and of joints.
-    always : bool
-        Whether a model error is certain: the likeliest channel is reported even where none
-        stands out.
 
     Examples
     --------

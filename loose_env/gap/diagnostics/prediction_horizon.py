@@ -35,9 +35,6 @@ from loose_env.gap.simulation.time_step import stepped
 from loose_env.gap.simulation.torque_terms import STATES, BatchWithTerms, with_terms
 from loose_env.typing import Array
 
-__all__ = ["HORIZONS", "HorizonError", "horizon_errors"]
-
-
 HORIZONS = (0.1, 0.5, 2.0)
 """Horizons of open-loop prediction [s]."""
 _EVERY = 1.0
@@ -87,32 +84,7 @@ def horizon_errors(
     every: float = _EVERY,
     threads: int = 0,
 ) -> tuple[HorizonError, ...]:
-    """Compute open-loop prediction errors with restarts from the measured state.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    trials : sequence of Trial
-        The runs; inverse ones have no open loop and are left out.
-    channels : tuple of Channel
-        The compared channels.
-    floors : ndarray (C,)
-        Noise standard deviation of each channel.
-    hypothesis : Hypothesis
-        The simulated hypothesis.
-    horizons : sequence of float
-        Horizons of open-loop prediction [s].
-    every : float
-        Time between restarts [s].
-    threads : int
-        Threads of the simulation; 0: all processors.
-
-    Returns
-    -------
-    tuple of HorizonError
-        Errors by horizon, without horizons longer than every run.
-    """
+    """Compute open-loop prediction errors with restarts from the measured state."""
     longest = max(horizons)
     squares = np.zeros((len(horizons), len(channels)))
     counts, starts = np.zeros_like(squares), np.zeros(len(horizons), dtype=int)

@@ -7,9 +7,6 @@ import numpy as np
 from loose_env.gap.output.evidence_schema import Dependence
 from loose_env.typing import Array, IndexArray
 
-__all__ = ["REGRESSORS", "binned", "dependence", "direction_of"]
-
-
 REGRESSORS = ("position", "velocity", "direction", "acceleration", "load")
 """What residuals are held against."""
 
@@ -73,20 +70,6 @@ def dependence(
 
     The residual's mean in every bin of the regressor predicts it. Each block of time is predicted
     from the others, so that the expected share is zero without a dependence.
-
-    Parameters
-    ----------
-    residual, regressor : ndarray (N,)
-        Sample by sample; samples that are not finite are left out.
-    block : ndarray (N,)
-        Block of time of each sample, within which residuals are autocorrelated.
-    on, of : str
-        Names of the regressor.
-
-    Returns
-    -------
-    Dependence or None
-        None with fewer than three blocks, or a regressor that does not change.
 
     Examples
     --------

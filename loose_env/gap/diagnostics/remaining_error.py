@@ -23,23 +23,11 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["NOISE_RMS", "remaining_motions", "remaining_notes"]
-
 
 def remaining_notes(
     base: ScoredFit, best: ScoredFit, location: Location, *, impact_fit: bool = False
 ) -> list[str]:
-    """Describe the residual of the corrected model in sentences; none if it is noise.
-
-    Parameters
-    ----------
-    base, best : ScoredFit
-        The nominal model, and the corrected one.
-    location : Location
-        Localised residual of the corrected model.
-    impact_fit : bool
-        Whether a part with chaotic impacts against its stops was identified.
-    """
+    """Describe the residual of the corrected model in sentences; none if it is noise."""
     before, after = base.held_out_rms, best.held_out_rms
     together = float(largest(best.held_out_products.sum(axis=1)))
     by_chance = after**2 * float(np.sqrt(len(best.held_out_residual)))
@@ -67,23 +55,7 @@ def remaining_notes(
 def remaining_motions(
     machine: NominalModel, comparison: ResidualModel, hypothesis: Hypothesis
 ) -> tuple[JointMotion, ...] | None:
-    """Motion of the runs with the residual torque of the corrected model.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    comparison : ResidualModel
-        The runs.
-    hypothesis : Hypothesis
-        The effects added to it.
-
-    Returns
-    -------
-    tuple of JointMotion or None
-        None where that torque is not known: an effect adds motion that nothing measures, says that
-        the readings are not what they seem, or has a torque that depends on the drive's.
-    """
+    """Motion of the runs with the residual torque of the corrected model."""
     pairs = hypothesis.pairs
     inverse = any(trial.form == "inverse" for trial in comparison.trials)
     if any(_torque_unknown(effect, inverse=inverse) for effect, _ in pairs):

@@ -13,9 +13,6 @@ from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.residuals.residual_model import Rows
 from loose_env.typing import Array
 
-__all__ = ["Series", "band_edges", "density", "in_bands", "mean_spectrum", "series_of", "spectrum"]
-
-
 _SEGMENT = 2.0
 """Length of the segments whose spectra are averaged [s]."""
 _POINTS = 60
@@ -81,13 +78,6 @@ def density(series: Series) -> tuple[Array, Array]:
     """Spectral density of a series, over that of white noise of unit variance.
 
     The series is resampled to a uniform grid first, with linear interpolation over missing samples.
-
-    Returns
-    -------
-    frequency : ndarray (K,)
-        [Hz], without zero, up to half the rate.
-    density : ndarray (K,)
-        1 at every frequency for a residual that is the sensor's noise.
     """
     count = len(series.time)
     if count < 16:

@@ -18,9 +18,6 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["autocorrelation", "residual_tests"]
-
-
 _LAGS = 50
 """Lags of the autocorrelation that is looked at."""
 
@@ -51,19 +48,7 @@ def residual_tests(
     channels: Sequence[Channel],
     motions: Sequence[JointMotion],
 ) -> tuple[ResidualTest, ...]:
-    """Test the residuals of some runs for whiteness, channel by channel.
-
-    Parameters
-    ----------
-    residual : ndarray (N,)
-        Measured less predicted, in noise standard deviations.
-    rows : Rows
-        Run, channel and sample of each number.
-    trials, channels : sequence of Trial, of Channel
-        The runs and the compared channels.
-    motions : sequence of JointMotion
-        Motion of each run.
-    """
+    """Test the residuals of some runs for whiteness, channel by channel."""
     by_channel: dict[str, list[Series]] = {}
     for series in series_of(residual, rows, trials, channels):
         by_channel.setdefault(series.channel, []).append(series)

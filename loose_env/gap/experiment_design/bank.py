@@ -29,8 +29,6 @@ from loose_env.gap.experiment_design.sizing import BankSettings, SizedRays, size
 from loose_env.io import written_beside
 from loose_env.typing import Array
 
-__all__ = ["SignatureBank", "signature_bank"]
-
 _FORMAT = "gap signatures 3"
 """Version of what is stored; a change of the computation changes it."""
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"

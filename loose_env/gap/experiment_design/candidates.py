@@ -19,8 +19,6 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.typing import Array
 
-__all__ = ["EXCLUDED", "Ray", "rays_of"]
-
 EXCLUDED = (
     "structural_looseness",
     "backlash",

@@ -14,15 +14,6 @@ from loose_env.gap.experiment_design.motions import Motion
 from loose_env.gap.experiment_design.servo_arm import ServoArm
 from loose_env.typing import Array
 
-__all__ = [
-    "MotionCheck",
-    "battery",
-    "brief_library",
-    "check_motion",
-    "motion_library",
-    "scaled_to_fit",
-]
-
 _TORQUE_SHARE = 0.8
 """Share of a torque limit that a motion may take in the nominal model."""
 _SPEED_SHARE = 1.25

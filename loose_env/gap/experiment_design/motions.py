@@ -12,8 +12,6 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.experiment_design.servo_arm import ServoArm
 from loose_env.typing import Array
 
-__all__ = ["Motion", "MotionKind"]
-
 MotionKind = Literal[
     "slow_triangle", "constant_speed", "chirp", "multisine", "steps", "holds", "random"
 ]
@@ -60,15 +58,7 @@ class Motion:
     """Seed of a random excitation and of poses that are held."""
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises
-        ------
-        UnknownName
-            If there is no such kind.
-        InvalidSetting
-            If a size is not positive, or no joint is named.
-        """
+        """Check the values."""
         if self.kind not in get_args(MotionKind):
             raise UnknownName(f"kind is one of {list(get_args(MotionKind))}, got {self.kind!r}")
         if not self.joints or len(set(self.joints)) != len(self.joints) or min(self.joints) < 0:

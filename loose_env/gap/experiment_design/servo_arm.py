@@ -22,8 +22,6 @@ from loose_env.gap.simulation.sensor_timing import changes_within
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.typing import Array
 
-__all__ = ["Sensing", "ServoArm", "read_servo_arm"]
-
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _STABLE = 1.0
 """Largest rate of a rotor's damping times the time step: of Runge-Kutta's 2.8 the damping of the

@@ -18,8 +18,6 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.io import written_beside
 from loose_env.typing import Array
 
-__all__ = ["MotionSignatures", "motion_signatures"]
-
 
 @dataclass(frozen=True, eq=False)
 class MotionSignatures:
@@ -72,19 +70,7 @@ class MotionSignatures:
 def motion_signatures(
     arm: ServoArm, motion: Motion, sized: SizedRays, rank: int
 ) -> MotionSignatures:
-    """Simulate a motion with every candidate at every size, and project its signatures.
-
-    Parameters
-    ----------
-    arm : ServoArm
-        The arm.
-    motion : Motion
-        The motion.
-    sized : SizedRays
-        Candidates and their sizes.
-    rank : int
-        Directions that are kept.
-    """
+    """Simulate a motion with every candidate at every size, and project its signatures."""
     checked, commands = check_motion(motion, arm), motion.commands(arm)
     rays, sizes = sized.rays, sized.sizes
     base = residuals(arm, commands, [Hypothesis()])[0]

@@ -17,8 +17,6 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.io import written_beside
 from loose_env.typing import Array
 
-__all__ = ["STEP", "BankSettings", "SizedRays", "nuisance_columns", "residuals", "sized_rays"]
-
 STEP = 0.3
 """Step of a derivative by a nominal parameter over the tolerance, and by a shape parameter over its
 standard deviation."""

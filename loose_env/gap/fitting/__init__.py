@@ -1,5 +1,0 @@
-"""Gauss-Newton fits, held-out scores, confidence intervals, profile bounds.
-
-Data flow: initial_state -> model_structure -> bounded_minimum -> gauss_newton ->
-confidence_intervals -> holdout_score -> refit -> profile_bounds.
-"""

@@ -15,10 +15,8 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import (
     NARROWEST_INTERVAL,
 )
+from loose_env.inference import block_counts
 from loose_env.typing import Array
-
-__all__ = ["Intervals", "bootstrap", "joined", "widened"]
-
 
 _MIN_CURVATURE = 1.0
 """Rise of the sum of squares [noise variances] with a step of one free number, about the least size
@@ -70,15 +68,6 @@ def bootstrap(comparison: ResidualModel, fitted: Fit, rng: np.random.Generator) 
     preserve autocorrelation. Where the model fits badly the data are down-weighted (a
     quasi-likelihood, Wedderburn, Biometrika 61, 1974), and priors weigh more: else a wrong model
     would move masses and gains, and parameters correlated with them, far beyond their tolerance.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The training runs.
-    fitted : Fit
-        The fit, with fresh sensitivities.
-    rng : numpy.random.Generator
-        Draws the blocks.
     """
     parameters = fitted.structure.parameters
     _, weights = prior_of(parameters)
@@ -94,7 +83,7 @@ def bootstrap(comparison: ResidualModel, fitted: Fit, rng: np.random.Generator) 
     curvatures, slopes = curvatures / misfit, slopes / misfit
     known = np.diag(weights**2 + 1e-9)
     inverse = np.linalg.inv(curvatures.sum(axis=0) + known)
-    drawn = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=_DRAWS)
+    drawn = block_counts(blocks, _DRAWS, rng)
     curvature = np.tensordot(drawn, curvatures, 1) + known
     # Deviations from the whole sample's gradient, so that a fit at a bound is not pushed further.
     slope = (drawn - 1) @ slopes
@@ -137,13 +126,6 @@ def widened(comparison: ResidualModel, fitted: Fit, intervals: Intervals) -> Int
     McCaffrey, Survey Methodology 28, 2002). This is a rough estimate: by it alone no interval is
     widened to include zero where other runs have refuted that; the end on that side remains as it
     is. No interval is narrower than the uncertainty of the law itself.
-
-    Parameters
-    ----------
-    comparison, fitted
-        As of `bootstrap`.
-    intervals : Intervals
-        Intervals to widen.
     """
     intervals = _at_least_law_error(fitted, intervals)
     runs = np.unique(comparison.rows.trial)

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from loose_env.gap.fitting.bounded_minimum import bounded_minimum
 from loose_env.gap.fitting.model_structure import ModelStructure, prior_of
 from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -19,19 +18,8 @@ from loose_env.gap.model.parameter import Parameter, free_of
 from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.simulation.torque_terms import has_terms
+from loose_env.inference import bounded_step
 from loose_env.typing import Array
-
-__all__ = [
-    "STOP_FIT_SETTINGS",
-    "Fit",
-    "FitSettings",
-    "cost_of",
-    "fit",
-    "fit_settings_for",
-    "sensitivities",
-    "started",
-]
-
 
 _AT_ONCE = 8
 """Degrees of freedom of a hypothesis, over all runs, up to which stepping them from Python takes
@@ -190,27 +178,7 @@ def fit(
     residual: Array | None = None,
     reference: float = np.inf,
 ) -> Fit:
-    """Fit a hypothesis.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        Comparison of the runs.
-    structure : ModelStructure
-        The unknown parameters; those whose sensitivities are known come first.
-    start : ndarray (P,)
-        Initial free numbers.
-    settings : FitSettings, optional
-        Settings of the fit; those of `fit_settings_for` if not given.
-    known : ndarray (N, K), optional
-        Sensitivities of the first K free numbers from a fit nearby, recomputed where they
-        are inaccurate.
-    residual : ndarray (N,), optional
-        Residual at the start.
-    reference : float
-        Cost of a better fit, where this one is only compared with it: see
-        `FitSettings.comparison_tolerance`.
-    """
+    """Fit a hypothesis."""
     settings = settings or fit_settings_for(structure)
     parameters = structure.parameters
     low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
@@ -331,7 +299,7 @@ def _damped_steps(
     low, high = np.array([p.bounds for p in parameters]).T.reshape(2, -1)
     room = np.minimum(low - free, 0.0), np.maximum(high - free, 0.0)
     return [
-        np.clip(free + bounded_minimum(curvature, slope, *room, damping=damping), low, high) - free
+        np.clip(free + bounded_step(curvature, slope, *room, damping=damping), low, high) - free
         for damping in dampings
     ]
 

@@ -17,17 +17,6 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = [
-    "Improvement",
-    "ScoredFit",
-    "Scorer",
-    "explained_share",
-    "improvement_of",
-    "residual_z",
-    "z_score",
-]
-
-
 _FAR_BELOW = 0.1
 """Mean square of residuals [noise variances] below which they are no readings'."""
 _NOISE_OF_GAIN = np.sqrt(1.5)
@@ -144,13 +133,7 @@ class Improvement:
 
 
 class Scorer:
-    """Scores fits on training and held-out runs.
-
-    Parameters
-    ----------
-    comparison, held_out : ResidualModel
-        The training runs and the held-out runs.
-    """
+    """Scores fits on training and held-out runs."""
 
     def __init__(self, comparison: ResidualModel, held_out: ResidualModel) -> None:
         self.comparison, self.held_out = comparison, held_out
@@ -227,15 +210,6 @@ def z_score(behind: Array, ahead: Array, noise: Array, *, by_rank: bool = False)
     with a slightly mistimed impact has twice the error of the impact there, however accurate it is
     elsewhere. The gains are therefore also compared by rank (the signed ranks of Wilcoxon,
     Biometrics Bull. 1, 1945, 80), and the larger of the two z-scores counts.
-
-    Parameters
-    ----------
-    behind, ahead : ndarray (B,)
-        Sums of squares, or twice negative log-likelihoods.
-    noise : ndarray (B,) or (2, B)
-        Their expectation if nothing but noise is left; of both, or of each.
-    by_rank : bool
-        Count blocks by rank, too.
 
     Examples
     --------

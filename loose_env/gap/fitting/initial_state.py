@@ -18,16 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel, Trial
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from loose_env.gap.model.hypothesis import Hypothesis
     from loose_env.gap.residuals.residual_model import ResidualModel
-
-__all__ = ["InitialStates"]
 
 
 _LINE = 0.05
@@ -47,17 +45,7 @@ deviations]."""
 
 
 class InitialStates:
-    """Offsets of the measured initial position and speed, for the joints of each run.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    trials : sequence of Trial
-        The runs of the comparison.
-    channels : tuple of Channel
-        Their columns.
-    """
+    """Offsets of the measured initial position and speed, for the joints of each run."""
 
     def __init__(
         self, machine: NominalModel, trials: Sequence[Trial], channels: tuple[Channel, ...]
@@ -120,19 +108,7 @@ class InitialStates:
         *,
         difference: float = 0.05,
     ) -> Array:
-        """Jacobian of the residual in the initial states (N, P), all runs at a time.
-
-        Parameters
-        ----------
-        comparison : ResidualModel
-            Comparison of the same runs.
-        hypothesis : Hypothesis
-            Hypothesis with the initial states to differentiate about.
-        residual : ndarray (N,)
-            Residual of that hypothesis.
-        difference : float
-            Step of the finite difference, in free units.
-        """
+        """Jacobian of the residual in the initial states (N, P), all runs at a time."""
         joints = len(self.machine.joints)
         found = np.zeros((len(residual), len(self.parameters)))
         if not self.moving:
@@ -179,15 +155,7 @@ class InitialStates:
             left = persistent
 
     def fitted(self, comparison: ResidualModel, hypothesis: Hypothesis) -> tuple[Hypothesis, Array]:
-        """Fit the initial states alone, for runs outside the training data.
-
-        Returns
-        -------
-        hypothesis : Hypothesis
-            Hypothesis with fitted initial states.
-        residual : ndarray (N,)
-            Its residual.
-        """
+        """Fit the initial states alone, for runs outside the training data."""
         free = np.zeros(len(self.parameters))
         moving = tuple(k for k, run in enumerate(comparison.runs) if int(run) in self.moving)
         for seconds in self._lengths if moving else ():

@@ -17,8 +17,6 @@ from loose_env.gap.model.parameter import Parameter, free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.typing import Array
 
-__all__ = ["ModelStructure", "Nuisance", "initial_states_of", "nuisance_of", "prior_of"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nuisance:
@@ -117,15 +115,7 @@ class ModelStructure:
 
 
 def nuisance_of(comparison: ResidualModel, *, tolerance: float) -> Nuisance:
-    """Nuisance parameters of some runs.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The training runs.
-    tolerance : float
-        Relative tolerance of the nominal parameters.
-    """
+    """Nuisance parameters of some runs."""
     driven = any(trial.form == "forward" for trial in comparison.trials)
     return Nuisance(
         initial=initial_states_of(comparison),

@@ -23,9 +23,6 @@ from loose_env.gap.settings import (
     REFUTED_Z,
 )
 
-__all__ = ["tightened_at_limit", "tightened_at_zero"]
-
-
 _SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)
 """Values that are looked at: shares of the way to the limit, in free numbers."""
 
@@ -33,19 +30,7 @@ _SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)
 def tightened_at_limit(
     comparison: ResidualModel, fitted: Fit, intervals: Intervals, effect: Effect
 ) -> Intervals:
-    """Tighten interval ends that lie beyond values which the runs refute.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The training runs.
-    fitted : Fit
-        The fit.
-    intervals : Intervals
-        Intervals of all its parameters.
-    effect : Effect
-        One of its effects; nothing is changed if it has no limit, or if that is not refuted.
-    """
+    """Tighten interval ends that lie beyond values which the runs refute."""
     if not effect.limit:
         return intervals
     own = fitted.structure.slice_of(effect)
@@ -81,14 +66,6 @@ def tightened_at_zero(
     All else is refitted without the effect. If that is significantly worse, by an improvement z of
     the fit with the effect, the parameter furthest from zero, in standard deviations, gets its
     interval end towards zero at no more than 2 / z of the distance: z grows about as the distance.
-
-    Parameters
-    ----------
-    comparison, fitted, intervals
-        As of `tightened_at_limit`.
-    effect : Effect
-        One of its effects; nothing is changed if no part with stops is there, if it is zero only
-        in a limit, or if that is not refuted.
     """
     if effect.null_values is None or not have_stops(fitted.effects):
         return intervals

@@ -22,20 +22,6 @@ from loose_env.gap.model.effect import Effect, have_stops
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 
-__all__ = [
-    "STILL_GAINS",
-    "converged",
-    "converged_with_short_steps",
-    "fit_in_form",
-    "fit_without",
-    "fitted_on",
-    "needed_least",
-    "refit_with_new_jacobian",
-    "with_last",
-    "with_new_jacobian",
-]
-
-
 _ROUGHLY = 0.01
 """Share of the cost below which a further step is not worth it where a fit is only compared with a
 better one."""
@@ -49,19 +35,7 @@ _ROUNDS = 8
 def fit_without(
     comparison: ResidualModel, fitted: Fit, effect: Effect, *, roughly: bool = False
 ) -> Fit:
-    """Drop one effect of a fit and refit the others.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The runs of the fit.
-    fitted : Fit
-        The fit.
-    effect : Effect
-        One of its effects.
-    roughly : bool
-        Whether the result is only compared with the fit and not gone on from.
-    """
+    """Drop one effect of a fit and refit the others."""
     others, kept = _without(fitted, effect)
     settings, reference = fit_settings_for(others), np.inf
     if roughly:
@@ -84,15 +58,6 @@ def needed_least(comparison: ResidualModel, fitted: Fit, effects: Sequence[Effec
     Backward elimination by approximation: each effect is taken out by simulation, and the others
     are refitted to first order, as in a Wald test (J. F. Lawless and K. Singhal, Biometrics 34,
     1978).
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The runs of the fit.
-    fitted : Fit
-        The fit, with its sensitivities.
-    effects : sequence of Effect
-        Some of its effects.
     """
     left = [_without(fitted, effect) for effect in effects]
     residuals = comparison.residuals(
@@ -119,15 +84,7 @@ def _without(fitted: Fit, effect: Effect) -> tuple[ModelStructure, list[int]]:
 
 
 def with_last(fitted: Fit, effect: Effect) -> Fit:
-    """The same fit with one of its effects listed last.
-
-    Parameters
-    ----------
-    fitted : Fit
-        The fit, with its sensitivities.
-    effect : Effect
-        One of its effects.
-    """
+    """The same fit with one of its effects listed last."""
     structure, kept = _without(fitted, effect)
     own = fitted.structure.slice_of(effect)
     order = [*kept, *range(own.start, own.stop)]
@@ -140,20 +97,7 @@ def with_last(fitted: Fit, effect: Effect) -> Fit:
 
 
 def fit_in_form(comparison: ResidualModel, fitted: Fit, effect: Effect, form: Effect) -> Fit:
-    """Fit another form of an effect in its place, as far as it may be better.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The runs of the fit.
-    fitted : Fit
-        The fit.
-    effect : Effect
-        One of its effects.
-    form : Effect
-        The same kind at the same location in another form, which is listed last. Parameters of both
-        start at their fitted values, others where they change nothing, or at a start of the form.
-    """
+    """Fit another form of an effect in its place, as far as it may be better."""
     own = fitted.structure.slice_of(effect)
     known = dict(
         zip(

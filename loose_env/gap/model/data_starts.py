@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 from loose_env.typing import Array
 
-__all__ = ["ResidualAccelerations", "StartsFromData"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResidualAccelerations:
@@ -41,17 +39,7 @@ class StartsFromData:
     def propose_limit(
         self, speed: Array, asked: Array, needed: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Propose starts of a limit from what its drive was asked for and what it gave.
-
-        Parameters
-        ----------
-        speed : ndarray (T,)
-            Speed of the joint [rad/s, m/s].
-        asked : ndarray (T,)
-            Torque of the nominal drive for the commands and the measured motion [N·m, N].
-        needed : ndarray (T,)
-            Torque that the measured motion takes [N·m, N].
-        """
+        """Propose starts of a limit from what its drive was asked for and what it gave."""
         return ()
 
     def propose_along(self, residual: ResidualAccelerations) -> tuple[tuple[float, ...], ...]:
@@ -61,13 +49,5 @@ class StartsFromData:
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Propose starts from data, in place of `starts`; empty where there are none.
-
-        Parameters
-        ----------
-        angle, speed, acceleration : ndarray (T,)
-            Motion of the effect's joint [rad, rad/s, rad/s² or m, m/s, m/s²].
-        torque : ndarray (T,)
-            Residual torque: that beyond the nominal model for that motion [N·m or N].
-        """
+        """Propose starts from data, in place of `starts`; empty where there are none."""
         return ()

@@ -9,8 +9,6 @@ import numpy as np
 from loose_env.gap.model.effect import Effect
 from loose_env.typing import Array
 
-__all__ = ["DrivenEffect"]
-
 
 class DrivenEffect(Effect):
     """An effect that depends on commands or drive torques, applied step by step.
@@ -35,42 +33,11 @@ class DrivenEffect(Effect):
         """Compute the commands that reach the actuators in some states.
 
         A simulation holds them over each step, at its middle.
-
-        Parameters
-        ----------
-        command : ndarray (..., actuators)
-            Commands without the effect.
-        position, speed : ndarray (..., joints)
-            State of the machine's joints [rad, m], [rad/s, m/s].
-        values : ndarray (P,) or (P, ...)
-            Of the parameters; the axes after the first are those of the states.
-
-        Returns
-        -------
-        ndarray (..., actuators)
-            A new array.
         """
         return command
 
     def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
-        """Compute dry friction beyond the joints' friction loss; it holds a joint at rest.
-
-        Parameters
-        ----------
-        drive : ndarray (..., joints)
-            Torques of the drives on the joints [N·m, N].
-        load : ndarray (..., joints)
-            Torques of gravity and of inertial coupling (Coriolis) on the joints [N·m, N].
-        speed : ndarray (..., joints)
-            Joint speeds [rad/s, m/s].
-        values : ndarray (P,) or (P, ...)
-            Of the parameters; the axes after the first are those of the states.
-
-        Returns
-        -------
-        ndarray (..., joints)
-            Largest friction torques [N·m, N]; zero where it does not act.
-        """
+        """Compute dry friction beyond the joints' friction loss; it holds a joint at rest."""
         return np.zeros_like(drive)
 
     def feedback_code(self, values: Array) -> str:

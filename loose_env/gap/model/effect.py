@@ -43,9 +43,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["Effect", "Readings", "have_stops"]
-
-
 _AT_BOUND = 1.02
 """Ratio of an interval's end to a parameter's bound at which it reaches it."""
 

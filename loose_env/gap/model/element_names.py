@@ -7,8 +7,6 @@ from typing import Any
 
 import mujoco
 
-__all__ = ["naming_notes", "with_names"]
-
 _LISTED = 6
 """Names that a sentence lists."""
 

@@ -15,9 +15,6 @@ from loose_env.gap.model.nominal_model import NominalModel, set_step
 from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.typing import Array
 
-__all__ = ["Hypothesis", "compiled"]
-
-
 _FORCE = "loose_env force of "
 _OFF = 30
 """Group of actuators that are switched off."""
@@ -134,11 +131,6 @@ def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
     A fit may evaluate masses so different that MuJoCo warns of them. Such a model is simulated
     inaccurately, fits badly, and is not kept, so that a user needs no warning.
-
-    Raises
-    ------
-    ValueError
-        If the model does not compile.
     """
     with warnings.catch_warnings():
         warnings.filterwarnings(

@@ -14,9 +14,6 @@ from loose_env.errors import InvalidData
 from loose_env.gap.model.element_names import with_names
 from loose_env.typing import Array
 
-__all__ = ["NominalModel", "set_step"]
-
-
 _MOVING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 _AFFINE_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _AFFINE_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
@@ -28,34 +25,7 @@ _POSES = 5
 
 @dataclass(frozen=True, eq=False)
 class NominalModel:
-    """A nominal model of hinges and slides.
-
-    Parameters
-    ----------
-    spec : mujoco.MjSpec
-        The model; never changed.
-    step : float
-        Simulation step [s]; 0: that of the model.
-    integrator : int, optional
-        One of `mujoco.mjtIntegrator`; by default that of the model.
-    loads : ndarray (joints,), optional
-        Typical torque [N·m] or force [N] of each joint in the recording; by default from the model.
-    speeds : ndarray (joints,), optional
-        Typical speed of each joint [rad/s, m/s] in the recording; 1 by default.
-    merged_steps : int
-        Maximum number of steps merged into one, where no stiff effect needs each: the step is
-        that much finer than the recording needs.
-    substeps : int
-        Number of substeps per step for stiff effects, where no steps are merged.
-    uniform_steps : bool
-        Whether every hypothesis takes the same steps, so that a difference between two is not that
-        of their steps.
-
-    Raises
-    ------
-    InvalidData
-        If the model has no joint, or one that is neither hinge nor slide.
-    """
+    """A nominal model of hinges and slides."""
 
     spec: mujoco.MjSpec
     step: float = 0.0

@@ -16,9 +16,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["NominalParameters"]
-
-
 _BEYOND = 1.02
 """Largest deviation of a parameter, as a share of the tolerance; above 1, so that a true value at
 the end of the tolerance is no bound. With more room, servo gains absorb a friction."""
@@ -36,15 +33,6 @@ class _Entry:
 
 class NominalParameters:
     """Factors on masses, inertias, dampings, frictions, rotor inertias and actuator gains.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    tolerance : float
-        Relative tolerance within which they are known.
-    drives : bool
-        Whether any run shows the actuators' gains: they act in simulations with commands only.
 
     Examples
     --------

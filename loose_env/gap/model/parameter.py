@@ -9,8 +9,6 @@ import numpy as np
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array
 
-__all__ = ["Parameter", "free_of", "values_of"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:

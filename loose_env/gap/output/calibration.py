@@ -23,17 +23,6 @@ from loose_env.gap.settings import NAMED_PROBABILITY
 from loose_env.io import restored
 from loose_env.typing import Array
 
-__all__ = [
-    "PROBABILITY_FEATURES",
-    "GapCalibration",
-    "interval_score",
-    "more_likely_than_not",
-    "probability_features",
-    "stored_calibration",
-    "widened_interval",
-    "with_probability",
-]
-
 PROBABILITY_FEATURES = (
     ("smaller z of the two sets of runs, logarithm", 1),
     ("share of the error without it that it explains, logit", 1),
@@ -130,15 +119,6 @@ def with_probability(
 
     These share what they take from it: the probability it would have without them, less its own.
 
-    Parameters
-    ----------
-    effect : NamedEffect
-        The effect with its tests.
-    gap : Gap
-        Residual before and after the whole answer.
-    calibration : GapCalibration, optional
-        By default the one in the package.
-
     Examples
     --------
     >>> from loose_env.gap.output.result import DeletionTest, EffectLocation
@@ -187,15 +167,6 @@ def widened_interval(
     value: float, interval: tuple[float, float], factor: float
 ) -> tuple[float, float]:
     """Interval with its half widths times a factor.
-
-    Parameters
-    ----------
-    value : float
-        The estimate.
-    interval : tuple of float
-        Ends of its interval, in the same unit.
-    factor : float
-        At least 0.
 
     Examples
     --------

@@ -20,8 +20,6 @@ from loose_env.errors import InvalidSetting
 from loose_env.io import written_beside
 from loose_env.recording import Recording
 
-__all__ = ["Stage", "Stages", "Tree", "fresh", "key_of"]
-
 Tree: TypeAlias = "bool | int | float | str | NDArray[Any] | list[Tree] | dict[str, Tree] | None"
 """What a stage may return: plain values, arrays of numbers, lists and dictionaries of them."""
 Stage: TypeAlias = Callable[[str, Callable[[], Any]], Any]
@@ -103,13 +101,7 @@ class Stages:
         """Stages that were there already."""
 
     def __call__(self, name: str, make: Callable[[], Any]) -> Any:
-        """Return a stage, computed now or in an earlier run.
-
-        Raises
-        ------
-        InvalidSetting
-            If it returns something that is no `Tree`.
-        """
+        """Return a stage, computed now or in an earlier run."""
         file = self._file(name)
         try:
             found = _read(file, self.key)

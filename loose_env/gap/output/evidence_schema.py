@@ -4,18 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = [
-    "Band",
-    "ChannelResidual",
-    "ConfusablePair",
-    "Dependence",
-    "Identifiability",
-    "JointResidual",
-    "Location",
-    "ResidualTest",
-    "UnidentifiableEffect",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Dependence:

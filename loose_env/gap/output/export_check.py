@@ -30,9 +30,6 @@ from loose_env.gap.settings import (
 from loose_env.gap.simulation.time_step import step_with
 from loose_env.typing import Array
 
-__all__ = ["Exported", "compared", "exported", "played", "resting_runs"]
-
-
 PARTS = (1, 2, 4, 8)
 """Into how many parts a step is cut."""
 _BETTER = 0.5
@@ -209,23 +206,7 @@ def compared(
 
 
 def played(comparison: ResidualModel, model: mujoco.MjModel, trial: Trial) -> Array:
-    """Simulate a run's commands in plain MuJoCo, as channel values (T, C).
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        Comparison with the machine's joints and actuators.
-    model : MjModel
-        A model that has them, and perhaps more joints; its step is shortened for a while, so that
-        samples fall on steps.
-    trial : Trial
-        A run that begins at rest; its first command is held beforehand, as fits do.
-
-    Returns
-    -------
-    ndarray (T, C)
-        NaN of channels that are no sensors, and from where a run diverges.
-    """
+    """Simulate a run's commands in plain MuJoCo, as channel values (T, C)."""
     machine, own = comparison.machine, float(model.opt.timestep)
     inside = max(1, ceil(trial.step / own - 1e-6))
     model.opt.timestep = trial.step / inside

@@ -27,8 +27,6 @@ from loose_env.io import written_beside
 from loose_env.recording import ModelColumns
 from loose_env.typing import Array
 
-__all__ = ["corrected_spec", "correction_code", "model_notes", "unnamed_notes", "write_model"]
-
 
 def corrected_spec(
     machine: NominalModel,
@@ -40,15 +38,6 @@ def corrected_spec(
 
     The time step is the one these effects need. Keyframes keep the positions of the model's own
     joints; coordinates added by an effect are zero.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    hypothesis : Hypothesis
-        Nominal parameters and effects, with their values.
-    step : float, optional
-        Another step [s] (`loose_env.gap.output.export_check.exported` tells).
     """
     spec = machine.spec.copy()
     if step is not None:
@@ -99,11 +88,6 @@ def correction_code(hypothesis: Hypothesis) -> str:
     Terms on the torque are added before each step, and changes of readings after it. The lines work
     on ``model`` and ``data`` of MuJoCo. A torque is held over a step, and therefore evaluated at
     its middle: half a step early for an accelerometer.
-
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-        The effects with their values.
     """
     pairs = hypothesis.pairs
     terms = [line for effect, own in pairs if (line := effect.torque_code(own))]
@@ -235,13 +219,7 @@ Added = tuple[Effect, Array]
 
 
 def unnamed_notes(added: Sequence[Added]) -> list[str]:
-    """Describe effects in the corrected model that are not identified; "" without any.
-
-    Parameters
-    ----------
-    added : sequence of (Effect, ndarray)
-        These effects, with their values.
-    """
+    """Describe effects in the corrected model that are not identified; "" without any."""
     if not added:
         return []
     listed = "; ".join(_added_words(effect, values) for effect, values in added)
@@ -255,17 +233,7 @@ def unnamed_notes(added: Sequence[Added]) -> list[str]:
 def model_notes(
     named: Sequence[NamedEffect], unnamed: Sequence[Added], factors: Mapping[str, float]
 ) -> list[str]:
-    """Format notes for the head of ``model.xml``: all changes to the nominal model.
-
-    Parameters
-    ----------
-    named : sequence of NamedEffect
-        Identified effects.
-    unnamed : sequence of (Effect, ndarray)
-        Effects that are not identified, with their values.
-    factors : mapping
-        Factors on nominal parameters.
-    """
+    """Format notes for the head of ``model.xml``: all changes to the nominal model."""
     notes = ["Corrected by loose gap."]
     if named:
         notes.append("Added to the nominal model:")

@@ -15,19 +15,6 @@ from loose_env.errors import InvalidData
 from loose_env.gap.output.evidence_schema import Identifiability, Location, ResidualTest
 from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
 
-__all__ = [
-    "FORMAT",
-    "UNIT",
-    "DeletionTest",
-    "EffectLocation",
-    "Gap",
-    "GapResult",
-    "NamedEffect",
-    "RankedHypothesis",
-    "Verdict",
-    "read_result",
-]
-
 FORMAT = "loose-gap/1"
 UNIT = "RMS over held-out runs, in noise standard deviations"
 Verdict = Literal["named", "no_gap", "unexplained"]

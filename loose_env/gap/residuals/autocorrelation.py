@@ -22,9 +22,6 @@ from numpy.typing import NDArray
 from loose_env.gap.residuals.residual_model import Rows
 from loose_env.typing import Array, IndexArray
 
-__all__ = ["LaggedProducts", "independent_rows", "largest"]
-
-
 LAGS, RANDOM_LAGS = ((2,), (3,), (4,)), ((1,), (2,), (3,))
 """Samples between the two, and in runs of random excitation."""
 INVERSE_LAGS = ((3, 4), (5, 6), (7, 8))
@@ -32,13 +29,7 @@ INVERSE_LAGS = ((3, 4), (5, 6), (7, 8))
 
 
 class LaggedProducts:
-    """Lagged products of a residual, by channel and for each of three lags.
-
-    Parameters
-    ----------
-    rows : Rows
-        Run, channel and sample of each number.
-    """
+    """Lagged products of a residual, by channel and for each of three lags."""
 
     def __init__(self, rows: Rows) -> None:
         order = np.lexsort((rows.index, rows.channel, rows.trial))
@@ -98,15 +89,7 @@ class LaggedProducts:
         return np.stack([*sums, counts])
 
     def by_group(self, residual: Array, group: NDArray[np.intp]) -> Array:
-        """Sums of the lagged products by lag and group of rows (3, G), without features.
-
-        Parameters
-        ----------
-        residual : ndarray (N,)
-            Residual of all rows.
-        group : ndarray (N,)
-            Number of a group for each row; rows of one run and channel are all in one.
-        """
+        """Sums of the lagged products by lag and group of rows (3, G), without features."""
         count = int(group.max(initial=-1)) + 1
         return np.stack(
             [
@@ -145,13 +128,6 @@ def independent_rows(residual: Array, block: IndexArray, channel: IndexArray) ->
     which it is larger inflates the variance of any estimate from blocks (the design effect of a
     cluster sample, Kish, Survey Sampling, 1965), and reduces the effective number of rows, and with
     it the log-likelihood.
-
-    Parameters
-    ----------
-    residual : ndarray (N,)
-        The residual.
-    block, channel : ndarray (N,)
-        Block of time and channel of each row.
 
     Examples
     --------

@@ -13,8 +13,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.typing import Array
 
-__all__ = ["errors_by_quantity", "noise_ratio", "quantity_notes", "quantity_of", "rms"]
-
 _SENSOR = mujoco.mjtSensor
 _OF_A_JOINT = {
     _SENSOR.mjSENS_JOINTPOS: ("joint position", "rad", "m"),
@@ -71,23 +69,7 @@ def errors_by_quantity(
     before: NDArray[np.float64],
     after: NDArray[np.float64],
 ) -> dict[str, tuple[float, float]]:
-    """Root mean square errors in physical units, pooled by quantity.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    comparison : ResidualModel
-        The runs.
-    before, after : ndarray (N,)
-        Residuals over noise standard deviations. Runs that are compared by features have none in
-        units and are left out.
-
-    Returns
-    -------
-    dict
-        Quantity with its unit -> before and after.
-    """
+    """Root mean square errors in physical units, pooled by quantity."""
     rows, found = comparison.rows, {}
     of_channel = np.array([quantity_of(machine, c) or "" for c in comparison.channels])
     scale = comparison.scales[rows.trial, rows.channel]

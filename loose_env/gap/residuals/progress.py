@@ -13,8 +13,6 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-__all__ = ["counted", "reported", "tick"]
-
 Say = Callable[[str], None]
 _Item = TypeVar("_Item")
 
@@ -69,13 +67,6 @@ _REPORTER: ContextVar[_Reporter | None] = ContextVar("progress", default=None)
 def reported(say: Say, *, clock: Callable[[], float] = time.monotonic) -> Iterator[Say]:
     """Give the lines of progress within to a function; yields one for all other lines.
 
-    Parameters
-    ----------
-    say : callable
-        Receives the lines.
-    clock : callable
-        Time [s].
-
     Examples
     --------
     >>> now = iter(range(0, 100, 4))
@@ -94,17 +85,7 @@ def reported(say: Say, *, clock: Callable[[], float] = time.monotonic) -> Iterat
 
 
 def counted(title: str, items: Sequence[_Item], *, most: bool = False) -> Iterator[_Item]:
-    """Iterate over some items, counted for the lines of progress.
-
-    Parameters
-    ----------
-    title : str
-        What is counted.
-    items : sequence
-        The items.
-    most : bool
-        Whether there may be fewer, so that the time left is not known.
-    """
+    """Iterate over some items, counted for the lines of progress."""
     reporter = _REPORTER.get()
     if reporter is None:
         yield from items

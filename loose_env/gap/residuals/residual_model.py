@@ -19,9 +19,6 @@ from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.typing import Array
 
-__all__ = ["DIVERGED_RESIDUAL", "ResidualModel", "Rows"]
-
-
 _MAX_INTEGRATOR_ERROR = 100.0
 """Error of a cheaper integrator above which its differences are not taken [noise standard
 deviations], where it is larger than what is to be explained."""
@@ -69,27 +66,6 @@ class ResidualModel:
 
     Forward and free runs are simulated, and their sensors compared. Inverse runs are compared by
     their torques, in the band of the motion; chaotic random runs by features.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    trials : sequence of Trial
-        The runs.
-    channels : tuple of Channel
-        The compared channels.
-    floors : ndarray (C,)
-        Standard deviation of each channel's noise, as used in the residual.
-    threads : int
-        Threads of the simulation; 0: all processors.
-    inverse : InverseDynamics, optional
-        Inverse dynamics of the inverse runs, if already computed.
-    chaotic : frozenset of str
-        Names of the random runs that are compared by features
-        (`loose_env.gap.residuals.preparation.chaotic_runs.chaotic_runs`).
-    read : ndarray (C,), optional
-        Sensor noise standard deviation of each channel, where more counts as noise in
-        ``floors``.
     """
 
     def __init__(
@@ -272,12 +248,6 @@ class ResidualModel:
 
         The difference that an effect makes is nearly the same, since the step error is in both.
         Inverse runs take longer steps where there are unmeasured degrees of freedom.
-
-        Parameters
-        ----------
-        stiff : bool
-            Whether either has a stiff spring: then both take every step, else several as
-            one where the machine allows it (`NominalModel.merged_steps`).
         """
         cheaper = self.machine.integrator == _RUNGE_KUTTA
         if self.inverse is None and not cheaper:
@@ -327,14 +297,7 @@ class ResidualModel:
         return own + sum(part.simulated for part in self._beginnings.values())
 
     def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
-        """Predict the readings of every run under every hypothesis.
-
-        Returns
-        -------
-        list of list of ndarray (T, C)
-            By hypothesis, by trial; NaN where a simulation diverged, and in an inverse run where
-            nothing is compared.
-        """
+        """Predict the readings of every run under every hypothesis."""
         found: list[list[Array]] = [[np.empty(0)] * len(self.trials) for _ in hypotheses]
         if len(self._ahead):
             own = [hypothesis.for_runs(self.runs[self._ahead]) for hypothesis in hypotheses]

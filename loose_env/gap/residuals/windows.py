@@ -15,9 +15,6 @@ from loose_env.gap.residuals.random_excitation.frequency_response import FEWEST
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import SCREENING_RUNS, SCREENING_S
 
-__all__ = ["SHORTEST", "screening_seconds", "windowed", "windows_as_runs"]
-
-
 SHORTEST = 1.5
 """Shortest window [s]."""
 LEAD = 0.4
@@ -35,13 +32,6 @@ def windowed(comparison: ResidualModel, seconds: float) -> ResidualModel:
     evenly; the last one keeps a window of that length. Of a run that is compared by features a
     window has as many samples as these need, and the run stays whole where the window has no
     features.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The comparison to cut.
-    seconds : float
-        Total length of the windows [s].
     """
     inverse = [t for t in comparison.trials if t.form == "inverse"]
     others = [t for t in comparison.trials if t.form != "inverse"]
@@ -68,11 +58,6 @@ def windows_as_runs(comparison: ResidualModel, seconds: float) -> ResidualModel:
     """Windows that are the runs from here on, with initial states of their own.
 
     The whole runs where the windows contain no readings.
-
-    Parameters
-    ----------
-    comparison, seconds
-        As of `windowed`.
     """
     found = windowed(comparison, seconds)
     if not len(found):

@@ -36,16 +36,9 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["Acceptance", "share_above_noise"]
-
 
 def share_above_noise(before: Array, after: Array) -> float:
     """Return the share of a reduction in mean square that lies above the noise.
-
-    Parameters
-    ----------
-    before, after : ndarray (N,)
-        Residuals in noise standard deviations.
 
     Examples
     --------
@@ -58,19 +51,7 @@ def share_above_noise(before: Array, after: Array) -> float:
 
 
 class Acceptance:
-    """Accepts or rejects hypotheses that add effects to the current model.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The training runs.
-    scorer : Scorer
-        Scores fits on the held-out runs.
-    base, before : ScoredFit
-        The nominal model, and the current model.
-    settings : SearchSettings
-        Acceptance thresholds.
-    """
+    """Accepts or rejects hypotheses that add effects to the current model."""
 
     def __init__(
         self,
@@ -213,15 +194,7 @@ class Acceptance:
         return share_above_noise(before, after) > OWN_GAIN
 
     def accept(self, scored: ScoredFit) -> tuple[ScoredFit, list[Effect]]:
-        """Refit the accepted hypothesis and drop an effect that became insignificant.
-
-        Returns
-        -------
-        ScoredFit
-            With fresh sensitivities.
-        list of Effect
-            Earlier effects that are dropped, one at most.
-        """
+        """Refit the accepted hypothesis and drop an effect that became insignificant."""
         whole = self._converged(scored)
         best = self._pruned(whole, self._new(scored))
         earlier = best.fitted.effects[: len(self.before.fitted.effects)]

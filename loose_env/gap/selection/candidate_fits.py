@@ -29,25 +29,12 @@ from loose_env.gap.settings import (
     SINGLE_SHARE,
 )
 
-__all__ = ["CandidateFits"]
-
-
 _MAX_COST_RATIO = 1.5
 """Sum of squares over that of a larger hypothesis from which on it is not tried on all data."""
 
 
 class CandidateFits:
-    """Fits candidate effects on top of the current model.
-
-    Parameters
-    ----------
-    comparison, short : ResidualModel
-        The training runs, and the windows of them that rank candidates.
-    scorer : Scorer
-        Scores fits to all data.
-    before : ScoredFit
-        The current model.
-    """
+    """Fits candidate effects on top of the current model."""
 
     def __init__(
         self, comparison: ResidualModel, short: ResidualModel, scorer: Scorer, before: ScoredFit
@@ -68,17 +55,6 @@ class CandidateFits:
         """Fit single candidates, and sets of them where the best one leaves much unexplained.
 
         Those confusable with the best single one are fitted, too.
-
-        Parameters
-        ----------
-        screened : sequence of ScreenedCandidate
-            Candidates, the most promising first.
-        sets : callable
-            Proposes sets that explain together.
-        say : callable
-            Receives progress messages.
-        share : float
-            Residual of the current model over that of the nominal one.
         """
         least = LEAST_PREDICTED * screened[0].predicted if screened else 0.0
         taken = [each for each in screened[:FITTED_CANDIDATES] if each.predicted >= least]
@@ -128,13 +104,6 @@ class CandidateFits:
 
         The effect identified first may only have been a proxy for a later one, and several springs
         that are proxies for one delay are not removed by dropping them one at a time.
-
-        Parameters
-        ----------
-        scored : ScoredFit
-            The hypothesis.
-        base : Fit
-            The nominal model.
         """
         fitted, nominal = scored.fitted, len(base.free)
         structure = base.structure.with_effects(
@@ -149,15 +118,7 @@ class CandidateFits:
         return self.scorer.score(fit(self.comparison, structure, start, known=base.jacobian))
 
     def replacements(self, screened: Sequence[ScreenedCandidate], rival: Fit) -> list[ScoredFit]:
-        """Fit candidates that may replace an effect of the model equally well, best first.
-
-        Parameters
-        ----------
-        screened : sequence of ScreenedCandidate
-            Candidates.
-        rival : Fit
-            The current model, with the effect that they would replace.
-        """
+        """Fit candidates that may replace an effect of the model equally well, best first."""
         windows = self.windows
         together = windows.short.residuals([rival.hypothesis])[0]
         cost = cost_of(together, rival.free, rival.structure.parameters)

@@ -16,8 +16,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.checkpoints import Stage
 from loose_env.gap.selection.forward_selection import SelectionStep, StepStore
 
-__all__ = ["StepFiles", "plain_fit", "restored_fit"]
-
 
 def plain_fit(scored: ScoredFit) -> dict[str, Any]:
     """Convert a scored fit to plain values, for `output.checkpoints.Stages`."""
@@ -29,22 +27,7 @@ def plain_fit(scored: ScoredFit) -> dict[str, Any]:
 
 
 def restored_fit(kept: dict[str, Any], machine: NominalModel, nuisance: Nuisance) -> ScoredFit:
-    """Restore a scored fit.
-
-    Parameters
-    ----------
-    kept : dict
-        As of `plain_fit`.
-    machine : NominalModel
-        The nominal model.
-    nuisance : Nuisance
-        Nuisance parameters of the fit.
-
-    Raises
-    ------
-    UnknownName
-        If the catalogue no longer has an effect.
-    """
+    """Restore a scored fit."""
     plain = dict(kept["fitted"])
     effects = tuple(_effect(machine, *each) for each in plain.pop("effects"))
     fitted = Fit(structure=ModelStructure(nuisance=nuisance, effects=effects), **plain)
@@ -52,19 +35,7 @@ def restored_fit(kept: dict[str, Any], machine: NominalModel, nuisance: Nuisance
 
 
 class StepFiles(StepStore):
-    """Stores the steps of a search in checkpoint files.
-
-    Parameters
-    ----------
-    stages : Stage
-        The files.
-    machine : NominalModel
-        The nominal model.
-    nuisance : Nuisance
-        Nuisance parameters of the fits.
-    prefix : str
-        Prefix of the stage names, so that two searches do not share checkpoints.
-    """
+    """Stores the steps of a search in checkpoint files."""
 
     def __init__(
         self, stages: Stage, machine: NominalModel, nuisance: Nuisance, prefix: str = ""

@@ -30,9 +30,6 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["at_bound", "deletion_of", "material", "significant", "worse_quantity"]
-
-
 _SMOOTH = ("joint position", "joint speed", "drive position", "drive speed", "position in space")
 """Quantities that impacts hardly change."""
 
@@ -56,19 +53,7 @@ def material(test: DeletionTest, effect: Effect) -> bool:
 def deletion_of(
     comparison: ResidualModel, scorer: Scorer, base: ScoredFit, best: ScoredFit, effect: Effect
 ) -> DeletionTest:
-    """Refit a hypothesis without one of its effects, and compare the two.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The runs of the fit.
-    scorer : Scorer
-        Scores fits to them.
-    base, best : ScoredFit
-        The nominal model, and the hypothesis, scored alike.
-    effect : Effect
-        One of its effects.
-    """
+    """Refit a hypothesis without one of its effects, and compare the two."""
     without = scorer.score(fit_without(comparison, best.fitted, effect, roughly=True))
     improvement = improvement_of(best, without)
     explained, all_of = (
@@ -94,13 +79,6 @@ def at_bound(structure: ModelStructure, free: Array) -> list[tuple[Effect, str]]
     A fit that ends at a bound has not found its optimum: another effect is the cause, or the
     effect has no such size. Bounds that are physical do not count: zero, none left of what the
     model has, the limit in which the effect vanishes; nor do nuisance parameters with a prior.
-
-    Parameters
-    ----------
-    structure : ModelStructure
-        Effects of a fit.
-    free : ndarray (P,)
-        Its free numbers.
     """
     found = []
     for effect, own in zip(structure.effects, structure.slices, strict=True):
@@ -125,13 +103,6 @@ def worse_quantity(held_out: ResidualModel, scored: ScoredFit, before: ScoredFit
     What an error grows by within the noise is no worsening: mean squares add up, and a quantity
     that was predicted to the noise is not predicted better. A part with stops mistimes its impacts:
     of an acceleration or a force, the error may grow as that of two independent signals does.
-
-    Parameters
-    ----------
-    held_out : ResidualModel
-        The held-out runs.
-    scored, before : ScoredFit
-        The hypothesis, and the one without its effects.
     """
     errors = errors_by_quantity(
         held_out.machine, held_out, before.held_out_residual, scored.held_out_residual

@@ -34,8 +34,6 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["Selection", "SelectionStep", "StepStore", "nominal_fit", "select_effects"]
-
 Say = Callable[[str], None]
 
 
@@ -101,31 +99,7 @@ def select_effects(
     pause: Callable[[ScoredFit], bool] = lambda _: False,
     earlier: Sequence[tuple[Effect, Array]] = (),
 ) -> Selection:
-    """Add effects to a nominal model by forward selection with held-out validation.
-
-    Parameters
-    ----------
-    comparison, held_out : ResidualModel
-        The training runs and the held-out runs.
-    nuisance : Nuisance
-        Nuisance parameters, fitted with every hypothesis.
-    candidates : sequence of Effect
-        The catalogue at every location.
-    settings : SearchSettings, optional
-        Acceptance criteria for an effect.
-    say : callable
-        Receives progress messages, line by line.
-    keep : StepStore, optional
-        Checkpoints of the search, for resuming an interrupted run.
-    begun : Selection, optional
-        An earlier search, scored on these runs; its effects are refitted to them, and the search
-        goes on from there.
-    pause : callable
-        Receives the result after each step; the search stops, unfinished, if it returns true.
-    earlier : sequence of (Effect, values)
-        Answer of an earlier search on some of the runs: one more hypothesis of the first step,
-        with the others, by the same tests.
-    """
+    """Add effects to a nominal model by forward selection with held-out validation."""
     settings, keep = settings or SearchSettings(), keep or StepStore()
     scorer = Scorer(comparison, held_out)
     short = windowed(comparison, screening_seconds(comparison))
@@ -182,17 +156,7 @@ def select_effects(
 def nominal_fit(
     comparison: ResidualModel, short: ResidualModel, scorer: Scorer, nuisance: Nuisance
 ) -> ScoredFit:
-    """Fit the nominal model within its tolerance.
-
-    Parameters
-    ----------
-    comparison, short : ResidualModel
-        The training runs, and the windows of them that rank candidates.
-    scorer : Scorer
-        Scores fits to them.
-    nuisance : Nuisance
-        Nuisance parameters.
-    """
+    """Fit the nominal model within its tolerance."""
     structure = ModelStructure(nuisance=nuisance)
     found = scorer.score(fit(comparison, structure, structure.nominal_start))
     if CurrentFit.of(WindowFits(short, found.fitted).before).to_gain < STILL_GAINS:

@@ -11,8 +11,6 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["negligible"]
-
 
 def negligible(hypothesis: Hypothesis, new: int) -> bool:
     """Return whether all effects added last are negligible, however significant.
@@ -21,13 +19,6 @@ def negligible(hypothesis: Hypothesis, new: int) -> bool:
     typical speed. Where the larger one is identified precisely, the error of its law is visible,
     too, and a small second friction would compensate for it. Likewise a small mass at the tool or
     on a link compensates for the unknown mass distribution along a flexible link.
-
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-        Effects with their values.
-    new : int
-        Number of effects added last.
 
     Examples
     --------

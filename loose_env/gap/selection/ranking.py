@@ -20,8 +20,6 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["added_to", "bic", "indistinct", "ranking_of"]
-
 
 def added_to(before: ScoredFit, scored: ScoredFit) -> tuple[Effect, ...]:
     """Return effects that a hypothesis has and the one before it has not."""
@@ -37,19 +35,7 @@ def ranking_of(
     noise_scale: Array | float = 1.0,
     first: int = 1,
 ) -> tuple[RankedHypothesis, ...]:
-    """Rank every hypothesis fitted to whole runs, step by step, best first.
-
-    Parameters
-    ----------
-    named : Selection
-        The search.
-    comparison, held_out : ResidualModel
-        The training runs and the held-out runs.
-    noise_scale : ndarray (M,) or float
-        Factor by which the noise of the held-out residuals was increased in the search.
-    first : int
-        Number of its first step.
-    """
+    """Rank every hypothesis fitted to whole runs, step by step, best first."""
     found = []
     for k, rivals in enumerate(named.rivals):
         before = named.base if k == 0 else named.steps[k - 1]
@@ -100,16 +86,6 @@ def _of_step(
 def bic(gained: float, *, parameters: int, count: float) -> float:
     """Return the BIC of a hypothesis less that of the hypothesis it extends.
 
-    Parameters
-    ----------
-    gained : float
-        Reduction of the sum of squares over independent readings, in units of their variance: twice
-        the gain in log-likelihood.
-    parameters : int
-        Number of additional parameters.
-    count : float
-        Independent readings.
-
     Examples
     --------
     >>> round(bic(30.0, parameters=2, count=1000.0), 1)
@@ -123,13 +99,6 @@ def indistinct(named: Selection, effect: Effect) -> tuple[Effect, ...]:
 
     Of a rival with several effects, those at the joint of the identified one are compared with it;
     all of them where none is there.
-
-    Parameters
-    ----------
-    named : Selection
-        The search.
-    effect : Effect
-        One of the identified effects.
     """
     found: list[Effect] = []
     before = named.base

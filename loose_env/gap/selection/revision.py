@@ -48,8 +48,6 @@ from loose_env.gap.settings import (
     SearchSettings,
 )
 
-__all__ = ["SwapStep", "drop_insignificant", "refit_without"]
-
 _Key = tuple[str, str, str]
 _ROUNDS = 3
 """Rounds of swaps at most; what is swapped in may have a better form itself."""
@@ -58,21 +56,7 @@ _MIN_GAIN_RATIO = 0.9
 
 
 class SwapStep:
-    """Swaps identified effects for confusable ones where the fit improves.
-
-    Parameters
-    ----------
-    comparison, short : ResidualModel
-        The training runs, and the windows of them that rank candidates.
-    scorer : Scorer
-        Scores fits to all data.
-    candidates : sequence of Effect
-        The catalogue at every location.
-    base : ScoredFit
-        The nominal model.
-    settings : SearchSettings
-        Number of swaps: `ALTERNATIVES` candidates at most are fitted for each effect.
-    """
+    """Swaps identified effects for confusable ones where the fit improves."""
 
     def __init__(
         self,
@@ -102,15 +86,6 @@ class SwapStep:
         of two that fit alike the one that was fitted last is ahead. Beside more than `LEADING`
         effects, and in place of two, only what promises to explain as much is fitted: a matter of
         cost.
-
-        Parameters
-        ----------
-        best : ScoredFit
-            The hypothesis to improve.
-        say : callable
-            Receives progress messages, line by line.
-        white : bool
-            Whether nothing is left to explain: then only one effect for two is tried.
         """
         for _ in range(_ROUNDS):
             found = self._round(best, say, white=white)
@@ -341,26 +316,7 @@ def drop_insignificant(
     *,
     say: Callable[[str], None] = lambda _: None,
 ) -> tuple[ScoredFit, Intervals]:
-    """Drop effects whose 95 % intervals include zero, and refit the others.
-
-    Parameters
-    ----------
-    best : ScoredFit
-        The hypothesis to improve.
-    problem : GapProblem
-        The runs.
-    scorer : Scorer
-        Scores fits to ``problem.fit``.
-    seed : int
-        Of the bootstrap.
-    say : callable
-        Receives the names of dropped effects.
-
-    Returns
-    -------
-    (ScoredFit, Intervals)
-        The reduced fit, and its intervals.
-    """
+    """Drop effects whose 95 % intervals include zero, and refit the others."""
     while True:
         rng = np.random.default_rng(seed)
         fitted = best.fitted

@@ -31,8 +31,6 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["SearchResult", "beside_stops", "search"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchResult:
@@ -105,18 +103,7 @@ def search(
     keep: Callable[[str], StepStore] = lambda _: StepStore(),
     earlier: Sequence[tuple[Effect, Array]] = (),
 ) -> SearchResult:
-    """Search for effects that a model lacks.
-
-    Parameters
-    ----------
-    problem : GapProblem
-        The runs.
-    nuisance, sought, settings, say, earlier
-        As of `loose_env.gap.selection.forward_selection.select_effects`, ``sought`` being its
-        candidates.
-    keep : callable
-        Maps a prefix to the checkpoints of a part of the search.
-    """
+    """Search for effects that a model lacks."""
 
     def left(scored: ScoredFit) -> Array:
         return problem.search.channel_rms(scored.fitted.residual)

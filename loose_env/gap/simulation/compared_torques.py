@@ -9,12 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Trial
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.data.smoothing import SmoothedMotion, filled
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
-
-__all__ = ["ComparedTorques", "compared_torques"]
-
 
 _TURNING = 3.0
 """Speed below which the direction of motion is in doubt [standard deviations of its noise]."""
@@ -38,19 +35,7 @@ class ComparedTorques:
 def compared_torques(
     trial: Trial, motion: SmoothedMotion, torques: Mapping[int, int], propagated: Array
 ) -> ComparedTorques:
-    """Filter the torques of a run, leave out what is in doubt, and find their noise.
-
-    Parameters
-    ----------
-    trial : Trial
-        The run.
-    motion : SmoothedMotion
-        Its motion.
-    torques : mapping
-        Joints of the torque channels, by channel index.
-    propagated : ndarray (joints,)
-        Variance of the computed torque due to the motion's noise.
-    """
+    """Filter the torques of a run, leave out what is in doubt, and find their noise."""
     measured = np.full(trial.measured.shape, np.nan)
     floors, own = np.full((2, trial.measured.shape[1]), np.nan)
     kept = motion.chosen

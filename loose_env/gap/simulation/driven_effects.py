@@ -15,16 +15,6 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.typing import Array
 
-__all__ = [
-    "Driven",
-    "Places",
-    "grouped_driven_effects",
-    "has_feedback",
-    "has_friction",
-    "indices",
-    "load_dependent_friction",
-]
-
 Places = slice | NDArray[np.intp]
 """Indices of simulations."""
 

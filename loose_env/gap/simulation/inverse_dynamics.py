@@ -22,7 +22,6 @@ import numpy as np
 from mujoco.batch import Batch
 
 from loose_env.gap.data.aligned_run import Channel, Trial
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.data.smoothing import SmoothedMotion, filled, smooth_motion, with_readings
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
@@ -33,10 +32,8 @@ from loose_env.gap.simulation.driven_effects import has_friction, load_dependent
 from loose_env.gap.simulation.simulator import _layout
 from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
 from loose_env.gap.simulation.unmeasured_dofs import PrescribedMotionSimulator
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
-
-__all__ = ["InverseDynamics"]
-
 
 _REPEATS = 12
 """Steps in which a reading is followed back to what was there."""
@@ -49,24 +46,7 @@ _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
 
 class InverseDynamics:
-    """Predicts the torques of inverse runs; replaces a `Simulator`.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    trials : sequence of Trial
-        The runs, of inverse form.
-    channels : tuple of Channel
-        The recording's columns; torques are predicted.
-    threads : int
-        Threads of the pool; 0: all processors.
-
-    Raises
-    ------
-    InvalidData
-        If a run is too short to be smoothed.
-    """
+    """Predicts the torques of inverse runs; replaces a `Simulator`."""
 
     def __init__(
         self,
@@ -195,13 +175,7 @@ class InverseDynamics:
         return int(self.machine.model.sensor(name).type[0]) in map(int, of_motion)
 
     def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
-        """Predict torques of every run under every hypothesis.
-
-        Returns
-        -------
-        list of list of ndarray (T, C)
-            By hypothesis, by trial; NaN where nothing is compared.
-        """
+        """Predict torques of every run under every hypothesis."""
         return [self._columns(hypothesis) for hypothesis in hypotheses]
 
     def _columns(self, hypothesis: Hypothesis) -> list[Array]:

@@ -22,17 +22,6 @@ from loose_env.gap.simulation.driven_effects import Driven
 from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
 from loose_env.typing import Array
 
-__all__ = [
-    "PARTS",
-    "changes_within",
-    "commands_at",
-    "late_sensors",
-    "readings_at",
-    "show_late_sensors",
-    "states_before",
-]
-
-
 PARTS = 2
 """Parts of a step where commands change within it: a mean moves the speed rightly, and the place
 only as far as the change lies in the middle."""
@@ -69,15 +58,6 @@ def states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[s
     Positions follow cubics through the positions and speeds at both ends of a step, within which
     commands are constant, and speeds their slopes; activations are linear.
 
-    Parameters
-    ----------
-    states : mapping
-        Of `STATES`, at every step (S, ...).
-    at : ndarray (T,)
-        Times [s]; before the first state it holds.
-    step : float
-        Step [s].
-
     Examples
     --------
     >>> fallen = {"qpos": np.array([[0.0], [1.0]]), "qvel": np.array([[0.0], [2.0]])}
@@ -113,29 +93,7 @@ def show_late_sensors(
     first: int = 0,
     threads: int,
 ) -> None:
-    """Replace the columns of delayed sensors (T, sensors) in place.
-
-    Parameters
-    ----------
-    shown : ndarray (T, sensors)
-        Sensor values at steps from ``first`` on.
-    machine, hypothesis, model
-        As of `readings_at`.
-    states : mapping
-        Of `STATES`, from step 0 on, ``parts`` a step (S, ...).
-    commands : ndarray (steps, actuators)
-        Commands at the actuators, from step 0 on.
-    late : mapping
-        Delayed sensors with their delays [s], as of `late_sensors`.
-    step : float
-        Step of the commands [s].
-    parts : int
-        States a step.
-    first : int
-        Step of the first row.
-    threads : int
-        Threads.
-    """
+    """Replace the columns of delayed sensors (T, sensors) in place."""
     for name, delay in late.items():
         then: Array = np.arange(first, first + len(shown), dtype=float) * step - delay
         held = np.clip(np.floor(then / step + 1e-9).astype(int), 0, len(commands) - 1)
@@ -147,17 +105,7 @@ def show_late_sensors(
 
 
 def commands_at(hypothesis: Hypothesis, clock: Array, controls: Array) -> Array:
-    """Commands at the actuators at each step itself.
-
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-        Effects with their values.
-    clock : ndarray (T,)
-        Steps [s].
-    controls : ndarray (T, actuators)
-        Input commands, held from their step to the next.
-    """
+    """Commands at the actuators at each step itself."""
     for effect, own in hypothesis.pairs:
         controls = effect.command_at(clock, controls, own)
     return controls
@@ -171,23 +119,7 @@ def readings_at(
     controls: Array,
     threads: int,
 ) -> Array:
-    """Sensor values with instantaneous commands (T, sensors).
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    hypothesis : Hypothesis
-        The simulated hypothesis.
-    model : mujoco.MjModel
-        The compiled model of the hypothesis.
-    states : mapping
-        Of `STATES`, (T, ...) each.
-    controls : ndarray (T, actuators)
-        Commands at these states.
-    threads : int
-        Threads of the simulation; 0: all processors.
-    """
+    """Sensor values with instantaneous commands (T, sensors)."""
     batch = Batch(model, min(_AT_A_TIME, len(controls)), threads)
     batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
     sensed = batch.bind("sensordata")

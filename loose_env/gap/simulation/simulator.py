@@ -35,9 +35,6 @@ from loose_env.gap.simulation.time_step import stepped
 from loose_env.gap.simulation.torque_terms import STATES, BatchWithTerms, has_terms, with_terms
 from loose_env.typing import Array
 
-__all__ = ["Simulator"]
-
-
 _CHUNK = 2_000_000
 """Numbers recorded at a time."""
 _AT_ONCE = 4_000_000
@@ -61,19 +58,7 @@ class _Slot:
 
 
 class Simulator:
-    """Simulates the runs of a recording.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    trials : sequence of Trial
-        The runs, forward or free.
-    channels : tuple of Channel
-        The predicted channels.
-    threads : int
-        Threads of the pool; 0: all processors.
-    """
+    """Simulates the runs of a recording."""
 
     def __init__(
         self,
@@ -89,13 +74,7 @@ class Simulator:
         self.simulated = 0
 
     def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
-        """Simulate every run under every hypothesis.
-
-        Returns
-        -------
-        list of list of ndarray (T, C)
-            By hypothesis, by trial; NaN where the simulation diverged.
-        """
+        """Simulate every run under every hypothesis."""
         motions = {self._motion(hypothesis): hypothesis for hypothesis in hypotheses}
         alike: dict[tuple[object, ...], list[_Slot]] = {}
         for key, hypothesis in motions.items():

@@ -12,22 +12,9 @@ from loose_env.gap.data.aligned_run import Trial
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import NominalModel
 
-__all__ = ["step_with", "stepped"]
-
 
 def stepped(trial: Trial, machine: NominalModel, effects: Iterable[Effect]) -> Trial:
-    """Align a run with the steps needed by a hypothesis of these effects.
-
-    Parameters
-    ----------
-    trial : Trial
-        The run on the machine's steps.
-    machine : NominalModel
-        Steps merged into one (`NominalModel.merged_steps`), and substeps for stiff effects
-        (`NominalModel.substeps`).
-    effects : iterable of Effect
-        Effects of the hypothesis.
-    """
+    """Align a run with the steps needed by a hypothesis of these effects."""
     if machine.uniform_steps or not any(effect.needs_fine_steps for effect in effects):
         return trial.coarser(machine.merged_steps)
     return (

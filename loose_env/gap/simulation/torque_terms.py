@@ -34,14 +34,6 @@ from loose_env.gap.simulation.driven_effects import (
 )
 from loose_env.typing import Array
 
-__all__ = [
-    "STATES",
-    "BatchWithTerms",
-    "has_terms",
-    "torque_terms",
-    "with_terms",
-]
-
 State = tuple[Array, Array]
 """Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
 
@@ -63,20 +55,7 @@ def has_terms(hypothesis: Hypothesis) -> bool:
 
 
 def torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array:
-    """Sum of the torque terms of a hypothesis (..., joints) [N·m, N].
-
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-        Effects with their values.
-    position, speed : ndarray (..., joints)
-        State of the machine's joints [rad, m], [rad/s, m/s].
-
-    Raises
-    ------
-    InvalidData
-        If a term is not one number per joint.
-    """
+    """Sum of the torque terms of a hypothesis (..., joints) [N·m, N]."""
     found = np.zeros(position.shape)
     with np.errstate(all="ignore"):  # a diverging simulation is detected from its state
         for effect, values in hypothesis.pairs:
@@ -95,30 +74,14 @@ def torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array
 def with_terms(
     batch: Batch, machine: NominalModel, hypotheses: Sequence[Hypothesis]
 ) -> Batch | BatchWithTerms:
-    """Return the batch itself, or where a hypothesis has terms, one that adds them.
-
-    Parameters
-    ----------
-    batch : mujoco.batch.Batch
-        The simulations.
-    machine : NominalModel
-        Machine with the joints of the terms.
-    hypotheses : sequence of Hypothesis
-        That of each simulation.
-    """
+    """Return the batch itself, or where a hypothesis has terms, one that adds them."""
     if not any(map(has_terms, hypotheses)):
         return batch
     return BatchWithTerms(batch, machine, hypotheses)
 
 
 class BatchWithTerms:
-    """Simulations of a batch on which torque terms act.
-
-    Parameters
-    ----------
-    batch, machine, hypotheses
-        As of `with_terms`.
-    """
+    """Simulations of a batch on which torque terms act."""
 
     def __init__(
         self, batch: Batch, machine: NominalModel, hypotheses: Sequence[Hypothesis]
@@ -163,24 +126,6 @@ class BatchWithTerms:
         Readings and forces are those at the beginning of each step, under its own command. A
         simulation with a MuJoCo warning is NaN from the beginning, since a term may make it
         diverge.
-
-        Parameters
-        ----------
-        count : int
-            Steps.
-        control : ndarray (ids, count, actuators)
-            Commands of each step.
-        control_spec : int
-            Type of the commands: `mujoco.mjtState.mjSTATE_CTRL`.
-        record : sequence of str
-            Fields to be recorded, each after its step.
-        ids : ndarray (ids,)
-            Indices of the simulations, increasing.
-
-        Returns
-        -------
-        dict of str to ndarray (ids, count, ...)
-            By field.
         """
         batch = self.batch
         # requested first: a field is computed from the next call on

@@ -22,9 +22,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.simulation.torque_terms import torque_terms
 from loose_env.typing import Array
 
-__all__ = ["PrescribedMotionSimulator"]
-
-
 _HEAVY = 1e5
 """Inertia of the added rotors, over what the joint moves."""
 _FOLLOW = 20.0
@@ -38,32 +35,14 @@ _SLOW = 2 * np.pi * 2.0
 
 
 class PrescribedMotionSimulator:
-    """Drives the measured joints of a model along prescribed motions.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    threads : int
-        Threads of the pool; 0: all processors.
-    step : float
-        Longest time step [s]; 0: the machine's own.
-    """
+    """Drives the measured joints of a model along prescribed motions."""
 
     def __init__(self, machine: NominalModel, *, threads: int = 0, step: float = 0.0) -> None:
         self.machine, self.threads = machine, threads
         self.step = step or machine.time_step
 
     def torque(self, hypothesis: Hypothesis, motion: SmoothedMotion) -> Array:
-        """Drive torques of the measured joints, on the motion's grid (G, joints) [N·m, N].
-
-        Parameters
-        ----------
-        hypothesis : Hypothesis
-            Hypothesis whose model is driven.
-        motion : SmoothedMotion
-            Motion of the measured joints.
-        """
+        """Drive torques of the measured joints, on the motion's grid (G, joints) [N·m, N]."""
         joints = self.machine.joints
         interval = float(motion.time[1])
         # steps of a grid interval, and grid intervals of a step; one of the two is 1

@@ -26,8 +26,6 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.workflow.pipeline import GapSolution
 from loose_env.typing import Array
 
-__all__ = ["ResidualDiagnostics", "diagnose_residuals"]
-
 Say = Callable[[str], None]
 
 

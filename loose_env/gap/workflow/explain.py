@@ -18,8 +18,6 @@ from loose_env.gap.workflow.pipeline import find_gap
 from loose_env.gap.workflow.summary import result_of, write_gap
 from loose_env.recording import Recording
 
-__all__ = ["explain_gap", "prediction_error"]
-
 
 def explain_gap(
     recording: Recording,

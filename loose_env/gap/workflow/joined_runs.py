@@ -12,8 +12,6 @@ from loose_env.gap.output.result import GapResult, read_result
 from loose_env.io import json_text, whole_of, write_text
 from loose_env.recording import Recording, Run, read_recording, write_recording
 
-__all__ = ["Source", "join_recordings", "note_source", "read_source"]
-
 _NOTE = "source.json"
 """File in the folder of checkpoints that says which recording a result is of."""
 _FORMAT = "loose-gap-source/1"

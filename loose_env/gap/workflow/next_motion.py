@@ -24,8 +24,6 @@ from loose_env.gap.settings import WORSE
 from loose_env.gap.workflow.pipeline import GapSolution
 from loose_env.typing import Array
 
-__all__ = ["choose_next", "separating"]
-
 _RANKED_RIVALS = 2
 """Candidates of a step of the ranking that are looked at beside its winner."""
 
@@ -43,24 +41,6 @@ def choose_next(
     Looked at are the effects that the result lists as not told from one of the answer, those that
     its motions cannot tell from it, near candidates of the ranking, and rivals of an earlier
     result; besides, effects that the motions would not show.
-
-    Parameters
-    ----------
-    solution : GapSolution
-        The finished search.
-    found : Identifiability
-        Of its result.
-    settings : NextMotionSettings
-        Limits and costs of a motion.
-    earlier : GapResult, optional
-        Result of some of the runs.
-    say : callable
-        Receives progress messages.
-
-    Raises
-    ------
-    InvalidData
-        If runs take no commands, or no motion fits the machine.
     """
     rivals = _rivals(solution, found, earlier)[: settings.next_rivals]
     unseen = _unseen(solution, found)[: settings.next_unseen]

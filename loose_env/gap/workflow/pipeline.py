@@ -52,8 +52,6 @@ from loose_env.gap.settings import (
 from loose_env.recording import Recording
 from loose_env.typing import Array
 
-__all__ = ["GapSolution", "find_gap", "named_effects"]
-
 Say = Callable[[str], None]
 
 
@@ -301,21 +299,7 @@ def named_effects(
     impact_fit: ImpactFit | None = None,
     deletions: Mapping[tuple[str, str, str], DeletionTest] = MappingProxyType({}),
 ) -> tuple[NamedEffect, ...]:
-    """Effects of a fit in the form of a result.
-
-    Parameters
-    ----------
-    fitted : Fit
-        The fit.
-    intervals : Intervals
-        Confidence intervals of all its parameters.
-    rivals : callable
-        Returns the effects that the held-out runs cannot distinguish from one.
-    impact_fit : ImpactFit, optional
-        Part with stops among the effects, identified by its impact power.
-    deletions : mapping
-        Deletion tests, by the effect's key.
-    """
+    """Effects of a fit in the form of a result."""
     found = []
     hypothesis = fitted.hypothesis
     for (effect, values), own in zip(hypothesis.pairs, fitted.structure.slices, strict=True):

@@ -29,8 +29,6 @@ from loose_env.io import json_text
 from loose_env.recording import Recording
 from loose_env.typing import Array
 
-__all__ = ["QuickCandidate", "QuickLook", "quick_look"]
-
 FORMAT = "loose-gap-quick/1"
 _SHOWN = 3
 """Hypotheses that are shown."""

@@ -41,8 +41,6 @@ from loose_env.gap.workflow.pipeline import named_effects
 from loose_env.recording import Recording
 from loose_env.typing import Array
 
-__all__ = ["GapSession", "ResidualTorque", "TriedEffect"]
-
 Say = Callable[[str], None]
 
 

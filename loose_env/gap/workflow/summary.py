@@ -38,8 +38,6 @@ from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residu
 from loose_env.gap.workflow.next_motion import choose_next, separating
 from loose_env.gap.workflow.pipeline import GapSolution
 
-__all__ = ["NO_MOTION", "result_of", "write_gap"]
-
 NO_MOTION = "no next motion"
 """Beginning of the warning that says why none was written."""
 Report = Callable[[Path, GapSolution, ResidualDiagnostics, GapResult], Path | None]

@@ -62,11 +62,6 @@ class Meaning:
 def meaning_of(key: ChannelKey) -> Meaning:
     """Read the name of a channel.
 
-    Parameters
-    ----------
-    key : ChannelKey
-        The channel.
-
     Examples
     --------
     >>> found = meaning_of(ChannelKey("target_qd_3"))

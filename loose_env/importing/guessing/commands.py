@@ -36,20 +36,6 @@ def matched_commands(
 
     Names decide where they have the joint's; else the assignment of largest correlations in sum
     does.
-
-    Parameters
-    ----------
-    commands : sequence of Assigned
-        Commands with the joints that names give.
-    motion : mapping
-        Quantity that each joint's actuator commands, by the joint's name [SI], each (T,).
-    step : float
-        Time between samples [s].
-
-    Returns
-    -------
-    list
-        Each command, with its likeness to the motion, None where that is not known.
     """
     joints = {each.joint.name: each.joint for each in commands if each.joint.name in motion}
     names = [n for n in joints if moves(motion[n])]
@@ -123,19 +109,7 @@ def torques_by_signal(
     torques: Array,
     model: mujoco.MjModel,
 ) -> list[tuple[Assigned, float]]:
-    """Channels that correlate with the torque that the model needs, each with the correlation.
-
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-        Channels that are not assigned yet.
-    targets : sequence of JointTarget
-        The joints.
-    torques : ndarray of shape (T, nv)
-        As `needed_torques`.
-    model : mujoco.MjModel
-        The model.
-    """
+    """Channels that correlate with the torque that the model needs, each with the correlation."""
     moving = [each for each in candidates if moves(each.values)]
     if not moving:
         return []

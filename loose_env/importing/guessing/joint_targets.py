@@ -31,13 +31,7 @@ class JointTarget:
 
 
 def joint_targets(model: mujoco.MjModel) -> list[JointTarget]:
-    """List the joints with one coordinate and a name, in the model's order.
-
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        The model.
-    """
+    """List the joints with one coordinate and a name, in the model's order."""
     known = ModelColumns.of(model).known
     found = []
     for name, sensors in joint_sensors(model).items():
@@ -71,22 +65,7 @@ def accelerometer_axes(model: mujoco.MjModel) -> dict[str, str]:
 
 
 def inverse_torques(model: mujoco.MjModel, joints: dict[str, Array], step: float) -> Array | None:
-    """Torques that the model needs for a measured motion [N·m or N].
-
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        The model.
-    joints : dict
-        Position of each joint by name [rad or m], each of shape (T,).
-    step : float
-        Time between samples [s].
-
-    Returns
-    -------
-    ndarray of shape (T, nv), or None
-        None where the position of a joint is missing.
-    """
+    """Torques that the model needs for a measured motion [N·m or N]."""
     if model.nq != model.nv or model.nv == 0:
         return None
     if {model.joint(j).name for j in range(model.njnt)} != set(joints):

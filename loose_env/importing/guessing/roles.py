@@ -50,13 +50,6 @@ def assigned_by_name(
 
     The joint is the one whose name the channel has, else the one at the channel's place in its
     vector. Of several vectors of one quantity the one that reaches most joints is taken.
-
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-        The channels.
-    targets : sequence of JointTarget
-        The joints in the model's order.
     """
     groups: dict[tuple[object, ...], list[Candidate]] = {}
     for each in candidates:
@@ -85,15 +78,6 @@ def assigned_by_signal(
     A channel whose stated unit is that of another quantity is none of them. One that correlates
     with the derivative of another is its velocity. Of two channels that correlate, the one that
     leads is the command. Positions are taken in the order of the joints.
-
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-        The channels, in the order of the file.
-    targets : sequence of JointTarget
-        The joints in the model's order.
-    step : float
-        Time between samples [s].
     """
     moving = [each for each in candidates if moves(each.values) and _of_a_joint(each, targets)]
     rates = _rates(moving, step)

@@ -30,20 +30,7 @@ class Likeness:
 
 
 def on_one_base(samples: Mapping[str, Samples]) -> tuple[float, dict[str, Array]]:
-    """Interpolate channels to the times that all have.
-
-    Parameters
-    ----------
-    samples : mapping
-        Channels by any name.
-
-    Returns
-    -------
-    step : float
-        Time between samples [s]: the smallest median step of the channels.
-    signals : dict
-        Each of shape (T,); empty where the channels have no time in common.
-    """
+    """Interpolate channels to the times that all have."""
     if not samples:
         return 1.0, {}
     origin = min(each.origin_ns for each in samples.values())
@@ -77,15 +64,7 @@ def correlation(first: Array, second: Array) -> float:
 
 
 def likeness(first: Array, second: Array, step: float) -> Likeness:
-    """Correlate two signals over delays of the second from -0.5 to 0.5 s.
-
-    Parameters
-    ----------
-    first, second : ndarray of shape (T,)
-        The signals.
-    step : float
-        Time between samples [s].
-    """
+    """Correlate two signals over delays of the second from -0.5 to 0.5 s."""
     one, two = first - first.mean(), second - second.mean()
     scale = float(np.linalg.norm(one) * np.linalg.norm(two))
     if scale <= 0:

@@ -39,31 +39,7 @@ class LogSource:
 def read_signals(
     sources: Sequence[str], rate_hz: float | None
 ) -> tuple[dict[str, LogSource], list[Candidate], float, list[str]]:
-    """Read all channels of files, of the first episode where they have some.
-
-    Parameters
-    ----------
-    sources : sequence of str
-        Files, or ``NAME=PATH``.
-    rate_hz : float or None
-        Sampling rate of files without times [Hz].
-
-    Returns
-    -------
-    logs : dict of str to LogSource
-        The files by the names of their sources.
-    candidates : list of Candidate
-        Channels on one time base.
-    step : float
-        Time between samples [s].
-    notes : list of str
-        What was not read, and why.
-
-    Raises
-    ------
-    InvalidData
-        If a file cannot be read, its times are not known, or channels have no time in common.
-    """
+    """Read all channels of files, of the first episode where they have some."""
     logs: dict[str, LogSource] = {}
     samples: dict[str, Samples] = {}
     found: list[tuple[str, ChannelKey, str]] = []

@@ -39,19 +39,7 @@ class Scaling:
 def position_scaling(
     joint: JointTarget, values: Array, unit: str = "", why: str = "as given"
 ) -> Scaling | None:
-    """Scaling of a position; None where no unit fits, or the stated one is of another quantity.
-
-    Parameters
-    ----------
-    joint : JointTarget
-        The joint.
-    values : ndarray of shape (T,)
-        The channel.
-    unit : str
-        Unit that the file or its format gives, or the one of the other joints.
-    why : str
-        Origin of that unit, for the reason.
-    """
+    """Scaling of a position; None where no unit fits, or the stated one is of another quantity."""
     units = ("m", "mm") if joint.slide else ("rad", "deg")
     low, high = float(np.min(values)), float(np.max(values))
     seen = f"values {low:.4g} to {high:.4g}"

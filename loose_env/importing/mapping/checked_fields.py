@@ -36,24 +36,6 @@ _KNOWN: dict[type[Any], dict[str, tuple[Field[Any], Any]]] = {}
 class Fields:
     """A table of a mapping file, checked against dataclasses.
 
-    Parameters
-    ----------
-    place : str
-        Location in the file, for errors.
-    given : object
-        The value found there.
-    *kinds : type
-        Dataclasses whose scalar fields are keys of the table.
-    also : sequence of str
-        Further keys, which the caller reads.
-    without : sequence of str
-        Fields that are no keys.
-
-    Raises
-    ------
-    InvalidData
-        If the value is no table or has an unknown key.
-
     Examples
     --------
     >>> from loose_env.importing.samples import ChannelKey
@@ -89,13 +71,7 @@ class Fields:
         return f"{self.place}.{key}"
 
     def values(self, kind: type[Any]) -> dict[str, Any]:
-        """Checked values of the scalar fields of a dataclass; defaults are left to it.
-
-        Raises
-        ------
-        InvalidData
-            If a value breaks the rule of its field, or a field without default is missing.
-        """
+        """Checked values of the scalar fields of a dataclass; defaults are left to it."""
         found = {}
         for key, (field, allowed) in _scalars(kind).items():
             if key in self.without:

@@ -114,18 +114,6 @@ _BY_JOINT = {
 def unit_named(name: str, place: str) -> Unit:
     """Find a unit by its name; nothing is evaluated, a table is looked up.
 
-    Parameters
-    ----------
-    name : str
-        Name such as "deg" or "m/s^2".
-    place : str
-        Where it was given, as errors say it.
-
-    Raises
-    ------
-    InvalidData
-        If the table has no such unit; the message lists what it has.
-
     Examples
     --------
     >>> unit_named("rpm", "here").quantity
@@ -152,15 +140,7 @@ def known_units() -> str:
 
 
 def column_quantity(model: mujoco.MjModel, column: str) -> str | None:
-    """Quantity of a column of a recording; None where the model does not determine it.
-
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        The model.
-    column : str
-        A column that the model allows, such as "sensor.tool.x".
-    """
+    """Quantity of a column of a recording; None where the model does not determine it."""
     group, _, name = column.partition(".")
     if group == "torque":
         return _of_joint(model, int(model.joint(name).id), ("torque", "force"))

@@ -28,27 +28,7 @@ _WHOLE = re.compile(r"\d{1,5}", re.ASCII)
 def read_csv_logger(
     path: Path, name: str, keys: Sequence[ChannelKey], layout: CsvLayout, time: TimeSource
 ) -> dict[ChannelKey, Samples]:
-    """Read columns of a table, row by row; only the columns asked for are kept.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str
-        What errors call it.
-    keys : sequence of ChannelKey
-        The columns: their names, or "#3" for the third.
-    layout : CsvLayout
-        How the table is written.
-    time : TimeSource
-        Where the time comes from.
-
-    Raises
-    ------
-    InvalidData
-        If a column is missing, a cell holds no number, a row is cut short, or time runs
-        backwards. The message names the column and the line.
-    """
+    """Read columns of a table, row by row; only the columns asked for are kept."""
     for key in keys:
         if key.topic:
             raise InvalidData(f"{name}: a table has no topics; leave out topic = {key.topic!r}")
@@ -134,13 +114,7 @@ def column_index(name: str, header: Sequence[str], channel: str) -> int:
 
 
 def number_of(cell: str, layout: CsvLayout, name: str, column: str, line: int) -> float:
-    """Read a cell; NaN for a missing sample.
-
-    Raises
-    ------
-    InvalidData
-        If it holds something else than a number.
-    """
+    """Read a cell; NaN for a missing sample."""
     plain = cell.strip()
     if not plain or plain in layout.missing:
         return float("nan")

@@ -20,13 +20,7 @@ _MOST_COLUMNS = 10_000
 
 @contextmanager
 def open_text(path: Path, name: str, encoding: str) -> Iterator[IO[str]]:
-    """Open a file as text; what cannot be read or decoded is refused.
-
-    Raises
-    ------
-    InvalidData
-        With the encoding that fits better, where the first bytes tell.
-    """
+    """Open a file as text; what cannot be read or decoded is refused."""
     try:
         with path.open("rb") as raw:
             start = raw.read(2)
@@ -49,11 +43,6 @@ def cells(file: IO[str], name: str, layout: CsvLayout) -> Iterator[tuple[int, li
     """Rows of a table from its line of names on, each with its line; blank lines are left out.
 
     Lines that the layout skips may be anything; they are not looked at as a table.
-
-    Raises
-    ------
-    InvalidData
-        If a line is endless, or a quote is not closed.
     """
     lines = _lines(file, name)
     for _ in itertools.islice(lines, layout.skip):

@@ -30,13 +30,7 @@ _TIME_NAMES = ("time", "t", "timestamp", "stamp", "zeit", "datetime", "date", "t
 
 
 def list_csv(path: Path, name: str) -> FileList:
-    """List the columns of a table, and how it seems to be written.
-
-    Raises
-    ------
-    InvalidData
-        If no table of numbers is found in its first lines.
-    """
+    """List the columns of a table, and how it seems to be written."""
     encoding = _encoding(path, name)
     best: tuple[int, CsvLayout, list[str], list[list[str]]] | None = None
     for separator in (",", ";", "\t", "|", " "):

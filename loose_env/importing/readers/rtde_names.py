@@ -46,11 +46,5 @@ def expanded_names(names: Sequence[str]) -> list[str]:
 
 
 def recipe_of_width(columns: int) -> tuple[str, ...]:
-    """Fields of the recorder's own recipe if a table without names has as many columns, else none.
-
-    Parameters
-    ----------
-    columns : int
-        Number of columns of the table.
-    """
+    """Fields of the recorder's own recipe if a nameless table has as many columns, else none."""
     return RECORD_RECIPE if columns == len(expanded_names(RECORD_RECIPE)) else ()

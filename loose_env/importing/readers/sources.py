@@ -57,13 +57,7 @@ _ADVICE = {
 
 
 def given_files(words: Sequence[str]) -> Given:
-    """Read the SOURCEs of a command line: ``PATH``, or ``NAME=PATH`` to name a source.
-
-    Raises
-    ------
-    InvalidSetting
-        If a file is not there or two have one name.
-    """
+    """Read the SOURCEs of a command line: ``PATH``, or ``NAME=PATH`` to name a source."""
     found: dict[str, Path] = {}
     for word in words:
         name, equals, rest = word.partition("=")
@@ -85,13 +79,6 @@ def files_of_runs(mapping: ImportMapping, given: Given) -> list[dict[str, Path]]
     """Find, for each run, the file of each of its sources.
 
     Only files of the command line are ever read; a mapping chooses among them by name.
-
-    Raises
-    ------
-    InvalidData
-        If a source's file is not among them.
-    InvalidSetting
-        If a file is given and not used.
     """
     unused = set(given)
     found = []
@@ -122,13 +109,7 @@ def files_of_runs(mapping: ImportMapping, given: Given) -> list[dict[str, Path]]
 
 
 def kind_of(path: Path, told: FileKind | None = None) -> FileKind:
-    """Kind of a file: the given one, by its ending, else by its first bytes.
-
-    Raises
-    ------
-    InvalidData
-        If it is a kind that is not read; the message says what to do.
-    """
+    """Kind of a file: the given one, by its ending, else by its first bytes."""
     if path.is_dir():
         for kind, mark in _FOLDERS.items():
             if path.joinpath(mark).is_file() or told == kind:
@@ -175,13 +156,7 @@ def list_file(path: Path) -> FileList:
 
 
 def run_episodes(run: RunPlan, files: Mapping[str, Path], mapping: ImportMapping) -> list[str]:
-    """Names of the episodes that a run stands for; none where no source has episodes.
-
-    Raises
-    ------
-    InvalidData
-        If a source has no such episode, or two sources have others.
-    """
+    """Names of the episodes that a run stands for; none where no source has episodes."""
     found: list[str] = []
     owner = ""
     for name, path in files.items():
@@ -199,13 +174,7 @@ def run_episodes(run: RunPlan, files: Mapping[str, Path], mapping: ImportMapping
 
 
 def check_units(mapping: ImportMapping, files: Sequence[Mapping[str, Path]]) -> None:
-    """Refuse columns without a unit where the format leaves the unit open.
-
-    Raises
-    ------
-    InvalidData
-        With the choices.
-    """
+    """Refuse columns without a unit where the format leaves the unit open."""
     for run, own in zip(mapping.runs, files, strict=True):
         for column in run.columns:
             kind = kind_of(own[column.source], mapping.sources[column.source].kind)
@@ -216,29 +185,7 @@ def check_units(mapping: ImportMapping, files: Sequence[Mapping[str, Path]]) -> 
 def read_source(
     path: Path, entry: SourceEntry, keys: Sequence[ChannelKey], episodes: Sequence[str] = ()
 ) -> dict[tuple[str, ChannelKey], Samples]:
-    """Read channels of a source, with its clock as the mapping corrects it.
-
-    Parameters
-    ----------
-    path : Path
-        The file or folder.
-    entry : SourceEntry
-        Its part of the mapping.
-    keys : sequence of ChannelKey
-        The channels.
-    episodes : sequence of str
-        Episodes wanted, where the source has some.
-
-    Returns
-    -------
-    dict
-        Samples by episode, "" where the source has none, and channel.
-
-    Raises
-    ------
-    InvalidData
-        If the file is damaged or does not hold them.
-    """
+    """Read channels of a source, with its clock as the mapping corrects it."""
     kind = kind_of(path, entry.kind)
     name = path.resolve().name
     found: dict[tuple[str, ChannelKey], Samples]

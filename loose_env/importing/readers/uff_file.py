@@ -72,22 +72,6 @@ def read_uff(
     A file keeps six digits of its step: where that step is a whole number of samples a second
     within those digits, the whole number is taken, since 48000.77 Hz in the place of 48000 Hz
     would shift a minute's end by a millisecond.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str
-        What errors call it.
-    keys : sequence of ChannelKey
-        The histories: node and direction, such as "12+Z", or "#3" for the third data set.
-    time : TimeSource
-        Gives the rate where that of the file is not to be believed.
-
-    Raises
-    ------
-    InvalidData
-        If the file is damaged or cut short, or a history is missing or is none.
     """
     sets = _headers(path, name)
     names = [each.name for each in sets]
@@ -116,13 +100,7 @@ def read_uff(
 
 
 def list_uff(path: Path, name: str) -> FileList:
-    """List the data sets 58 of a universal file.
-
-    Raises
-    ------
-    InvalidData
-        If it is no universal file, damaged or cut short.
-    """
+    """List the data sets 58 of a universal file."""
     streams = []
     sets = _headers(path, name)
     names = [each.name for each in sets]

@@ -1,4 +1,0 @@
-"""Time bases: dates, clock alignment, resampling.
-
-Data flow: dates -> resampling -> clock_alignment -> even_stamps.
-"""

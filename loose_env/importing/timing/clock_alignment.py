@@ -40,26 +40,6 @@ def shift_between(
     Both are brought to one grid at the faster one's rate and to the band that both have; the
     correlation is taken at every shift over what overlaps, and its peak read off by a parabola.
 
-    Parameters
-    ----------
-    place : str
-        Where the mapping asks for it.
-    own, other : pair of ndarray
-        Times [s] and values.
-    most_s : float
-        Largest shift looked for [s].
-    band_hz : pair of float, optional
-        Frequencies compared [Hz]; by default all below 0.8 of the lower half rate.
-    sign : int
-        -1 where one is the other upside down.
-    least : float
-        Least correlation that is believed.
-
-    Raises
-    ------
-    InvalidData
-        If they do not overlap, do not agree, or agree as well at another shift.
-
     Examples
     --------
     >>> rng = np.random.default_rng(0)

@@ -21,26 +21,6 @@ _CLOCK = re.compile(r"\d{1,2}:\d{2}:\d{2}([.,]\d+)?", re.ASCII)
 def date_ns(words: str, date_format: str, place: str) -> int:
     """Read a date.
 
-    Parameters
-    ----------
-    words : str
-        The date.
-    date_format : str
-        "iso" for ISO 8601, with up to nine digits of a second, or a format of ``strptime``.
-        Without a time zone it is taken for UTC.
-    place : str
-        Where it was given.
-
-    Returns
-    -------
-    int
-        Nanoseconds since 1970.
-
-    Raises
-    ------
-    InvalidData
-        If it is no such date.
-
     Examples
     --------
     >>> date_ns("1970-01-01T00:00:01.000000250Z", "iso", "here")
@@ -99,23 +79,6 @@ def date_format_of(cells: Iterable[str], place: str) -> str:
 
     The order of day and month follows from a number above 12, or from dots, which stand in
     dates with the day first. Dates that advance by days within the file tell it too.
-
-    Parameters
-    ----------
-    cells : iterable of str
-        The column's cells; empty ones are passed over.
-    place : str
-        File and column, for errors.
-
-    Returns
-    -------
-    str
-        "iso", or a format of ``strptime``.
-
-    Raises
-    ------
-    InvalidData
-        If the format is not known, or day and month cannot be told apart.
 
     Examples
     --------

@@ -32,23 +32,6 @@ _MOST = 200
 def straightened(place: str, time: Array) -> Array:
     """Stamps on the straight line through them, in the place of those that jitter about it.
 
-    Parameters
-    ----------
-    place : str
-        File and channel, as errors say it.
-    time : ndarray of shape (T,)
-        Stamps [s], increasing strictly.
-
-    Returns
-    -------
-    ndarray of shape (T,)
-        Times [s]; a step is left out for every sample that is missing.
-
-    Raises
-    ------
-    InvalidData
-        If a stamp is far off the line, or it cannot be told where samples are missing.
-
     Examples
     --------
     >>> stamps = np.array([0.0, 0.011, 0.019, 0.03, 0.051, 0.059, 0.07, 0.081])

@@ -58,24 +58,7 @@ def bridged(time: Array, gap_s: float | None) -> float:
 
 
 def rows_of(time: Array, start: float, stop: float, gap: float, most: int) -> Array | None:
-    """Times of the rows, from a channel's own samples: gaps are filled with rows at its step.
-
-    Parameters
-    ----------
-    time : ndarray of shape (T,)
-        The channel's times [s].
-    start, stop : float
-        First and last time [s].
-    gap : float
-        Longest pause that is no gap [s].
-    most : int
-        Most rows.
-
-    Returns
-    -------
-    ndarray of shape (N,) or None
-        None where it would be more rows than allowed.
-    """
+    """Times of the rows, from a channel's own samples: gaps are filled with rows at its step."""
     step = median_step(time)
     # The ends are other channels' samples, and may be a rounding away from this one's.
     kept = time[(time >= start - _SAME * step) & (time <= stop + _SAME * step)]
@@ -110,20 +93,6 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resamp
     faster one passes a low-pass of half the rows' rate first. Samples that are not evenly spaced
     are brought to even places, as many, by a cubic spline through them: so these channels too show
     nothing above half their own rate.
-
-    Parameters
-    ----------
-    time, values : ndarray of shape (T,)
-        Samples.
-    rows : ndarray of shape (N,)
-        Times of the rows, increasing.
-    longest : float
-        Longest pause that is bridged [s].
-
-    Returns
-    -------
-    Resampled
-        Values of shape (N,), NaN outside the samples and in gaps.
 
     Examples
     --------

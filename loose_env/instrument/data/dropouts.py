@@ -12,34 +12,12 @@ from loose_env.instrument.settings.thresholds import BRIDGED_STEPS, FEWEST_SAMPL
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["unbroken"]
-
 
 def unbroken(run: Run, columns: Mapping[str, Array]) -> tuple[Run, tuple[str, ...]]:
     """Cut a run to the longest piece in which no column pauses.
 
     Rows that are not there and samples that are missing (NaN) are the same. A few of them in a row
     are no pause: up to ten steps of the column itself.
-
-    Parameters
-    ----------
-    run : Run
-        The run.
-    columns : mapping of str to ndarray (T,)
-        The columns that are used of it, by name.
-
-    Returns
-    -------
-    Run
-        The run itself where nothing pauses.
-    tuple of str
-        A sentence on the samples left out.
-
-    Raises
-    ------
-    InvalidData
-        If the stamps do not increase or are further apart than a day, or every piece is too short
-        to be used.
 
     Examples
     --------

@@ -16,8 +16,6 @@ from loose_env.instrument.settings.thresholds import EXCITED_SHARE
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["RunSetup", "run_setup", "tool_force_in"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunSetup:
@@ -40,13 +38,7 @@ class RunSetup:
 
 
 def run_setup(arm: InstrumentedArm, run: Run) -> RunSetup:
-    """Determine the pose and the excited joints of a run.
-
-    Raises
-    ------
-    InvalidData
-        If the run does not say and its data do not either, or if it moves through poses.
-    """
+    """Determine the pose and the excited joints of a run."""
     measured = _positions(arm, run)
     noted = run.pose
     notes = []

@@ -23,8 +23,6 @@ from loose_env.instrument.settings.thresholds import (
 from loose_env.recording import Run
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["HeldRun", "as_driven", "paired_lines"]
-
 _STEPS_ALIKE = 1e-3
 """Relative difference of the sampling steps up to which two runs have the same [1]."""
 _LARGEST_RATIO = 4.0
@@ -46,23 +44,7 @@ class HeldRun:
 def paired_lines(
     arm: InstrumentedArm, suspect: HeldRun, references: Sequence[HeldRun]
 ) -> tuple[Lines, Lines] | None:
-    """Lines of a run and of the reference that repeats it, over the time that both have.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm.
-    suspect : HeldRun
-        Run under test.
-    references : sequence of HeldRun
-        Runs of the healthy arm.
-
-    Returns
-    -------
-    tuple of Lines or None
-        Of the run, and of the reference at the same lines and channels; None where no reference
-        has the same pose, excited joints and signal.
-    """
+    """Lines of a run and of the reference that repeats it, over the time that both have."""
     best: tuple[float, int, HeldRun] | None = None
     for reference in references:
         found = _alike(arm, suspect, reference)

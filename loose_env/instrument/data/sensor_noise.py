@@ -20,9 +20,6 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["quantum", "sensor_noise"]
-
-
 _TALLER = 1.16
 """Upper over lower end of the parts of a spectrum in which an end is looked for [1]."""
 _NEAR = (0.7, 1.2)
@@ -56,28 +53,6 @@ def sensor_noise(
     The floor of a reading is the lowest level that any part of its spectrum has: the noise of the
     sensors in use is white in what they read. A reading that ends below the rows' half rate gets
     its floor from below that end, and what its own slow samples fold back beside it.
-
-    Parameters
-    ----------
-    power : ndarray (F, c)
-        Of the readings' lines.
-    smooth : ndarray (F, c)
-        The same, smoothed.
-    rows : sequence of (Reading, int)
-        Sensor and axis of each reading.
-    frequency : ndarray (F,)
-        All frequencies, rising [Hz].
-    excited : ndarray of int
-        Lines that were excited.
-    lowest, highest : float
-        Frequencies between which lines are looked at [Hz].
-
-    Returns
-    -------
-    ndarray (F, c)
-        Variance of the noise.
-    ndarray of bool (F, c)
-        True if the reading is used.
     """
     parts = _parts(frequency, lowest, highest)
     edge = float(frequency[excited[-1]])
@@ -111,11 +86,6 @@ def quantum(values: Array) -> float:
 
     Rounding adds a variance of a twelfth of its square, which no quiet part of a spectrum shows
     where the motion is of the order of the step.
-
-    Parameters
-    ----------
-    values : ndarray (T,)
-        Readings; NaN where none was taken.
 
     Examples
     --------

@@ -11,26 +11,12 @@ from loose_env.instrument.model.readings import Reading
 from loose_env.instrument.settings.thresholds import LARGEST_READING
 from loose_env.recording import Run
 
-__all__ = ["columns_in", "readings_in"]
-
 
 def readings_in(arm: InstrumentedArm, run: Run) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
     """Usable sensors of a run in `InstrumentedArm.readings` order, and notes on the rest.
 
     A sensor that never changes tells nothing; missing samples (NaN) of one that does are no reason
     to leave it out.
-
-    Returns
-    -------
-    tuple of Reading
-        Those that are used.
-    tuple of str
-        A sentence for every recorded sensor that is not.
-
-    Raises
-    ------
-    InvalidData
-        If a sensor shows numbers that no arm makes.
     """
     used, notes = [], []
     for reading in arm.readings:

@@ -31,9 +31,6 @@ from loose_env.instrument.settings.thresholds import (
 from loose_env.recording import Run
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["Lines", "lines_of", "thinned", "uniform"]
-
-
 _MOST = 20_000
 """Most lines of a run that are kept, evenly spread."""
 _SMOOTH = 3.0
@@ -139,20 +136,6 @@ def uniform(time: Array, values: Array) -> tuple[float, Array]:
     Made for runs without pauses, see `loose_env.instrument.data.dropouts`: the number of even
     samples is that of the time.
 
-    Parameters
-    ----------
-    time : ndarray (T,)
-        [s], increasing.
-    values : ndarray (T, c)
-        NaN where nothing was read.
-
-    Returns
-    -------
-    float
-        Rate [Hz].
-    ndarray (N, c)
-        Values at that rate.
-
     Examples
     --------
     >>> time, values = np.array([0.0, 0.1, 0.2, 0.4]), np.array([[0.0], [np.nan], [2.0], [4.0]])
@@ -184,32 +167,7 @@ def lines_of(
     number: int = 0,
     whole: bool = False,
 ) -> Lines:
-    """Transform a run to the frequency domain.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm.
-    run : Run
-        The run, without pauses, with commands or joint torques.
-    pose : ndarray (n,)
-        Pose held.
-    excited : ndarray of int
-        Joints that were excited, from 0.
-    number : int
-        Of the run among all that are weighed together, from 0: names need not differ.
-    whole : bool
-        True to keep lines that were not excited too: a seat moves at all of them.
-
-    Returns
-    -------
-    Lines
-
-    Raises
-    ------
-    InvalidData
-        If the run has no accelerometer of the arm, or nothing in it that moves.
-    """
+    """Transform a run to the frequency domain."""
     rows = tuple((r, axis) for r in readings_in(arm, run)[0] for axis in range(r.axes))
     if not any(r.kind == "acceleration" for r, _ in rows):
         names = [r.sensor for r in arm.readings if r.kind == "acceleration"]

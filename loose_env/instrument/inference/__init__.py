@@ -1,5 +1,0 @@
-"""Posterior over faults from spectral lines of an uncertain linear arm.
-
-Data flow: response -> seat_motion -> variance_components -> opening_probability -> evidence ->
-trust_region -> laplace_fit -> posterior -> findings.
-"""

@@ -29,8 +29,6 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["Evidence", "KnownArm"]
-
 _FOLDS = 0.05
 """Frequency over the sampling rate at which sampling without a filter doubles the error."""
 _OPEN_WEIGHT = (SHARES > OPEN_SEAT_SHARE) / np.sum(SHARES > OPEN_SEAT_SHARE)
@@ -55,18 +53,7 @@ class KnownArm:
 
 @dataclass(kw_only=True, eq=False)
 class Evidence:
-    """Likelihood of the hypotheses over the spectral lines of all runs.
-
-    Parameters
-    ----------
-    uncertain : UncertainArm
-        The arm and its nuisance parameters.
-    lines : sequence of Lines
-        Pieces of all runs.
-    correlation : float
-        Width over which the model's remaining errors are alike [Hz]: lines closer than that
-        count together as one.
-    """
+    """Likelihood of the hypotheses over the spectral lines of all runs."""
 
     uncertain: UncertainArm
     lines: Sequence[Lines]
@@ -211,22 +198,7 @@ class Evidence:
         return found
 
     def seat_terms(self, pieces: Sequence[Piece], seat: Seat, axes: Array) -> Array:
-        """Log-likelihood ratio of a seat against no fault, by axis.
-
-        Parameters
-        ----------
-        pieces : sequence of Piece
-            From `pieces`.
-        seat : Seat
-            The seat.
-        axes : ndarray (U, s')
-            Unit vectors in the link's frame; [[1]] for play.
-
-        Returns
-        -------
-        ndarray (U,)
-            Log-likelihood, shares and openness summed out.
-        """
+        """Log-likelihood ratio of a seat against no fault, by axis."""
         terms = self.run_terms(pieces, seat, axes)
         return np.asarray(sum((ratio for ratio, _ in terms.values()), start=np.zeros(len(axes))))
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loose_env.inference import log_determinant, next_radius, shorter_radius, step_within
 from loose_env.instrument.inference.evidence import Evidence
 from loose_env.instrument.inference.seat_motion import (
     SHARES,
@@ -17,24 +18,19 @@ from loose_env.instrument.inference.seat_motion import (
     over_lines,
     seat_powers,
 )
-from loose_env.instrument.inference.trust_region import (
-    FIRST_RADIUS,
-    next_radius,
-    shorter,
-    step_within,
-)
 from loose_env.instrument.settings.thresholds import AVERAGED_DIRECTION_SD
 from loose_env.statistics import axes_grid, tangents
 from loose_env.typing import Array, ComplexArray
-
-__all__ = ["Fit", "RunTerm", "best_powers", "fit_hypothesis", "fitted_pieces", "seats_of"]
-
 
 _AXES = 150
 _STEPS = 30
 _TRIALS = 5
 _CONVERGED = 0.2
 """Gain of a step below which a fit ends [nats]."""
+_FIRST_RADIUS = 2.0
+"""Length of the first step [standard deviations of the priors]. The readings of a rigid arm change
+with a spring's compliance, which there is next to nothing: a Newton step in its logarithm would
+pass over all modes in the band, and there is no way back from beyond them."""
 _UNSEEN = 1.0
 """Precision of a direction of which nothing is known [1/rad²]."""
 
@@ -122,25 +118,7 @@ def fit_hypothesis(
     width: float | None = 3.0,
     steps: int = _STEPS,
 ) -> Fit:
-    """Fit nuisance parameters and direction, and marginalise the rest.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        The runs.
-    hypothesis : str
-        Its name.
-    seat : Seat or None
-        Loose seat; None for a healthy arm.
-    start : Fit, optional
-        Fit whose parameters, and direction if it has one, the search starts from.
-    width : float, optional
-        Standard deviations of the components with which the fit starts, over the scales of their
-        priors: no single line dominates before the parameters fit. None for those of ``start``,
-        which may hold the search where it is.
-    steps : int
-        Most Gauss-Newton steps.
-    """
+    """Fit nuisance parameters and direction, and marginalise the rest."""
     count = evidence.count
     errors = np.zeros(count) if evidence.known is None else evidence.known.errors
     if start is not None:
@@ -160,7 +138,7 @@ def fit_hypothesis(
             grid = axes_grid(_AXES)
             pieces = evidence.pieces(errors, variances)
             axis = grid[int(np.argmax(evidence.seat_terms(pieces, seat, grid)))]
-    now, radius = _state(evidence, seat, errors, variances, axis), FIRST_RADIUS
+    now, radius = _state(evidence, seat, errors, variances, axis), _FIRST_RADIUS
     for step in range(steps):
         before = now.cost
         system = _system(evidence, now, seat)
@@ -172,7 +150,7 @@ def fit_hypothesis(
             break
     system = _system(evidence, now, seat)
     normal = system.normal
-    value = now.cost - 0.5 * float(np.linalg.slogdet(normal)[1])
+    value = now.cost - 0.5 * log_determinant(normal)
     covariance = None
     if seat is not None and seat.slides and now.axis is not None:
         covariance = np.asarray(np.linalg.inv(normal)[count:, count:])
@@ -181,7 +159,7 @@ def fit_hypothesis(
             terms = evidence.seat_terms(now.pieces, seat, np.vstack([now.axis, axes_grid(_AXES)]))
             top = float(terms.max())
             mean = top + float(np.log(np.mean(np.exp(terms[1:] - top))))
-            known = float(np.linalg.slogdet(normal[:count, :count])[1])
+            known = log_determinant(normal[:count, :count])
             value = now.cost - float(terms[0]) + mean - 0.5 * known
     return Fit(
         hypothesis=hypothesis,
@@ -391,5 +369,5 @@ def _stepped(
         if trial.cost > now.cost:
             foreseen = float(step @ drive - 0.5 * step @ normal @ step)
             return trial, next_radius(radius, trial.cost - now.cost, foreseen)
-        radius = shorter(step[:count])
+        radius = shorter_radius(step[:count])
     return now, radius

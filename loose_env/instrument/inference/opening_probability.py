@@ -9,9 +9,6 @@ from loose_env.instrument.inference.response.frequency_response import Response
 from loose_env.instrument.settings.thresholds import OPENING_FORCE
 from loose_env.typing import Array
 
-__all__ = ["open_probability", "seat_forces"]
-
-
 _FRICTION = np.geomspace(0.3, 30.0, 9)
 """Prior grid of the friction of a slide's guide [N]."""
 _LEVER = 0.03

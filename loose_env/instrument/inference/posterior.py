@@ -21,9 +21,6 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["ModelComparison", "compare_hypotheses", "posterior_of", "probabilities_of"]
-
-
 _LINES = 32
 """Lines of a run that are fitted: errors of a model are correlated over neighbouring lines, so that
 more would add little."""
@@ -95,13 +92,7 @@ class ModelComparison:
         return max((best.runs[run].misfit for run in suspect if run in best.runs), default=0.0)
 
     def after(self, runs: Collection[int]) -> dict[str, float]:
-        """Probabilities by some of the runs, at the parameters that all runs together have.
-
-        Parameters
-        ----------
-        runs : collection of int
-            Numbers of the suspect runs to count; references always count.
-        """
+        """Probabilities by some of the runs, at the parameters that all runs together have."""
         counted = {one.number for one in self.lines if one.healthy} | set(runs)
         return posterior_of(
             self.fits,
@@ -113,17 +104,7 @@ class ModelComparison:
 def compare_hypotheses(
     uncertain: UncertainArm, lines: Sequence[Lines], *, healthy_prior: float
 ) -> ModelComparison:
-    """Compute the posterior over all hypotheses.
-
-    Parameters
-    ----------
-    uncertain : UncertainArm
-        The arm and its nuisance parameters.
-    lines : sequence of Lines
-        All runs; none for what is known beforehand.
-    healthy_prior : float
-        Prior probability that nothing is loose.
-    """
+    """Compute the posterior over all hypotheses."""
     seats = seats_of(uncertain.arm.hypotheses, uncertain.arm.n)
     few = [thinned(one, _LINES) for one in lines]
     sampling = _sampling_of(uncertain, few)
@@ -265,19 +246,6 @@ def posterior_of(
 
     Errors outside the model are alike in all runs and do not average out: n runs count as
     n / (1 + n / COARSENED_RUNS) (coarsened posterior).
-
-    Parameters
-    ----------
-    fits : mapping of str to Fit
-        Best fit of each hypothesis.
-    lines : sequence of Lines
-        The runs that count.
-    healthy_prior : float
-        Prior probability that nothing is loose.
-
-    Returns
-    -------
-    dict of str to float
     """
     numbers = [one.number for one in lines]
     suspect = sum(not one.healthy for one in lines)

@@ -12,19 +12,6 @@ from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.response.frequency_response import Response
 from loose_env.typing import Array, ComplexArray
 
-__all__ = [
-    "BLIND",
-    "SHARES",
-    "Piece",
-    "Seat",
-    "band_terms",
-    "explained",
-    "joint_readings",
-    "over_lines",
-    "seat_powers",
-    "seat_products",
-]
-
 Products = tuple[Array, Array, ComplexArray, ComplexArray, ComplexArray]
 
 SHARES = np.geomspace(1e-3, 4.0, 14)
@@ -80,17 +67,7 @@ class Piece:
 
 
 def joint_readings(piece: Piece, variances: Array, weighted: ComplexArray) -> ComplexArray:
-    """Readings that the joints' motion beside the model most probably makes (K, c).
-
-    Parameters
-    ----------
-    piece : Piece
-        Lines of a run.
-    variances : ndarray (C,)
-        Variance components.
-    weighted : ndarray (K, c, 1)
-        Residual of the healthy arm and the seat, times the inverse covariance.
-    """
+    """Readings that the joints' motion beside the model most probably makes (K, c)."""
     n = piece.response.at.of.arm.n
     size = np.where(piece.lines.blind, BLIND, variances[piece.components[:n]])
     joints = piece.patterns[:, :, :n]
@@ -113,11 +90,6 @@ def seat_products(piece: Piece, seat: Seat, axes: Array) -> Products:
 
     A seat with impacts on its stops moves faster than samples follow. What of that is folded back
     into the band shows as inertia alone answers it: a second pattern beside the first.
-
-    Returns
-    -------
-    tuple of ndarray (U, K)
-        First with first, second with second, first with second, then either with the residual.
     """
     response = piece.response
     first = response.columns[:, :, seat.columns]
@@ -146,15 +118,6 @@ def seat_powers(response: Response, share: Array, floating: Array) -> tuple[Arra
 
     A sensor that is read just after a command has stepped also sees the seat follow that step by
     inertia alone, whatever the stops do to it later.
-
-    Parameters
-    ----------
-    response : Response
-        The arm's answer to a run.
-    share : ndarray
-        Of a floating seat's motion; its shape goes with that of ``floating``.
-    floating : ndarray (..., K)
-        Power of a floating seat's acceleration.
     """
     omega, period = 2 * np.pi * response.lines.frequency, response.lines.period
     late = np.abs(np.exp(0.5j * omega * period) / np.sinc(omega * period / (2 * np.pi)) - 1)
@@ -164,15 +127,7 @@ def seat_powers(response: Response, share: Array, floating: Array) -> tuple[Arra
 
 
 def explained(terms: Products, first: Array, second: Array) -> tuple[Array, Array]:
-    """Reduction of the chi-square by a seat's motion, and its log-determinant.
-
-    Parameters
-    ----------
-    terms : tuple of ndarray (U, K)
-        From `seat_products`.
-    first, second : ndarray (..., U, K)
-        Powers from `seat_powers`.
-    """
+    """Reduction of the chi-square by a seat's motion, and its log-determinant."""
     g11, g22, g12, b1, b2 = terms
     a, b = first, second
     # Written without differences of large products: both terms in brackets are never negative

@@ -47,8 +47,6 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["BANDS", "ComponentIndex", "updated"]
-
 BANDS = 8
 """Bands of a run."""
 _MOST = 10.0
@@ -60,15 +58,7 @@ would stay zero."""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ComponentIndex:
-    """Position of each variance component among all, with the scale of its prior.
-
-    Parameters
-    ----------
-    uncertain : UncertainArm
-        The arm.
-    runs : int
-        Number of runs, references too: a joint's error is drawn anew for every run.
-    """
+    """Position of each variance component among all, with the scale of its prior."""
 
     uncertain: UncertainArm
     runs: int
@@ -170,19 +160,6 @@ class ComponentIndex:
 
 def updated(variances: Array, explained: Array, expected: Array) -> Array:
     """One minorise-maximise step of all variances.
-
-    Parameters
-    ----------
-    variances : ndarray (C,)
-        Of the components.
-    explained : ndarray (C,)
-        Weighted power of the residual along each component's pattern.
-    expected : ndarray (C,)
-        What the covariance expects of it, and the slope of the prior's cost.
-
-    Returns
-    -------
-    ndarray (C,)
 
     Examples
     --------

@@ -17,17 +17,6 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm, Holding
 from loose_env.typing import Array
 
-__all__ = [
-    "ActuatorForces",
-    "JointDrive",
-    "PassedOver",
-    "actuator_forces",
-    "actuators_on",
-    "drives_of",
-    "held_by_drives",
-]
-
-
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _LAGS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 
@@ -105,22 +94,7 @@ class PassedOver:
 def actuators_on(
     model: mujoco.MjModel, joints: Sequence[str]
 ) -> tuple[tuple[JointDrive, ...], tuple[PassedOver, ...]]:
-    """Read every actuator that may act on joints, in the model's order.
-
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        The compiled model with its actuators.
-    joints : sequence of str
-        Joints of interest.
-
-    Returns
-    -------
-    tuple of JointDrive
-        Those with a linear law; a joint may have several.
-    tuple of PassedOver
-        The others on these joints, and those that act on something else than a joint.
-    """
+    """Read every actuator that may act on joints, in the model's order."""
     found, passed = [], []
     for a in range(model.nu):
         name = model.actuator(a).name
@@ -188,20 +162,6 @@ def drives_of(
 
     Of several that is the first position servo, which holds by itself; of several motors the first.
 
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        The compiled model with its actuators.
-    joints : sequence of str
-        Joints of interest.
-
-    Returns
-    -------
-    tuple of JointDrive or None
-        Of each joint; None where nothing drives it, or no actuator with a linear law.
-    tuple of str
-        Reasons for skipped actuators, in sentences.
-
     Examples
     --------
     >>> xml = '''<mujoco><worldbody><body><joint name="turn"/><geom size=".1"/></body></worldbody>
@@ -243,20 +203,6 @@ def held_by_drives(arm: Arm, model: mujoco.MjModel, joints: Sequence[str]) -> Ar
     its command moves the spring's rest. Springs and dampers of several actuators on a joint add up.
     A torque motor holds nothing by itself: its joint is kept near its place by a controller that is
     slow beside the band, the arm's soft centring spring, and is free within the band.
-
-    Parameters
-    ----------
-    arm : Arm
-        The arm, held by brakes.
-    model : mujoco.MjModel
-        The compiled model with its actuators.
-    joints : sequence of str (n,)
-        The model's names of the arm's joints, base first.
-
-    Returns
-    -------
-    Arm
-        Held by "servo"; its springs are in `Arm.centring`, since they act on excited joints too.
 
     Examples
     --------

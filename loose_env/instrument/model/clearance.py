@@ -16,9 +16,6 @@ from loose_env.arms import Arm
 from loose_env.instrument.settings.thresholds import ALWAYS_TOUCHING, GROUND_TOLERANCE_M
 from loose_env.typing import Array
 
-__all__ = ["Collisions", "Ground"]
-
-
 _LOOKED = 64
 """Random poses in which pairs of shapes are checked."""
 _STEP = 0.1

@@ -9,8 +9,6 @@ from loose_env.instrument.model.actuators import actuators_on, drives_of
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.typing import Array
 
-__all__ = ["holding_commands", "starting_commands", "why_not_held"]
-
 
 def holding_commands(arm: InstrumentedArm, pose: Array) -> tuple[dict[str, float], Array]:
     """Commands and torques that balance gravity in a pose.
@@ -19,20 +17,6 @@ def holding_commands(arm: InstrumentedArm, pose: Array) -> tuple[dict[str, float
     `loose_env.instrument.model.actuators.drives_of` chooses it; the others are told to give no
     torque where the joint is. Actuators of other joints, such as a gripper's, hold them where the
     model has them.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm.
-    pose : ndarray (n,)
-        Joint positions [rad or m].
-
-    Returns
-    -------
-    dict
-        Actuator -> command in its own unit.
-    ndarray (n,)
-        Torque of each driven joint [N·m, N].
     """
     model, data = arm.recording_model.model, _standing(arm, pose)
     load = data.qfrc_bias - data.qfrc_passive
@@ -61,32 +45,12 @@ def starting_commands(arm: InstrumentedArm, pose: Array) -> dict[str, float]:
 
     Under them the arm hangs below the pose by the sag of its servos. Motors hold it as
     `holding_commands` has them.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm.
-    pose : ndarray (n,)
-        Joint positions [rad or m].
-
-    Returns
-    -------
-    dict
-        Actuator -> command in its own unit.
     """
     return _at_the_start(arm, pose, holding_commands(arm, pose)[0])
 
 
 def why_not_held(arm: InstrumentedArm, pose: Array) -> str:
-    """Reason why the actuators cannot servo a pose; "" if they can.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm.
-    pose : ndarray (n,)
-        Joint positions [rad or m].
-    """
+    """Reason why the actuators cannot servo a pose; "" if they can."""
     holding = holding_commands(arm, pose)[0]
     told = (holding, _at_the_start(arm, pose, holding))
     for drive in arm.drives:

@@ -45,8 +45,6 @@ from loose_env.instrument.result import HEALTHY, hypothesis_of
 from loose_env.instrument.settings.arm_and_plan import Hold, ModelSettings
 from loose_env.typing import Array
 
-__all__ = ["InstrumentedArm", "read_arm", "read_recorded_arm"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InstrumentedArm:

@@ -22,8 +22,6 @@ from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.instrument.settings.thresholds import ASSUMED_SLIDE_SPEED, ASSUMED_SPEED
 from loose_env.typing import Array
 
-__all__ = ["QUANTITIES", "MotionLimits", "Quantity", "motion_limits", "unit_of"]
-
 Quantity = Literal["speed", "acceleration", "jerk", "torque rate"]
 QUANTITIES: Mapping[Quantity, str] = {
     "speed": "max_speed_rad_s",
@@ -70,20 +68,6 @@ class MotionLimits:
 
 def motion_limits(arm: InstrumentedArm, settings: MotionSettings | None = None) -> MotionLimits:
     """Collect the limits of an arm: of the settings, else of its model, else assumed.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        From `loose_env.instrument.read_arm`.
-    settings : MotionSettings, optional
-        Limits that take the place of the model's.
-
-    Raises
-    ------
-    InvalidSetting
-        If there is neither one value nor one for each joint.
-    InvalidData
-        If the model states a limit that is no positive number.
 
     Examples
     --------

@@ -12,8 +12,6 @@ import numpy as np
 from loose_env.arms import Arm, Chain, ModelFile
 from loose_env.instrument.model.recording_model import RecordingModel
 
-__all__ = ["Reading", "readings_of", "with_probes"]
-
 SensorKind = Literal["acceleration", "turning", "position", "velocity"]
 
 _KINDS: Mapping[int, SensorKind] = {
@@ -68,26 +66,7 @@ def readings_of(
 def with_probes(
     arm: Arm, file: ModelFile, chain: Chain, made: RecordingModel
 ) -> tuple[Arm, tuple[str, ...]]:
-    """Add the sites of further accelerometers and gyroscopes on the arm's links.
-
-    Parameters
-    ----------
-    arm : Arm
-        The nominal arm.
-    file : ModelFile
-        From which it was made.
-    chain : Chain
-        Its joints and links in that file.
-    made : RecordingModel
-        The model with its sensors.
-
-    Returns
-    -------
-    Arm
-        With a probe at every such site.
-    tuple of str
-        The model's names of these sites.
-    """
+    """Add the sites of further accelerometers and gyroscopes on the arm's links."""
     m, model = file.model, made.model
     wanted = {
         model.site(int(model.sensor_objid[s])).name

@@ -11,8 +11,6 @@ import numpy as np
 from loose_env.arms import Chain, ModelFile, compile_spec
 from loose_env.instrument.model.tool_site import mark_tool
 
-__all__ = ["ACCELEROMETER", "TOOL_FORCE", "RecordingModel", "recording_model", "tool_force_of"]
-
 ACCELEROMETER = "tool_accelerometer"
 """Name of the accelerometer that is added where the model has none at its tool."""
 TOOL_FORCE = "tool_force"
@@ -51,22 +49,6 @@ def recording_model(
     Shapes from files go, inertias found from them are written out. A site, an accelerometer and
     position sensors are added where they are missing, and a torque motor to every driven joint
     without an actuator. Which site is the tool's is written into it.
-
-    Parameters
-    ----------
-    file : ModelFile
-        The arm's file.
-    chain : Chain
-        Its driven joints and its tool.
-    payload_kg, payload_at_m
-        Mass added at the tool [kg], and its centre in the tool frame [m].
-    tool_force : bool
-        True to add a sensor for the measured force of a hammer or shaker on the tool.
-
-    Raises
-    ------
-    InvalidData
-        If the file does not compile.
     """
     spec = file.spec.copy()
     spec.compiler.fusestatic = False

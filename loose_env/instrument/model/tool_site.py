@@ -7,8 +7,6 @@ import numpy as np
 
 from loose_env.arms import Chain, ModelFile
 
-__all__ = ["body_beyond", "mark_tool", "sensed_sites", "tool_site"]
-
 _APART = 1e-3
 """Distance from the last link's frame at which a fixed body counts as farther out [m]."""
 _MARK = "loose_env_tool"
@@ -28,11 +26,6 @@ def tool_site(spec: mujoco.MjSpec) -> str | None:
 
     It is the one that `mark_tool` marked, else the one with most joints between it and the base;
     of several of these the first sensor's.
-
-    Parameters
-    ----------
-    spec : mujoco.MjSpec
-        The model; it need not compile.
 
     Examples
     --------

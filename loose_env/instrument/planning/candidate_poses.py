@@ -11,8 +11,6 @@ from loose_env.errors import InvalidData
 from loose_env.instrument.settings.thresholds import HOLDING_TORQUE
 from loose_env.typing import Array
 
-__all__ = ["Allowed", "candidate_poses", "pose_range"]
-
 Allowed = Callable[[Array], bool]
 """Says whether a pose may be taken."""
 
@@ -54,33 +52,6 @@ def candidate_poses(
     allowed: Allowed | None = None,
 ) -> Array:
     """Candidate poses: the current one, moves of a few joints, and random ones.
-
-    Parameters
-    ----------
-    arm : Arm
-        The nominal arm.
-    linear : LinearArm
-        The same, linear.
-    count : int
-        Number of poses wanted.
-    margin : float
-        Share of each joint's range that is kept free at either end [1].
-    rng : numpy.random.Generator
-        Source of the draw.
-    here : ndarray (n,), optional
-        Current pose [rad or m]; half of the poses are near it.
-    allowed : callable, optional
-        Says whether a pose may be taken.
-
-    Returns
-    -------
-    ndarray (C, n)
-        At least one pose, to a hundredth of a degree or of a millimetre.
-
-    Raises
-    ------
-    InvalidData
-        If no pose will do.
 
     Examples
     --------

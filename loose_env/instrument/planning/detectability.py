@@ -34,8 +34,6 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["BestSeen", "Findable", "best_seen", "findable_faults"]
-
 Verdict = Literal["yes", "mostly", "hardly", "no"]
 
 _DIRECTIONS = 40
@@ -113,21 +111,6 @@ def best_seen(
 ) -> BestSeen:
     """Take every joint in every pose, and keep the best of each location.
 
-    Parameters
-    ----------
-    linear : LinearArm
-        The nominal arm.
-    where : ndarray (C, n)
-        Poses [rad or m].
-    rules : NextSettings
-        Noise, rate, length and the gap of interest.
-    joints : collection of int, optional
-        Joints that can be shaken, from 0; all by default.
-
-    Returns
-    -------
-    BestSeen
-
     Examples
     --------
     >>> from loose_env.arms import planar
@@ -180,15 +163,7 @@ def best_seen(
 
 
 def findable_faults(arm: InstrumentedArm, found: BestSeen) -> tuple[Findable, ...]:
-    """Detectability of every fault in its most informative record.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm.
-    found : BestSeen
-        From `best_seen`.
-    """
+    """Detectability of every fault in its most informative record."""
     nominal = arm.nominal
     frames = ToolFrames(nominal)
     own = dict(zip(fault_locations(nominal), arm.hypotheses[1:], strict=True))

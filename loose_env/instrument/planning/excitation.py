@@ -4,7 +4,7 @@ How well one record would show each fault: how far seats open, and the smallest 
 
 A seat that a record drives with the rms force F, that gravity loads with W and that would move by
 x rms if it floated, loses about min(1, (F / 0.6 W)²) · min(1, gap / 4 x) of its transmission (as
-in `loose_env.diagnosis.records.excitation_design`). What that changes of the tool's motion, in
+in `loose_env.diagnosis.experiment_design`). What that changes of the tool's motion, in
 standard deviations of what sensors, record length and model leave open, says whether it is seen.
 """
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm, LinearArm, LinearPose
 from loose_env.diagnosis import Proposal, SeatFeatures, predict_seats, propose_excitation
+from loose_env.inference import whitener
 from loose_env.instrument.result import NextMeasurement
 from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.instrument.settings.thresholds import (
@@ -27,16 +28,6 @@ from loose_env.instrument.settings.thresholds import (
     REPEATABILITY,
 )
 from loose_env.typing import Array
-
-__all__ = [
-    "Sensitivity",
-    "limited",
-    "proposed",
-    "sensitivity",
-    "tool_noise",
-    "torque_of",
-    "unlimited",
-]
 
 
 def torque_of(proposal: Proposal, joint: int, settings: NextSettings) -> Array:
@@ -129,13 +120,7 @@ class Sensitivity:
         return np.asarray(self.opens * floats)
 
     def smallest_gap(self, *, reference: bool) -> Array:
-        """Smallest travel that shows; infinite where none does [m; rad] (P,).
-
-        Parameters
-        ----------
-        reference : bool
-            True if a healthy reference of the arm replaces the model.
-        """
+        """Smallest travel that shows; infinite where none does [m; rad] (P,)."""
         change = self.by_reference if reference else self.by_model
         share = DETECTABLE_Z / np.maximum(change * self.opens, 1e-12)
         return np.where(share <= 1.0, share * FLOATING_CLEARANCE * self.travel, np.inf)
@@ -147,23 +132,7 @@ def tool_noise(features: SeatFeatures) -> float:
 
 
 def sensitivity(features: SeatFeatures, pose: Array, torque: Array, seconds: float) -> Sensitivity:
-    """Work out what one record would show.
-
-    Parameters
-    ----------
-    features : SeatFeatures
-        The nominal arm, its sensors and its locations.
-    pose : ndarray (n,)
-        Pose of the record [rad or m].
-    torque : ndarray (n,)
-        Rms torque of every joint; at least one is on [N·m, N].
-    seconds : float
-        Its length [s].
-
-    Returns
-    -------
-    Sensitivity
-    """
+    """Work out what one record would show."""
     arm = features.linear.arm
     at = features.linear.at(pose)
     excited = torque > 0
@@ -179,8 +148,8 @@ def sensitivity(features: SeatFeatures, pose: Array, torque: Array, seconds: flo
     change = features.open_change(seats)
     total = float(np.trace(seats.in_step[m:] @ seats.in_step[m:].T))
     repeated = np.kron(sensed, np.eye(m)) / samples + REPEATABILITY**2 * total * np.eye(d * m)
-    own = np.linalg.inv(np.linalg.cholesky(repeated))
-    noisy = np.linalg.inv(np.linalg.cholesky(np.kron(sensed, np.eye(m)) / samples))
+    own = whitener(repeated)
+    noisy = whitener(np.kron(sensed, np.eye(m)) / samples)
     residual = away @ seats.rest @ away.T
     by_model = features.whitening(pose, excited, b, residual, x, seconds)
     opens = np.minimum(1.0, (seats.force / np.maximum(OPENING_FORCE * seats.load, 1e-12)) ** 2)

@@ -17,8 +17,6 @@ from loose_env.instrument.result import NextMeasurement
 from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.typing import Array
 
-__all__ = ["Expected", "expected_of"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Expected:
@@ -42,26 +40,7 @@ def expected_of(
     chosen: NextMeasurement,
     choice: NextSettings,
 ) -> dict[str, Expected]:
-    """Expected observation of the first record under each hypothesis.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm.
-    linear : LinearArm
-        The same, linear.
-    known : Known or None
-        Prior knowledge.
-    chosen : NextMeasurement
-        The measurement.
-    choice : NextSettings
-        Noise of the sensors and the gap of interest.
-
-    Returns
-    -------
-    dict
-        By the names of the hypotheses.
-    """
+    """Expected observation of the first record under each hypothesis."""
     nominal = arm.nominal
     names = arm.hypotheses
     so_far = Known() if known is None else known

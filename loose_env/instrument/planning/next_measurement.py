@@ -3,7 +3,7 @@
 `next_measurement` serves the plan and the diagnosis alike. What is known is spread over locations,
 directions and frictions; a few dozen imagined faults are drawn from it; and for each candidate the
 nominal arm says what its record would show of each of them
-(`loose_env.diagnosis.experiment_design.information_gain.RecordInformation`): gravity that keeps
+(`loose_env.diagnosis.experiment_design.RecordInformation`): gravity that keeps
 seats shut, torque that is left beside it, noise and errors of the model all count. Among the
 candidates that are about as good the one that moves the arm least is taken.
 """
@@ -28,9 +28,6 @@ from loose_env.instrument.result import NextMeasurement
 from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.instrument.settings.thresholds import EQUALLY_INFORMATIVE
 from loose_env.typing import Array
-
-__all__ = ["NextSettings", "next_measurement", "seat_features"]
-
 
 _FRICTIONS = np.geomspace(0.02, 1.0, 8)
 """Assumed friction of seats over the drive of the top level [1]."""
@@ -60,47 +57,6 @@ def next_measurement(
     cap: Callable[[Array, int, tuple[float, float]], float] | None = None,
 ) -> NextMeasurement:
     """Choose what to measure next.
-
-    Parameters
-    ----------
-    arm : Arm
-        The nominal arm, with what holds its joints.
-    linear : LinearArm
-        The same, linear.
-    known : Known, optional
-        Prior knowledge; `loose_env.instrument.planning.prior_knowledge.known_of` makes it of
-        a diagnosis. Nothing by default: the first pose.
-    settings : NextSettings, optional
-        Noise, rate, length and number of candidate poses.
-    links, joints : sequence of str, optional
-        Names of the model's links and joints, base first, where they are not those of the arm.
-    allowed : callable, optional
-        Says whether a pose (n,) may be taken, such as one without collisions.
-    reachable : callable, optional
-        Says whether the arm may go straight from a pose to another.
-    start : array_like (n,), optional
-        Current pose; that of the last record by default.
-    shakable : collection of str, optional
-        Joints that can be shaken; all by default.
-    only : str, optional
-        The one of them that shall be.
-    pose : array_like (n,), optional
-        Pose that shall be taken.
-    cap : callable, optional
-        Largest rms torque of a joint, from 0, in a pose and a band [N·m, N], where a controller
-        has limits of its own.
-
-    Returns
-    -------
-    NextMeasurement
-        With the settings' seed the same in every call.
-
-    Raises
-    ------
-    InvalidData
-        If no pose can be held and shaken within the limits.
-    UnknownName
-        If there is no such joint.
 
     Examples
     --------

@@ -36,9 +36,6 @@ from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.instrument.settings.thresholds import DETECTABLE_Z, LEAST_LEVEL
 from loose_env.typing import Array
 
-__all__ = ["Plan", "next_for", "plan"]
-
-
 _ONCE = ("joint", "pose_deg", "from_deg")
 """Settings that are for one measurement, not for a session."""
 

@@ -21,8 +21,6 @@ from loose_env.instrument.settings.thresholds import (
     SCALED_LEVEL,
 )
 
-__all__ = ["plan_warnings", "shown_position"]
-
 
 def shown_position(slides: np.bool_, value: float) -> str:
     """A position of a joint with its unit."""

@@ -15,9 +15,6 @@ from loose_env.instrument.settings.thresholds import CONE_95
 from loose_env.recording import nearest
 from loose_env.typing import Array
 
-__all__ = ["Known", "Seen", "belief_of", "known_of", "names_of"]
-
-
 _USUAL_SD = 0.2
 """Standard deviation of a direction of which none is given [rad]."""
 _LEAST_SD = float(np.radians(6.0))
@@ -71,20 +68,7 @@ def names_of(links: Sequence[str], joints: Sequence[str]) -> tuple[str, ...]:
 
 
 def known_of(diagnosis: Diagnosis, links: Sequence[str], joints: Sequence[str]) -> Known:
-    """Take over what a diagnosis knows.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        Of this arm.
-    links, joints : sequence of str
-        Names of the model's links and driven joints, base first.
-
-    Raises
-    ------
-    InvalidData
-        If the diagnosis is of another model: it names other links or joints.
-    """
+    """Take over what a diagnosis knows."""
     names = names_of(links, joints)
     foreign = [name for name in diagnosis.posterior if name not in names]
     lacking = [name for name in names if name not in diagnosis.posterior]
@@ -149,25 +133,6 @@ def belief_of(
 
     The hypotheses keep their probabilities. Within a link, directions are weighted by the one that
     all runs together have for it, or by what was seen in each pose where records say that.
-
-    Parameters
-    ----------
-    known : Known
-        Prior knowledge.
-    arm : Arm
-        The nominal arm.
-    names : sequence of str
-        The hypotheses, from `names_of`.
-    links : sequence of str
-        The links' names, base first.
-    directions : ndarray (A, axes)
-        Grid of directions in a link's frame.
-    frictions : int
-        Nodes of friction, all as probable.
-
-    Returns
-    -------
-    Belief
     """
     n, count = arm.n, len(directions)
     prior = dict.fromkeys(names[1 : n + 1], 1 / (3 * n)) | dict.fromkeys(

@@ -27,31 +27,11 @@ from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.instrument.settings.thresholds import MENTIONED
 from loose_env.typing import Array
 
-__all__ = ["expected_directions", "other_settings", "reason", "why_not_reached"]
-
 
 def expected_directions(
     nominal: Arm, known: Known, pose: Array, links: Sequence[str], joints: Sequence[str]
 ) -> Mapping[str, Array | None]:
-    """Direction in the tool frame that each hypothesis expects to see in a pose.
-
-    Parameters
-    ----------
-    nominal : Arm
-        The nominal arm.
-    known : Known
-        Directions that were seen so far.
-    pose : ndarray (n,)
-        The pose [rad or m].
-    links, joints : sequence of str
-        Names of the model, base first.
-
-    Returns
-    -------
-    mapping
-        Hypothesis -> unit vector, axial (d,); None where any direction is possible, or nothing
-        is to be seen.
-    """
+    """Direction in the tool frame that each hypothesis expects to see in a pose."""
     frames = ToolFrames(nominal)
     names = names_of(links, joints)
     found: dict[str, Array | None] = dict.fromkeys(names)
@@ -160,24 +140,7 @@ def _same(one: Any, other: Any) -> bool:
 def why_not_reached(
     arm: InstrumentedArm, ground: Ground, here: Array | None, chosen: NextMeasurement
 ) -> str:
-    """Say what is in the way of a measurement, by the arm's own model; "" if nothing is.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm, with its shapes.
-    ground : Ground
-        Ground that it stays above.
-    here : ndarray (n,) or None
-        Current pose [rad or m]; None where that is not known.
-    chosen : NextMeasurement
-        The measurement.
-
-    Raises
-    ------
-    InvalidData
-        If the measurement is of another model.
-    """
+    """Say what is in the way of a measurement, by the arm's own model; "" if nothing is."""
     pose = _pose_in(arm, chosen)
     touching = arm.collisions.touch(pose)
     if touching:

@@ -16,15 +16,6 @@ from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.instrument.settings.validation import settings_within
 from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
 
-__all__ = [
-    "FORMAT",
-    "Diagnosis",
-    "NextMeasurement",
-    "Severity",
-    "Verdict",
-    "read_diagnosis",
-]
-
 FORMAT = "loose-diagnosis/1"
 """Format of the file."""
 Verdict = Literal["healthy", "faulty", "open", "model_mismatch"]
@@ -72,14 +63,7 @@ class NextMeasurement:
     not say."""
 
     def __post_init__(self) -> None:
-        """Check.
-
-        Raises
-        ------
-        InvalidData
-            If no joint is named, there is not one level and one torque for each, or a figure or
-            a setting makes no sense.
-        """
+        """Check."""
         if not self.joints or not len(self.joints) == len(self.levels) == len(self.torques):
             raise InvalidData(
                 "a next measurement has one or more joints, with a level and a torque for each, "
@@ -161,13 +145,7 @@ class Diagnosis:
     """Of the file."""
 
     def __post_init__(self) -> None:
-        """Check.
-
-        Raises
-        ------
-        InvalidData
-            If the format is another, or the posterior is none or does not have the fault.
-        """
+        """Check."""
         if self.format != FORMAT:
             raise InvalidData(
                 f"a diagnosis of the format {FORMAT!r} is needed, not {self.format!r}"

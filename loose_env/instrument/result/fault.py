@@ -8,8 +8,6 @@ from typing import Literal, get_args
 
 from loose_env.errors import InvalidData
 
-__all__ = ["HEALTHY", "Fault", "FaultKind", "SlideDirection", "Vector", "hypothesis_of"]
-
 HEALTHY = "healthy"
 """Name of the hypothesis that nothing is loose."""
 FaultKind = Literal["healthy", "structural_looseness", "backlash"]
@@ -60,14 +58,7 @@ class Fault:
     """Ends of its 95 % interval, in the unit of ``gap_m``."""
 
     def __post_init__(self) -> None:
-        """Check.
-
-        Raises
-        ------
-        InvalidData
-            If kind and location do not go together, the direction is no unit vector, or an interval
-            is upside down.
-        """
+        """Check."""
         if self.kind not in get_args(FaultKind):
             raise InvalidData(
                 f"the kind of a fault is one of {list(get_args(FaultKind))}, not {self.kind!r}"

@@ -10,8 +10,6 @@ from typing import Literal
 from loose_env.errors import InvalidData
 from loose_env.instrument.result.fault import Vector
 
-__all__ = ["Loop", "RecordSeen", "TransmissionSpectrum"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
@@ -106,13 +104,7 @@ class TransmissionSpectrum:
     the seat's motion that the readings make most likely."""
 
     def __post_init__(self) -> None:
-        """Check.
-
-        Raises
-        ------
-        InvalidData
-            If lengths differ, or a frequency or an amplitude is negative or not finite.
-        """
+        """Check."""
         count = len(self.frequency_hz)
         for values in (self.measured, *self.predicted.values()):
             if len(values) != count:

@@ -8,8 +8,6 @@ from typing import Literal
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.settings.validation import check_types
 
-__all__ = ["ExcitationKind", "Hold", "ModelSettings", "PlanSettings"]
-
 _MOST_REPEATS = 20
 _MOST_FORCE_N = 1e6
 Hold = Literal["model", "brake", "servo", "compliant"]
@@ -42,13 +40,7 @@ class ModelSettings:
     measured force, where a controller cannot shake."""
 
     def __post_init__(self) -> None:
-        """Check.
-
-        Raises
-        ------
-        InvalidSetting
-            If a value is of another type, or the payload makes no sense.
-        """
+        """Check."""
         check_types(self)
         if self.payload_kg < 0:
             raise InvalidSetting(
@@ -87,13 +79,7 @@ class PlanSettings:
     """Rms force of a hammer or shaker on the tool while it acts [N]."""
 
     def __post_init__(self) -> None:
-        """Check.
-
-        Raises
-        ------
-        InvalidSetting
-            If a value is of another type, or a time is negative, too long or not finite.
-        """
+        """Check."""
         check_types(self)
         for name in ("ramp_s", "hold_s"):
             value = getattr(self, name)

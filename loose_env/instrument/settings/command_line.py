@@ -8,8 +8,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-__all__ = ["option_words", "path_word", "unlike"]
-
 
 def option_words(settings: Mapping[str, Any]) -> str:
     """Settings as options, each after a blank.

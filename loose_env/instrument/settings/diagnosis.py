@@ -11,8 +11,6 @@ from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.instrument.settings.thresholds import HIGHEST_CERTAINTY, RATE_SHARE, UNEXPLAINED
 from loose_env.instrument.settings.tolerances import Tolerances
 
-__all__ = ["DiagnoseSettings"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class DiagnoseSettings(NextSettings):
@@ -54,13 +52,7 @@ class DiagnoseSettings(NextSettings):
     anew [s]."""
 
     def __post_init__(self) -> None:
-        """Check.
-
-        Raises
-        ------
-        InvalidSetting
-            If a value is of another type or out of range.
-        """
+        """Check."""
         super().__post_init__()
         for name in ("healthy_prior", "sure"):
             value = getattr(self, name)

@@ -9,8 +9,6 @@ from loose_env.instrument.settings.thresholds import HIGHEST_BAND
 from loose_env.instrument.settings.validation import check_types
 from loose_env.sensors import Accelerometer, SensorSuite
 
-__all__ = ["NextSettings"]
-
 _MOST = {"gap_mm": 1e3, "noise_ug": 1e9, "rate_hz": 1e6, "most_tool": 1e6}
 """Largest accepted values."""
 _LENGTHS = (0.2, 600.0)
@@ -64,13 +62,7 @@ class NextSettings:
     """Seed of all random numbers."""
 
     def __post_init__(self) -> None:
-        """Check.
-
-        Raises
-        ------
-        InvalidSetting
-            If a figure is of another type, or makes no sense.
-        """
+        """Check."""
         check_types(self)
         for name, most in _MOST.items():
             value = getattr(self, name)

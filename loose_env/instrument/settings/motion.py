@@ -10,8 +10,6 @@ import numpy as np
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.settings.validation import check_types
 
-__all__ = ["CommandKind", "MotionSettings"]
-
 CommandKind = Literal["model", "torque", "velocity", "position"]
 """Kind of command: that of the model's actuators, or one for all joints."""
 
@@ -59,13 +57,7 @@ class MotionSettings:
     """Files of the signal: csv, parquet, ros2 (a trajectory_msgs/JointTrajectory as YAML)."""
 
     def __post_init__(self) -> None:
-        """Check.
-
-        Raises
-        ------
-        InvalidSetting
-            If a limit is no positive number, or a format is unknown.
-        """
+        """Check."""
         check_types(self)
         for name in _LISTS:
             values = getattr(self, name)

@@ -7,8 +7,6 @@ from dataclasses import dataclass, fields
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.settings.validation import check_types
 
-__all__ = ["Tolerances"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:

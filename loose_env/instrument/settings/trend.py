@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.settings.validation import check_types
 
-__all__ = ["TrendSettings"]
-
 _HIGHEST_RATE = 0.2
 """Largest false-alarm rate."""
 _SHIFTS = (0.25, 4.0)
@@ -35,13 +33,7 @@ class TrendSettings:
     finds slow wear, larger sudden changes."""
 
     def __post_init__(self) -> None:
-        """Check.
-
-        Raises
-        ------
-        InvalidSetting
-            If a value is of another type or out of range.
-        """
+        """Check."""
         check_types(self)
         if not 0 < self.false_alarm_rate <= _HIGHEST_RATE:
             raise InvalidSetting(

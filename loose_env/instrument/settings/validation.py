@@ -9,23 +9,11 @@ from typing import Any, TypeVar, get_origin, get_type_hints
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import unmet
 
-__all__ = ["check_types", "settings_within"]
-
 T = TypeVar("T")
 
 
 def check_types(settings: Any) -> None:
     """Refuse values of other types: settings come from files and from Python too.
-
-    Parameters
-    ----------
-    settings : dataclass
-        With fields that are numbers, words, lists of numbers, or one of some words.
-
-    Raises
-    ------
-    InvalidSetting
-        Naming the first field that is of another type.
 
     Examples
     --------
@@ -50,20 +38,6 @@ def check_types(settings: Any) -> None:
 
 def settings_within(kind: type[T], values: Mapping[str, Any], place: str) -> T:
     """Settings read from a mapping; unknown keys are ignored.
-
-    Parameters
-    ----------
-    kind : type
-        A settings dataclass that checks itself.
-    values : mapping
-        Contents of the file.
-    place : str
-        Its position in the file, for errors.
-
-    Raises
-    ------
-    InvalidData
-        If one of them is of another type, or makes no sense.
 
     Examples
     --------

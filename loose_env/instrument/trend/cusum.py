@@ -18,8 +18,6 @@ from scipy import optimize, special
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array
 
-__all__ = ["Chart", "Limits", "control_chart", "limits_for", "normal_score"]
-
 _OVERSHOOT = 1.166
 """Mean excess of a random walk over a limit, by which Siegmund's formula widens it [standard
 deviations]."""
@@ -62,22 +60,6 @@ class Chart:
 def normal_score(value: float, baseline: Array, *, least_scatter: float) -> tuple[float, float]:
     """Standard normal score of a value against earlier values of the same process.
 
-    Parameters
-    ----------
-    value : float
-        New value.
-    baseline : ndarray (m,)
-        Earlier values, two or more.
-    least_scatter : float
-        Standard deviation below which the scatter is not taken, in the unit of the values.
-
-    Returns
-    -------
-    float
-        Score; standard normal where value and baseline are of one normal distribution.
-    float
-        Standard deviation expected of the difference from the baseline's mean.
-
     Examples
     --------
     >>> score, scatter = normal_score(3.0, np.array([0.0, 1.0, 2.0]), least_scatter=0.1)
@@ -97,20 +79,6 @@ def limits_for(rate: float, *, allowance: float, two_sided: bool) -> Limits:
     Half of the rate goes to the cumulative sum, half to the single score. The limit of the sum is
     that of Siegmund's formula for the average run length, ARL = (exp(2 k b) - 2 k b - 1) / (2 k²)
     with b = h + 1.166, k the allowance and h the limit.
-
-    Parameters
-    ----------
-    rate : float
-        False alarms per session.
-    allowance : float
-        Allowance of the cumulative sum [standard deviations].
-    two_sided : bool
-        True if a decrease counts as a change too.
-
-    Raises
-    ------
-    InvalidSetting
-        If the rate is not between 0 and 0.5, or the allowance not above 0.
 
     Examples
     --------
@@ -144,24 +112,6 @@ def control_chart(
     restarts: tuple[int, ...] = (),
 ) -> Chart:
     """Chart of a series whose mean and scatter are estimated on the way.
-
-    Parameters
-    ----------
-    values : ndarray (n,)
-        Value of each session, in order; NaN where it has none.
-    limits : Limits
-        From `limits_for`.
-    least_scatter : float
-        Standard deviation below which the scatter is not taken.
-    least_baseline : int
-        Values of the baseline before the first score.
-    restarts : tuple of int
-        Indices of sessions before which the baseline starts anew.
-
-    Returns
-    -------
-    Chart
-        After an alarm the baseline stays as it was until the next restart.
 
     Examples
     --------

@@ -8,8 +8,6 @@ from pathlib import Path
 from loose_env.errors import InvalidData
 from loose_env.instrument.result import Diagnosis, read_diagnosis
 
-__all__ = ["read_sessions"]
-
 _RESULT, _RECORDING = "result.json", "recording.json"
 
 

@@ -11,8 +11,6 @@ from typing import Any
 
 from loose_env.errors import InvalidData
 
-__all__ = ["Maintenance", "read_maintenance", "time_of"]
-
 _EXAMPLE = '[{"date": "2026-05-04", "joint": "elbow", "work": "gear replaced"}]'
 _KEYS = ("date", "joint", "link", "work", "note")
 
@@ -43,13 +41,7 @@ class Maintenance:
     """Further words."""
 
     def __post_init__(self) -> None:
-        """Check.
-
-        Raises
-        ------
-        InvalidData
-            If the date is none, or not one of joint and link is given.
-        """
+        """Check."""
         time_of(self.date)
         if (self.joint is None) == (self.link is None):
             raise InvalidData(

@@ -20,8 +20,6 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["Quantity", "Series", "joints_and_links", "series_over"]
-
 Quantity = Literal["transmission", "probability", "free_travel"]
 """Compared quantities: log amplitude, log odds that the arm is faulty, log free travel."""
 _CERTAIN = 1e-9
@@ -75,11 +73,6 @@ def series_over(sessions: Sequence[Diagnosis]) -> list[Series]:
 
     A transmission is compared with those of the same joint and axis in the same pose, under a
     signal of the same band and level; of repeated runs the mean counts.
-
-    Parameters
-    ----------
-    sessions : sequence of Diagnosis
-        In order; the last one is under test.
     """
     last = sessions[-1]
     found = []

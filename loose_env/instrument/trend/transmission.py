@@ -18,8 +18,6 @@ from loose_env.instrument.result import HEALTHY, TransmissionSpectrum
 from loose_env.instrument.settings.thresholds import MENTIONED
 from loose_env.typing import ComplexArray
 
-__all__ = ["spectra_by_fit", "transmission_spectra"]
-
 _NARROW = 32
 """Narrow bands of a spectrum."""
 _LINES = 240
@@ -35,24 +33,7 @@ def transmission_spectra(
     record: int,
     predicted: Mapping[str, tuple[Lines, ComplexArray]] | None = None,
 ) -> tuple[TransmissionSpectrum, ...]:
-    """Transmission of a run from its excited joint to each axis of the tool's accelerometer.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm.
-    lines : Lines
-        All lines of the run.
-    record : int
-        Index of the run among the records.
-    predicted : mapping, optional
-        Hypothesis -> lines of the same run, and its predicted readings there (K, c).
-
-    Returns
-    -------
-    tuple of TransmissionSpectrum
-        One for each axis; none where no joint was excited or nothing drives it.
-    """
+    """Transmission of a run from its excited joint to each axis of the tool's accelerometer."""
     if not len(lines.excited):
         return ()
     joint, drive, unit = _drive(arm, lines)
@@ -95,17 +76,7 @@ def transmission_spectra(
 def spectra_by_fit(
     uncertain: UncertainArm, comparison: ModelComparison, records: Mapping[int, int]
 ) -> tuple[TransmissionSpectrum, ...]:
-    """Transmission of all runs, with that of the most probable hypotheses.
-
-    Parameters
-    ----------
-    uncertain : UncertainArm
-        The arm and its nuisance parameters.
-    comparison : ModelComparison
-        Fits of the hypotheses.
-    records : mapping
-        Number of a run's lines -> its index among the records.
-    """
+    """Transmission of all runs, with that of the most probable hypotheses."""
     arm = uncertain.arm
     few = [thinned(one, _LINES) for one in comparison.lines]
     evidence = Evidence(uncertain=uncertain, lines=few, known_runs=comparison.evidence.runs)

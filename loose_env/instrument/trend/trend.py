@@ -22,8 +22,6 @@ from loose_env.instrument.trend.series import (
 )
 from loose_env.io import json_text, restored, whole_of, write_text
 
-__all__ = ["SeriesTrend", "SessionSeen", "Trend", "change_since"]
-
 FORMAT = "loose-trend/1"
 """Format of the file."""
 

@@ -29,7 +29,7 @@ from loose_env.diagnosis import (
     read_network,
     write_network,
 )
-from loose_env.diagnosis.learned.transmission_change import TransmissionChange
+from loose_env.diagnosis.features import TransmissionChange
 from loose_env.envs import DiagnosisSettings, EpisodeBatch
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.faults import UNSURE, Fault, Healthy

@@ -11,7 +11,7 @@ from loose_agents.evaluation.record_bounds import bound_line, record_bound
 
 from loose_env.arms import planar
 from loose_env.diagnosis import least_records
-from loose_env.diagnosis.experiment_design.record_bound import entropy, needed_information
+from loose_env.diagnosis.experiment_design import entropy, needed_information
 from loose_env.envs import DiagnosisSettings
 from loose_env.errors import InvalidData, InvalidSetting
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loose_env.arms import Arm, MismatchDraw, planar, vera
-from loose_env.diagnosis import NominalLinks, link_readings_of, statistics_of
+from loose_env.diagnosis import NominalLinks, link_readings_of_all, statistics_of
 from loose_env.envs import DiagnosisSettings, ObservationLayout
 from loose_env.envs.diagnosis_env import DiagnosisEnv
 from loose_env.errors import InvalidData
@@ -84,9 +84,9 @@ def test_a_loose_link_changes_the_sensors_beyond_its_seat_and_none_before(loose:
     for name, what in (("healthy", Healthy()), ("loose", fault)):
         rig.mount(0, what, MismatchDraw.none(arm))
         record = rig.measure(pose, shake, rng=np.random.default_rng(2))
-        found = link_readings_of(record)
+        found = link_readings_of_all([record])
         changes[name] = np.linalg.norm(
-            found.transmission_by_instrument - nominal, axis=(1, 2)
+            found.transmission_by_instrument[0] - nominal, axis=(1, 2)
         ) / np.linalg.norm(nominal, axis=(1, 2))
     assert changes["healthy"].max() < 0.03
     # The local method (7.1.3): the first sensor that has changed stands on the loose link.
@@ -100,4 +100,4 @@ def test_a_record_without_them_is_refused() -> None:
     )
     assert statistics_of(record).duration == 0.4
     with pytest.raises(InvalidData, match="link_accelerometers"):
-        link_readings_of(record)
+        link_readings_of_all([record])

@@ -34,7 +34,7 @@ from loose_env.statistics import (
     covariances,
     maximum_correlation,
 )
-from loose_env.thesis.rigs import cylindrical
+from scripts.thesis.rigs import cylindrical
 
 ARMS = {
     "six_axis": six_axis,

@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.data.aligned_run import align_run, channels_of
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.holdout_score import Scorer
 from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
@@ -26,6 +25,7 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.workflow.pipeline import GapSolution
 from loose_env.recording import Recording, Run, write_recording
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from loose_env.gap.data.aligned_run import Trial, align_run, channels_of
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import _window
 from loose_env.gap.selection.screening.data_driven_starts import residual_accelerations
 from loose_env.recording import Run
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array
 from tests.gap.diagnostics.test_prediction_horizon import CHANNELS, FLOORS, machine, measured
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from loose_env.gap.data.aligned_run import align_run, channels_of
-from loose_env.gap.data.noise_floor import channel_floor
 from loose_env.gap.diagnostics.joint_torque_residual import joint_motion
 from loose_env.gap.diagnostics.localisation import _joint_gaps
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Run
+from loose_env.statistics import channel_floor
 
 MODEL = """<mujoco><option timestep="0.001"/><worldbody><body><joint name="pivot" axis="0 1 0"/>
 <inertial pos="0 0 -.3" mass=".1" diaginertia="1e-5 1e-5 1e-5"/></body></worldbody>

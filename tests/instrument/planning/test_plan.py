@@ -20,7 +20,7 @@ from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettin
 from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.recording import read_recording, write_csv
 from loose_env.recording.parquet_file import read_parquet
-from loose_env.report.plan.plan_text import commands_after
+from loose_env.report import plan_commands
 from tests.instrument.arms.plan_arms import MOTORS, SERVOED, URDF, written
 from tests.instrument.arms.playing import play
 
@@ -181,7 +181,7 @@ def test_the_next_command_has_the_options_that_the_session_began_with(servoed: P
         choice=replace(FEW, most_tool=5.0),
         own=PlanSettings(joint="lift", hold_s=0.7),
     )
-    command = commands_after(made, "DIR")[-1]
+    command = plan_commands(made, "DIR")[-1]
     for words in (
         "--tool tool",
         "--payload-kg 0.5",

@@ -51,6 +51,8 @@ from scripts.suites.gap.public_scores import (
     total,
 )
 
+pytestmark = pytest.mark.slow
+
 PHRASE = "of the tests"
 SETTINGS = MakeSettings(numbers=(310, 1910), seed_phrase=PHRASE, name="tests")
 PUBLISHED = {"drag": 0.006733232600739404}

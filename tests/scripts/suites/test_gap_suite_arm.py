@@ -46,6 +46,8 @@ from scripts.suites.gap.simulate import (
     split_link,
 )
 
+pytestmark = pytest.mark.slow
+
 NAMES = list(ARMS)
 
 

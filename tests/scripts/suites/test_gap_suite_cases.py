@@ -45,6 +45,8 @@ from scripts.suites.gap.machine import (
 )
 from scripts.suites.gap.simulate import TOLERANCE, Factors
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def arm() -> TrueArm:

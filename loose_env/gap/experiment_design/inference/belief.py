@@ -12,8 +12,6 @@ from loose_env.gap.experiment_design.inference.local_models import LocalModels
 from loose_env.gap.experiment_design.inference.posterior import BeliefSettings, Posterior
 from loose_env.typing import Array
 
-__all__ = ["Belief"]
-
 
 class Belief:
     """Belief about one machine, updated by measured motions.

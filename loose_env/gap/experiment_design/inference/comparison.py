@@ -38,8 +38,6 @@ from loose_env.gap.experiment_design.inference.screening import (
 )
 from loose_env.gap.experiment_design.inference.simulations import Simulations
 
-__all__ = ["Comparison"]
-
 _OPEN = 0.02
 """Probability from which a set is fitted exactly."""
 _CARRIED, _BEHIND = 4, 20.0

@@ -29,8 +29,6 @@ from loose_env.gap.experiment_design.inference.simulations import Simulations
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.typing import Array
 
-__all__ = ["ExactFit"]
-
 _REACH, _SHRINK = 1.2, 0.4
 """Largest step in the logarithm of a size, and its factor after a step that made the fit worse."""
 _SLOW, _DIFFERENCE = 0.5, 0.02
@@ -70,15 +68,7 @@ class ExactFit:
     _sharp: set[int] = field(default_factory=set)
 
     def with_models(self, beside: Sequence[int], parameters: Array) -> ExactFit:
-        """New fit of these effects and more, from a linear fit of local models beside them.
-
-        Parameters
-        ----------
-        beside : sequence of int
-            Local models.
-        parameters : ndarray
-            Own parameters, then slope, curvature and shapes of each local model.
-        """
+        """New fit of these effects and more, from a linear fit of local models beside them."""
         models, parts = self.models, [parameters[: len(self.parameters)]]
         rays = tuple(int(models.ray[h]) for h in beside)
         width, at = models.weights.shape[2] - 1, len(self.parameters)
@@ -160,18 +150,7 @@ class ExactFit:
         return solve(data, self.about, self.settings.linearisation, len(self.parameters))
 
     def step(self, data: Data, simulations: Simulations, within: float) -> None:
-        """Simulate motions that are new; if there are none, take one step of the fit.
-
-        Parameters
-        ----------
-        data : mapping
-            Measured motions.
-        simulations : Simulations
-            Simulations, counted down.
-        within : float
-            Change of a motion's readings by the step [noise standard deviations] above which it is
-            simulated again; that with the largest change is in any case.
-        """
+        """Simulate motions that are new; if there are none, take one step of the fit."""
         new = self.lacks(data)
         here = self.hypothesis(self.parameters)
         simulations.ahead(new, [here])

@@ -20,18 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from loose_env.gap.experiment_design.inference.local_models import LocalModels
+from loose_env.inference import log_determinant
 from loose_env.typing import Array
-
-__all__ = [
-    "Data",
-    "Equations",
-    "Expansion",
-    "Solution",
-    "equations",
-    "linear_fit",
-    "nominal",
-    "solve",
-]
 
 Data = Mapping[int, tuple[Array, int]]
 """Motion -> mean of the projected residuals (K,) and number of repetitions."""
@@ -163,5 +153,5 @@ def _weighted(
 def _solution(precision: Array, right: Array, total: float, noise: float, dof: int) -> Solution:
     covariance: Array = np.asarray(np.linalg.inv(precision), dtype=float)
     found = covariance @ right
-    occam, chi2 = 0.5 * float(np.linalg.slogdet(precision)[1]), total - float(right @ found)
+    occam, chi2 = 0.5 * log_determinant(precision), total - float(right @ found)
     return Solution(found, covariance, max(chi2, 0.0), occam, noise, dof)

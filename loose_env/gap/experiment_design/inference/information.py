@@ -10,9 +10,8 @@ import numpy as np
 
 from loose_env.gap.experiment_design.inference.belief import Belief
 from loose_env.gap.experiment_design.inference.expansion import linear_fit, nominal
+from loose_env.inference import information_bound, squared_distances
 from loose_env.typing import Array
-
-__all__ = ["Outlook", "outlook", "pair_gains", "value_of_information"]
 
 _OPEN = 16
 """Sets of effects that count as open at most."""
@@ -61,9 +60,7 @@ def outlook(belief: Belief, reward: Callable[[tuple[str, ...], tuple[str, ...]],
     information, gain = [], []
     for motion in range(len(belief.bank.library)):
         products = _products(belief, weights, predictions, motion)
-        squares = np.diag(products)
-        distances = np.maximum(squares[:, None] + squares - 2 * products, 0.0)
-        information.append(_bound(weights, distances))
+        information.append(information_bound(weights, squared_distances(products)))
         gain.append(value_of_information(weights, products, rewards))
     return Outlook(np.array(information), np.array(gain))
 
@@ -72,26 +69,11 @@ def pair_gains(belief: Belief, motion: int) -> Array:
     """Expected difference of log evidence between open sets on a motion [nats] (sets, sets)."""
     weights, _, predictions = _predictions(belief)
     products = _products(belief, weights, predictions, motion)
-    squares = np.diag(products)
-    return np.asarray(0.5 * np.maximum(squares[:, None] + squares - 2 * products, 0.0))
-
-
-def _bound(weights: Array, distances: Array) -> float:
-    mixed = np.exp(-distances / 8) @ weights
-    return float(max(-np.sum(weights * np.log(np.maximum(mixed, 1e-300))), 0.0))
+    return 0.5 * squared_distances(products)
 
 
 def value_of_information(weights: Array, products: Array, rewards: Array) -> float:
     """Expected gain in reward by a motion.
-
-    Parameters
-    ----------
-    weights : ndarray (n,)
-        Probabilities of the open sets.
-    products : ndarray (n, n)
-        Inner products of their predictions over the covariance.
-    rewards : ndarray (n, n)
-        Reward of naming each (row) while each is missing (column).
 
     Examples
     --------

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from loose_env.gap.experiment_design.bank import SignatureBank
 from loose_env.typing import Array
 
-__all__ = ["SIZE_SD", "LocalModels", "parabola"]
-
 SIZE_SD = 0.45
 """Standard deviation of a size about its linearisation point, over the point: neighbouring points
 lie a factor of about three apart."""

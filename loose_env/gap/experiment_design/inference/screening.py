@@ -23,8 +23,6 @@ from loose_env.gap.experiment_design.inference.local_models import SIZE_SD, Loca
 from loose_env.gap.experiment_design.inference.posterior import BeliefSettings, EffectEstimate
 from loose_env.typing import Array
 
-__all__ = ["Beside", "ScreenedSets", "linear_estimates", "log_prior", "screened"]
-
 
 def log_prior(count: int, candidates: int, settings: BeliefSettings) -> float:
     """Log prior probability of one set of some number of effects."""

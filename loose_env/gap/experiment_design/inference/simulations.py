@@ -11,8 +11,6 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.simulation.torque_terms import has_terms
 from loose_env.typing import Array
 
-__all__ = ["Simulations"]
-
 _Key = tuple[object, ...]
 
 
@@ -21,13 +19,6 @@ class Simulations:
 
     Effects whose torques are computed step by step in Python cost by steps, whatever the number of
     simulations: those that will be needed are made together, and count once they are used.
-
-    Parameters
-    ----------
-    models : LocalModels
-        Local models of the bank.
-    left : int
-        Simulations that may be used.
     """
 
     def __init__(self, models: LocalModels, left: int) -> None:

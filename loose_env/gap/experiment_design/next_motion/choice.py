@@ -26,8 +26,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
 
-__all__ = ["Candidate", "NextMotion", "PairGain", "choose_motion", "motions_for"]
-
 _AT_A_TIME = 4
 """Motions whose gains are worked out together, the most promising first."""
 _WORKED_OUT = 12
@@ -129,31 +127,7 @@ def choose_motion(
     motions: Sequence[Motion] | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> NextMotion | None:
-    """Choose the motion with the largest expected gain over the open pairs per time.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The recorded runs.
-    hypotheses : Hypotheses
-        The answer and its rivals.
-    settings : NextMotionSettings, optional
-        Limits and costs.
-    motions : sequence of Motion, optional
-        Motions to choose from; by default the library of the machine.
-    say : callable
-        Receives progress messages.
-
-    Returns
-    -------
-    NextMotion or None
-        None where there is nothing to separate, or no motion separates it.
-
-    Raises
-    ------
-    InvalidData
-        If runs are free responses, which take no commands, or no motion fits the machine.
-    """
+    """Choose the motion with the largest expected gain over the open pairs per time."""
     settings = settings or NextMotionSettings()
     if not hypotheses.pairs:
         return None

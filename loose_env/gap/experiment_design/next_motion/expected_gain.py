@@ -28,8 +28,6 @@ from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.typing import Array, IndexArray
 
-__all__ = ["GainModel", "Gains", "value_of"]
-
 _MEMORY = 40_000_000
 """Numbers of predictions and sensitivities that are held at a time, 320 MB."""
 _SHARES = (1.0, 0.5, 0.2)
@@ -67,15 +65,7 @@ def value_of(gains: Gains, pairs: Sequence[OpenPair]) -> float:
 
 
 class GainModel:
-    """Computes expected gains of motions.
-
-    Parameters
-    ----------
-    hypotheses : Hypotheses
-        The answer and its rivals.
-    runs : MotionRuns
-        Predicts motions.
-    """
+    """Computes expected gains of motions."""
 
     def __init__(self, hypotheses: Hypotheses, runs: MotionRuns) -> None:
         self.hypotheses, self.runs = hypotheses, runs
@@ -186,13 +176,6 @@ class GainModel:
 
         The linearised refit is its start. Where a hypothesis is not linear over that distance, such
         as dry friction that holds or slips, the linearised gain is off.
-
-        Parameters
-        ----------
-        motion : Played
-            The motion.
-        gains : Gains
-            As of `gains`.
         """
         compared = self.runs.compared([motion])
         answer = self._answer
@@ -206,19 +189,7 @@ class GainModel:
         return replace(gains, if_answer=tuple(ahead), if_rival=tuple(behind))
 
     def _refitted(self, compared: ResidualModel, own: _Own, truth: Array, shift: Array) -> float:
-        """Half the cost that a hypothesis leaves of another, after a refit [nats].
-
-        Parameters
-        ----------
-        compared : ResidualModel
-            The motion.
-        own : _Own
-            The hypothesis that is refitted.
-        truth : ndarray (N,)
-            Residual of the one that is right.
-        shift : ndarray (P,)
-            Start of the refit, beside where the runs so far put it.
-        """
+        """Half the cost that a hypothesis leaves of another, after a refit [nats]."""
 
         def at(shifts: Sequence[Array]) -> list[tuple[float, Array, Array]]:
             tried = [np.clip(own.free + s, own.low, own.high) for s in shifts]

@@ -16,15 +16,6 @@ from loose_env.io import json_text, restored, whole_of, write_text
 from loose_env.recording import table_of, write_csv, write_parquet
 from loose_env.typing import Array
 
-__all__ = [
-    "NEXT_MOTION",
-    "NextMotionSummary",
-    "next_motion_lines",
-    "read_next_motion",
-    "summary_of",
-    "write_next_motion",
-]
-
 NEXT_MOTION = "next_motion"
 """Name of the files, without the ending."""
 FORMAT = "loose-next-motion/1"

@@ -15,9 +15,8 @@ from loose_env.gap.fitting.model_structure import prior_of
 from loose_env.gap.model.parameter import Parameter
 from loose_env.gap.residuals.autocorrelation import independent_rows
 from loose_env.gap.residuals.residual_model import ResidualModel
+from loose_env.inference import log_determinant
 from loose_env.typing import Array, IndexArray
-
-__all__ = ["Knowledge", "Separation", "bounded", "prior_precision", "separation", "weights_of"]
 
 _WIDTH = float(np.sqrt(12.0))
 """Width of a uniform distribution over its standard deviation."""
@@ -34,15 +33,7 @@ class Knowledge:
 
     @classmethod
     def of(cls, fitted: Fit, weights: Array) -> Knowledge:
-        """What some runs say.
-
-        Parameters
-        ----------
-        fitted : Fit
-            The fit to them, with its sensitivities.
-        weights : ndarray (N,)
-            Of its residuals, as of `weights_of`.
-        """
+        """What some runs say."""
         parameters = fitted.structure.parameters
         prior = prior_precision(parameters)
         jacobian, residual = weights[:, None] * fitted.jacobian, weights * fitted.residual
@@ -52,7 +43,7 @@ class Knowledge:
         centres, own = prior_of(parameters)
         deviations = own * (fitted.free - centres)
         squares = float(residual @ residual + deviations @ deviations)
-        occam = _log_det(precision) - float(np.sum(np.log(prior)))
+        occam = log_determinant(precision) - float(np.sum(np.log(prior)))
         return cls(precision=_marginal(precision, first), log_evidence=-0.5 * (squares + occam))
 
     def of_some(self, kept: IndexArray) -> Knowledge:
@@ -85,15 +76,7 @@ def prior_precision(parameters: tuple[Parameter, ...]) -> Array:
 
 
 def weights_of(comparison: ResidualModel, residual: Array) -> tuple[Array, float]:
-    """Weight of each channel (C,), and the share of rows that are independent.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The runs.
-    residual : ndarray (N,)
-        What the best hypothesis leaves: what exceeds the noise counts as noise.
-    """
+    """Weight of each channel (C,), and the share of rows that are independent."""
     rows = comparison.rows
     count = np.bincount(rows.channel, minlength=len(comparison.channels))
     squares = np.bincount(rows.channel, residual**2, minlength=len(comparison.channels))
@@ -113,15 +96,6 @@ def separation(
     The other one is refitted, linearly, to the motion and to all runs so far: its parameters and
     the nuisances take up what they can. The terms of the determinants are what a hypothesis with
     more parameters pays for them, as they become known.
-
-    Parameters
-    ----------
-    difference : ndarray (N,)
-        Readings that the first predicts less those of the other, in noise standard deviations.
-    first, other : tuple
-        What is known of each, and the change of its predictions with its free numbers (N, P).
-    room : tuple of ndarray (P,), optional
-        Least and largest shift of the other's free numbers: friction adds no energy.
 
     Examples
     --------
@@ -143,7 +117,7 @@ def separation(
 
 
 def _grown(known: Knowledge, precision: Array) -> float:
-    return _log_det(precision) - _log_det(known.precision)
+    return log_determinant(precision) - log_determinant(known.precision)
 
 
 def _marginal(precision: Array, first: int) -> Array:
@@ -154,11 +128,6 @@ def _marginal(precision: Array, first: int) -> Array:
     return np.asarray(
         precision[first:, first:] - across.T @ np.linalg.solve(precision[:first, :first], across)
     )
-
-
-def _log_det(precision: Array) -> float:
-    scale = np.sqrt(np.diag(precision))
-    return float(np.linalg.slogdet(precision / np.outer(scale, scale))[1] + 2 * np.log(scale).sum())
 
 
 def bounded(precision: Array, right: Array, room: tuple[Array, Array] | None) -> Array:

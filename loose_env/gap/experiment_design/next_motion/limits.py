@@ -15,8 +15,6 @@ from loose_env.gap.experiment_design.next_motion.settings import NextMotionSetti
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-__all__ = ["MotionLimits", "limits_of"]
-
 _SLIDE = 0.2
 """Limits of slides over those of hinges: metres for radians."""
 _OVERSHOOT = 1.25
@@ -45,13 +43,7 @@ class MotionLimits:
     """Where those of position, speed and torque come from."""
 
     def refusal(self, motion: Played) -> str:
-        """Reason why a motion does not fit, "" if it does.
-
-        Parameters
-        ----------
-        motion : Played
-            The motion as the corrected model plays it.
-        """
+        """Reason why a motion does not fit, "" if it does."""
         if not (np.isfinite(motion.position).all() and np.isfinite(motion.torque).all()):
             return "the corrected model does not follow it"
         if motion.contacts:
@@ -82,13 +74,7 @@ class MotionLimits:
         return ""
 
     def notes(self, motion: Played) -> tuple[str, ...]:
-        """What was checked, with the margins left.
-
-        Parameters
-        ----------
-        motion : Played
-            A motion that fits.
-        """
+        """What was checked, with the margins left."""
         room = np.minimum(motion.position - self.low, self.high - motion.position).min()
         fastest = float(np.max(np.abs(motion.speed) / self.speed))
         found = [
@@ -107,17 +93,7 @@ class MotionLimits:
 def limits_of(
     machine: NominalModel, trials: Sequence[Trial], settings: NextMotionSettings
 ) -> MotionLimits:
-    """Collect the limits: of the settings, else of the model, else what the recording showed.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    trials : sequence of Trial
-        The recorded runs: what a machine did once it can do again.
-    settings : NextMotionSettings
-        Limits that take the place of others.
-    """
+    """Collect the limits: of the settings, else of the model, else what the recording showed."""
     model: mujoco.MjModel = machine.model
     unit = np.where(model.jnt_type == int(mujoco.mjtJoint.mjJNT_SLIDE), _SLIDE, 1.0)
     home = np.asarray(trials[0].position, dtype=float)

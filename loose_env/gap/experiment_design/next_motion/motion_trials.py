@@ -18,8 +18,6 @@ from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Run
 from loose_env.typing import Array
 
-__all__ = ["CommandMode", "MotionRuns", "Played", "drive_of"]
-
 CommandMode = Literal["position", "speed", "torque", "none"]
 """What commands of the recording's actuators are; "none" where runs have no commands."""
 
@@ -61,13 +59,7 @@ class Played:
 
 
 def drive_of(machine: NominalModel) -> CommandMode:
-    """Return what the commands of a model's actuators are.
-
-    Raises
-    ------
-    InvalidData
-        If they are not all of one kind.
-    """
+    """Return what the commands of a model's actuators are."""
     model = machine.model
     kinds: set[CommandMode] = set()
     for k in range(model.nu):
@@ -82,17 +74,7 @@ def drive_of(machine: NominalModel) -> CommandMode:
 
 
 class MotionRuns:
-    """Predicts what a machine would show in motions that were not recorded yet.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The recorded runs: their machine, channels and noise.
-    likely : Hypothesis
-        The corrected model: motions are played on it, and its readings stand for the measured.
-    weights : ndarray (C,)
-        Of the channels, 1 where the noise is that of the sensor.
-    """
+    """Predicts what a machine would show in motions that were not recorded yet."""
 
     def __init__(self, comparison: ResidualModel, likely: Hypothesis, weights: Array) -> None:
         self.comparison, self.machine = comparison, comparison.machine
@@ -200,17 +182,7 @@ class MotionRuns:
         return align_run(run, self.machine, self.comparison.channels, step=self.machine.time_step)
 
     def run(self, name: str, motion: Played, *, noise: bool = False) -> Run:
-        """Motion in the recording's columns: commands, and what position and torque will be.
-
-        Parameters
-        ----------
-        name : str
-            Name of the run.
-        motion : Played
-            The motion.
-        noise : bool
-            Whether the readings have the noise of the recorded ones.
-        """
+        """Motion in the recording's columns: commands, and what position and torque will be."""
         rng = np.random.default_rng(_NOISE_SEED)
         sensors: dict[str, Array] = {}
         torques: dict[str, Array] = {}

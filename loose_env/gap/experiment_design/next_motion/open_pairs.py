@@ -24,8 +24,6 @@ from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import EQUAL_LOG_LIKELIHOOD, SCREENING_S
 from loose_env.typing import Array
 
-__all__ = ["DECIDED", "NOTHING", "Hypotheses", "OpenPair", "Place", "open_hypotheses", "words_of"]
-
 DECIDED = 0.5 * EQUAL_LOG_LIKELIHOOD
 """Difference in log evidence from which a pair is decided [nats]."""
 NOTHING = "nothing"
@@ -100,21 +98,7 @@ def open_hypotheses(
     *,
     say: Callable[[str], None] = lambda _: None,
 ) -> Hypotheses:
-    """Fit rivals in the place of effects of an answer, and compare their evidence with its.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The runs that the answer was fitted to.
-    best : Fit
-        The answer.
-    rivals : sequence of tuple
-        Kind and location of an effect of the answer, and a rival in all its forms.
-    unseen : sequence of (Effect, values)
-        Effects that the runs would not show at sizes that matter.
-    say : callable
-        Receives progress messages.
-    """
+    """Fit rivals in the place of effects of an answer, and compare their evidence with its."""
     with quiet():
         answer = _with_sensitivities(best, comparison)
         weights, share = weights_of(comparison, answer.residual)

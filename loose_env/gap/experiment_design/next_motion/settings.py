@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from loose_env.io import Checked, Count, NonNegative, NonNegativeCount, Positive
 
-__all__ = ["NextMotionSettings"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class NextMotionSettings(Checked):

@@ -15,9 +15,6 @@ from loose_env.gap.model.effects.mjcf.passive_actuators import make_it_stick
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["SOFTER", "Backlash", "stops"]
-
-
 _DRAG_RATE = 2.0
 """How fast oil stops a link that floats in the gap [1/s]."""
 _FASTEST = 1.2

@@ -52,8 +52,6 @@ from loose_env.gap.model.effects.sensors import (
 from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
 from loose_env.gap.model.nominal_model import NominalModel
 
-__all__ = ["CATALOGUE", "candidates", "read_effects", "register"]
-
 Kind = TypeVar("Kind", bound=type[Effect])
 
 CATALOGUE: dict[str, type[Effect]] = {
@@ -137,20 +135,7 @@ def register(effect: Kind) -> Kind:
 
 
 def candidates(machine: NominalModel, kinds: Iterable[str] | None = None) -> list[Effect]:
-    """List all effects at all possible locations, in every variant.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    kinds : iterable of str, optional
-        Identifiers; all by default.
-
-    Raises
-    ------
-    UnknownName
-        If the catalogue has no such identifier.
-    """
+    """List all effects at all possible locations, in every variant."""
     wanted = tuple(CATALOGUE) if kinds is None else tuple(kinds)
     for kind in wanted:
         if kind not in CATALOGUE:

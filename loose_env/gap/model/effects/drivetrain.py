@@ -22,8 +22,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["GearEccentricity", "RotorInertia", "TorqueRipple"]
-
 
 class RotorInertia(JointEffect):
     """Rotor inertia added to that of the model; negative down to a total of zero."""

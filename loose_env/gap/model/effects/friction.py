@@ -27,14 +27,6 @@ from loose_env.gap.model.effects.mjcf.passive_actuators import (
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = [
-    "AsymmetricFriction",
-    "CoulombFriction",
-    "QuadraticDrag",
-    "StribeckFriction",
-    "ViscousFriction",
-]
-
 
 class ViscousFriction(JointEffect):
     """Viscous damping added to that of the model; negative down to a total of zero."""

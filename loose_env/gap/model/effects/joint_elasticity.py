@@ -33,17 +33,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = [
-    "BaseCompliance",
-    "JointCompliance",
-    "JointSpring",
-    "SplitJoint",
-    "damping_ratio",
-    "stiffness_between",
-    "stiffness_starts",
-]
-
-
 _SLOWEST_HZ = 0.3
 """Mode of the softest spring that is tried."""
 _START_HZ = (4.0, 12.0, 35.0)

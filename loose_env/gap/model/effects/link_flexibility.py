@@ -30,9 +30,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["LinkFlexibility", "parts"]
-
-
 _SHORTEST = 0.03
 """Shortest link that can bend, in lengths of the machine."""
 _ALONG = 0.1
@@ -164,15 +161,6 @@ def parts(
     lies where the link's does. Their centres are as far apart as those pieces' are, or less where
     the link's inertia does not allow that.
 
-    Parameters
-    ----------
-    whole : Inertial
-        The link.
-    start, end : ndarray (3,)
-        Its two ends [m].
-    share : float
-        Share of the length in the near part.
-
     Examples
     --------
     A uniform bar of one metre, cut in the middle:
@@ -208,12 +196,6 @@ def _cut_bar(centre: float, share: float) -> tuple[float, float, float]:
     """Cut a bar of unit length and mass.
 
     Its mass per length is 1 + fall (1 - 2 x), nowhere below zero.
-
-    Returns
-    -------
-    (float, float, float)
-        Mass of the near piece; distance of the pieces' centres; the near one's share of what both
-        are spread along the bar about their own centres.
     """
     fall = float(np.clip(6 * (0.5 - centre), -1.0, 1.0))
     near, whole = (

@@ -21,16 +21,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = [
-    "BaseTilt",
-    "GravityCompensation",
-    "LinkCom",
-    "LinkMass",
-    "Payload",
-    "links_with_mass",
-    "payload_notes",
-]
-
 
 def links_with_mass(machine: NominalModel) -> tuple[str, ...]:
     """Names of the links that have mass of their own."""

@@ -24,17 +24,6 @@ from loose_env.gap.model.nominal_model import NominalModel, history_for
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = [
-    "EncoderOffset",
-    "SensorBias",
-    "SensorDelay",
-    "SensorGain",
-    "SensorMisalignment",
-    "SensorQuantisation",
-    "delayed",
-]
-
-
 _AXES = {1: ("bias",), 3: ("bias_x", "bias_y", "bias_z")}
 
 

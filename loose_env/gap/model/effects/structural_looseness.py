@@ -28,9 +28,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["Slides", "StructuralLooseness", "slide_axis"]
-
-
 _GRAVITY = 9.81
 """Usual load of a seat, over the mass on it [m/s²]."""
 _MOST_JOINTS = 3
@@ -251,18 +248,6 @@ def slide_axis(slides: Slides, residual: ResidualAccelerations) -> Array | None:
 
     Maximum ratio of the power along the slide's response to the largest possible, sample by sample:
     a generalised eigenvalue problem.
-
-    Parameters
-    ----------
-    slides : Slides
-        The arm.
-    residual : ResidualAccelerations
-        Accelerometer residuals.
-
-    Returns
-    -------
-    ndarray (3,) or None
-        Unit vector in the frame of the link; None where no slide is visible.
     """
     model = slides.model
     data = mujoco.MjData(model)

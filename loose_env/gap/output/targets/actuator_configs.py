@@ -22,8 +22,6 @@ from loose_env.gap.output.targets.source import (
     number,
 )
 
-__all__ = ["isaaclab_export", "mjlab_export"]
-
 _CARRIED = {
     "viscous_friction": ALL,
     "coulomb_friction": ALL,
@@ -49,20 +47,7 @@ class _Config:
 
 
 def mjlab_export(source: ExportSource, timestep: float | None = None) -> Export:
-    """Write actuator configurations for mjlab.
-
-    Parameters
-    ----------
-    source : ExportSource
-        Result and corrected model.
-    timestep : float, optional
-        Physics step of the trainer [s]; by default that of the corrected model.
-
-    Returns
-    -------
-    Export
-        ``mjlab_actuators.py``: a tuple of configurations for ``EntityArticulationInfoCfg``.
-    """
+    """Write actuator configurations for mjlab."""
     step = _step(source, timestep)
     joints, configs, left = joint_values(source.model), [], []
     for joint in joints:
@@ -117,18 +102,7 @@ def mjlab_export(source: ExportSource, timestep: float | None = None) -> Export:
 
 
 def isaaclab_export(source: ExportSource, timestep: float | None = None) -> Export:
-    """Write actuator configurations for Isaac Lab.
-
-    Parameters
-    ----------
-    source, timestep
-        As for `mjlab_export`.
-
-    Returns
-    -------
-    Export
-        ``isaaclab_actuators.py``: a dictionary for ``ArticulationCfg.actuators``.
-    """
+    """Write actuator configurations for Isaac Lab."""
     step = _step(source, timestep)
     configs, left = {}, []
     for joint in joint_values(source.model):

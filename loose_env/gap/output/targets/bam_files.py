@@ -22,8 +22,6 @@ from loose_env.gap.output.targets.source import (
 )
 from loose_env.io import json_text
 
-__all__ = ["SERVOS", "bam_export"]
-
 SERVOS = (
     "mx64", "mx106", "xl320", "xl330", "xl330i", "erob80_100", "erob80_50", "sts3215",
     "unitree_go1",
@@ -43,25 +41,7 @@ _SPEED = 0.2
 
 
 def bam_export(source: ExportSource, servo: str = "") -> Export:
-    """Write a parameter file of BAM for each hinge with a named effect.
-
-    Parameters
-    ----------
-    source : ExportSource
-        Result and corrected model.
-    servo : str
-        Name of the servo in BAM, one of `SERVOS`: BAM computes the motor's torque by it.
-
-    Returns
-    -------
-    Export
-        ``bam_JOINT.json`` for each such joint.
-
-    Raises
-    ------
-    InvalidSetting
-        If the servo is not given, or unknown.
-    """
+    """Write a parameter file of BAM for each hinge with a named effect."""
     if servo not in SERVOS:
         raise InvalidSetting(
             f"BAM needs the servo of the joints: give --servo with one of {', '.join(SERVOS)}"

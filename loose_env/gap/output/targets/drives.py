@@ -15,8 +15,6 @@ import numpy as np
 
 from loose_env.gap.model.nominal_model import affine_actuators
 
-__all__ = ["JointDrive", "JointValues", "joint_values"]
-
 Mode = Literal["position", "velocity", "effort"]
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -70,11 +68,6 @@ class JointValues:
 
 def joint_values(model: mujoco.MjModel) -> tuple[JointValues, ...]:
     """Read hinges and slides with their drives from a compiled model.
-
-    Parameters
-    ----------
-    model : MjModel
-        The corrected model.
 
     Examples
     --------

@@ -15,8 +15,6 @@ from loose_env.gap.output.targets.sysid_parameters import sysid_export
 from loose_env.gap.output.targets.urdf_tags import urdf_export
 from loose_env.io import Checked, Positive, write_text
 
-__all__ = ["TARGETS", "ExportSettings", "export_result", "write_export"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ExportSettings(Checked):

@@ -16,8 +16,6 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.output.result import NamedEffect
 from loose_env.gap.output.targets.source import ExportSource
 
-__all__ = ["ModelParameter", "model_parameters"]
-
 Element = Literal["joint", "actuator", "sensor", ""]
 
 
@@ -66,23 +64,7 @@ _ADDED: dict[tuple[str, str], tuple[Element, str, int | None, str]] = {
 
 
 def model_parameters(source: ExportSource) -> tuple[ModelParameter, ...]:
-    """List all parameters of the named effects.
-
-    Parameters
-    ----------
-    source : ExportSource
-        Result and corrected model.
-
-    Returns
-    -------
-    tuple of ModelParameter
-        In the order of the result; an effect on all actuators has one for each.
-
-    Raises
-    ------
-    InvalidData
-        If the corrected model is missing.
-    """
+    """List all parameters of the named effects."""
     found: list[ModelParameter] = []
     for effect in source.result.effects:
         for name in effect.parameters:

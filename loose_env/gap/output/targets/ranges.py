@@ -13,24 +13,11 @@ from loose_env.gap.output.targets.model_parameters import ModelParameter, model_
 from loose_env.gap.output.targets.source import Export, ExportSource
 from loose_env.io import json_text
 
-__all__ = ["RANGES_FORMAT", "ranges_export"]
-
 RANGES_FORMAT = "loose-ranges/1"
 
 
 def ranges_export(source: ExportSource) -> Export:
-    """Write a range for every parameter of the named effects.
-
-    Parameters
-    ----------
-    source : ExportSource
-        Result and corrected model.
-
-    Returns
-    -------
-    Export
-        ``ranges.json``. A parameter without an interval has none to draw from, and is listed.
-    """
+    """Write a range for every parameter of the named effects."""
     parameters = model_parameters(source)
     left = tuple(
         f"{p.name} {p.value:.4g} {p.unit}".rstrip() + ": the result has no interval for it"

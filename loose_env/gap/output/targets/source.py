@@ -16,17 +16,6 @@ import mujoco
 from loose_env.errors import InvalidData
 from loose_env.gap.output.result import GapResult, NamedEffect, read_result
 
-__all__ = [
-    "ALL",
-    "Carried",
-    "Export",
-    "ExportSource",
-    "effect_words",
-    "not_carried",
-    "number",
-    "read_source",
-]
-
 ALL: tuple[str, ...] = ("*",)
 """Stands for all parameters of an effect."""
 Carried = Mapping[str, tuple[str, ...]]
@@ -44,13 +33,7 @@ class ExportSource:
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """The corrected model.
-
-        Raises
-        ------
-        InvalidData
-            If it is missing or does not compile.
-        """
+        """The corrected model."""
         if not self.path.is_file():
             raise InvalidData(
                 f"there is no corrected model {str(self.path)!r}, whose values this export needs; "
@@ -128,18 +111,7 @@ def effect_words(effect: NamedEffect, names: Iterable[str] | None = None) -> str
 def not_carried(
     effects: Iterable[NamedEffect], carried: Carried, *, remedy: str = ""
 ) -> tuple[str, ...]:
-    """List what an export with these kinds of effects leaves out, in sentences.
-
-    Parameters
-    ----------
-    effects : iterable of NamedEffect
-        The effects of the result.
-    carried : mapping
-        Kind -> parameters that the export carries.
-    remedy : str
-        What carries an effect that the target lacks; by default the corrected model, or the code
-        of the result.
-    """
+    """List what an export with these kinds of effects leaves out, in sentences."""
     found = []
     for effect in effects:
         known = carried.get(effect.kind, ())

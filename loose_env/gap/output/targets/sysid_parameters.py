@@ -18,8 +18,6 @@ from loose_env.gap.output.targets.model_parameters import ModelParameter, model_
 from loose_env.gap.output.targets.source import Export, ExportSource
 from loose_env.io import json_text, plain
 
-__all__ = ["sysid_export"]
-
 _HEAD = '''"""Effects identified by 'loose gap' as parameters of mujoco.sysid.
 
     import mujoco
@@ -79,19 +77,7 @@ _TAIL = """    return found
 
 
 def sysid_export(source: ExportSource) -> Export:
-    """Write the parameters of the named effects for ``mujoco.sysid``.
-
-    Parameters
-    ----------
-    source : ExportSource
-        Result and corrected model.
-
-    Returns
-    -------
-    Export
-        ``parameters.py`` and ``parameters.yaml``. Every parameter of every effect is in both; those
-        without a modifier are frozen, and listed.
-    """
+    """Write the parameters of the named effects for ``mujoco.sysid``."""
     found = model_parameters(source)
     states = {p.name: _state(p) for p in found}
     left = tuple(

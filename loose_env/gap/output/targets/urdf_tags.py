@@ -19,31 +19,11 @@ from loose_env.gap.output.targets.source import (
     number,
 )
 
-__all__ = ["urdf_export"]
-
 _CARRIED = {"viscous_friction": ALL, "coulomb_friction": ALL}
 
 
 def urdf_export(source: ExportSource, urdf: Path | None = None) -> Export:
-    """Write the joint friction of the corrected model for URDF.
-
-    Parameters
-    ----------
-    source : ExportSource
-        Result and corrected model.
-    urdf : Path, optional
-        URDF of the arm, whose copy gets the tags. Without, they are written joint by joint.
-
-    Returns
-    -------
-    Export
-        The copy, under the name of the file; or ``dynamics.urdf.xml``.
-
-    Raises
-    ------
-    InvalidData
-        If the file is no URDF, or lacks a joint with a named effect.
-    """
+    """Write the joint friction of the corrected model for URDF."""
     left = not_carried(source.result.effects, _CARRIED)
     joints = joint_values(source.model)
     if urdf is None:

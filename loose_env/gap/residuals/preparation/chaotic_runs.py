@@ -26,9 +26,6 @@ from loose_env.gap.settings import (
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.typing import Array
 
-__all__ = ["chaotic_runs"]
-
-
 NUDGE = 1e-5
 """Change of where a run begins that does not matter [rad, m]."""
 _OF_STOPS = {"stiffness": 1.3, "damping_ratio": 1.5}
@@ -54,21 +51,6 @@ def chaotic_runs(
     chaotic in any of them: sensitive to slightly different stops or initial states. A run that has
     no features, since it is too short or its command does not vary, is not among them: it can only
     be compared sample by sample.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    trials : sequence of Trial
-        The runs.
-    channels : tuple of Channel
-        Their channels.
-    floors : ndarray (C,)
-        Noise standard deviations.
-    candidates : sequence of Effect
-        Candidate effects; those with stops are simulated.
-    threads : int
-        Threads of the simulation; 0: all processors.
     """
     with_stops = [effect for effect in candidates if effect.has_stops]
     runs = [trial for trial in trials if _driven(trial, machine)]

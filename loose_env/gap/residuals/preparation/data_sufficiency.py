@@ -6,7 +6,6 @@ from math import ceil
 
 import numpy as np
 
-from loose_env.gap.data.noise_floor import noise_floor
 from loose_env.gap.residuals.residual_model import LONGEST, SHORTEST, ResidualModel
 from loose_env.gap.settings import (
     ACCEPTED_Z,
@@ -14,19 +13,13 @@ from loose_env.gap.settings import (
     MOVING,
     SPARE_BLOCKS,
 )
-
-__all__ = ["sufficiency_notes"]
+from loose_env.statistics import noise_floor
 
 
 def sufficiency_notes(fitted: ResidualModel, held: ResidualModel) -> list[str]:
     """Describe shortfalls of the data in sentences; none if the data suffice.
 
     An improvement of k standard deviations over blocks of time needs k² blocks that all agree.
-
-    Parameters
-    ----------
-    fitted, held : ResidualModel
-        The training runs and the held-out runs.
     """
     found = []
     for which, comparison, improvement in (

@@ -15,7 +15,6 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.data.aligned_run import Channel, align_run
-from loose_env.gap.data.noise_floor import channel_floor
 from loose_env.gap.model.effect import have_stops
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
@@ -27,8 +26,7 @@ from loose_env.gap.settings import (
 )
 from loose_env.gap.simulation.time_step import stepped
 from loose_env.recording import Run
-
-__all__ = ["Integration", "choose_integration", "corrected_step_notes"]
+from loose_env.statistics import channel_floor
 
 _POOR_FIT_RMS, _SHARE = 50.0, 0.5
 """How far the nominal model is off [noise standard deviations] where the noise is no measure any
@@ -85,13 +83,7 @@ class Integration:
         return 2 if self.integrator == _RK4 and self.relative_error < _UNSEEN else 1
 
     def notes(self, *, own: float) -> list[str]:
-        """Notes on a changed step, and on one that is still too coarse.
-
-        Parameters
-        ----------
-        own : float
-            The model's own step [s].
-        """
+        """Notes on a changed step, and on one that is still too coarse."""
         found = []
         if (
             self.nominal_relative_error > OWN_STEP_ERROR
@@ -179,13 +171,6 @@ def corrected_step_notes(held_out: ResidualModel, hypothesis: Hypothesis) -> lis
 
     An added effect may be stiffer than the nominal model by which the step was chosen. Runs that
     are compared by features or inverse dynamics are left out.
-
-    Parameters
-    ----------
-    held_out : ResidualModel
-        The held-out runs.
-    hypothesis : Hypothesis
-        The added effects.
     """
     if have_stops(hypothesis.effects):
         return []  # after an impact no two simulations agree, however fine their steps

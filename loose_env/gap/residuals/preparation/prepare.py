@@ -13,7 +13,6 @@ from loose_env.errors import InvalidData
 from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_of
 from loose_env.gap.data.holdout_split import split_runs
 from loose_env.gap.data.measured_runs import measured_runs
-from loose_env.gap.data.noise_floor import channel_floor
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.effects.link_inertia import payload_notes
@@ -28,10 +27,8 @@ from loose_env.gap.residuals.windows import windows_as_runs
 from loose_env.gap.settings import GapSettings
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Recording, Run
+from loose_env.statistics import channel_floor
 from loose_env.typing import Array
-
-__all__ = ["GapProblem", "prepare"]
-
 
 _FINEST = 1e-5
 """Share of what channels of a kind show to which one is taken to be read at best. A simulation
@@ -89,14 +86,7 @@ class GapProblem:
 
 
 def prepare(recording: Recording, settings: GapSettings) -> GapProblem:
-    """Align a recording with the model, choose the step, and estimate the noise.
-
-    Raises
-    ------
-    InvalidData
-        If the recording has too few runs, a run lacks what its comparison needs, or nothing remains
-        to compare in the runs to fit to or in those held out.
-    """
+    """Align a recording with the model, choose the step, and estimate the noise."""
     recording.check_comparison()
     runs, warnings = _suspect(recording.runs)
     pieces, left_out = measured_runs(runs, recording.model())

@@ -23,9 +23,6 @@ from loose_env.gap.residuals.random_excitation.frf_features import ResponseFeatu
 from loose_env.gap.residuals.random_excitation.incoherent_features import IncoherentFeatures
 from loose_env.typing import Array
 
-__all__ = ["GROUP", "FeatureSettings", "RandomFeatures", "RandomRun"]
-
-
 _BLOCK = 0.2
 """Length of the blocks from which the features' correlation is estimated [s]."""
 
@@ -60,27 +57,6 @@ class RandomFeatures:
     They are the same for every hypothesis: templates, bands and units come from the measured run. A
     template of the linear response in one half of the run is made from the other half, so that a
     channel's noise does not bias its own gain.
-
-    Parameters
-    ----------
-    values : ndarray (T, C)
-        Readings of the channels; NaN where nothing was read. Channels of which less than half was
-        read are left out.
-    rate : float
-        Samples per second, even [1/s].
-    commands : ndarray (T, m)
-        Commands of the excited actuators at the samples, held until the next.
-    floors : ndarray (C,)
-        Noise standard deviation of each channel.
-    channels : sequence of Channel, optional
-        Names, and the axes of each vector sensor; by default each is scalar.
-    settings : FeatureSettings, optional
-        Settings of the features.
-
-    Raises
-    ------
-    InvalidData
-        If shapes do not fit, no channel was read, or the commands do not excite.
 
     Examples
     --------
@@ -155,13 +131,7 @@ class RandomFeatures:
         channels: Sequence[Channel],
         floors: Array,
     ) -> RandomFeatures:
-        """Features of a measured run whose recording lists excited joints.
-
-        Raises
-        ------
-        InvalidData
-            If none of its joints is excited through an actuator.
-        """
+        """Features of a measured run whose recording lists excited joints."""
         driven = [
             k
             for k, name in enumerate(machine.actuators)
@@ -190,20 +160,7 @@ class RandomFeatures:
         return found
 
     def of(self, values: Array, *, noisy: bool = False) -> Array:
-        """Compute the features of readings (T, C) -> (K,).
-
-        Parameters
-        ----------
-        values : ndarray (T, C)
-            Readings at the samples.
-        noisy : bool
-            Whether the readings contain sensor noise; the noise floor is added where not.
-
-        Returns
-        -------
-        ndarray (K,)
-            NaN where the readings are not finite.
-        """
+        """Compute the features of readings (T, C) -> (K,)."""
         own = np.asarray(values, dtype=float)[:, self.used]
         if self._missing.any():
             own = self._own(values)
@@ -226,21 +183,7 @@ class RandomFeatures:
         return float(np.max(measured / (simulated + self._floors**2)))
 
     def chaotic_share(self, first: Array, second: Array) -> float:
-        """Share of the incoherent part that is chaotic, from two simulations of a model.
-
-        Parameters
-        ----------
-        first, second : ndarray (T, C)
-            Simulated readings without noise, of the same model but for a change of parameters, or
-            of its initial state, that is too small to matter.
-
-        Returns
-        -------
-        float
-            0 where both are the same, so that trajectories may be compared; 1 where both are
-            independent. For `FeatureSettings.chaos`, of the channel where it is largest among
-            those whose incoherent part exceeds the noise.
-        """
+        """Share of the incoherent part that is chaotic, from two simulations of a model."""
         one, two = (self.response.incoherent(self._own(values)) for values in (first, second))
         apart = np.mean(np.abs(one.spectra - two.spectra) ** 2, axis=(0, 1))
         both = one.density.mean(axis=0) + two.density.mean(axis=0)
@@ -296,11 +239,6 @@ class RandomRun:
 
     The whitened differences of all features are multiplied by a fixed random rotation, so that an
     error in any hypothesis, in however few features, shows in every block of them.
-
-    Parameters
-    ----------
-    features : RandomFeatures
-        Features of the measured run.
     """
 
     features: RandomFeatures

@@ -12,9 +12,6 @@ from scipy import fft
 from loose_env.errors import InvalidData
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["FEWEST", "CommandResponse"]
-
-
 _BINS = 16
 """Frequencies over which a response counts as a parabola, apart from those that are used up."""
 FEWEST = 200
@@ -36,18 +33,6 @@ class CommandResponse:
     the frequency and its square, and on that of w' u: the response is a parabola there, and the
     last regressor carries the effect of the window. The residual of the regression is incoherent:
     noise, impacts and all nonlinear response.
-
-    Parameters
-    ----------
-    commands : ndarray (T, m)
-        Commands of the excited actuators at the samples; their means do not matter.
-    rate : float
-        Samples per second [1/s].
-
-    Raises
-    ------
-    InvalidData
-        If there are too few samples, or a command does not vary or depends on the others.
 
     References
     ----------
@@ -139,16 +124,6 @@ class CommandResponse:
         """Smoothed response to each command, estimated from the other half of the run.
 
         This keeps it free of the noise of its own half.
-
-        Parameters
-        ----------
-        values : ndarray (T, C)
-            Readings.
-
-        Returns
-        -------
-        ndarray (T, C, m)
-            In units of the readings.
         """
         count = len(values)
         half = count // 2

@@ -9,12 +9,9 @@ from functools import cached_property
 import numpy as np
 from scipy import fft
 
-from loose_env.gap.data.noise_floor import resolution_of
 from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse, Incoherent
+from loose_env.statistics import resolution_of
 from loose_env.typing import Array
-
-__all__ = ["ResponseFeatures"]
-
 
 _EDGE = 0.05
 """Share of the run that the weights fade in, and fade out."""
@@ -42,25 +39,6 @@ class ResponseFeatures:
     The template is the measured response, smoothed; each half of it is estimated from the other
     half of the run, so that a channel's noise does not bias its own gain. Channels without a clear
     response have the template of the channel with the clearest response, in one band.
-
-    Parameters
-    ----------
-    values : ndarray (T, C)
-        Measured readings without gaps.
-    names : sequence of str
-        Names of the channels.
-    floors : ndarray (C,)
-        Their noise standard deviations.
-    response : CommandResponse
-        Command response of the run.
-    rest : Incoherent
-        Incoherent part of the values.
-    bands : int
-        Bands of channels that clearly respond.
-    clear : float
-        Response that is clear [standard deviations].
-    chaos : float
-        Share of the incoherent part, less the noise, that a correct simulation does not reproduce.
     """
 
     def __init__(

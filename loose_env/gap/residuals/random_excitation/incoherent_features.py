@@ -10,11 +10,8 @@ from numpy.typing import NDArray
 
 from loose_env.gap.data.aligned_run import Channel
 from loose_env.gap.residuals.random_excitation.frequency_response import CommandResponse, Incoherent
-from loose_env.statistics import memory_of
+from loose_env.statistics import long_run_variance
 from loose_env.typing import Array
-
-__all__ = ["IncoherentFeatures"]
-
 
 _POWER = 0.99
 """Share of the command's power that lies in its band."""
@@ -33,21 +30,6 @@ class IncoherentFeatures:
     measurement and simulation; covariances of the axes of one sensor; third and fourth cumulants,
     which are zero for Gaussian noise. Units come from the measured run. Cumulants and the power
     above the band are computed for vector sensors, and for all channels if there are none.
-
-    Parameters
-    ----------
-    rest : Incoherent
-        Incoherent part of the measured run.
-    channels : sequence of Channel
-        Names, and the axes of each vector sensor.
-    floors : ndarray (C,)
-        Noise standard deviations.
-    response : CommandResponse
-        Command response of the run.
-    floor_error : float
-        Standard deviation of a noise floor, as a share of it.
-    chaos : float
-        Share of the incoherent part, less the noise, that a correct simulation does not reproduce.
     """
 
     def __init__(
@@ -215,4 +197,4 @@ def _level(rest: Incoherent, kept: NDArray[np.bool_]) -> Array:
 
 def _of_mean(series: Array) -> float:
     """Variance of the mean of an autocorrelated series."""
-    return memory_of(series - series.mean()).variance / len(series)
+    return long_run_variance(series - series.mean()) / len(series)

@@ -27,8 +27,6 @@ from loose_env.gap.selection.impacts.impact_search import ImpactFit, find_impact
 from loose_env.gap.selection.revision import drop_insignificant, refit_without
 from loose_env.gap.settings import GapSettings
 
-__all__ = ["ImpactPassResult", "impact_pass"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImpactPassResult:
@@ -52,28 +50,7 @@ def impact_pass(
     *,
     say: Callable[[str], None] = lambda _: None,
 ) -> ImpactPassResult | None:
-    """Search for a part that hits its stops where a residual is unexplained.
-
-    Parameters
-    ----------
-    problem : GapProblem
-        The runs.
-    scorer : Scorer
-        Scores fits to ``problem.fit``.
-    base, best : ScoredFit
-        The nominal model, and the best hypothesis, which does not explain enough.
-    sought : sequence of Effect
-        The catalogue at every location.
-    settings : GapSettings
-        Maximum number of effects, and the seed.
-    say : callable
-        Receives progress messages, line by line.
-
-    Returns
-    -------
-    ImpactPassResult or None
-        None where there is no such part.
-    """
+    """Search for a part that hits its stops where a residual is unexplained."""
     if not all(map(ImpactPower.worth_while, (problem.search, problem.held_out))):
         return None
     # Impacts dominate the accelerations, whose residual is no smaller for correct parameters than

@@ -23,9 +23,6 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["ImpactPower"]
-
-
 _FEWEST = 8
 """Samples of a stretch, at least."""
 _READ = 0.5
@@ -44,19 +41,6 @@ class ImpactPower(ResidualModel):
     A hypothesis here is the set of effects added to that model. The residuals are logarithms of
     powers, measured less simulated, in standard deviations of the sampling error: about one where
     the model is correct. With nothing added the residual is `measured`.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The runs; those that are not simulated with their commands, or are compared by features, are
-        left out.
-    known : Hypothesis
-        The model without play: nominal parameters and the identified effects.
-
-    Raises
-    ------
-    ValueError
-        If no run can be compared (see `ImpactPower.worth_while`).
     """
 
     def __init__(self, comparison: ResidualModel, known: Hypothesis) -> None:

@@ -34,9 +34,6 @@ from loose_env.gap.settings import (
 )
 from loose_env.typing import Array
 
-__all__ = ["ImpactFit", "find_impacts"]
-
-
 _FITTED = 2
 """Candidates that are fitted."""
 _NOISE_MEAN_SQUARE = 0.5
@@ -92,27 +89,7 @@ def find_impacts(
     *,
     say: Callable[[str], None] = lambda _: None,
 ) -> ImpactFit | None:
-    """Search for a part that hits its stops in runs with commands.
-
-    Parameters
-    ----------
-    problem : GapProblem
-        The runs.
-    known : Hypothesis
-        The hypothesis found sample by sample, nominal parameters included.
-    candidates : sequence of Effect
-        The catalogue at every location; those with stops are fitted.
-    rng : numpy.random.Generator
-        Random generator of the intervals.
-    say : callable
-        Receives progress messages, line by line.
-
-    Returns
-    -------
-    ImpactFit or None
-        None where none explains the powers, or the one that does needs no gap for that: powers
-        know nothing of moments, and a spring without play has those of much else.
-    """
+    """Search for a part that hits its stops in runs with commands."""
     there = {(e.kind, e.where) for e in known.effects}
     with_stops = [c for c in candidates if _has_clearance(c) and (c.kind, c.where) not in there]
     short = windowed(problem.search, SCREENING_S)

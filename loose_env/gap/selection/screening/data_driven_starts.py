@@ -18,7 +18,6 @@ import numpy as np
 from loose_env.errors import InvalidData
 from loose_env.gap.data.actuator_states import activations
 from loose_env.gap.data.aligned_run import Trial
-from loose_env.gap.data.noise_floor import resolution_of
 from loose_env.gap.data.smoothing import SmoothedMotion, smooth_motion
 from loose_env.gap.model.data_starts import ResidualAccelerations
 from loose_env.gap.model.effect import Effect
@@ -28,10 +27,8 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.stiffness_starts import joint_stiffness
 from loose_env.gap.simulation.driven_effects import Driven
 from loose_env.gap.simulation.torque_terms import torque_terms
+from loose_env.statistics import resolution_of
 from loose_env.typing import Array
-
-__all__ = ["proposals", "residual_accelerations", "residual_torque"]
-
 
 _DYNAMICS_SAMPLES = 6000
 """Samples of all runs that are evaluated, at most."""
@@ -43,17 +40,7 @@ _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 def proposals(
     comparison: ResidualModel, hypothesis: Hypothesis, candidates: Sequence[Effect]
 ) -> dict[tuple[str, str, str], tuple[tuple[float, ...], ...]]:
-    """Return data-driven starts by candidate key; {} where no run has commands.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The runs.
-    hypothesis : Hypothesis
-        The current hypothesis.
-    candidates : sequence of Effect
-        Candidate effects.
-    """
+    """Return data-driven starts by candidate key; {} where no run has commands."""
     starts: dict[tuple[str, str, str], tuple[tuple[float, ...], ...]] = {}
     along = [e for e in candidates if type(e).propose_along is not Effect.propose_along]
     residual = residual_accelerations(comparison, hypothesis) if along else None
@@ -106,15 +93,7 @@ def _from_readings(comparison: ResidualModel, effect: Effect) -> tuple[tuple[flo
 def residual_torque(
     comparison: ResidualModel, hypothesis: Hypothesis
 ) -> tuple[Array, Array, Array, Array, Array] | None:
-    """Motion, residual torque and needed torque of all runs with commands or measured torques.
-
-    Returns
-    -------
-    tuple of ndarray (T, joints), or None
-        [rad, m], [rad/s, m/s], [rad/s², m/s²], twice [N·m, N], NaN where a joint's torque was not
-        measured; None if no run tells and is long enough, or the actuator torques are not known
-        (`loose_env.gap.data.actuator_states`).
-    """
+    """Motion, residual torque and needed torque of all runs with commands or measured torques."""
     machine = comparison.machine
     rigid = [(effect, values) for effect, values in hypothesis.pairs if not effect.adds_motion]
     known = hypothesis.of_model.with_effects(rigid)
@@ -228,20 +207,7 @@ _ACCELEROMETER_SAMPLES = 2000
 def residual_accelerations(
     comparison: ResidualModel, hypothesis: Hypothesis
 ) -> ResidualAccelerations | None:
-    """Return residuals of three-axis accelerometers in simulated runs.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The runs.
-    hypothesis : Hypothesis
-        The current hypothesis.
-
-    Returns
-    -------
-    ResidualAccelerations or None
-        None where there is no such accelerometer.
-    """
+    """Return residuals of three-axis accelerometers in simulated runs."""
     model, channels = comparison.machine.model, comparison.channels
     triads = []
     for column in dict.fromkeys(channel.column for channel in channels):

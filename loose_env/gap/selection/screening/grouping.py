@@ -6,8 +6,6 @@ import mujoco
 
 from loose_env.gap.model.effect import Effect
 
-__all__ = ["confusable", "joint_of", "near"]
-
 _CONFUSABLE_KINDS = (
     ("command_delay", "actuator_lag", "joint_compliance", "sensor_delay"),
     ("joint_compliance", "link_flexibility", "base_compliance"),

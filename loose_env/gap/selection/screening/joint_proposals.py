@@ -21,15 +21,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.fitting.bounded_minimum import bounded_minimum
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.linear_problem import CurrentFit
 from loose_env.gap.selection.screening.screening import ScreenedCandidate
 from loose_env.gap.settings import SHARE_IN_SET
+from loose_env.inference import bounded_step
 from loose_env.typing import Array
-
-__all__ = ["JointProblem", "Proposal"]
 
 Key = tuple[str, str]
 """Kind and variant, or kind and location."""
@@ -61,17 +59,7 @@ class Proposal:
 
 
 class JointProblem:
-    """The linearised problem of all candidates at the current model.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        Comparison of the runs.
-    fitted : Fit
-        The current model on these runs, with its sensitivities.
-    screened : sequence of ScreenedCandidate
-        Candidates with their signatures, the most promising first.
-    """
+    """The linearised problem of all candidates at the current model."""
 
     def __init__(
         self, comparison: ResidualModel, fitted: Fit, screened: Sequence[ScreenedCandidate]
@@ -262,7 +250,7 @@ class JointProblem:
         while chosen:
             own = [*range(self._known), *self._columns(chosen)]
             slope, curvature = self._slope[own], self._curvature[np.ix_(own, own)]
-            moved = bounded_minimum(curvature, slope, self._low[own], self._high[own])
+            moved = bounded_step(curvature, slope, self._low[own], self._high[own])
             gain = -float(moved @ (2 * slope + curvature @ moved))
             ends = self._known + np.cumsum([0, *(len(self._own[k]) for k in chosen)])
             parts = [slice(a, b) for a, b in itertools.pairwise(ends)]

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.fitting.bounded_minimum import bounded_minimum
 from loose_env.gap.fitting.gauss_newton import Fit
 from loose_env.gap.fitting.model_structure import prior_of
+from loose_env.inference import bounded_step
 from loose_env.typing import Array
-
-__all__ = ["CurrentFit"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +46,7 @@ class CurrentFit:
     @property
     def to_gain(self) -> float:
         """Share of the sum of squares that a further step of the fit would gain; 0 at its end."""
-        moved = bounded_minimum(self.curvature, self.slope, *self.room)
+        moved = bounded_step(self.curvature, self.slope, *self.room)
         gain = -float(moved @ (2 * self.slope + self.curvature @ moved))
         return max(gain, 0.0) / max(float(self.residual @ self.residual), 1e-12)
 
@@ -68,5 +66,5 @@ class CurrentFit:
         slope = np.append(self.slope, signatures.T @ residual)
         low = np.append(self.room[0], np.full(count, least))
         high = np.append(self.room[1], np.full(count, most))
-        moved = bounded_minimum(curvature, slope, low, high)
+        moved = bounded_step(curvature, slope, low, high)
         return moved[-count:], signatures @ moved[-count:] + jacobian @ moved[:-count]

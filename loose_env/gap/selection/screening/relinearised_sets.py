@@ -21,8 +21,6 @@ from loose_env.gap.selection.screening.joint_proposals import JointProblem
 from loose_env.gap.selection.screening.screening import ScreenedCandidate, along
 from loose_env.typing import Array
 
-__all__ = ["AlternativeSet", "alternative_sets"]
-
 _STEP = 1e-4
 """Difference of a share over which free numbers are differentiated."""
 _MAX_EXTRAPOLATION = 4.0
@@ -42,19 +40,7 @@ class AlternativeSet:
 def alternative_sets(
     comparison: ResidualModel, fitted: Fit, screened: Sequence[ScreenedCandidate], most: int
 ) -> list[AlternativeSet]:
-    """Sets that are worth more than the effects of a fit, the best ones first.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The runs.
-    fitted : Fit
-        The fit to them, with its sensitivities.
-    screened : sequence of ScreenedCandidate
-        Further candidates, screened on top of the fit.
-    most : int
-        Most sets.
-    """
+    """Sets that are worth more than the effects of a fit, the best ones first."""
     stay = list(range(len(fitted.structure.nuisance.parameters)))
     residual, own = fitted.residual, list[ScreenedCandidate]()
     kept: dict[Effect, tuple[float, ...]] = {}

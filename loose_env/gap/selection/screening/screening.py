@@ -29,9 +29,6 @@ from loose_env.gap.selection.screening.signatures import Signatures
 from loose_env.gap.settings import SECOND_START
 from loose_env.typing import Array
 
-__all__ = ["ScreenedCandidate", "along", "screen"]
-
-
 _SMALLEST_SHARE, _LARGEST_SHARE = 1e-6, 4.0
 """Smallest and largest multiple of a signature that is believed."""
 _DISTINCT_START = 0.5
@@ -79,21 +76,7 @@ def screen(
     proposed: Mapping[tuple[str, str, str], Sequence[tuple[float, ...]]] = MappingProxyType({}),
     signatures: Signatures | None = None,
 ) -> list[ScreenedCandidate]:
-    """Screen candidates; highest predicted gain first, each with one or two starts.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        Comparison of the runs.
-    fitted : Fit
-        The current hypothesis, with its sensitivities.
-    candidates : sequence of Effect
-        Candidate effects.
-    proposed : mapping
-        Data-driven starts, by the candidate's key, in place of its own.
-    signatures : Signatures, optional
-        Source of the signatures, which may know some already.
-    """
+    """Screen candidates; highest predicted gain first, each with one or two starts."""
     signatures = signatures or Signatures()
     signatures.about(comparison, fitted)
     known = CurrentFit.of(fitted)

@@ -18,9 +18,6 @@ from loose_env.gap.selection.screening.grouping import joint_of
 from loose_env.gap.simulation.sensor_timing import changes_within
 from loose_env.typing import Array
 
-__all__ = ["Signatures"]
-
-
 _GROUP = 24
 """Hypotheses simulated at a time."""
 _CHANGED = 0.03
@@ -40,11 +37,6 @@ class Signatures:
     signatures about the nominal model then hold on, but for effects at the joints of those that
     were found; they are simulated once. Where torque is compared with motion, torques add up, and
     those of springs, which take thirty times as long as the others, always hold.
-
-    Parameters
-    ----------
-    nominal : Fit, optional
-        The nominal model; without it, all signatures are taken about the current fit.
     """
 
     def __init__(self, nominal: Fit | None = None) -> None:
@@ -58,13 +50,6 @@ class Signatures:
         """Decide for a fit which signatures about the nominal model still hold.
 
         The sensitivities of the nominal parameters tell: they are known for both.
-
-        Parameters
-        ----------
-        comparison : ResidualModel
-            The runs.
-        fitted : Fit
-            The current fit to them, with its sensitivities.
         """
         nominal, self._holds = self.nominal, _never
         if nominal is None:
@@ -94,20 +79,7 @@ class Signatures:
         entries: Sequence[tuple[Effect, Start]],
         base: Array,
     ) -> Iterator[tuple[Effect, Start, Array]]:
-        """Change of the residual (N,) with each start of each candidate, one by one.
-
-        Parameters
-        ----------
-        compared : ResidualModel
-            Comparison used for the simulations.
-        fitted : Fit
-            Fit that they are added to.
-        entries : sequence of (Effect, values)
-            The starts.
-        base : ndarray (N,)
-            Residual of `fitted` in that comparison. A candidate that needs other time steps is
-            compared with `fitted` on those.
-        """
+        """Change of the residual (N,) with each start of each candidate, one by one."""
         holding = [each for each in entries if self._holds(each[0])]
         yield from _signatures(
             compared, fitted, [each for each in entries if not self._holds(each[0])], base

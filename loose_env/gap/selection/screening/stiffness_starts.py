@@ -20,28 +20,12 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.typing import Array
 
-__all__ = ["joint_stiffness"]
-
 _SMALL = 1e-4
 """Deflection by which torques are differentiated [rad, m]."""
 
 
 def joint_stiffness(comparison: ResidualModel, hypothesis: Hypothesis) -> dict[str, float]:
-    """Stiffness of each joint that would explain most of the residual torques by itself.
-
-    Parameters
-    ----------
-    comparison : ResidualModel
-        The runs, of which those that compare torques count.
-    hypothesis : Hypothesis
-        The current hypothesis; springs in it are taken as rigid.
-
-    Returns
-    -------
-    dict of str to float
-        By joint [N·m/rad, N/m]; without joints whose torque was not measured, or whose compliance
-        would be negative.
-    """
+    """Stiffness of each joint that would explain most of the residual torques by itself."""
     inverse, machine = comparison.inverse, comparison.machine
     if inverse is None:
         return {}

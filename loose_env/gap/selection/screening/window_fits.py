@@ -26,9 +26,6 @@ from loose_env.gap.selection.screening.screening import ScreenedCandidate
 from loose_env.gap.settings import ACCEPTED_Z, HOPELESS_COST, SEARCH_Z
 from loose_env.typing import Array
 
-__all__ = ["WindowFits"]
-
-
 _ENOUGH = 0.01
 """Share of the cost below which a further step is not worth its simulations."""
 _ROUNDS = ((2, HOPELESS_COST**2), (8, HOPELESS_COST))
@@ -45,15 +42,7 @@ _IGNORED_CHANNEL_NOISE = 1e6
 
 
 class WindowFits:
-    """Fits candidates on top of the current model, to windows.
-
-    Parameters
-    ----------
-    short : ResidualModel
-        The windows.
-    before : Fit
-        The current model, fitted to all runs.
-    """
+    """Fits candidates on top of the current model, to windows."""
 
     def __init__(self, short: ResidualModel, before: Fit) -> None:
         self.short, self._all = short, before
@@ -72,24 +61,7 @@ class WindowFits:
         twice: int = 0,
         best: Fit | None = None,
     ) -> tuple[list[Fit], Fit | None]:
-        """Fit sets of candidates; return those that may be the best on all data, best first.
-
-        Parameters
-        ----------
-        sets : sequence of sequence of ScreenedCandidate
-            Candidates that are fitted together.
-        twice : int
-            Sets, from the first, that are also fitted from a second start where there is one.
-        best : Fit, optional
-            Best fit of earlier sets, with which all are compared.
-
-        Returns
-        -------
-        list of Fit
-            One for each set that is left.
-        Fit or None
-            The best one so far.
-        """
+        """Fit sets of candidates; return those that may be the best on all data, best first."""
         running = [
             fitted
             for k, members in enumerate(sets)

@@ -15,21 +15,6 @@ _NUMBER = re.compile(r"(\d+)$", re.ASCII)
 def chosen_episodes(text: str, there: Sequence[str], place: str) -> list[str]:
     """Names of the episodes that a text chooses, in its order.
 
-    Parameters
-    ----------
-    text : str
-        "all", or names, numbers and ranges of numbers with commas between them. The number of an
-        episode is the one that its name ends with.
-    there : sequence of str
-        Names of the episodes of the dataset.
-    place : str
-        Where the text was given, as errors say it.
-
-    Raises
-    ------
-    InvalidData
-        If there is no such episode.
-
     Examples
     --------
     >>> chosen_episodes("0, 2-3", ["demo_0", "demo_1", "demo_2", "demo_3"], "here")

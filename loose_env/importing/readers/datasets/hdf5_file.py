@@ -45,33 +45,7 @@ def read_hdf5(
     episodes: Sequence[str],
     time: TimeSource,
 ) -> dict[tuple[str, ChannelKey], Samples]:
-    """Read channels of demonstrations.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str
-        What errors call it.
-    keys : sequence of ChannelKey
-        The channels: a dataset within a demonstration, and an entry of it by number.
-    episodes : sequence of str
-        Names of the demonstrations.
-    time : TimeSource
-        A rate, or the dataset that holds the times.
-
-    Returns
-    -------
-    dict
-        Samples by demonstration and channel.
-
-    Raises
-    ------
-    InvalidData
-        If the file is damaged, lacks a dataset, or its times are not known.
-    MissingExtra
-        If ``h5py`` is not installed.
-    """
+    """Read channels of demonstrations."""
     found: dict[tuple[str, ChannelKey], Samples] = {}
     with _opened(path, name) as file:
         demos = _demos(file, name)

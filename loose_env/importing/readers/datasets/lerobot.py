@@ -91,31 +91,7 @@ def read_lerobot(
     episodes: Sequence[str],
     time: TimeSource,
 ) -> dict[tuple[str, ChannelKey], Samples]:
-    """Read channels of episodes; each table is read once, with the columns asked for.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the dataset.
-    name : str
-        What errors call it.
-    keys : sequence of ChannelKey
-        The channels: a feature and an entry of it, by number or name.
-    episodes : sequence of str
-        Names of the episodes.
-    time : TimeSource
-        A column, "timestamp" by default, or a rate.
-
-    Returns
-    -------
-    dict
-        Samples by episode and channel.
-
-    Raises
-    ------
-    InvalidData
-        If the dataset is incomplete, damaged or of another version, or lacks a channel.
-    """
+    """Read channels of episodes; each table is read once, with the columns asked for."""
     data = _dataset(folder, name)
     chosen: dict[ChannelKey, tuple[str, int]] = {}
     for key in keys:

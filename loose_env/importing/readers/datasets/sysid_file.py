@@ -38,25 +38,7 @@ class _Series:
 def read_sysid(
     path: Path, name: str, keys: Sequence[ChannelKey], time: TimeSource
 ) -> dict[ChannelKey, Samples]:
-    """Read signals of a ``TimeSeries`` or a ``SystemTrajectory``.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str
-        What errors call it.
-    keys : sequence of ChannelKey
-        The signals, with an entry where one has several; of a trajectory with the part,
-        "control", "sensordata" or "state", as topic.
-    time : TimeSource
-        A rate in the place of the file's times.
-
-    Raises
-    ------
-    InvalidData
-        If the file is damaged, is none of the two, or lacks a signal.
-    """
+    """Read signals of a ``TimeSeries`` or a ``SystemTrajectory``."""
     parts = _parts(path, name)
     found = {}
     for key in keys:

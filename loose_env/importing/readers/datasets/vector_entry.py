@@ -21,11 +21,6 @@ _MOST_LISTED = 64
 def split_channel(channel: str, place: str) -> tuple[str, str]:
     """Split a channel into the name of a vector and an entry of it, which may be empty.
 
-    Raises
-    ------
-    InvalidData
-        If it is no such text.
-
     Examples
     --------
     >>> split_channel("observation.state[elbow.pos]", "here")
@@ -41,13 +36,7 @@ def split_channel(channel: str, place: str) -> tuple[str, str]:
 
 
 def entry_index(entry: str, width: int, labels: Sequence[str], place: str) -> int:
-    """Number of an entry of a vector, from its number or name; a vector of one needs none.
-
-    Raises
-    ------
-    InvalidData
-        If the vector has no such entry.
-    """
+    """Number of an entry of a vector, from its number or name; a vector of one needs none."""
     if entry in labels:
         return list(labels).index(entry)
     if not entry and width == 1:
@@ -64,19 +53,7 @@ def entry_index(entry: str, width: int, labels: Sequence[str], place: str) -> in
 def vector_channels(
     name: str, first: Array, labels: Sequence[str] = (), *, topic: str = "", words: str = ""
 ) -> list[Channel]:
-    """Channels of a vector, as ``--describe`` lists them.
-
-    Parameters
-    ----------
-    name : str
-        Its name.
-    first : ndarray of shape (T, N)
-        Its first values.
-    labels : sequence of str, optional
-        Names of the entries, shape (N,).
-    topic, words : str
-        Of the channels.
-    """
+    """Channels of a vector, as ``--describe`` lists them."""
     width = first.shape[1]
     found = []
     for i in range(min(width, _MOST_LISTED)):
@@ -112,13 +89,7 @@ def usable_labels(names: Any, width: int) -> tuple[str, ...]:
 
 
 def as_matrix(values: Any, place: str) -> Array:
-    """Values as a matrix of shape (T, N), float64.
-
-    Raises
-    ------
-    InvalidData
-        If they are no numbers, or not one vector for each sample.
-    """
+    """Values as a matrix of shape (T, N), float64."""
     array = np.asarray(values)
     if array.dtype.kind not in "fiub" or array.ndim not in (1, 2):
         raise InvalidData(

@@ -41,13 +41,7 @@ class FieldPath:
 
     @classmethod
     def parse(cls, words: str, place: str) -> FieldPath:
-        """Read a path.
-
-        Raises
-        ------
-        InvalidData
-            If it is none.
-        """
+        """Read a path."""
         parts: list[tuple[str, str]] = []
         end = 0
         if len(words) <= _LONGEST:
@@ -71,18 +65,7 @@ class FieldPath:
         return cls(words, tuple(parts))
 
     def find(self, message: Any) -> Any:
-        """Follow the path.
-
-        Returns
-        -------
-        object
-            What stands there; None where this message has no such entry.
-
-        Raises
-        ------
-        KeyError
-            If a field does not exist; the message of the error says which do.
-        """
+        """Follow the path."""
         here = message
         for name, entry in self.parts:
             holder = here

@@ -46,25 +46,7 @@ def list_mcap(path: Path, name: str) -> FileList:
 def read_topics(
     messages: Walk, name: str, keys: Sequence[ChannelKey], times: Mapping[str, TimeSource]
 ) -> dict[ChannelKey, Samples]:
-    """Read channels in one pass over messages; only their numbers are kept.
-
-    Parameters
-    ----------
-    messages : callable
-        Goes through the messages.
-    name : str
-        What errors call it.
-    keys : sequence of ChannelKey
-        The channels, each with its topic.
-    times : mapping
-        Where each topic's time comes from.
-
-    Raises
-    ------
-    InvalidData
-        If the file is damaged, a topic or a field is missing, a value is no number, or time
-        runs backwards.
-    """
+    """Read channels in one pass over messages; only their numbers are kept."""
     for key in keys:
         if not key.topic:
             raise InvalidData(
@@ -215,13 +197,7 @@ class _Seen:
 
 
 def list_topics(messages: Walk, name: str, *, decode: bool = True) -> tuple[Stream, ...]:
-    """List topics and their channels, with rates and first values.
-
-    Raises
-    ------
-    InvalidData
-        If the file is damaged. A topic that cannot be decoded is listed with the reason.
-    """
+    """List topics and their channels, with rates and first values."""
     seen: dict[str, _Seen] = {}
     for message in messages(None):
         topic = message.channel.topic

@@ -28,28 +28,7 @@ def encoding_of(channel: Any, schema: Any) -> str:
 
 
 def decoder_of(channel: Any, schema: Any, place: str) -> Decoder:
-    """Find what decodes the messages of a channel.
-
-    Parameters
-    ----------
-    channel, schema : records of the file
-        As the file introduces them.
-    place : str
-        File and topic, as errors say them.
-
-    Returns
-    -------
-    callable
-        Takes the bytes of a message and returns an object with fields. What it raises on a
-        damaged message is of any kind.
-
-    Raises
-    ------
-    InvalidData
-        If the encoding is not one that is read, or the schema is damaged.
-    MissingExtra
-        If the library for it is not installed.
-    """
+    """Find what decodes the messages of a channel."""
     encoding = channel.message_encoding
     own = "" if schema is None else schema.encoding
     if encoding == "json":

@@ -48,41 +48,14 @@ class Message:
 
 
 def require_mcap() -> None:
-    """Refuse to go on without the libraries for MCAP.
-
-    Raises
-    ------
-    MissingExtra
-        If they are not installed.
-    """
+    """Refuse to go on without the libraries for MCAP."""
     for module in ("mcap", "lz4", "zstandard"):
         if find_spec(module) is None:
             raise MissingExtra(f"MCAP files need {module}: pip install 'loose-env[import]'")
 
 
 def walk(path: Path, name: str, topics: frozenset[str] | None = None) -> Iterator[Message]:
-    """Go through the messages of a file from its beginning to its end.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str
-        What errors call it.
-    topics : frozenset of str, optional
-        Topics whose messages are wanted; all by default.
-
-    Yields
-    ------
-    Message
-        In the order of the file. One chunk is in memory at a time.
-
-    Raises
-    ------
-    InvalidData
-        If it is no MCAP file, was cut short or damaged, or asks for more than is read. The
-        message gives the byte.
-    """
+    """Go through the messages of a file from its beginning to its end."""
     require_mcap()
     try:
         with path.open("rb") as file:

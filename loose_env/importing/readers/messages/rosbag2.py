@@ -44,24 +44,7 @@ class _Bag:
 def read_rosbag2(
     path: Path, name: str, keys: Sequence[ChannelKey], times: Mapping[str, TimeSource]
 ) -> dict[ChannelKey, Samples]:
-    """Read channels of a bag, as `read_topics`.
-
-    Parameters
-    ----------
-    path : Path
-        The folder, or a single ``.db3`` file.
-    name : str
-        What errors call it.
-    keys : sequence of ChannelKey
-        The channels, each with its topic.
-    times : mapping
-        Where each topic's time comes from.
-
-    Raises
-    ------
-    InvalidData
-        If the metadata or a file is missing or damaged, or of a version that is not read.
-    """
+    """Read channels of a bag, as `read_topics`."""
     return read_topics(_bag(path, name).walk, name, keys, times)
 
 

@@ -23,27 +23,6 @@ def walk_sqlite(
 
     A bag of ROS 2 Iron or later holds the definitions of its messages. For an older one those of
     the standard message types are taken from the ``rosbags`` library.
-
-    Parameters
-    ----------
-    path : Path
-        The file; it is opened for reading only.
-    name : str
-        What errors call it.
-    topics : frozenset of str, optional
-        Topics whose messages are wanted; all by default.
-    packed : bool
-        Whether each message is compressed by zstd.
-
-    Yields
-    ------
-    Message
-        With the time of recording as both of its times [ns].
-
-    Raises
-    ------
-    InvalidData
-        If it is no such file or damaged.
     """
     require_mcap()
     uri = f"{path.resolve().as_uri()}?mode=ro"

@@ -13,9 +13,6 @@ from loose_env.instrument.inference.response.uncertain_linear_arm import Uncerta
 from loose_env.instrument.result import HEALTHY, Loop
 from loose_env.typing import ComplexArray
 
-__all__ = ["loops_of"]
-
-
 _ANGLES = np.arange(0.0, 180.0, 5.0)
 _PLANES: dict[Literal["xy", "xz", "yz"], tuple[int, int]] = {
     "xy": (0, 1),

@@ -18,8 +18,6 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["cone", "seen_in_tool"]
-
 
 def cone(fit: Fit) -> tuple[Vector | None, float | None]:
     """Seat direction in the link frame, and half-angle of its 95 % cone [degrees]."""

@@ -26,9 +26,6 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["Travel", "law_of", "travel_of"]
-
-
 _FOLDED = 0.04
 """Power that samples fold back over that which they follow [1]."""
 _ENDS = 25
@@ -54,18 +51,7 @@ class Travel:
 
 
 def travel_of(comparison: ModelComparison, hypothesis: str, lines: Sequence[Lines]) -> Travel:
-    """Estimate the free travel of the most likely seat.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        Model comparison over all runs.
-    hypothesis : str
-        The seat.
-    lines : sequence of Lines
-        Runs under test with all their lines, those that were not excited too: between its stops a
-        seat drifts slowly, and impacts on them are fast.
-    """
+    """Estimate the free travel of the most likely seat."""
     uncertain = comparison.evidence.uncertain
     evidence = Evidence(
         uncertain=uncertain,
@@ -137,13 +123,6 @@ def law_of(path: Array, force: Array) -> float | None:
 
     The force is a constant, and beyond either end of the gap a stiffness and a damping of their
     own. Widths and positions of the clearance are tried one by one.
-
-    Parameters
-    ----------
-    path : ndarray (N,)
-        Of the seat.
-    force : ndarray (N,)
-        Across it, against its motion.
 
     Examples
     --------

@@ -19,8 +19,6 @@ from loose_env.instrument.settings.thresholds import (
     SETTLED_CONE_DEG,
 )
 
-__all__ = ["Judgement", "verdict_of"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
@@ -33,17 +31,7 @@ class Judgement:
 def verdict_of(
     comparison: ModelComparison, clocks: Sequence[ClockOffset], *, sure: float
 ) -> Judgement:
-    """Decide whether a diagnosis is settled.
-
-    Parameters
-    ----------
-    comparison : ModelComparison
-        Posterior over all runs.
-    clocks : sequence of ClockOffset
-        Estimated offsets of the accelerometers' clocks.
-    sure : float
-        Probability from which a hypothesis is settled.
-    """
+    """Decide whether a diagnosis is settled."""
     best = comparison.best
     probability = comparison.nothing_opened if best == HEALTHY else comparison.posterior[best]
     suspect = [one.number for one in comparison.lines if not one.healthy]

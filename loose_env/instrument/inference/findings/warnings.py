@@ -29,8 +29,6 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.statistics import axes_grid
 
-__all__ = ["model_warnings", "warnings_of"]
-
 
 def warnings_of(
     arm: InstrumentedArm,

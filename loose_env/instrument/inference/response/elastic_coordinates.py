@@ -26,8 +26,6 @@ from loose_env.instrument.settings.thresholds import BENDING_HZ, GEAR_HZ
 from loose_env.statistics import tangents
 from loose_env.typing import Array
 
-__all__ = ["ElasticCoordinates", "elastic_coordinates"]
-
 _ALIKE = 1e-4
 """Half the difference of logarithms below which two stiffnesses count as one [1]."""
 _SHORT = 1e-3
@@ -57,13 +55,7 @@ class ElasticCoordinates:
         return len(self.stiffness)
 
     def matrix(self, parameters: Array) -> Array:
-        """Stiffness for given parameters (E, E) [N/m or N·m/rad].
-
-        Parameters
-        ----------
-        parameters : ndarray (Q,)
-            Coefficients of the directions; zeros for the median.
-        """
+        """Stiffness for given parameters (E, E) [N/m or N·m/rad]."""
         values, vectors = np.linalg.eigh(np.tensordot(parameters, self.directions, 1))
         root = np.sqrt(self.stiffness)
         found = (vectors * np.exp(values)) @ vectors.T
@@ -98,17 +90,7 @@ class ElasticCoordinates:
 def elastic_coordinates(
     linear: LinearArm, seats: Array, *, joints: tuple[str, ...], links: tuple[str, ...]
 ) -> ElasticCoordinates:
-    """Return the elastic coordinates of an arm.
-
-    Parameters
-    ----------
-    linear : LinearArm
-        The arm with slides and rotations of its links.
-    seats : ndarray (nv, 7 n)
-        Its seats: 3 n slides, n plays of joints, 3 n rotations of links.
-    joints, links : tuple of str
-        Their names (n,).
-    """
+    """Return the elastic coordinates of an arm."""
     n = len(joints)
     plays, turns = seats[:, 3 * n : 4 * n], seats[:, 4 * n :]
     model, data = linear.model, mujoco.MjData(linear.model)

@@ -14,8 +14,6 @@ from loose_env.instrument.inference.response.uncertain_linear_arm import PoseMod
 from loose_env.instrument.settings.tolerances import Tolerances
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["Response", "respond", "with_leakage"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
@@ -115,24 +113,12 @@ class Response:
         return force, own + moved
 
     def slopes(self, seat: ComplexArray) -> ComplexArray:
-        """Jacobian of the residual's model with respect to the nuisance parameters (K, c, P).
-
-        Parameters
-        ----------
-        seat : ndarray (K, s)
-            Accelerations of the seats.
-        """
+        """Jacobian of the residual's model with respect to the nuisance parameters (K, c, P)."""
         own = self._slopes(seat)
         return own if self.beside is None else own - self.beside.slopes(np.zeros_like(seat))
 
     def _slopes(self, seat: ComplexArray) -> ComplexArray:
-        """Jacobian of the channels with respect to the nuisance parameters (K, c, P).
-
-        Parameters
-        ----------
-        seat : ndarray (K, s)
-            Accelerations of the seats.
-        """
+        """Jacobian of the channels with respect to the nuisance parameters (K, c, P)."""
         at, lines, of = self.at, self.lines, self.at.of
         arm, t = of.arm, of.tolerances
         n, m = arm.n, at.size

@@ -10,23 +10,11 @@ from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.response.frequency_response import with_leakage
 from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
 
-__all__ = ["beside_references"]
-
 
 def beside_references(
     uncertain: UncertainArm, held: Sequence[HeldRun], known: MutableMapping[int, Lines]
 ) -> list[Lines]:
-    """Lines of all runs, those under test beside the same run of the healthy arm.
-
-    Parameters
-    ----------
-    uncertain : UncertainArm
-        The arm.
-    held : sequence of HeldRun
-        All usable runs.
-    known : mutable mapping of int to Lines
-        Runs that have been paired before, by number; those found are added.
-    """
+    """Lines of all runs, those under test beside the same run of the healthy arm."""
     references = [each for each in held if each.lines.healthy]
     for each in held:
         number = each.lines.number

@@ -8,8 +8,6 @@ from loose_env.instrument.data.spectral_lines import Lines
 from loose_env.instrument.inference.response.uncertain_linear_arm import PoseModel
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["rows_of", "sensing_of", "stepped_of"]
-
 
 def rows_of(
     at: PoseModel, lines: Lines, jacobian: Array, s: ComplexArray

@@ -24,8 +24,6 @@ from loose_env.instrument.settings.thresholds import (
 from loose_env.statistics import phase_delay
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["ClockOffset", "Clocks", "ServoTiming", "clock_offset", "clocks_of", "servo_timing"]
-
 _SEARCHED_S = 1.1 * LARGEST_CLOCK_OFFSET_S
 """Largest offset searched [s]: the largest one has to be a peak too."""
 _LEAST_SD_S = 1e-5
@@ -77,20 +75,7 @@ class ServoTiming:
 
 
 def clock_offset(uncertain: UncertainArm, lines: Sequence[Lines]) -> ClockOffset | None:
-    """Estimate the clock offset of the accelerometers over all runs of a session.
-
-    Parameters
-    ----------
-    uncertain : UncertainArm
-        The arm.
-    lines : sequence of Lines
-        Runs of one session.
-
-    Returns
-    -------
-    ClockOffset or None
-        None where no run has positions or velocities of the joints that rise above their noise.
-    """
+    """Estimate the clock offset of the accelerometers over all runs of a session."""
     found = [(one.frequency, _cross_spectrum(uncertain, one)) for one in lines]
     return _offset([(frequency, cross) for frequency, cross in found if cross is not None])
 
@@ -107,17 +92,7 @@ class Clocks:
     """Time by which those of the references are earlier than that [s]."""
 
     def refined(self, uncertain: UncertainArm, errors: Array, normal: Array) -> ClockOffset | None:
-        """Offset by a fit of all runs to the whole model, which started from this one.
-
-        Parameters
-        ----------
-        uncertain : UncertainArm
-            The arm.
-        errors : ndarray (P,)
-            Its nuisance parameters by the fit.
-        normal : ndarray (P, P)
-            Their inverse covariance.
-        """
+        """Offset by a fit of all runs to the whole model, which started from this one."""
         if self.offset is None:
             return None
         clock, unit = uncertain.reading_lag.start, uncertain.tolerances.sensor_clock
@@ -136,13 +111,6 @@ def clocks_of(uncertain: UncertainArm, lines: Sequence[Lines]) -> Clocks:
 
     One offset holds for all runs, but for what a session of references differs by: that is measured
     by the runs beside each other, whatever the model says.
-
-    Parameters
-    ----------
-    uncertain : UncertainArm
-        The arm.
-    lines : sequence of Lines
-        All runs.
     """
     common = clock_offset(uncertain, lines)
     between = _offset([cross for one in lines if (cross := _beside(one)) is not None])
@@ -163,15 +131,7 @@ def shifted(lines: Lines, seconds: float) -> Lines:
 
 
 def servo_timing(uncertain: UncertainArm, lines: Sequence[Lines]) -> tuple[ServoTiming, ...]:
-    """Bandwidth and delay of the servos of the excited joints.
-
-    Parameters
-    ----------
-    uncertain : UncertainArm
-        The arm.
-    lines : sequence of Lines
-        Runs.
-    """
+    """Bandwidth and delay of the servos of the excited joints."""
     arm = uncertain.arm
     found = []
     for joint, name in enumerate(arm.joints):

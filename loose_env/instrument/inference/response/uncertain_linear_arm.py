@@ -33,9 +33,6 @@ from loose_env.instrument.settings.thresholds import (
 from loose_env.instrument.settings.tolerances import Tolerances
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["DELAYS", "PoseModel", "UncertainArm"]
-
-
 DELAYS = ("command_delay", "sensor_delay")
 """Errors drawn anew for every run: player, encoders and accelerometers start on their own clocks;
 named as in `Tolerances`."""
@@ -64,15 +61,7 @@ class _Bodies:
 
 
 class UncertainArm:
-    """Arm with nuisance parameters, scaled by their standard deviations.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm.
-    tolerances : Tolerances
-        Standard deviations.
-    """
+    """Arm with nuisance parameters, scaled by their standard deviations."""
 
     def __init__(self, arm: InstrumentedArm, tolerances: Tolerances) -> None:
         self.arm, self.tolerances = arm, tolerances
@@ -337,13 +326,7 @@ class PoseModel:
         )
 
     def springs(self, errors: Array) -> tuple[ComplexArray, Array]:
-        """Coordinate stiffness, its loss the imaginary part, (m, m) and damping (m,).
-
-        Parameters
-        ----------
-        errors : ndarray (P,)
-            Nuisance parameters.
-        """
+        """Coordinate stiffness, its loss the imaginary part, (m, m) and damping (m,)."""
         arm, t = self.of.arm, self.of.tolerances
         n, r, drives = arm.n, self.rigid, arm.actuators
         own, held, slow = np.split(errors[self.of.springs], 3)

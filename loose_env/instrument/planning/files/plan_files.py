@@ -17,12 +17,10 @@ import numpy as np
 
 from loose_env.instrument.planning.files.plan_folder import (
     FORMAT,
-    PAGE,
     PLAN,
     RECORDING,
     PlanFiles,
     limits_json,
-    read_plan,
     write_description,
 )
 from loose_env.instrument.planning.files.ros_trajectory import joint_columns
@@ -37,18 +35,6 @@ from loose_env.instrument.planning.files.signal_files import (
 from loose_env.instrument.planning.plan import Plan
 from loose_env.io import plain, write_text
 from loose_env.typing import Array
-
-__all__ = [
-    "FORMAT",
-    "PAGE",
-    "PLAN",
-    "RECORDING",
-    "PlanFiles",
-    "plan_json",
-    "read_plan",
-    "run_columns",
-    "write_plan",
-]
 
 
 def write_plan(files: PlanFiles, plan: Plan, *, known: str = "") -> list[Path]:

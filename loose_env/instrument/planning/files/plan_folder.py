@@ -20,18 +20,6 @@ from loose_env.recording import DESCRIPTION, RunEntry, read_description
 from loose_env.recording import FORMAT as RECORDING_FORMAT
 from loose_env.typing import Array
 
-__all__ = [
-    "FORMAT",
-    "PAGE",
-    "PLAN",
-    "RECORDING",
-    "PlanFiles",
-    "limits_json",
-    "read_plan",
-    "write_description",
-]
-
-
 FORMAT = "loose-plan/1"
 """Format of ``plan.json``."""
 PLAN = "plan.json"
@@ -212,13 +200,7 @@ def _usual_files() -> frozenset[str]:
 
 
 def read_plan(path: Path) -> dict[str, Any] | None:
-    """Content of a plan; None where there is none, or a JSON file of another format.
-
-    Raises
-    ------
-    InvalidData
-        If it cannot be read or is no JSON: it may be a plan whose limits protect the arm.
-    """
+    """Content of a plan; None where there is none, or a JSON file of another format."""
     try:
         whole = json.loads(path.read_text("utf-8"))
     except (FileNotFoundError, NotADirectoryError):

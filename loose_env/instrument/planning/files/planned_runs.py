@@ -10,8 +10,6 @@ from loose_env.instrument.planning.files.signal_files import FIRST, signal_stems
 from loose_env.instrument.planning.plan import Plan
 from loose_env.recording import RunEntry
 
-__all__ = ["PlannedRun", "RunKind", "planned_runs"]
-
 RunKind = Literal["run", "repeat", "reference"]
 
 _REASONS: Mapping[RunKind, str] = {
@@ -71,19 +69,7 @@ def planned_runs(
     *,
     first_signal: bool = True,
 ) -> tuple[PlannedRun, ...]:
-    """Runs of a plan in the order in which they are measured.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    first : RunEntry or None
-        First run of the session; None where nothing is measured yet.
-    names : callable
-        Free file names of a number and a kind of runs.
-    first_signal : bool
-        True if the signal of the first run is kept; without it nothing can be repeated.
-    """
+    """Runs of a plan in the order in which they are measured."""
     stems = signal_stems(plan.signals)
     pose = dict(plan.next.pose)
     found: list[PlannedRun] = []

@@ -15,8 +15,6 @@ from loose_env.errors import InvalidSetting
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.typing import Array
 
-__all__ = ["joint_columns", "trajectory_text"]
-
 _DIGITS = 9
 """Significant digits of a value."""
 
@@ -26,18 +24,6 @@ def joint_columns(arm: InstrumentedArm, played: Mapping[str, Array]) -> tuple[st
 
     Commands of the model's actuators become positions where all of them are servos, and torques
     where all are motors.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm; n joints.
-    played : mapping
-        Column -> values (T,), time left out.
-
-    Raises
-    ------
-    InvalidSetting
-        If a joint has no actuator, or some have servos and others motors.
     """
     kind = next(iter(played)).partition(".")[0]
     if kind != "ctrl":
@@ -60,20 +46,6 @@ def trajectory_text(
     joints: tuple[str, ...], kind: str, time: Array, values: Array, pose: Array
 ) -> str:
     """YAML of a message.
-
-    Parameters
-    ----------
-    joints : tuple of str
-        Names of the joints (n,).
-    kind : {"position", "velocity", "torque"}
-        Kind of the values.
-    time : ndarray (T,)
-        Time of each point from the first [s]; points are reached one sample later, so that the
-        first is not in the past.
-    values : ndarray (T, n)
-        Commands.
-    pose : ndarray (n,)
-        Positions at the beginning [rad or m].
 
     Examples
     --------

@@ -15,8 +15,6 @@ from loose_env.instrument.settings.measurement import NextSettings
 from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.instrument.settings.validation import settings_within
 
-__all__ = ["KEPT", "SessionSettings", "session_beside"]
-
 KEPT = ("ramp_s", "hold_s", "repeat", "reference", "force_n")
 """Settings of a plan itself that hold for a session; its joint and pose are of one measurement."""
 

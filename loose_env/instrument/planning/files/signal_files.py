@@ -15,16 +15,6 @@ from loose_env.io import write_text, written_beside
 from loose_env.recording import write_csv, write_parquet
 from loose_env.typing import Array
 
-__all__ = [
-    "ENDINGS",
-    "FIRST",
-    "TRANSIT",
-    "own_files",
-    "signal_columns",
-    "signal_stems",
-    "write_table",
-]
-
 ENDINGS = {"csv": ".csv", "parquet": ".parquet", "ros2": ".yaml"}
 """Format of a file -> its ending."""
 FIRST = "first-signal"
@@ -53,13 +43,7 @@ def write_table(
     formats: Iterable[str],
     pose: Array,
 ) -> list[Path]:
-    """Write columns in some formats, each beside its final name first.
-
-    Raises
-    ------
-    InvalidSetting
-        If they are no commands of one kind for all joints, which a JointTrajectory needs.
-    """
+    """Write columns in some formats, each beside its final name first."""
     written = []
     for name in formats:
         path = folder / f"{stem}{ENDINGS[name]}"

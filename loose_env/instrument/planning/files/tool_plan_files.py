@@ -20,8 +20,6 @@ from loose_env.instrument.planning.files.signal_files import TRANSIT, write_tabl
 from loose_env.instrument.planning.signals.tool_plan import ToolPlan
 from loose_env.io import plain, write_text
 
-__all__ = ["tool_runs", "write_tool_plan"]
-
 
 def tool_runs(files: PlanFiles, plan: ToolPlan) -> tuple[PlannedRun, ...]:
     """Runs of a plan: the directions, repeats of the first, references."""

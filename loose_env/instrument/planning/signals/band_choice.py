@@ -23,8 +23,6 @@ from loose_env.instrument.settings.thresholds import (
 )
 from loose_env.typing import Array
 
-__all__ = ["LevelCap", "Making", "best_band", "level_cap", "within_bandwidth"]
-
 Band = tuple[float, float]
 LevelCap = Callable[[Array, int, Band], float]
 """Largest rms torque of a joint in a pose and a band [N·m, N]."""
@@ -41,20 +39,6 @@ _CREST = 3.5
 
 def within_bandwidth(settings: NextSettings, band: Band, limits: MotionLimits) -> NextSettings:
     """Settings whose band ends where the controller stops following its commands.
-
-    Parameters
-    ----------
-    settings : NextSettings
-        Settings of the choice.
-    band : tuple of float
-        Band of the arm [Hz].
-    limits : MotionLimits
-        Bandwidth and rate of the commands.
-
-    Raises
-    ------
-    InvalidSetting
-        If the controller follows nothing that the diagnosis could use.
 
     Examples
     --------
@@ -85,19 +69,7 @@ def within_bandwidth(settings: NextSettings, band: Band, limits: MotionLimits) -
 def level_cap(
     arm: InstrumentedArm, linear: LinearArm, limits: MotionLimits, kind: CommandKind
 ) -> LevelCap:
-    """Largest level that the motion limits allow, for the choice of pose and joint.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm.
-    linear : LinearArm
-        The same, linear.
-    limits : MotionLimits
-        Limits of the joints.
-    kind : str
-        Kind of the commands.
-    """
+    """Largest level that the motion limits allow, for the choice of pose and joint."""
     speed, acceleration, jerk = (limits.values[q] for q in ("speed", "acceleration", "jerk"))
 
     def cap(pose: Array, j: int, band: Band) -> float:
@@ -134,30 +106,6 @@ def best_band(
 
     Speed, acceleration and jerk of a command rise with frequency: a band that ends lower leaves
     more torque within the same limits.
-
-    Parameters
-    ----------
-    make : callable
-        Makes a signal in a band.
-    judge : callable
-        Mean detectability of faults in a signal.
-    band : tuple of float
-        Band of the arm [Hz].
-    torque_rms : float
-        Wanted rms torque [N·m, N].
-    seconds : float
-        Length of the record [s].
-    most_tool : float
-        Largest rms acceleration of the tool [m/s²].
-
-    Returns
-    -------
-    Signal
-        The better signal.
-    tuple of float
-        Its band [Hz].
-    str
-        The limit that makes it narrower than the arm's; "" where it is not.
     """
     first = make(band, torque_rms)
     reached = any(p.limit is not None and p.value >= SCALED_LEVEL * p.limit for p in first.peaks)

@@ -9,30 +9,12 @@ from loose_env.arms import LinearArm
 from loose_env.instrument.model.instrumented_arm import InstrumentedArm
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["OVERSAMPLED", "LinearAnswer"]
-
 OVERSAMPLED = 4
 """Samples at which peaks are looked for, per sample of the signal."""
 
 
 class LinearAnswer:
-    """Response of the linear arm to one period of noise torque at one joint.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm and its actuators; n joints.
-    linear : LinearArm
-        Its linear form, held as it will be.
-    pose : ndarray (n,)
-        Joint positions [rad or m].
-    j : int
-        The excited joint, from 0.
-    period : ndarray (T,)
-        Torque over one period [N·m, N].
-    rate : float
-        Its samples per second [Hz].
-    """
+    """Response of the linear arm to one period of noise torque at one joint."""
 
     def __init__(
         self,

@@ -13,8 +13,6 @@ from loose_env.instrument.model.motion_limits import MotionLimits, Quantity, uni
 from loose_env.instrument.planning.signals.linear_answer import LinearAnswer
 from loose_env.typing import Array
 
-__all__ = ["MotionPeak", "command_peaks", "highest", "joint_peaks", "with_limits"]
-
 DERIVATIVES: tuple[Quantity, ...] = ("speed", "acceleration", "jerk")
 """Quantities of motion: the first, second and third derivative of a position."""
 
@@ -62,19 +60,7 @@ def joint_peaks(arm: InstrumentedArm, answer: LinearAnswer, j: int) -> Peaks:
 
 
 def command_peaks(j: int, played: Array, rate: float, *, of_torque: bool) -> Peaks:
-    """Peaks of a command of joint j as a controller sees it, by differences of its samples.
-
-    Parameters
-    ----------
-    j : int
-        The joint, from 0.
-    played : ndarray (T,)
-        Command: a position [rad or m], or a torque [N·m, N].
-    rate : float
-        Samples per second [Hz].
-    of_torque : bool
-        True for a torque, of which the rate alone counts.
-    """
+    """Peaks of a command of joint j as a controller sees it, by differences of its samples."""
     if of_torque:
         return {(j, "torque rate", "command"): _largest(played, rate, 1)}
     return {

@@ -14,8 +14,6 @@ from loose_env.instrument.planning.signals.motion_peaks import Peaks, command_pe
 from loose_env.instrument.settings.motion import CommandKind
 from loose_env.typing import Array, ComplexArray
 
-__all__ = ["ExcitedCommand", "excited_command", "played_columns"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExcitedCommand:
@@ -47,23 +45,6 @@ def excited_command(
     A model's actuator is given the torque ahead of its lag, divided by its gain: for a servo, the
     position whose tracking error makes that torque. A controller that follows positions or
     velocities is given the motion itself that the torque would make.
-
-    Parameters
-    ----------
-    kind : str
-        Kind of the commands.
-    drive : JointDrive
-        Actuator of the excited joint.
-    answer : LinearAnswer
-        Response to the noise.
-    j : int
-        The excited joint, from 0.
-    envelope : ndarray (T,)
-        Level over time [1].
-    index : ndarray (T,)
-        Sample of the period at each time.
-    rate : float
-        Samples per second [Hz].
     """
     ahead = answer.torque * (1 + answer.s * drive.lag)
     lines: ComplexArray = ahead

@@ -38,9 +38,6 @@ from loose_env.instrument.planning.signals.played_commands import (
 from loose_env.instrument.settings.motion import CommandKind
 from loose_env.typing import Array
 
-__all__ = ["Signal", "make_signal"]
-
-
 _DRAWS = 8
 """Draws of the noise, of which the one with the lowest peak is played."""
 _LOADING = 0.6
@@ -111,49 +108,7 @@ def make_signal(
     limits: MotionLimits | None = None,
     kind: CommandKind = "model",
 ) -> Signal:
-    """Draw the noise for one joint, and turn it into commands.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm and its actuators.
-    linear : LinearArm
-        Its linear form, held as it will be.
-    pose : ndarray (n,)
-        Joint positions to hold [rad or m].
-    joint : str
-        Model's name of the joint to shake.
-    torque_rms : float
-        Wanted rms torque of the noise [N·m, N where the joint slides].
-    band : tuple of float
-        Of the noise [Hz].
-    seconds : float
-        Length of the record proper [s].
-    rate : float
-        Samples per second of the commands [Hz].
-    ramp, hold : float
-        Time over which the noise swells and dies away, and before and after it: there commands go
-        from the pose to what holds the arm in it and back, and the arm stands still [s].
-    rng : numpy.random.Generator
-        Source of the noise.
-    torque_share : float
-        Share of each drive's torque that peaks may reach, what holds the pose included [1].
-    limits : MotionLimits, optional
-        Limits of speed, acceleration, jerk and torque rate; none by default.
-    kind : str
-        Kind of the commands that are played.
-
-    Returns
-    -------
-    Signal
-
-    Raises
-    ------
-    InvalidSetting
-        If the rate is too low for the band, or no joint of that name is driven.
-    InvalidData
-        If the pose cannot be held within the limits, or the joint has no usable actuator.
-    """
+    """Draw the noise for one joint, and turn it into commands."""
     if joint not in arm.joints:
         raise InvalidSetting(
             f"there is no driven joint {joint!r}; the model has {', '.join(arm.joints)}"

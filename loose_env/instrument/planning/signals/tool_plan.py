@@ -33,8 +33,6 @@ from loose_env.instrument.settings.motion import MotionSettings
 from loose_env.instrument.settings.thresholds import OPENING_FORCE
 from loose_env.typing import Array
 
-__all__ = ["ToolPlan", "ToolRun", "plan_tool"]
-
 _DIRECTIONS: Mapping[str, tuple[float, float, float]] = {
     "+x": (1.0, 0.0, 0.0),
     "-x": (-1.0, 0.0, 0.0),

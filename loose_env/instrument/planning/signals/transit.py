@@ -13,8 +13,6 @@ from loose_env.instrument.planning.signals.motion_peaks import MotionPeak, with_
 from loose_env.instrument.settings.thresholds import TRANSIT_RISE_S, TRANSIT_SHARE
 from loose_env.typing import Array
 
-__all__ = ["Transit", "transit"]
-
 _PEAKS: Mapping[Quantity, float] = {
     "speed": 15 / 8,
     "acceleration": 10 / np.sqrt(3),
@@ -55,23 +53,6 @@ def transit(
     """Plan a straight move of the joints within a share of their limits.
 
     Where a joint has no acceleration limit, its speed takes `TRANSIT_RISE_S` to rise.
-
-    Parameters
-    ----------
-    arm : InstrumentedArm
-        The arm.
-    start, end : ndarray (n,)
-        Joint positions [rad or m].
-    limits : MotionLimits
-        Limits of the joints.
-    rate : float
-        Samples per second [Hz].
-    share : float
-        Share of the limits that the move takes [1].
-
-    Returns
-    -------
-    Transit
     """
     move = np.abs(end - start)
     move[move < _LEAST_MOVE] = 0.0

@@ -14,14 +14,6 @@ from loose_env.gap.model.nominal_model import NominalModel, history_for
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = [
-    "ActuatorGain",
-    "ActuatorLag",
-    "CommandDelay",
-    "clamped",
-    "held_delay",
-]
-
 
 class ActuatorGain(Effect):
     """Factor on the gain of an actuator.

@@ -12,8 +12,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["DeadZone"]
-
 
 class DeadZone(DrivenEffect):
     """Dead zone: an error of less than ``width`` gives no torque, a larger one that beyond it.

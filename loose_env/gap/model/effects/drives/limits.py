@@ -14,9 +14,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["TorqueLimit", "VoltageLimit"]
-
-
 _LOWEST = 0.02
 """Lowest limit that is tried, over the typical torque."""
 _HIGHEST = 20.0

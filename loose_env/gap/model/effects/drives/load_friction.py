@@ -15,9 +15,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["LoadFriction"]
-
-
 _TRACE = 1e-9
 """Friction loss that a joint gets, so that it has a friction at all, over its typical torque."""
 _LEAST = 1e-3

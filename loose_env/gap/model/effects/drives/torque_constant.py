@@ -9,8 +9,6 @@ from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["TorqueConstant"]
-
 
 class TorqueConstant(JointEffect):
     """Factor of a joint's measured torque: the drive's current times a wrong constant."""

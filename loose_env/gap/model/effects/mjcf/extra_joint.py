@@ -9,17 +9,6 @@ from loose_env.gap.model.effects.mjcf.passive_actuators import make_it_stick
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-__all__ = [
-    "FASTEST",
-    "MOTOR_SHARE",
-    "add_extra_joint",
-    "joint_inertia",
-    "keep_motor_side",
-    "last_joints",
-    "set_stops",
-]
-
-
 FASTEST = 0.8
 """Largest angle by which an added spring's mode may turn in a step, at the model's zero [rad]."""
 MOTOR_SHARE = 0.02
@@ -96,21 +85,6 @@ def set_stops(
     force. MuJoCo's smallest impedance d makes a limit a spring and a damper, d² k r + d c v, where
     r is the penetration and v its rate; d grows with r. The direct format of ``solref``, scaled
     with the inverse weight, gives parameters in N/m or N·m/rad.
-
-    Parameters
-    ----------
-    joint : MjsJoint
-        The joint.
-    reach : float
-        Half the clearance [rad or m].
-    stiffness : float
-        Stiffness of either stop under its typical load [N·m/rad or N/m].
-    ratio : float
-        Damping ratio of the mode on a stop of that stiffness.
-    weight : float
-        Inverse of the inertia on the stop [1/(kg·m²) or 1/kg].
-    load : float
-        Typical load [N·m or N].
 
     References
     ----------

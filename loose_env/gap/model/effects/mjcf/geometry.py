@@ -8,9 +8,6 @@ import numpy as np
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-__all__ = ["frame_about", "link_ends", "normal_of", "reach_of"]
-
-
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 
 
@@ -51,11 +48,6 @@ def link_ends(machine: NominalModel, link: str) -> tuple[Array, Array]:
 
     The end is the farthest of the bodies and sites that it carries; without any, twice the distance
     to its centre of mass.
-
-    Returns
-    -------
-    start, end : ndarray (3,)
-        Positions in the body's frame [m].
     """
     model = machine.model
     body = model.body(link).id

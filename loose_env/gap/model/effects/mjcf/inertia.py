@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-__all__ = ["Inertial", "inertial_of", "set_inertial", "steiner"]
-
 
 @dataclass(frozen=True, eq=False)
 class Inertial:

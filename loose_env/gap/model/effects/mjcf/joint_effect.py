@@ -13,8 +13,6 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
-__all__ = ["START_SPEED", "JointEffect", "added_name", "angle_unit", "fitted_rate"]
-
 START_SPEED = 0.3
 """Stribeck speed from which fits start, over the typical speed."""
 

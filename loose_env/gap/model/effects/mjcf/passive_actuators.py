@@ -7,40 +7,18 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-__all__ = ["add_cogging", "add_constant", "add_limited_damper", "make_it_stick"]
-
 _STIFF = 0.9999  # MuJoCo's largest constraint impedance
 _OPEN_CIRCUIT = 1e12
 """Resistance at which no current brakes the rotor [ohm]."""
 
 
 def add_cogging(spec: mujoco.MjSpec, joint: str, name: str, cogging: Sequence[float]) -> None:
-    """Add a torque that is periodic in a joint's angle.
-
-    Parameters
-    ----------
-    spec : MjSpec
-        The model.
-    joint, name : str
-        The joint; the added actuator.
-    cogging : sequence of 3 floats
-        Amplitude A [N·m], N and phase of the torque A sin(N q + phase).
-    """
+    """Add a torque that is periodic in a joint's angle."""
     _drive(spec, joint, name, cogging=list(np.asarray(cogging, dtype=float)))
 
 
 def add_constant(spec: mujoco.MjSpec, joint: str, name: str, torque: float) -> None:
-    """Add a constant torque [N·m] or force [N] on a joint.
-
-    Parameters
-    ----------
-    spec : MjSpec
-        The model.
-    joint, name : str
-        The joint; the added actuator.
-    torque : float
-        In the joint's direction.
-    """
+    """Add a constant torque [N·m] or force [N] on a joint."""
     drive = _drive(spec, joint, name)
     drive.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     drive.biasprm = [torque, *np.zeros(9)]
@@ -49,19 +27,7 @@ def add_constant(spec: mujoco.MjSpec, joint: str, name: str, torque: float) -> N
 def add_limited_damper(
     spec: mujoco.MjSpec, joint: str, name: str, *, damping: float, limit: float
 ) -> None:
-    """Add a torque proportional to a joint's speed, up to a limit.
-
-    Parameters
-    ----------
-    spec : MjSpec
-        The model.
-    joint, name : str
-        The joint; the added actuator.
-    damping : float
-        Torque against the motion over the speed; negative: with the motion [N·m·s/rad].
-    limit : float
-        Largest torque [N·m].
-    """
+    """Add a torque proportional to a joint's speed, up to a limit."""
     drive = _drive(spec, joint, name)
     drive.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     drive.biasprm = [0.0, 0.0, -damping, *np.zeros(7)]

@@ -7,8 +7,6 @@ import numpy as np
 
 from loose_env.gap.model.nominal_model import NominalModel
 
-__all__ = ["column_of", "is_position_or_speed", "reading_scale", "vectors"]
-
 _S = mujoco.mjtSensor
 
 

@@ -12,9 +12,6 @@ from loose_env.gap.model.effects.mjcf.joint_effect import added_name
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-__all__ = ["insert_first", "keep_from_touching", "move_children", "move_geoms", "move_sites"]
-
-
 _MOVED = "moved_"
 """Prefix of what is on its way; only copies of the model's defaults keep it."""
 _NOT_COPIED = frozenset(
@@ -38,17 +35,6 @@ def move_children(
     MuJoCo cannot move a body within a spec; a copy of it is attached instead. References by name,
     actuators and sensors among them, keep their order: the names are released before the originals
     are deleted and reassigned to the copies.
-
-    Parameters
-    ----------
-    machine : NominalModel
-        The nominal model.
-    spec : MjSpec
-        The model that is edited.
-    old, new : MjsBody
-        ``new`` is a child of ``old``.
-    along : ndarray (3,)
-        Direction of the far side, in the frame of ``old``.
     """
     here = np.array(new.pos)
     moving = []
@@ -134,13 +120,6 @@ def keep_from_touching(spec: mujoco.MjSpec, near: mujoco.MjsBody, far: mujoco.Mj
     MuJoCo excludes contacts between a body and its parent, and bodies fixed to either. Once ``far``
     is a child of ``near``, the links beyond it are no longer children of ``near``, and it is no
     longer a child of the parent of ``near``.
-
-    Parameters
-    ----------
-    spec : MjSpec
-        The model that is edited.
-    near, far : MjsBody
-        The parts of the link; ``far`` is a child of ``near``, by a joint.
     """
     if spec.option.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
         return

@@ -1,0 +1,675 @@
+"""Design of experiments: excitation in a pose, expected information, coverage, and bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from numbers import Real
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loose_env.arms import Arm, LinearArm, LinearPose
+from loose_env.diagnosis.features import SeatFeatures
+from loose_env.diagnosis.posterior import LOOSE, OPENINGS, Belief, OpeningTable, shipped_table
+from loose_env.diagnosis.prediction import (
+    INERTIA_ERROR,
+    LINEAR_ERROR,
+    POWER_ERROR,
+    channel_noise,
+    independent_samples,
+    predict_seats,
+    seat_drives,
+)
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.excitation import Excitation, SeatReference, at_levels
+from loose_env.inference import expected_log_score, overlap, squared_distances
+from loose_env.statistics import axes_grid
+from loose_env.typing import Array
+
+_CLEAR = 2.0
+"""A band ends at this share below the lowest holding mode."""
+_LEAST_WIDTH = 20.0
+"""Narrowest band worth proposing [Hz]: 1.2 s of it hold 48 independent samples."""
+_LOWEST = 8.0
+"""Lowest end of a band: twice the modes of the soft springs that centre excited joints [Hz]."""
+_AXES = {2: 12, 3: 40}
+_LEVELS = np.geomspace(0.05, 50.0, 121)
+"""Levels that are tried, rms acceleration of the nominal tool [m/s²]."""
+_AS_GOOD = 0.9
+"""Share of the best score at which a level counts as about as good."""
+_WORTH = 0.5
+"""Share of the opening in the arm's own band that a band below its modes must keep."""
+_OVERCOME = 0.6
+"""Rms force over static load at which a seat begins to move: peaks are what opens it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Proposal:
+    """Excitation of each joint in turn in one pose."""
+
+    band: tuple[float, float]
+    """Band [Hz]."""
+    levels: Array
+    """Rms acceleration of the nominal tool to ask of each joint alone (n,) [m/s²]; 0 where the
+    joint cannot move the tool."""
+    shares: Array
+    """Share of each joint's torque-free optimum that its torque limit allows (n,) [1]."""
+    excitations: tuple[Excitation | None, ...]
+    """Excitation of each joint; None where it cannot move the tool."""
+    modes: Array
+    """Modes of the arm with one joint free and the others held, lowest over the joints, rising
+    [Hz]."""
+    seat_gravity: Array
+    """Static load of each link's seat in its worst direction over the mass behind it (n,) [g]."""
+    openings: Array
+    """Expected share of transmission lost by an open seat of each link under the best joint, mean
+    over directions (n,) [1]."""
+    warnings: tuple[str, ...]
+    """Warnings about disturbances of a diagnosis in this pose."""
+
+
+def holding_modes(pose: LinearPose, excited: NDArray[np.bool_]) -> Array:
+    """Undamped natural frequencies with some joints free and all others held, rising [Hz].
+
+    Parameters
+    ----------
+    pose : LinearPose
+        The nominal arm in its pose.
+    excited : ndarray (n,)
+        True for free joints, on their soft centring springs.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> at = LinearArm(planar(2, hold="servo")).at([0.0, 0.0])
+    >>> bool(5 < holding_modes(at, np.array([False, False]))[0] < 30)
+    True
+    """
+    lin = pose.linear
+    arm, model = lin.arm, lin.model
+    moving = np.concatenate([lin.joint_dofs, lin.flexible_dofs])
+    stiffness = np.array(model.jnt_stiffness[model.dof_jntid[moving]], dtype=float)
+    stiffness[: arm.n] += arm.centring.stiffness
+    held = ~np.asarray(excited, dtype=bool)
+    stiffness[: arm.n] += np.where(held, arm.holding.stiffness, 0.0)
+    inertia = pose.inertia[np.ix_(moving, moving)]
+    values = np.linalg.eigvals(np.linalg.solve(inertia, np.diag(stiffness))).real
+    return np.sort(np.sqrt(np.maximum(values, 0.0))) / (2 * np.pi)
+
+
+def propose_band(
+    linear: LinearArm, pose: Array
+) -> tuple[tuple[float, float], Array, tuple[str, ...]]:
+    """Band below the holding modes of an arm at a pose, its modes [Hz], and a warning about it.
+
+    The arm's own band where no mode reaches into twice its top, else one that ends at half the
+    lowest mode, if there is room for it. Modes are the lowest over the joints that may be excited.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> propose_band(LinearArm(planar(3)), np.array([0.0, 0.5, 0.5]))[0]
+    (30.0, 150.0)
+    """
+    arm = linear.arm
+    at = linear.at(pose)
+    # The free joint's own mode on its centring spring is not one that disturbs.
+    modes = np.array([holding_modes(at, np.arange(arm.n) == j)[1:] for j in range(arm.n)]).min(
+        axis=0
+    )
+    if not len(modes):
+        return arm.band, modes, ()
+    low, high = arm.band
+    lowest = float(modes[0])
+    if lowest >= _CLEAR * high:
+        return arm.band, modes, ()
+    top = lowest / _CLEAR
+    bottom = max(_LOWEST, min(low, top - (high - low)))
+    if top - bottom >= _LEAST_WIDTH:
+        return (round(bottom, 1), round(top, 1)), modes, ()
+    inside = modes[(modes > 0.8 * low) & (modes < 1.25 * high)]
+    if not len(inside):
+        note = f"the lowest holding mode, {lowest:.0f} Hz, is below twice the band's top"
+        return arm.band, modes, (note,)
+    return arm.band, modes, (_warning(arm.band, inside, "there is no room below"),)
+
+
+def _warning(band: tuple[float, float], inside: Array, why: str) -> str:
+    what = ", ".join(f"{m:.0f}" for m in inside[:4])
+    return (
+        f"the band {band[0]:g} to {band[1]:g} Hz lies about holding modes ({what} Hz) and {why}: "
+        "compare with healthy records or the whole dynamic model, expect errors of ten degrees "
+        "and more otherwise, or hold the joints stiffer"
+    )
+
+
+def propose_excitation(
+    arm: Arm,
+    pose: Array,
+    *,
+    gap: float = 0.1e-3,
+    friction: float = 0.0,
+    duration: float = 1.2,
+) -> Proposal:
+    """Propose band and level for every joint of an arm in a pose.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    pose : ndarray (n,)
+        Pose [rad or m].
+    gap : float
+        Travel of interest [m]: seats should move about as far as this.
+    friction : float
+        Friction of the seats' guides, if known [N].
+    duration : float
+        Length of a record [s].
+
+    Returns
+    -------
+    Proposal
+        To be played joint by joint.
+
+    Raises
+    ------
+    InvalidSetting
+        If gap, friction, duration or pose cannot be used.
+
+    Examples
+    --------
+    >>> from loose_env.arms import six_axis
+    >>> found = propose_excitation(six_axis(), np.array([0.0, -1.5, 1.5, 0.0, 0.5, 0.0]))
+    >>> found.band, found.levels.shape, bool(found.seat_gravity[1] > 0.9)
+    ((30.0, 150.0), (6,), True)
+    """
+    for name, value, least in (("gap", gap, 1e-9), ("friction", friction, 0.0)):
+        if not isinstance(value, Real) or not np.isfinite(value) or value < least:
+            raise InvalidSetting(f"{name} is {value!r}; it must be finite and {least:g} or more")
+    nominal = LinearArm(arm)
+    band, modes, warnings = propose_band(nominal, pose)
+    wanted = (pose, gap, friction, duration)
+    found = _play(nominal, *wanted)
+    if band != arm.band:
+        lower = _play(nominal.variant(replace(arm, band=band)), *wanted)
+        if lower.openings.mean() >= _WORTH * found.openings.mean():
+            found = lower
+        else:  # the gap allows little acceleration at low frequencies, gravity asks for more
+            inside = modes[modes < _CLEAR * arm.band[1]]
+            band, warnings = arm.band, (_warning(arm.band, inside, "below them seats stay shut"),)
+    notes = [*warnings, *found.notes]
+    at, best_by_link = found.at, found.openings
+    mass = _seat_mass(at)
+    gravity = np.linalg.norm(at.seat_load, axis=1) / (9.81 * np.maximum(mass, 1e-9))
+    shut = [i + 1 for i in range(arm.n) if best_by_link[i] < 0.1]
+    if shut:
+        notes.append(
+            f"gravity and torque limits keep seats of links {shut} mostly shut in this pose: add "
+            "poses that lay other directions across gravity"
+        )
+    return Proposal(
+        band=band,
+        levels=found.levels,
+        shares=found.shares,
+        excitations=found.excitations,
+        modes=modes,
+        seat_gravity=gravity,
+        openings=best_by_link,
+        warnings=tuple(notes),
+    )
+
+
+class _Play(NamedTuple):
+    """The part of a proposal that depends on the band."""
+
+    at: LinearPose
+    levels: Array
+    shares: Array
+    excitations: tuple[Excitation | None, ...]
+    openings: Array
+    """Of each link under its best joint (n,)."""
+    notes: list[str]
+
+
+def _play(nominal: LinearArm, pose: Array, gap: float, friction: float, duration: float) -> _Play:
+    """Find the level of every joint in the arm's band."""
+    arm, at = nominal.arm, nominal.at(pose)
+    axes = axes_grid(_AXES[len(arm.axes)], len(arm.axes))
+    load = np.abs(at.seat_load @ axes.T) + friction  # (n links, A)
+    levels, shares = np.zeros(arm.n), np.ones(arm.n)
+    excitations: list[Excitation | None] = [None] * arm.n
+    openings = np.zeros((arm.n, arm.n))
+    notes = []
+    for j in range(arm.n):
+        if np.linalg.norm(at.kinematic[:, j]) < 1e-6:
+            notes.append(f"joint {j + 1} does not move the tool in this pose: leave it out")
+            continue
+        force, travel = _per_level(at, j, axes)
+        lost = _lost(_LEVELS[:, None, None], force, load, travel, gap)  # (L, links, A)
+        score = lost.mean(axis=(1, 2))
+        # Of levels that are about as good the highest: sensors and friction count least there.
+        best = int(np.flatnonzero(score >= _AS_GOOD * score.max())[-1])
+        wanted = np.zeros(arm.n)
+        wanted[j] = _LEVELS[best]
+        excitation, share = at_levels(at, wanted, duration=duration)
+        if excitation.torque_rms[j] <= 0:
+            notes.append(f"joint {j + 1} needs all its torque to hold the arm in this pose")
+            continue
+        excitations[j], shares[j] = excitation, share[j]
+        levels[j] = wanted[j] * share[j]
+        openings[j] = _lost(levels[j], force, load, travel, gap).mean(axis=1)
+    return _Play(at, levels, shares, tuple(excitations), openings.max(axis=0), notes)
+
+
+def _per_level(at: LinearPose, joint: int, axes: Array) -> tuple[Array, Array]:
+    """Rms force across shut seats and rms travel of floating ones, per unit level (n, A)."""
+    excited = np.arange(at.linear.arm.n) == joint
+    answer, opened = at.response(excited), at.open_response(excited)
+    tool = np.sqrt(np.mean(np.sum(np.abs(answer.tool[..., 0]) ** 2, axis=1)))
+    force = np.einsum("kis,as->kia", answer.slide[..., 0], axes)
+    mass = np.einsum("kisr,as,ar->kia", opened.mass_slide, axes, axes)
+    omega = 2 * np.pi * answer.frequency[:, None, None]
+    travel = np.abs(force / mass) / omega**2
+    return (
+        np.sqrt(np.mean(np.abs(force) ** 2, axis=0)) / tool,
+        np.sqrt(np.mean(travel**2, axis=0)) / tool,
+    )
+
+
+def _lost(level: Array | float, force: Array, load: Array, travel: Array, gap: float) -> Array:
+    """Expected share of transmission that open seats lose at a level."""
+    opens = np.minimum(1.0, (force * level / np.maximum(_OVERCOME * load, 1e-9)) ** 2)
+    floats = np.minimum(1.0, gap / np.maximum(4 * travel * level, 1e-12))
+    return np.asarray(opens * floats)
+
+
+def _seat_mass(at: LinearPose) -> Array:
+    """Mass behind each seat (n,) [kg]."""
+    slides = at.linear.slide_dofs
+    return np.array([float(at.inertia[s[0], s[0]]) for s in slides])
+
+
+@dataclass(frozen=True, kw_only=True)
+class InformationSettings:
+    """Settings of the Monte Carlo estimate."""
+
+    faults: int = 96
+    """Number of simulated faults that represent the belief."""
+    blur: float = 16.0
+    """Variance of everything predicted, over what errors and sampling leave [1]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InformationFactors:
+    """Realised over expected information, by kind of record."""
+
+    length: float = 0.0
+    """Exponent of the record's length over a second."""
+    together: float = 0.0
+    """Logarithm of the factor where all joints are shaken, none where one is."""
+    joints: tuple[float, ...] = ()
+    """Logarithm of the factor of each joint; of several that are shaken, their mean. None: 0."""
+
+    def of(self, excited: NDArray[np.bool_], seconds: float) -> float:
+        """Factor of a record that shakes some joints (n,) for some seconds."""
+        alone = 1 / len(excited)
+        share = (float(np.mean(excited)) - alone) / max(1 - alone, alone)
+        own = float(np.mean(np.array(self.joints)[excited])) if self.joints else 0.0
+        return float(seconds**self.length * np.exp(self.together * share + own))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImaginedFaults:
+    """Sample of M faults from a belief."""
+
+    weight: Array
+    """Probability of each (M,)."""
+    hypothesis: NDArray[np.intp]
+    """0 for healthy, else 1 + the hypothesis with a fault (M,)."""
+    location: NDArray[np.intp]
+    """Place of the seat; any for healthy (M,)."""
+    friction: Array
+    """Friction over the seat drive of the top level (M,)."""
+    chance: Array
+    """A uniform number each, which decides how its seat opens (M,)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Expectation:
+    """Expected information gain of a record."""
+
+    information: float
+    """Expected fall of the log score [nat]."""
+    sure: float
+    """Expected probability of the most probable hypothesis after it [1]."""
+
+
+USUAL_FACTORS = InformationFactors(length=0.06, together=-0.46)
+"""Fitted on records of planar4; `loose_agents.posterior_training.information_calibration` fits
+those of other arms."""
+
+
+class RecordInformation:
+    """Expected information gain of candidate records.
+
+    Parameters
+    ----------
+    features : SeatFeatures
+        The nominal arm and its locations.
+    frictions : ndarray (F,)
+        Nodes of friction of the beliefs, over the seat drive of the top level [1].
+    settings : InformationSettings, optional
+        Settings of the simulated records.
+    factors : InformationFactors, optional
+        Realised share of the expected information; the usual one by default.
+    table : OpeningTable, optional
+        Opening table; the shipped one by default.
+    """
+
+    def __init__(
+        self,
+        features: SeatFeatures,
+        frictions: Array,
+        settings: InformationSettings | None = None,
+        *,
+        factors: InformationFactors | None = None,
+        table: OpeningTable | None = None,
+    ) -> None:
+        self.features, self.frictions = features, frictions
+        self.factors = USUAL_FACTORS if factors is None else factors
+        self.settings = InformationSettings() if settings is None else settings
+        self.table = shipped_table() if table is None else table
+        shape = (-1, len(OPENINGS) * len(LOOSE))
+        self._cumulative = {
+            "slide": np.cumsum(self.table.slide.reshape(shape), axis=1),
+            "hinge": np.cumsum(self.table.hinge.reshape(shape), axis=1),
+        }
+
+    def imagine(self, belief: Belief, rng: np.random.Generator) -> ImaginedFaults:
+        """Thin a belief by systematic resampling."""
+        nodes = belief.loose.shape[2]
+        top = max(float(belief.healthy.max()), float(belief.loose.max()))
+        healthy = np.exp(belief.healthy - top).sum()
+        weight = np.concatenate([[healthy], np.exp(belief.loose - top).sum(0).ravel()])
+        weight = weight / weight.sum()
+        count = self.settings.faults
+        ticks = (np.arange(count) + rng.random()) / count
+        drawn, times = np.unique(
+            np.minimum(np.searchsorted(np.cumsum(weight), ticks), len(weight) - 1),
+            return_counts=True,
+        )
+        # A fault that is drawn often may still open in many ways.
+        copies = np.repeat(drawn, np.minimum(times, 6))
+        share = np.repeat(times / np.minimum(times, 6), np.minimum(times, 6)) / count
+        loose = np.maximum(copies - 1, 0)
+        location = np.where(copies > 0, loose // nodes, 0)
+        return ImaginedFaults(
+            weight=share,
+            hypothesis=np.where(copies > 0, 1 + self.features.hypothesis[location], 0),
+            location=location,
+            friction=self.frictions[loose % nodes],
+            chance=rng.random(len(copies)),
+        )
+
+    def of(
+        self,
+        faults: ImaginedFaults,
+        pose: Array,
+        torque: Array,
+        duration: float,
+        planned: Array | None = None,
+    ) -> Expectation:
+        """Expected information gain of a record at a pose (n,) by rms torques (n,) [N·m].
+
+        Parameters
+        ----------
+        faults : ImaginedFaults
+            The belief, thinned.
+        pose, torque : ndarray (n,)
+            Pose of the record [rad or m] and rms torque of every joint [N·m]; at least one is on.
+        duration : float
+            Its length [s].
+        planned : ndarray (M, M), optional
+            Likelihood of records before it whose outcome is not known: products of `likelihood`.
+        """
+        before = faults.weight if planned is None else faults.weight * planned
+        likely = self.likelihood(faults, pose, torque, duration)
+        score_now, _ = expected_log_score(faults.weight, faults.hypothesis, np.atleast_2d(before))
+        score, sure = expected_log_score(faults.weight, faults.hypothesis, before * likely)
+        factor = self.factors.of(torque > 0, duration)
+        return Expectation(information=factor * (score - score_now), sure=sure)
+
+    def likelihood(
+        self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
+    ) -> Array:
+        """Likelihood of the record of fault k, by row, under each other fault (M, M)."""
+        shown = self.outcomes(faults, pose, torque, duration)
+        # Two records of one fault differ too: each has its own errors.
+        return overlap(squared_distances(shown @ shown.T), self.settings.blur / 2)
+
+    def outcomes(
+        self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
+    ) -> Array:
+        """Features of each simulated fault, in standard deviations (M, features)."""
+        features = self.features
+        linear, floor = features.linear, features.floor
+        arm = linear.arm
+        excited = torque > 0
+        on = np.flatnonzero(excited)
+        m, d = len(on), len(arm.axes)
+        noise = channel_noise(floor, arm, on)
+        asked, at = np.unique(faults.location, return_inverse=True)
+        seats = predict_seats(linear.at(pose), torque, features.directions, noise, locations=asked)
+        x = seats.in_step[:m]
+        b = seats.in_step[m:] @ np.linalg.inv(x)
+        away = np.concatenate([-b, np.eye(d)], axis=1)
+        total = float(np.trace(seats.in_step[m:] @ seats.in_step[m:].T))
+        residual = away @ seats.rest @ away.T + LINEAR_ERROR**2 * total * np.eye(d)
+        white = features.whitening(pose, excited, b, residual, x, duration)
+        samples = independent_samples(arm, duration)
+
+        opening, loose = self._openings(faults, seats.force[at], seats.load[at])
+        change = opening[:, None] * (features.open_change(seats)[at] @ white.T)
+        nominal = np.diag(x)
+        opened = np.diagonal(seats.in_step_open[:, :m], axis1=1, axis2=2)[at] / nominal
+        error = np.sqrt(INERTIA_ERROR**2 + 1 / samples)
+        inertia = np.clip(opening[:, None] * opened / error, -10.0, 10.0)
+        free = np.diagonal(away @ seats.loose[at] @ away.T, axis1=1, axis2=2)
+        rest = np.diag(residual)
+        error = np.sqrt(POWER_ERROR**2 + 2 / samples)
+        motion = np.log1p(loose[:, None] * np.maximum(free, 0.0) / rest) / error
+        return np.concatenate([np.clip(change, -60.0, 60.0), inertia, motion], axis=1)
+
+    def _openings(self, faults: ImaginedFaults, force: Array, load: Array) -> tuple[Array, Array]:
+        """Opening and loose motion of the seat of every simulated fault (M,) each."""
+        at = faults.location
+        slides = self.features.locations - self.features.linear.arm.n
+        friction = faults.friction * self.features.top[at]
+        nodes = self.table.nodes(force, friction, load)
+        pick = np.zeros(len(at), dtype=np.intp)
+        for kind, chosen in (("slide", at < slides), ("hinge", at >= slides)):
+            mixed = sum(weight[:, None] * self._cumulative[kind][node] for node, weight in nodes)
+            cell = (np.asarray(mixed) < faults.chance[:, None]).sum(1)
+            pick = np.where(chosen, cell, pick)
+        pick = np.minimum(pick, len(OPENINGS) * len(LOOSE) - 1)
+        loose = np.where(faults.hypothesis > 0, LOOSE[pick % len(LOOSE)], 0.0)
+        opening = np.where(faults.hypothesis > 0, OPENINGS[pick // len(LOOSE)], 0.0)
+        return opening, loose
+
+
+_AXES = {2: 12, 3: 40}
+"""Sliding directions that stand for all of a link, by dimension."""
+_STEPS = 7
+"""Frictions across their range."""
+_SHOWS = 0.08
+"""Opening, toward either side, from which a seat shows: that of the first node beside shut [1]."""
+
+
+class SeatCoverage:
+    """Probability that a record shows each seat, if that is the loose one.
+
+    A seat shows where it opens. How far it does was measured on simulated
+    arms (`OpeningTable`): it follows from the rms force that drives it, gravity's load and its
+    friction. The friction is known by its range alone, log-uniform over the drive of the strongest
+    excitation, and is the same in every record.
+
+    Parameters
+    ----------
+    linear : LinearArm
+        The nominal arm.
+    friction : (float, float)
+        Range of the friction over the seat's drive by the top level [1].
+    over : {"median", "best"}
+        Pose whose drive that is, see `loose_env.excitation.SeatDrive`.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> seats = SeatCoverage(LinearArm(planar(2)), (0.02, 1.0))
+    >>> weak, strong = (seats.shown(np.array([0.0, 1.0]), np.full(2, a)) for a in (0.5, 4.0))
+    >>> weak.shape, bool(weak.mean() < strong.mean())
+    ((26, 7), True)
+    """
+
+    def __init__(
+        self, linear: LinearArm, friction: tuple[float, float], over: SeatReference = "median"
+    ) -> None:
+        arm, table = linear.arm, shipped_table()
+        self.linear = linear
+        self.axes = axes_grid(_AXES[len(arm.axes)], len(arm.axes))
+        """Sliding directions in a link's frame (A, d)."""
+        self._friction = seat_drives(linear, self.axes, over)[:, None] * np.geomspace(
+            *friction, _STEPS
+        )
+        wide = np.abs(OPENINGS) > _SHOWS - 0.01
+        self._shows = [part[:, :, wide].sum(axis=(2, 3)).ravel() for part in
+                       (table.slide, table.hinge)]  # fmt: skip
+
+    @property
+    def frictions(self) -> int:
+        """Number of frictions, F."""
+        return int(self._friction.shape[1])
+
+    def shown(self, pose: Array, levels: Array) -> Array:
+        """Probability that a record shows each seat, by its possible frictions (n A + n, F).
+
+        Joints move the tool with rms accelerations ``levels`` (n,) [m/s²]; 0 holds one. Seats are
+        the sliding directions of each link, then the play of each joint.
+        """
+        at, d = self.linear.at(pose), self.axes.shape[1]
+        excitation, _ = at_levels(at, levels, duration=1.0)
+        on = levels > 0
+        torque = np.asarray(excitation.torque_rms)[on]
+        answer = at.response(on)
+        slide = answer.slide[:, :, :d] * torque
+        power = np.einsum("kism,kitm->ist", slide, slide.conj(), optimize=True).real / len(slide)
+        slides = np.einsum("as,ist,at->ia", self.axes, power, self.axes, optimize=True)
+        hinges = np.mean(np.sum(np.abs(answer.hinge * torque) ** 2, axis=-1), axis=0)
+        force = np.sqrt(np.concatenate([slides.ravel(), hinges]))[:, None]
+        loads = np.abs(at.seat_load[:, :d] @ self.axes.T)
+        load = np.concatenate([loads.ravel(), np.abs(at.load[self.linear.hinge_dofs])])[:, None]
+        found = np.zeros(self._friction.shape)
+        first = slides.size
+        for node, weight in OpeningTable.nodes(force, self._friction, load):
+            found[:first] += weight[:first] * self._shows[0][node[:first]]
+            found[first:] += weight[first:] * self._shows[1][node[first:]]
+        return found
+
+
+def entropy(probabilities: ArrayLike) -> float:
+    """Entropy of a distribution [nat].
+
+    Examples
+    --------
+    >>> round(entropy([0.5, 0.25, 0.25]), 4)
+    1.0397
+    """
+    p = np.asarray(probabilities, dtype=float)
+    if p.ndim != 1 or not len(p) or not (p >= 0).all() or not np.isclose(p.sum(), 1.0):
+        raise InvalidData(
+            f"probabilities must be 0 or more and sum to 1, got {np.asarray(probabilities)!r}"
+        )
+    some = p[p > 0]
+    return float(-np.sum(some * np.log(some)))
+
+
+def needed_information(prior: ArrayLike, error: ArrayLike) -> Array:
+    """Least information about the hypothesis that an error rate takes, by Fano [nat].
+
+    Zero where a guess errs as little as that bound can tell.
+
+    Examples
+    --------
+    >>> needed_information([0.25] * 4, [0.0, 0.1, 0.75]).round(3).tolist()
+    [1.386, 0.951, 0.0]
+    """
+    delta = np.asarray(error, dtype=float)
+    if not ((delta >= 0) & (delta <= 1)).all():
+        raise InvalidSetting(f"an error rate is 0 to 1, got {error!r}")
+    most, count = entropy(prior), int(np.count_nonzero(np.asarray(prior, dtype=float)))
+    if count < 2:
+        return np.zeros_like(delta)
+    # Beyond this error, that of a guess among equals, the right side falls again.
+    delta = np.minimum(delta, (count - 1) / count)
+    inside = np.clip(delta, 1e-300, 1.0)
+    binary = -inside * np.log(inside) - (1 - delta) * np.log1p(-delta)
+    return np.asarray(np.maximum(most - binary - delta * np.log(count - 1), 0.0))
+
+
+def least_records(
+    error: ArrayLike,
+    prior: ArrayLike,
+    *,
+    information: float | None = None,
+    success: ArrayLike | None = None,
+) -> Array:
+    """Fewest records, on average, that an error rate takes: the larger of the two bounds.
+
+    Information (Fano): to err on a share δ of the arms the records must bring H(prior) - h(δ) - δ
+    ln(K - 1) nat about the hypothesis (Cover and Thomas, Elements of Information Theory, 2nd
+    edition, theorem 2.10.1); with at most I nat a record that takes as many as it goes into this.
+    Success: let s_k be the highest share of right verdicts that k records allow; then P(records >
+    k) >= 1 - δ - s_k. Both count "unsure" as an error, and hold for any choice of records and any
+    stopping rule.
+
+    Parameters
+    ----------
+    error : array_like
+        Share of wrong verdicts, "unsure" among them, 0 to 1.
+    prior : array_like (K,)
+        Probability of each hypothesis beforehand.
+    information : float, optional
+        Most that one record says about the hypothesis on average [nat], above 0.
+    success : array_like (R,), optional
+        Highest share of right verdicts after 1 to R records, never falling.
+
+    Returns
+    -------
+    ndarray, as ``error``
+        At least 1: the environment takes no verdict before the first record.
+
+    Examples
+    --------
+    Nine hypotheses, records of at most 0.5 nat, right on 60, 80 and 85 % after 1 to 3 of them.
+
+    >>> prior = np.full(9, 1 / 9)
+    >>> least_records([0.1, 0.3], prior, information=0.5).round(2).tolist()
+    [3.33, 1.93]
+    >>> least_records([0.1, 0.3], prior, success=[0.6, 0.8, 0.85]).round(2).tolist()
+    [1.45, 1.1]
+    """
+    needed = needed_information(prior, error)
+    found = np.ones_like(needed)
+    if information is not None:
+        if not information > 0:
+            raise InvalidSetting(f"the information of a record is above 0 nat, got {information!r}")
+        found = np.maximum(found, needed / information)
+    if success is not None:
+        s = np.asarray(success, dtype=float)
+        if s.ndim != 1 or not ((s >= 0) & (s <= 1)).all() or (np.diff(s) < 0).any():
+            raise InvalidData(f"success after 1, 2, ... records is 0 to 1 and never falls: {s!r}")
+        short = np.maximum(1.0 - np.asarray(error, dtype=float)[..., None] - s, 0.0)
+        # P(records > 0) is 1: there is no verdict before the first record.
+        found = np.maximum(found, 1.0 + short.sum(-1))
+    return np.asarray(found)

@@ -1,0 +1,477 @@
+"""Predictions of the nominal arm: healthy, with one seat freed, and with errors of the model.
+
+A shut seat transmits a force. If it floats, the two sides part with acceleration
+``-force / apparent mass``, and the whole arm answers through the seat's open columns. A seat
+that opens in part moves ``s`` times as far, in step with the force; what it does out of step
+(impacts, stick and slip) adds motion along the same direction that follows no command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.arms import Arm, LinearArm, LinearPose, Mismatch, Response
+from loose_env.excitation import Excitation, SeatDrive, SeatReference
+from loose_env.sensors import SensorSuite
+from loose_env.statistics import Covariances, LowestCoherence, lowest_coherence_direction_from
+from loose_env.typing import Array, ComplexArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorFloor:
+    """Noise that the sensors leave in the band."""
+
+    joint: float
+    """Standard deviation of a joint acceleration from an encoder [rad/s²]."""
+    tool: float
+    """Standard deviation of one axis of the tool acceleration [m/s²]."""
+    slide: float = 0.0
+    """Standard deviation of a sliding joint's acceleration from its linear scale [m/s²]."""
+
+    def joints(self, arm: Arm) -> Array:
+        """Standard deviation of every joint's acceleration [rad/s², m/s² where it slides] (n,)."""
+        return np.where(arm.sliding, self.slide, self.joint)
+
+    @classmethod
+    def of(cls, sensors: SensorSuite, band: tuple[float, float]) -> SensorFloor:
+        """Floor of a set of sensors in a band [Hz].
+
+        Readings are white, quantisation included; twice differentiated, the noise of the encoder
+        rises with the square of the frequency.
+        """
+        low, high = band
+        share = (high - low) / (sensors.rate / 2)
+        encoder = sensors.encoder.noise**2 + sensors.encoder.resolution**2 / 12
+        scale = sensors.encoder.linear_noise**2 + sensors.encoder.linear_resolution**2 / 12
+        fourth = (2 * np.pi) ** 4 * (high**5 - low**5) / 5 / (high - low)
+        accelerometer = sensors.accelerometer
+        tool = accelerometer.noise_density**2 * (high - low)
+        tool += accelerometer.resolution**2 / 12 * share
+        return cls(
+            joint=float(np.sqrt(encoder * fourth * share)),
+            tool=float(np.sqrt(tool)),
+            slide=float(np.sqrt(scale * fourth * share)),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """Second-order statistics of one record; m joints are excited.
+
+    The command is scaled to its rms; all covariances are in-band. Of B records together, as
+    `predictions` gives them, every number is an array (B,) and every array has an axis more in
+    front.
+    """
+
+    joint: Array
+    """Covariance of the excited joints' accelerations (m, m) [rad²/s⁴]."""
+    joint_tool: Array
+    """Covariance of joint and tool acceleration (m, d) [rad/s² m/s²]."""
+    tool: Array
+    """Covariance of the tool acceleration (d, d) [m²/s⁴]."""
+    command_joint: Array
+    """Covariance of command and joint acceleration (m, m) [N·m rad/s²]."""
+    command_tool: Array
+    """Covariance of command and tool acceleration (m, d) [N·m m/s²]."""
+
+    command: Array
+    """Covariance of the command, diagonal (m, m) [N²·m²]."""
+
+    @property
+    def transmission(self) -> Array:
+        """Regression of the tool on the measured joint accelerations (d, m) [m]."""
+        return np.asarray(np.linalg.solve(self.joint, self.joint_tool).mT)
+
+    @property
+    def transmission_by_instrument(self) -> Array:
+        """The same with the command as instrument: free of encoder noise (d, m) [m]."""
+        return np.asarray(np.linalg.solve(self.command_joint, self.command_tool).mT)
+
+    @property
+    def inertia(self) -> Array:
+        """Apparent inertia of each excited joint (m,) [kg·m²]."""
+        found = np.linalg.solve(self.command_joint, self.command)
+        return np.asarray(np.diagonal(found, axis1=-2, axis2=-1))
+
+    @cached_property
+    def _lowest(self) -> LowestCoherence:
+        return lowest_coherence_direction_from(
+            Covariances(xx=self.joint, xa=self.joint_tool, aa=self.tool, count=0)
+        )
+
+    @property
+    def lowest_direction(self) -> Array:
+        """Direction of lowest coherence with the excitation, tool frame, unit vector (d,)."""
+        return self._lowest.direction
+
+    @property
+    def lowest_coherence(self) -> float:
+        """Squared correlation along that direction [1]."""
+        return self._lowest.coherence
+
+    @property
+    def maximum_correlation(self) -> float:
+        """Highest correlation over directions [1]."""
+        highest: Any = np.sqrt(self._lowest.coherences[..., -1])
+        return highest  # type: ignore[no-any-return]
+
+    def __getitem__(self, k: int) -> Prediction:
+        """Prediction of one record of several."""
+        return Prediction(**{each.name: getattr(self, each.name)[k] for each in fields(self)})
+
+
+def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Prediction:
+    """Predict a record of the nominal, healthy arm.
+
+    Parameters
+    ----------
+    pose : LinearPose
+        The nominal arm at the pose.
+    excitation : Excitation
+        Excitation; at least one joint must be on. Spectra are taken as flat.
+    floor : SensorFloor
+        Noise of the sensors.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.arms import LinearArm
+    >>> shake = Excitation(torque_rms=(0.0, 3.0), duration=1.2, band=(30.0, 150.0))
+    >>> quiet = SensorFloor(joint=0.0, tool=0.0)
+    >>> at = LinearArm(planar(2)).at([0.0, 1.0])
+    >>> predict(at, shake, quiet).transmission.round(2).ravel().tolist()
+    [0.0, 0.3]
+    """
+    return predictions([pose], [excitation], floor)[0]
+
+
+def predictions(
+    poses: Sequence[LinearPose], excitations: Sequence[Excitation], floor: SensorFloor
+) -> Prediction:
+    """Predict several records of the nominal, healthy arm, in which equally many joints are on.
+
+    Parameters
+    ----------
+    poses : sequence of B LinearPose
+        One nominal arm at several poses.
+    excitations : sequence of B Excitation
+        Excitations.
+    floor : SensorFloor
+        Noise of the sensors.
+
+    Returns
+    -------
+    Prediction
+        Of all records; arrays have a first axis of length B.
+    """
+    arm = poses[0].linear.arm
+    levels = np.array([excitation.torque_rms for excitation in excitations])
+    on = levels > 0
+    responses = poses[0].linear.responses(poses, on)
+    joints = np.nonzero(on)[1].reshape(len(poses), -1)
+    torque = np.take_along_axis(levels, joints, axis=1)
+    noise = floor.joints(arm)[joints]
+    answers = np.array([answer.acceleration for answer in responses])
+    joint = np.take_along_axis(answers, joints[:, None, :, None], axis=2)
+    tool = np.array([answer.tool for answer in responses])
+    # Spectra averaged over the band: joint (B, K, m, m), tool (B, K, d, m).
+    count, axes = tool.shape[1:3]
+    x, a = joint * torque[:, None, None], tool * torque[:, None, None]
+    return Prediction(
+        joint=np.einsum("bkim,bkjm->bij", x, x.conj()).real / count + _diagonal(noise**2),
+        joint_tool=np.einsum("bkim,bkdm->bid", x, a.conj()).real / count,
+        tool=np.einsum("bkim,bkjm->bij", a, a.conj()).real / count + floor.tool**2 * np.eye(axes),
+        # The command of joint j drives column j alone.
+        command_joint=np.einsum("bkim,bm->bmi", x, torque).real / count,
+        command=_diagonal(torque**2),
+        command_tool=np.einsum("bkdm,bm->bmd", a, torque).real / count,
+    )
+
+
+def _diagonal(values: Array) -> Array:
+    """Diagonal matrices of rows (B, m, m)."""
+    return np.asarray(values[..., None] * np.eye(values.shape[-1]))
+
+
+INERTIA_ERROR = 0.03
+"""Relative error of the predicted apparent inertia."""
+POWER_ERROR = 0.35
+"""Relative error of predicted residual powers that sampling does not explain."""
+LINEAR_ERROR = 0.003
+"""Share of the tool's rms motion that no linear model explains."""
+
+_CHUNK = 400_000
+"""Complex numbers worked on at once: what the processor's cache holds, and little memory."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeatPrediction:
+    """Answers of the m excited joints and the d tool axes, p = m + d channels.
+
+    Places are the sliding directions of link 1, those of link 2, ..., then the joints' plays:
+    P = n A + n of them. The command of each excited joint has its rms.
+    """
+
+    in_step: Array
+    """Healthy part of the answer in step with the command (p, m), per unit-rms command."""
+    in_step_open: Array
+    """Change of it if a seat floats (P, p, m)."""
+    rest: Array
+    """Covariance of the healthy answer's part out of step with the command (p, p)."""
+    rest_mixed: Array
+    """Term of that covariance in s if a seat opens (P, p, p)."""
+    rest_open: Array
+    """Term of it in s² (P, p, p)."""
+    loose: Array
+    """Covariance that the free motion of a seat on its own would add (P, p, p)."""
+    force: Array
+    """Rms force or torque that the shut seat transmits (P,)."""
+    load: Array
+    """Force or torque that gravity puts on the seat at rest, without sign (P,)."""
+
+
+def predict_seats(
+    pose: LinearPose,
+    torque: Array,
+    directions: Array,
+    floor: Array,
+    *,
+    locations: NDArray[np.intp] | None = None,
+    covariances: bool = True,
+) -> SeatPrediction:
+    """Work out all seats of the arm in one pose.
+
+    Parameters
+    ----------
+    pose : LinearPose
+        The nominal arm at the pose.
+    torque : ndarray (n,)
+        Rms torque of every joint [N·m]; zero for held joints. At least one must be on.
+    directions : ndarray (A, axes)
+        Sliding directions of a link, unit vectors in its frame.
+    floor : ndarray (p,)
+        Variance that the sensors add to each channel.
+    locations : ndarray of int, optional
+        Places that are asked for, in the order in which they are wanted; all by default.
+    covariances : bool
+        False to leave out what is out of step and the free motion of the seats, which takes most
+        of the time: `rest_mixed`, `rest_open` and `loose` then have no places.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from loose_env.arms import planar
+    >>> from loose_env.arms import LinearArm
+    >>> at = LinearArm(planar(2)).at([0.0, 1.0])
+    >>> seats = predict_seats(at, np.array([0.0, 3.0]), np.eye(2), np.zeros(3))
+    >>> seats.in_step_open.shape
+    (6, 3, 1)
+    """
+    excited = torque > 0
+    on = np.flatnonzero(excited)
+    answer, opened = pose.response(excited), pose.open_response(excited)
+    t = torque[on]
+    n, count = pose.linear.arm.n, len(answer.frequency)
+    slides = n * len(directions)
+    asked = np.arange(slides + n) if locations is None else np.asarray(locations)
+    of_slide = asked < slides
+    link, u = asked[of_slide] // len(directions), directions[asked[of_slide] % len(directions)]
+    joint = asked[~of_slide] - slides
+
+    def placed(of_slides: ComplexArray, of_hinges: ComplexArray) -> ComplexArray:
+        """Put slides and hinges where they were asked for, along the second axis."""
+        both = np.empty((count, len(asked), *of_slides.shape[2:]), dtype=complex)
+        both[:, of_slide], both[:, ~of_slide] = of_slides, of_hinges
+        return both
+
+    healthy = np.concatenate([answer.joint[:, on], answer.tool], axis=1) * t
+    force = placed(np.einsum("kpsm,ps->kpm", answer.slide[:, link], u), answer.hinge[:, joint]) * t
+    mass = placed(
+        np.einsum("kpsr,ps,pr->kp", opened.mass_slide[:, link], u, u),
+        opened.inertia_hinge[:, joint],
+    )
+    slide = np.concatenate([opened.joint_open_slide, opened.tool_open_slide], axis=1)
+    hinge = np.concatenate([opened.joint_open_hinge, opened.tool_open_hinge], axis=1)
+    column = placed(
+        np.einsum("kcps,ps->kpc", slide[:, :, link], u), hinge[:, :, joint].transpose(0, 2, 1)
+    )
+    free = -force / mass[..., None]
+
+    # Averages over the band, locations first so that each is one small matrix product.
+    column, free = column.transpose(1, 2, 0), free.transpose(1, 2, 0)
+    in_step = healthy.real.mean(0)
+    own = healthy.transpose(1, 2, 0).reshape(len(in_step), -1)
+    p, m = len(in_step), len(on)
+    in_step_open = np.empty((len(free), p, m))
+    asked_for = len(free) if covariances else 0
+    mixed, rest_open, loose = (np.empty((asked_for, p, p)) for _ in range(3))
+    if not covariances:
+        in_step_open = (column @ free.transpose(0, 2, 1)).real / count
+    chunk = max(1, _CHUNK // (p * m * count))
+    for some in (slice(k, k + chunk) for k in range(0, asked_for, chunk)):
+        change = column[some, :, None] * free[some, None]  # (chunk, p, m, K)
+        step = change.real.mean(-1)
+        flat = change.reshape(*change.shape[:2], -1)
+        across = (own @ flat.conj().transpose(0, 2, 1)).real / count
+        in_step_open[some] = step
+        mixed[some] = across - in_step @ step.transpose(0, 2, 1)
+        rest_open[some] = (flat @ flat.conj().transpose(0, 2, 1)).real / count
+        rest_open[some] -= step @ step.transpose(0, 2, 1)
+        loose[some] = (column[some] @ column[some].conj().transpose(0, 2, 1)).real / count
+    power = np.mean(np.sum(np.abs(free) ** 2, axis=1), axis=-1)
+    at_rest = [(pose.seat_load @ directions.T).ravel(), pose.load[pose.linear.hinge_dofs]]
+    return SeatPrediction(
+        in_step=in_step,
+        in_step_open=in_step_open,
+        rest=(own @ own.conj().T).real / count - in_step @ in_step.T + np.diag(floor),
+        rest_mixed=mixed + mixed.transpose(0, 2, 1),
+        rest_open=rest_open,
+        loose=loose * power[:asked_for, None, None],
+        force=np.sqrt(np.mean(np.sum(np.abs(force) ** 2, axis=-1), axis=0)),
+        load=np.abs(np.concatenate(at_rest))[asked],
+    )
+
+
+def independent_samples(arm: Arm, duration: float) -> float:
+    """Independent samples in the arm's band in a record of some length [s]."""
+    return 2 * (arm.band[1] - arm.band[0]) * duration
+
+
+def channel_noise(floor: SensorFloor, arm: Arm, on: NDArray[np.intp]) -> Array:
+    """Variance that the sensors add to the excited joints and to the axes of the tool (p,)."""
+    return np.concatenate([floor.joints(arm)[on], np.full(len(arm.axes), floor.tool)]) ** 2
+
+
+def seat_drives(linear: LinearArm, directions: Array, over: SeatReference) -> Array:
+    """Rms force of the top level across every seat (P,), slides of each link, then plays.
+
+    Some motions of a seat no joint drives, such as those across a plane of motion.
+    """
+    drive, numbers = SeatDrive(linear, over=over), range(1, linear.arm.n + 1)
+    found = [drive.slide(link, tuple(u)) for link in numbers for u in directions]
+    found += [drive.hinge(joint) for joint in numbers]
+    return np.maximum(found, 1e-9 * max(found))
+
+
+def sensor_matrices(axes: int, mismatch: Mismatch) -> Array:
+    """Change of the reading per true acceleration by one standard deviation of each error.
+
+    Gain of every axis and leakage from every axis into every other one, then rotation about each
+    axis (d * d + d * (d - 1) / 2, d, d).
+    """
+    errors = []
+    for i in range(axes):
+        for j in range(axes):
+            leak = np.zeros((axes, axes))
+            leak[i, j] = mismatch.gain if i == j else mismatch.cross_axis
+            errors.append(leak)
+    turn = np.radians(mismatch.misalignment)
+    for i in range(axes):
+        for j in range(i):
+            skew = np.zeros((axes, axes))
+            skew[i, j], skew[j, i] = turn, -turn
+            errors.append(skew)
+    return np.array(errors)
+
+
+def sensor_errors(b: Array, mismatch: Mismatch) -> Array:
+    """Change of a measured transmission (d, m) by each of the `sensor_matrices` (K, d, m)."""
+    return np.asarray(sensor_matrices(len(b), mismatch) @ b)
+
+
+def joint_zero_errors(linear: LinearArm, pose: Array, mismatch: Mismatch) -> Array:
+    """Change of the tool's Jacobian by an error of each joint's zero, tool frame [m] (n, d, n).
+
+    The zero of a sliding joint is off by as many metres as that of a turning one by radians.
+    """
+    tiny = 1e-4
+    kinematic = linear.at(pose).kinematic
+    slopes = []
+    for k in range(linear.arm.n):
+        moved = np.array(pose, dtype=float)
+        moved[k] += tiny
+        slopes.append((linear.at(moved).kinematic - kinematic) / tiny)
+    return np.asarray(np.radians(mismatch.joint_zero) * np.array(slopes))
+
+
+def stiffness_errors(
+    linear: LinearArm, pose: Array, excited: NDArray[np.bool_], mismatch: Mismatch
+) -> Array:
+    """Change of the healthy transmission by an error of each compliant spring.
+
+    Differences over two standard deviations, because answers near a mode are far from linear.
+
+    Parameters
+    ----------
+    linear : LinearArm
+        The nominal arm, in the band that was played.
+    pose : ndarray (n,)
+        Pose [rad or m].
+    excited : ndarray of bool (n,)
+        Joints that were excited together.
+    mismatch : Mismatch
+        Standard deviations of the errors. Errors of mass shift modes as those of stiffness do.
+
+    Returns
+    -------
+    ndarray (K, d, m)
+        Changes by one standard deviation each [m]: bending modes and gears, then what holds each
+        joint.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.arms import vera
+    >>> one = np.array([True, False])
+    >>> def most(arm):
+    ...     errors = stiffness_errors(LinearArm(arm), np.array([0.0, 1.2]), one, Mismatch())
+    ...     return float(np.abs(errors).max())
+    >>> most(planar(2)) < 0.002, most(vera()) > 0.01
+    (True, True)
+    """
+    relative = float(np.hypot(mismatch.stiffness, mismatch.mass))
+
+    at = linear.at(pose)
+
+    def transmission(sprung: LinearArm) -> Array:
+        # Springs change no inertia: the arm stands as it did.
+        return healthy_transmission(replace(at, linear=sprung).response(excited), excited)
+
+    arm, held = linear.arm, ~np.asarray(excited, dtype=bool)
+    dofs = len(linear.flexible_dofs)
+    soft, stiff = [], []
+    for k in range(dofs + arm.n):
+        if k < dofs or held[k - dofs]:
+            stiff.append(transmission(_sprung(linear, k, 1 + relative)))
+            soft.append(transmission(_sprung(linear, k, 1 / (1 + relative))))
+    shape = (-1, len(arm.axes), int(np.sum(excited)))  # there may be no spring at all
+    return (np.reshape(stiff, shape) - np.reshape(soft, shape)) / 2
+
+
+def healthy_transmission(answer: Response, excited: NDArray[np.bool_]) -> Array:
+    """Healthy transmission with the command as instrument, all commands alike (d, m)."""
+    joint = answer.joint[:, np.flatnonzero(excited)].real.mean(axis=0)
+    return np.asarray(np.linalg.solve(joint.T, answer.tool.real.mean(axis=0).T).T)
+
+
+@lru_cache(maxsize=64)
+def _sprung(linear: LinearArm, spring: int, factor: float) -> LinearArm:
+    """Arm with one stiffer spring: a bending mode, a gear or a holding."""
+    arm, joint = linear.arm, spring - len(linear.flexible_dofs)
+    if joint < 0:
+        model = copy(linear.model)
+        model.jnt_stiffness[model.dof_jntid[linear.flexible_dofs[spring]]] *= factor
+        return linear.variant(arm, model)
+    stiffness = list(arm.holding.stiffness)
+    stiffness[joint] *= factor
+    held = replace(arm.holding, stiffness=tuple(stiffness))
+    return linear.variant(
+        replace(arm, servo=held) if arm.hold == "servo" else replace(arm, brake=held)
+    )

@@ -1,1 +1,0 @@
-"""Methods that only agents and studies under evaluation use."""

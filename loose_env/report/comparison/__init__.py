@@ -1,5 +1,0 @@
-"""Report of a comparison of agents.
-
-Data flow: confusion_matrix -> cost_figures -> episode_timeline -> page -> report ->
-terminal_tables -> text.
-"""

@@ -1,5 +1,0 @@
-"""Page template, style, figure cards and tables shared by all reports.
-
-Data flow: figure_card -> palette -> figures -> legend -> style -> svg -> table -> template
--> sections -> notebook.
-"""

@@ -1,0 +1,192 @@
+"""Words of the reports: joints, links, faults, shares, effects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from loose_env.arms import Arm
+from loose_env.errors import InvalidData
+from loose_env.gap import EffectLocation, NamedEffect
+from loose_env.instrument import HEALTHY
+from loose_env.report.page import named_list
+
+_PLAIN = {
+    "viscous_friction": "viscous friction",
+    "coulomb_friction": "dry friction",
+    "stribeck_friction": "dry friction that grows near rest",
+    "quadratic_drag": "drag that grows with the square of the speed",
+    "joint_compliance": "a compliant drive",
+    "backlash": "backlash",
+    "structural_looseness": "a loose link",
+    "link_flexibility": "a flexible link",
+    "link_mass": "another mass",
+    "link_com": "another centre of mass",
+    "payload": "a payload",
+    "rotor_inertia": "more rotor inertia",
+    "actuator_gain": "another gain",
+    "actuator_lag": "a lag",
+    "command_delay": "late commands",
+    "encoder_offset": "an encoder whose zero is off",
+    "sensor_misalignment": "a sensor that is mounted askew",
+    "sensor_gain": "a sensor whose scale is off",
+    "sensor_bias": "a sensor with a bias",
+    "sensor_delay": "a late sensor",
+    "base_tilt": "a tilted base",
+    "torque_ripple": "torque ripple",
+    "joint_spring": "a spring",
+    "load_friction": "friction that grows with the load",
+    "asymmetric_friction": "dry friction that differs by direction",
+    "torque_limit": "a limit of the torque",
+    "voltage_limit": "a limit of the voltage",
+    "dead_zone": "a dead zone",
+    "gravity_compensation": "a weight that is carried",
+    "torque_constant": "another torque constant",
+    "base_compliance": "a base that gives way",
+    "gear_eccentricity": "an eccentric gear",
+    "sensor_quantisation": "a coarse sensor",
+}
+_PLACES = {
+    ("payload", "tool"): " at the tool",
+    ("base_tilt", "base"): "",
+    ("command_delay", "all"): " at all actuators",
+    ("base_compliance", "base"): "",
+    ("gravity_compensation", "all"): " of all links",
+}
+"""Locations that are no names of the model; a joint or a link may be called so, too."""
+RIVALS = 5  # confusable effects that are listed by name
+
+Located = NamedEffect | EffectLocation
+
+
+def joint_words(arm: Arm, joint: str) -> str:
+    """Name a joint, with its number from the base where the name does not have it."""
+    return _named("joint", arm.joints, joint, arm)
+
+
+def link_words(arm: Arm, body: str) -> str:
+    """Name a link, with its number from the base where the name does not have it."""
+    return _named("link", arm.seat_bodies, body, arm)
+
+
+def _named(noun: str, names: tuple[str, ...], name: str, arm: Arm) -> str:
+    if name not in names:
+        raise InvalidData(
+            f"the diagnosis names {name!r}, which is no {noun} of arm {arm.name!r}; it has "
+            f"{', '.join(names)}: give the model that was diagnosed"
+        )
+    number = names.index(name) + 1
+    same = name.lower().replace("_", " ") in (f"{noun} {number}", f"{noun}{number}")
+    return f"{noun} {number}" if same else f"{noun} {number} ({name})"
+
+
+def short_name(arm: Arm, hypothesis: str) -> str:
+    """Say a hypothesis in a few words.
+
+    Examples
+    --------
+    >>> from loose_env.arms import DESK_ARM, arm_from_file, planar
+    >>> short_name(planar(2), "structural_looseness@link1"), short_name(planar(2), "healthy")
+    ('link 1 is loose', 'nothing is loose')
+    >>> short_name(arm_from_file(DESK_ARM), "backlash@elbow")
+    'joint 3 (elbow) has play'
+    """
+    kind, _, where = hypothesis.partition("@")
+    if kind == HEALTHY:
+        return "nothing is loose"
+    if kind == "backlash":
+        return f"{joint_words(arm, where)} has play"
+    return f"{link_words(arm, where)} is loose"
+
+
+def percent(p: float) -> str:
+    """A probability in per cent, never rounded to certainty.
+
+    Examples
+    --------
+    >>> percent(0.9996), percent(0.9949), percent(0.42), percent(0.0002)
+    ('over 99.9 %', '99.5 %', '42 %', 'under 0.1 %')
+    """
+    if p > 0.999:
+        return "over 99.9 %"
+    if p < 0.001:
+        return "under 0.1 %"
+    return f"{100 * p:.{1 if p > 0.99 or p < 0.01 else 0}f} %"
+
+
+def slides(arm: Arm, joint: str) -> bool:
+    """True for a prismatic joint of the arm."""
+    return joint in arm.joints and bool(arm.sliding[arm.joints.index(joint)])
+
+
+def position_text(arm: Arm, joint: str, value: float) -> str:
+    """Position of a joint in the unit that a teach panel shows.
+
+    Examples
+    --------
+    >>> from loose_env.arms import scara
+    >>> position_text(scara(), "joint1", 0.5), position_text(scara(), "joint3", -0.05)
+    ('28.6°', '−50.0 mm')
+    """
+    shown = f"{1e3 * value:.1f} mm" if slides(arm, joint) else f"{np.degrees(value):.1f}°"
+    return shown.replace("-0.0", "0.0").replace("-", "−")
+
+
+def with_plain_names(words: str, names: Mapping[str, str]) -> str:
+    """Text with the hypotheses, but for "healthy", in plain words.
+
+    Examples
+    --------
+    >>> with_plain_names("backlash@j1 is left", {"backlash@j1": "joint 1 has play"})
+    '“joint 1 has play” is left'
+    """
+    for name in sorted(names, key=len, reverse=True):  # one name may begin another
+        if "@" in name:
+            words = words.replace(name, f"“{names[name]}”")
+    return words
+
+
+def kind_words(kind: str) -> str:
+    """A kind of effect, as one says it."""
+    return _PLAIN.get(kind, kind.replace("_", " "))
+
+
+def effect_words(kind: str, where: str) -> str:
+    """An effect and its location, as one says it.
+
+    Examples
+    --------
+    >>> effect_words("coulomb_friction", "joint2")
+    'dry friction (joint2)'
+    """
+    return f"{kind_words(kind)}{_PLACES.get((kind, where), f' ({where})')}"
+
+
+def together(effects: Iterable[Located], *, plain: bool = True) -> str:
+    """Effects in words, those of one kind together."""
+    places: dict[str, list[str]] = {}
+    for effect in effects:
+        places.setdefault(effect.kind, []).append(effect.where)
+    joined = {kind: ", ".join(where) for kind, where in places.items()}
+    return named_list([effect_words(k, w) if plain else f"{k} at {w}" for k, w in joined.items()])
+
+
+def rivals_words(effect: NamedEffect) -> list[str]:
+    """Confusable effects of one, the first by name and the others by their number."""
+    named = [effect_words(o.kind, o.where) for o in effect.ambiguous_with]
+    more = len(named) - RIVALS
+    return named if more < 2 else [*named[:RIVALS], f"{more} others, listed in result.json"]
+
+
+def deletion_words(effect: NamedEffect) -> str:
+    """Probability of an effect and what is lost without it; "" where neither is known."""
+    found = [] if effect.probability is None else [f"probability {effect.probability:.2f}"]
+    test = effect.deletion
+    if test is not None:
+        words = f"explains {100 * max(0.0, test.share_without):.0f} % of the residual without it"
+        if test.share_in_channel > test.share_without + 0.05:
+            words += f", {100 * test.share_in_channel:.0f} % in one channel"
+        runs = f"z {test.held_out_z:.1f} on held-out runs, {test.training_z:.1f} on fitted ones"
+        found.append(f"{words} ({runs})")
+    return "; ".join(found)

@@ -1,4 +1,0 @@
-"""Axial directions in the plane and in space.
-
-Data flow: angles -> sphere.
-"""

@@ -1,4 +1,0 @@
-"""Covariances, moments and spectra of a record.
-
-Data flow: covariance -> moments -> spectra.
-"""

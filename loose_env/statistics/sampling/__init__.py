@@ -1,1 +1,0 @@
-"""Autocorrelated samples: effective sample size, block bootstrap."""

@@ -1,1 +1,0 @@
-"""Transmission from joints to tool: estimate, change, direction and rank of the change."""

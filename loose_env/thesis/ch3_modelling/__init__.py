@@ -1,4 +1,0 @@
-"""Chapter 3: modelling of looseness.
-
-Data flow: alternatives -> docked_tool -> identification -> matrices -> modelling.
-"""

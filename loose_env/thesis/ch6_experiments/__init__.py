@@ -1,4 +1,0 @@
-"""Chapter 6: experiments.
-
-Data flow: arm -> shaken_vera -> slide.
-"""

@@ -1,4 +1,0 @@
-"""Methods that only the thesis uses.
-
-Data flow: looseness -> motion.
-"""

@@ -1,0 +1,1 @@
+"""The thesis's methods, rigs and experiments, beside the printed results."""

@@ -1,0 +1,275 @@
+"""Tables 6.3 to 6.7 recomputed from the thesis's own data: errors and the index (6.5.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loose_env.envs import FAINT, INK, MEASURED, MUTED
+from loose_env.report import WIDTH, new_figure
+from loose_env.statistics import axial_difference, comparative_index
+from loose_env.typing import Array
+from scripts.thesis.page import Rows, Section, printed, section
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+STEP = 5.0
+"""The thesis reads directions to the nearest 5 degrees; a difference of two may be a step off."""
+CHANGE, TURN = "|1\u00a0−\u00a0C*|", "φn\u00a0−\u00a0φ"  # a hyphen would allow a line break
+_HUNDREDTH = 0.0101  # the tables print hundredths, some rounded and some cut off
+_GAP, _MOST = 1.4, 0.8  # lines between two blocks of the figure, highest index
+
+
+class ErrorSummary(NamedTuple):
+    """Errors of several poses: signed mean, root of the mean square, largest [deg]."""
+
+    mean: float
+    rms: float
+    largest: float
+
+
+def turns(a: ArrayLike, b: ArrayLike) -> Array:
+    """Turn from axes b to axes a the short way, -90 to 90 degrees."""
+    found = axial_difference(np.radians(np.asarray(a)), np.radians(np.asarray(b)))
+    return np.asarray(np.degrees(found).round(9), dtype=np.float64)
+
+
+def error_summary(found: ArrayLike, true: ArrayLike) -> ErrorSummary:
+    """Boil down the errors of directions found against true ones, as axes [deg]."""
+    errors = turns(found, true)
+    three = (errors.mean(), np.sqrt(np.mean(errors**2)), np.abs(errors).max())
+    return ErrorSummary(*(round(float(x), 9) for x in three))
+
+
+@dataclass(frozen=True, kw_only=True)
+class IndexRow:
+    """The comparative index at one pose: as printed, and from tables and text."""
+
+    theta2: int
+    """Joint 2 [deg]."""
+    change_printed: float
+    """|1 - C*| in the table [1]."""
+    change: float
+    """|1 - C*| from the maximum correlations of table 6.4 [1]."""
+    turn_printed: float
+    """phi_n - phi in the table [deg]."""
+    turn: float
+    """phi_n - phi from the directions in the text, as axes, -90 to 90 [deg]."""
+    mag_d_printed: float
+    """mag(D) in the table [1]."""
+    mag_d_columns: float
+    """mag(D) (6.18) from the table's own two columns [1]."""
+    mag_d: float
+    """mag(D) (6.18) from table 6.4 and the text [1]."""
+    mag_e: float | None
+    """mag(E) (6.17) from the same; None where C* itself is not known [1]."""
+
+    @property
+    def change_off(self) -> float:
+        """Deviation of the printed |1 - C*| from the recomputed one, 0 within rounding [1]."""
+        off = abs(self.change_printed - self.change)
+        return off if off > _HUNDREDTH else 0.0
+
+    @property
+    def turn_off(self) -> float:
+        """Deviation of the printed angle from the recomputed one, without its sign [deg]."""
+        angles = [self.turn_printed - self.turn, self.turn_printed + self.turn]
+        return round(float(np.abs(turns(angles, [0.0, 0.0])).min()), 6)
+
+    @property
+    def remark(self) -> str:
+        """The differences as text."""
+        parts = [f"magnitude {self.change_off:.2f} off"] if self.change_off else []
+        if self.turn_off:
+            far = self.turn_off > STEP
+            parts.append(f"angle {self.turn_off:.0f}° off" if far else "angle one step off")
+        return "; ".join(parts) or "agrees"
+
+    def cells(self) -> tuple[str, ...]:
+        """Row of the table."""
+        known = self.mag_e is not None
+        return (
+            f"{self.theta2}°",
+            f"{self.change_printed:.2f}",
+            f"{self.change:.2f}" if known else "–",
+            f"{self.turn_printed:.0f}°",
+            f"{self.turn:.0f}°",
+            f"{self.mag_d_printed:.3g}",
+            f"{self.mag_d_columns:.3f}",
+            f"{self.mag_d:.3f}",
+            f"{self.mag_e:.2f}" if known else "–",
+            self.remark,
+        )
+
+
+def index_rows(condition: str) -> list[IndexRow]:
+    """Work out a table again: "looseness" (6.5), "low_preload" (6.6) or "backlash" (6.7)."""
+    number = {"looseness": "6_5", "low_preload": "6_6", "backlash": "6_7"}[condition]
+    source = printed("index_tables")
+    table, rows = source[f"table_{number}_{condition}"], []
+    cases = source["backlash_cases" if condition == "backlash" else "looseness_cases"]
+    for k, theta2 in enumerate(source["theta2_deg"]):
+        # The direction when tight is printed once, among the looseness cases.
+        nominal = source["looseness_cases"][k]["lowest_high_preload_deg"]
+        nominal = cases[k].get("lowest_high_preload_deg", nominal)
+        compared = cases[k][f"lowest_{condition}_deg"]
+        change, turn = table["one_minus_c"][k], table["turn_deg"][k]
+        # Table 6.4 has no C_p: its printed change stands in, with C* = 1 - change.
+        known = condition != "low_preload"
+        c_n = source["table_6_4"]["c_n"][k] if known else 1.0
+        c = source["table_6_4"][f"c_{condition[0].replace('l', 'f')}"][k] if known else 1 - change
+        here = comparative_index(c_n, math.radians(nominal), c, math.radians(compared))
+        rows.append(
+            IndexRow(
+                theta2=theta2,
+                change_printed=change,
+                change=abs(1.0 - c / c_n),
+                turn_printed=turn,
+                turn=float(turns(nominal, compared)),
+                mag_d_printed=table["mag_d"][k],
+                mag_d_columns=comparative_index(1.0, math.radians(turn), 1.0 - change, 0.0).mag_d,
+                mag_d=here.mag_d,
+                mag_e=here.mag_e if known else None,
+            )
+        )
+    return rows
+
+
+def directions(fault: str) -> tuple[list[float], list[float]]:
+    """Direction of lowest correlation and the fault's own [deg], by pose."""
+    cases = printed("index_tables")[f"{fault}_cases"]
+    return [c[f"lowest_{fault}_deg"] for c in cases], [c[f"{fault}_deg"] for c in cases]
+
+
+def index_tables(seed: int) -> Section:
+    """Compare tables 6.3 to 6.7 with values recomputed from the thesis's own data."""
+    source = printed("index_tables")
+    loose, preload, backlash = map(index_rows, ("looseness", "low_preload", "backlash"))
+    errors = {name: error_summary(*directions(name)) for name in ("looseness", "backlash")}
+    slips = _slips({"6.5": loose, "6.6": preload, "6.7": backlash}, errors)
+    least, most = min(loose, key=lambda r: r.mag_d), max(preload, key=lambda r: r.mag_d)
+    worst = max(abs(v) for fault in errors for v in source["table_6_3"][f"{fault}_error_deg"])
+    largest, n_slips = max(e.largest for e in errors.values()), len(slips)
+
+    def misread(row: IndexRow, step: float) -> float:
+        turn = min(max(abs(row.turn) + step, 0.0), 90.0)
+        return row.change * math.sin(math.radians(turn))
+
+    low, high = min(misread(r, -STEP) for r in loose), max(misread(r, STEP) for r in preload)
+    missed = [f"{r.theta2}°" for r in backlash if r.mag_d < least.mag_d]
+    gained = [r.theta2 for r in backlash if r.mag_d >= least.mag_d > r.mag_d_printed]
+    more = "".join(f"; at {theta2}° it does so in print but not here" for theta2 in gained)
+    n_missed, missed_poses = len(missed), ", ".join(missed[:-1]) + " and " + missed[-1]
+    lowest_e = min(row.mag_e for row in loose if row.mag_e is not None)
+    rival = max((1 + r.change) * abs(math.sin(math.radians(r.turn))) for r in preload)
+    table = source["table_6_4"]
+    above = ", ".join(
+        f"{fault} at {k}°"
+        for fault, name in (("looseness", "c_f"), ("backlash", "c_b"))
+        for k, c, n in zip(source["theta2_deg"], table[name], table["c_n"], strict=True)
+        if c > n
+    )
+    figure = index_figure(
+        {"looseness": loose, "low preload, no fault": preload, "backlash": backlash}
+    )
+    indices = [[row.cells() for row in rows] for rows in (loose, preload, backlash)]
+    return section("index_tables", locals(), [_error_rows(errors), *indices, slips], [figure])
+
+
+def _slips(tables: Mapping[str, Sequence[IndexRow]], errors: Mapping[str, ErrorSummary]) -> Rows:
+    """Printed figures that contradict others: where, quantity, printed, follows."""
+    source = printed("index_tables")
+    found: list[tuple[str, ...]] = []
+    for fault, summary in errors.items():
+        table = source["table_6_3"]
+        said = table[f"{fault}_error_deg"]
+        for theta2, a, b in zip(source["theta2_deg"], said, turns(*directions(fault)), strict=True):
+            if abs(a - b) > 1e-6:
+                found.append((f"Table 6.3, {theta2}°", f"error, {fault}", f"{a:.0f}°", f"{b:.0f}°"))
+        average = table[f"{fault}_average_deg"]
+        if abs(average - summary.mean) > 0.5:
+            found.append(("Table 6.3", f"average, {fault}", f"{average}°", f"{summary.mean:.0f}°"))
+    for number, rows in tables.items():
+        for row in rows:
+            where = f"Table {number}, {row.theta2}°"
+            if row.change_off:
+                found.append((where, CHANGE, f"{row.change_printed:.2f}", f"{row.change:.2f}"))
+            if row.turn_off > STEP:
+                found.append((where, TURN, f"{row.turn_printed:.0f}°", f"{row.turn:.0f}°"))
+    return found
+
+
+def _error_rows(errors: Mapping[str, ErrorSummary]) -> Rows:
+    source = printed("index_tables")
+    table, columns = source["table_6_3"], [[f"{t}°" for t in source["theta2_deg"]]]
+    columns[0] += ["signed mean", "RMS", "largest"]
+    for fault, e in errors.items():
+        said = table[f"{fault}_error_deg"]
+        own, average = error_summary(said, np.zeros(len(said))), table[f"{fault}_average_deg"]
+        ends = [f"{average}°", f"{own.rms:.1f}°", f"{own.largest:.0f}°"]
+        columns.append([*(f"{v}°" for v in said), *ends])
+        ends = [f"{e.mean:.0f}°", f"{e.rms:.1f}°", f"{e.largest:.0f}°"]
+        columns.append([*(f"{v:.0f}°" for v in turns(*directions(fault))), *ends])
+    return list(zip(*columns, strict=True))
+
+
+def index_figure(groups: Mapping[str, Sequence[IndexRow]]) -> Figure:
+    """Draw one line a pose and one block a condition."""
+    lines = sum(len(rows) + _GAP for rows in groups.values())
+    height = 0.235 * lines + 0.55
+    figure = new_figure(height)
+    left, foot = 0.62, 0.5
+    box = (left / WIDTH, foot / height, 1 - (left + 0.1) / WIDTH, 1 - (foot + 0.05) / height)
+    axes = figure.add_axes(box)
+    first = next(iter(groups.values()))
+    threshold = min(row.mag_d for row in first)
+    y, ticks = 0.0, {}
+    for name, rows in groups.items():
+        axes.text(0.0, y, name, color=INK, fontsize=9.5, fontweight="bold", va="center")
+        block: dict[str, Any] = {"ymin": y - len(rows) - 0.5, "ymax": y - 0.5, "zorder": 1}
+        axes.vlines([0.2 * k for k in range(5)], color=FAINT, linewidth=0.8, **block)
+        axes.vlines(threshold, color=MUTED, linewidth=1.1, linestyle=(0, (3, 2)), **block)
+        for row in rows:
+            y -= 1.0
+            ticks[y] = f"{row.theta2}°"
+            _pair(axes, row, y)
+        y -= _GAP
+    widest = max(first, key=lambda row: abs(row.mag_d - row.mag_d_printed))
+    _names(axes, widest, -1.0 - list(first).index(widest))
+    axes.set(xlim=(0.0, _MOST + 0.1), ylim=(y + _GAP - 0.5, 0.6))
+    axes.set_xticks([0.2 * k for k in range(5)])
+    axes.set_yticks(list(ticks), list(ticks.values()))
+    axes.patch.set_alpha(0.0)
+    axes.tick_params(length=0, pad=6, labelsize=9, labelcolor=MUTED)
+    axes.spines[:].set_visible(False)
+    axes.set_xlabel("comparative index mag(D)", color=MUTED, fontsize=9)
+    return figure
+
+
+def _pair(axes: Axes, row: IndexRow, y: float) -> None:
+    """Draw a dot for what follows here and a ring for what was printed."""
+    axes.plot([row.mag_d_printed, row.mag_d], [y, y], color=MUTED, linewidth=1.3, zorder=2)
+    over: dict[str, Any] = {"marker": "o", "linestyle": "none", "clip_on": False, "zorder": 3}
+    axes.plot(row.mag_d, y, color=MEASURED, markersize=5.5, **over)
+    ring: dict[str, Any] = {
+        "markerfacecolor": "none",
+        "markeredgecolor": INK,
+        "markeredgewidth": 1.3,
+    }
+    axes.plot(row.mag_d_printed, y, markersize=9.5, **ring, **over)
+
+
+def _names(axes: Axes, row: IndexRow, y: float) -> None:
+    """Name dot and ring, each on its free side."""
+    side = 1.0 if row.mag_d_printed > row.mag_d else -1.0
+    words: dict[str, Any] = {"fontsize": 9, "va": "center"}
+    here, said = ("right", "left") if side > 0 else ("left", "right")
+    axes.text(row.mag_d - 0.018 * side, y, "here", color=MEASURED, ha=here, **words)
+    axes.text(row.mag_d_printed + 0.022 * side, y, "printed", color=INK, ha=said, **words)

@@ -1,0 +1,216 @@
+"""Small multiples of several sections: correlation loops, statistics by pose, signals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from loose_env.envs import FAINT, INK, MUTED
+from loose_env.report import WIDTH, new_figure, quiet_axes
+from loose_env.statistics import correlation_loop
+from loose_env.typing import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = ("#0072b2", "#d0451b", "#5b8c5a", "#8a5aa8")
+"""Colours of states in order: tight, loose, in between, and one more."""
+_STYLES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.4, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
+
+
+class LoopPanel(NamedTuple):
+    """One pose: reference x (N,) and acceleration a (2, N) of each state."""
+
+    title: str
+    loops: Sequence[tuple[Array, Array]]
+    direction: float
+    """True direction of the fault, from the x axis [rad]."""
+
+
+class Points(NamedTuple):
+    """A statistic in every category, with the ends of its intervals."""
+
+    name: str
+    values: Sequence[float]
+    low: Sequence[float]
+    high: Sequence[float]
+
+
+class Curve(NamedTuple):
+    """A statistic along directions from the x axis [rad]."""
+
+    name: str
+    angles: Array
+    values: Array
+
+
+def square_panels(count: int, names: Sequence[str], columns: int = 3) -> tuple[Figure, list[Axes]]:
+    """Square panels without frames, so many side by side, below a legend of the states."""
+    rows, side, head = -(-count // columns), WIDTH / columns, 0.32
+    height = rows * (side + 0.1) + head
+    figure = new_figure(height)
+    legend_row(figure, names, height)
+    found: list[Axes] = []
+    for k in range(count):
+        row, column = divmod(k, columns)
+        bottom = (height - head - (row + 1) * (side + 0.1)) / height
+        axes = figure.add_axes((column / columns, bottom, 1 / columns, side / height))
+        axes.set_axis_off()
+        axes.patch.set_alpha(0.0)
+        found.append(axes)
+    return figure, found
+
+
+def loop_panels(panels: Sequence[LoopPanel], names: Sequence[str], columns: int = 3) -> Figure:
+    """Draw polar loops of correlation against direction, a panel a pose."""
+    figure, places = square_panels(len(panels), names, columns)
+    angles = np.linspace(0.0, np.pi, 181)
+    for panel, axes in zip(panels, places, strict=True):
+        axes.set(xlim=(-1.15, 1.15), ylim=(-1.1, 1.2), aspect="equal")
+        turn = np.linspace(0.0, 2 * np.pi, 121)
+        for radius in (0.5, 1.0):
+            axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, linewidth=0.8)
+        end = 1.08 * np.array([np.cos(panel.direction), np.sin(panel.direction)])
+        axes.plot([-end[0], end[0]], [-end[1], end[1]], color=INK, linewidth=1.0, zorder=1)
+        for (x, a), colour, style in zip(panel.loops, COLOURS, _STYLES, strict=False):
+            r = correlation_loop(x, a, angles)
+            axes.plot(
+                r * np.cos(angles), r * np.sin(angles), color=colour, linewidth=1.5, linestyle=style
+            )
+        axes.text(0.0, 1.04, panel.title, color=INK, fontsize=9, ha="center", va="bottom")
+    return figure
+
+
+def legend_row(figure: Figure, names: Sequence[str], height: float) -> None:
+    """Name the colours in one row at the top of a figure of the given height [inch]."""
+    widths = [0.42 + 0.075 * len(name) for name in names]
+    at = max((WIDTH - sum(widths)) / 2, 0.0)
+    y = 1 - 0.13 / height
+    from matplotlib.lines import Line2D
+
+    for name, width, colour, style in zip(names, widths, COLOURS, _STYLES, strict=False):
+        line = Line2D(
+            [at / WIDTH, (at + 0.26) / WIDTH], [y, y], color=colour, linewidth=2, linestyle=style
+        )
+        figure.add_artist(line)
+        figure.text((at + 0.32) / WIDTH, y, name, color=INK, fontsize=9, va="center")
+        at += width
+
+
+def by_category(
+    points: Sequence[Points],
+    categories: Sequence[str],
+    *,
+    ylabel: str,
+    xlabel: str,
+    symlog: float | None = None,
+) -> Figure:
+    """Draw statistics with intervals, side by side in every category."""
+    height = 2.7
+    figure = new_figure(height)
+    legend_row(figure, [p.name for p in points], height)
+    axes = figure.add_axes((0.75 / WIDTH, 0.5 / height, 1 - 0.8 / WIDTH, 1 - 0.85 / height))
+    quiet_axes(axes)
+    for k, (series, colour) in enumerate(zip(points, COLOURS, strict=False)):
+        at = np.arange(len(categories)) + 0.16 * (k - (len(points) - 1) / 2)
+        axes.vlines(at, series.low, series.high, color=colour, linewidth=2.0, alpha=0.55)
+        axes.plot(at, series.values, "o", color=colour, markersize=4.5)
+    if symlog is not None:
+        axes.set_yscale("symlog", linthresh=symlog)
+        low, high = axes.get_ylim()
+        ticks = [t for t in (-100, -10, -1, 0, 1, 10, 100) if low <= t <= high]
+        axes.set_yticks(ticks, [f"{t:g}" for t in ticks])
+        axes.minorticks_off()
+    axes.set_xticks(range(len(categories)), categories)
+    axes.set_xlim(-0.5, len(categories) - 0.5)
+    axes.axhline(0.0, color=MUTED, linewidth=0.9)
+    axes.set_xlabel(xlabel, color=MUTED, fontsize=9)
+    axes.set_ylabel(ylabel, color=MUTED, fontsize=9)
+    return figure
+
+
+def curves_by_direction(
+    panels: Sequence[tuple[str, Sequence[Curve]]], *, direction: float, label: str
+) -> Figure:
+    """Draw statistics against direction, one panel below the other."""
+    each = 1.45
+    height = each * len(panels) + 0.95
+    figure = new_figure(height)
+    legend_row(figure, [c.name for c in panels[0][1]], height)
+    for k, (name, curves) in enumerate(panels):
+        bottom = (height - 0.5 - (k + 1) * each + 0.12) / height
+        axes = figure.add_axes((0.75 / WIDTH, bottom, 1 - 0.85 / WIDTH, (each - 0.2) / height))
+        quiet_axes(axes)
+        for curve, colour, style in zip(curves, COLOURS, _STYLES, strict=False):
+            shown = (np.degrees(curve.angles) - 90) % 180
+            order = np.argsort(shown)
+            axes.plot(
+                shown[order], curve.values[order], color=colour, linewidth=1.6, linestyle=style
+            )
+        marked = (np.degrees(direction) - 90) % 180
+        axes.axvline(marked, color=INK, linewidth=1.0)
+        if k == 0:
+            axes.text(
+                marked,
+                1.03,
+                label,
+                transform=axes.get_xaxis_transform(),
+                color=INK,
+                fontsize=8.5,
+                ha="center",
+            )
+        axes.set_xlim(0, 180)
+        axes.set_xticks(range(0, 181, 30))
+        if k < len(panels) - 1:
+            axes.set_xticklabels([])
+        axes.set_ylabel(name, color=MUTED, fontsize=9)
+    axes.set_xlabel("direction from the tool's y axis [deg]", color=MUTED, fontsize=9)
+    return figure
+
+
+_LEFT, _RIGHT, _ABOVE, _BELOW = 0.62, 0.12, 0.30, 0.52
+"""Room around panels [inch]."""
+
+
+def panels(
+    titles: Sequence[str], *, across: str, up: Sequence[str], height: float
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with one panel above the other."""
+    count = len(titles)
+    total = count * height + count * _ABOVE + (count - 1) * 0.24 + _BELOW
+    figure = new_figure(total)
+    found: list[Axes] = []
+    for k, (title, label) in enumerate(zip(titles, up, strict=True)):
+        bottom = total - (k + 1) * (height + _ABOVE) - k * 0.24
+        axes = figure.add_axes(
+            (_LEFT / WIDTH, bottom / total, 1 - (_LEFT + _RIGHT) / WIDTH, height / total)
+        )
+        quiet_axes(axes, grid="both", width=0.6)
+        axes.text(
+            0.0,
+            1 + 0.07 / height,
+            title,
+            transform=axes.transAxes,
+            color=INK,
+            fontsize=9,
+            ha="left",
+            va="bottom",
+        )
+        axes.set_ylabel(label, color=MUTED, fontsize=8.5)
+        axes.yaxis.set_label_coords(-0.095, 0.5)
+        found.append(axes)
+    found[-1].set_xlabel(across, color=MUTED, fontsize=9)
+    return figure, found
+
+
+def centred(signal: Array) -> Array:
+    """Remove the mean along the last axis, time; the shape stays."""
+    return np.asarray(signal - signal.mean(axis=-1, keepdims=True))
+
+
+def rms(signal: Array) -> float:
+    """Root mean square of all values, in the unit of the signal."""
+    return float(np.sqrt(np.mean(signal**2)))

@@ -1,0 +1,478 @@
+"""Chapters 4.2.3 and 8.2.3: manipulability ellipsoids, and poses chosen to load every seat."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import spearmanr
+
+from loose_env.arms import Arm, LinearArm, planar, vera
+from loose_env.envs import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.kinematics import (
+    Chain,
+    chebyshev_poses,
+    choose_poses,
+    geometric_jacobian,
+    reactions,
+    worst_push,
+    wrench_rank,
+)
+from loose_env.report import WIDTH, new_figure, quiet_axes
+from loose_env.typing import Array
+from scripts.thesis.loose_joint import mass_matrix, placed
+from scripts.thesis.page import Section, printed, section
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+AGREES_DEG = 2.0
+"""Largest difference from a printed direction that counts as agreement [deg]."""
+SET = 4
+"""Poses in a set."""
+RANDOM_POSES = 240
+"""Poses drawn over the joints' ranges for comparison."""
+RANDOM_SETS = 4000
+"""Sets drawn from those."""
+_POINTS = {2: 25, 4: 6}  # Chebyshev points a joint, by the number of joints
+Drive = Literal["torque", "tool"]
+"""Unit of drive: 1 N m rms at each joint, or 1 m/s² rms at the tool from each joint."""
+_PER: tuple[tuple[Drive, str], ...] = (("tool", "1 m/s² at the tool"), ("torque", "1 N·m"))
+_LINK = "#8e9aa6"
+_FLAT = 0.8  # height of an ellipsoid panel over its width
+
+
+class Ellipsoid(NamedTuple):
+    """Manipulability ellipsoid: half axes, longest first (d,), their directions in columns."""
+
+    lengths: Array
+    axes: Array
+
+
+def ellipsoid(jacobian: ArrayLike, inertia: ArrayLike | None = None) -> Ellipsoid:
+    """Manipulability ellipsoid of linear rows of a Jacobian, plain or weighted by energy (8.2.3).
+
+    Plain, it is the image of joint rates with |q'| = 1: axes of J Jᵀ. With an inertia matrix it
+    is the image of rates with q'ᵀ M q' = 1, of equal kinetic energy: axes of J M⁻¹ Jᵀ.
+    """
+    j = np.asarray(jacobian, dtype=float)
+    if inertia is not None:
+        root = np.linalg.cholesky(np.asarray(inertia, dtype=float))
+        j = np.linalg.solve(root, j.T).T  # J L⁻ᵀ, so that its square is J M⁻¹ Jᵀ
+    axes, lengths, _ = np.linalg.svd(j, full_matrices=True)
+    full = np.zeros(j.shape[0])
+    full[: len(lengths)] = lengths
+    return Ellipsoid(full, axes)
+
+
+def direction_deg(vector: ArrayLike) -> float:
+    """Angle of a vector (2,) from the y axis, counter-clockwise as in the thesis [deg], to 360."""
+    x, y = np.asarray(vector, dtype=float)
+    return float(np.degrees(np.arctan2(-x, y)) % 360)
+
+
+def axis_difference_deg(a: float, b: float) -> float:
+    """Signed difference of two undirected axes, a - b, from -90 to 90 [deg]."""
+    return float((a - b + 90) % 180 - 90)
+
+
+def rotation_line(arm: Arm, pose: ArrayLike) -> Array:
+    """Direction of tool motion due to joint 1, z × R, in the tool frame (d,)."""
+    column = geometric_jacobian(Chain.of(arm, pose), "tool")[list(arm.axes), 0]
+    return np.asarray(column / np.linalg.norm(column))
+
+
+def submanipulator(arm: Arm, pose: ArrayLike, link: int) -> Ellipsoid:
+    """Energy-weighted ellipsoid of the proximal part that carries a link, J M⁻¹ Jᵀ (8.2.3).
+
+    Joints 1 to ``link`` move; everything distal to them is locked and rides along. The point is
+    the centre of mass of the distal segment, which the seat has to drive, in the link's axes.
+    """
+    data, model = placed(arm, pose), arm.model
+    body = model.body(arm.seat_bodies[link - 1]).id
+    jacobian = np.zeros((3, model.nv))
+    mujoco.mj_jac(model, data, jacobian, None, data.subtree_com[body], body)
+    dofs = [int(model.joint(name).dofadr[0]) for name in arm.joints[:link]]
+    frame = data.xmat[body].reshape(3, 3)
+    rows = (frame.T @ jacobian)[list(arm.axes)][:, dofs]
+    return ellipsoid(rows, mass_matrix(model, data, arm.joints)[:link, :link])
+
+
+def seat_drive(
+    linear: LinearArm, pose: Array, link: int, *, per: Drive = "torque"
+) -> tuple[float, float]:
+    """Force transmitted by a link's slide in the linear arm: worst direction and total."""
+    arm = linear.arm
+    at = linear.at(np.asarray(pose, dtype=float))
+    power = np.zeros((len(arm.axes),) * 2)
+    for joint in range(arm.n):
+        answer = at.response(np.arange(arm.n) == joint)
+        force = answer.slide[:, arm.link_number(link) - 1, :, 0]
+        level = 1.0
+        if per == "tool":
+            level = float(np.sum(np.abs(answer.tool[:, :, 0]) ** 2)) / len(force)
+        power += np.real(force.T @ force.conj()) / (len(force) * level)
+    values = np.linalg.eigvalsh(power)
+    return float(np.sqrt(max(0.0, values[0]))), float(np.sqrt(values.sum()))
+
+
+def _worst(linear: LinearArm, pose: Array, per: Drive) -> float:
+    return min(seat_drive(linear, pose, k, per=per)[0] for k in range(1, linear.arm.n + 1))
+
+
+class Comparison(NamedTuple):
+    """Drive of chosen poses against sets drawn at random, in one arm and unit of drive."""
+
+    title: str
+    random: Array
+    """Mean drive of each random set (S,)."""
+    chosen: Sequence[tuple[str, float]]
+    """Name and mean drive of each chosen set, in the same unit."""
+
+
+class Trial(NamedTuple):
+    """Chosen and random pose sets of one arm; scores are per energy or per torque."""
+
+    arm: Arm
+    candidates: int
+    poses: Array
+    """Set chosen per energy [rad] (P, n)."""
+    pushes: Array
+    """Push of the last link's seat from each joint in those, in its axes (P, 2, n)."""
+    rows: Sequence[tuple[str, ...]]
+    moves: Sequence[tuple[str, ...]]
+    wins: dict[str, float]
+    """Share of random sets driven less, by score and drive, as the next two [1]."""
+    gains: dict[str, float]
+    """Drive of the chosen set over that of random poses [1]."""
+    follows: dict[str, float]
+    """Rank correlation of the score with the drive [1]."""
+    proximal: dict[str, float]
+    """Rank correlation of the proximal ellipsoid's shorter axis with the last seat's drive [1]."""
+    least_sine: dict[str, float]
+    """Smallest |sin| of a move in the set chosen per energy, by the difference used [1]."""
+    comparisons: list[Comparison]
+
+
+def trial(arm: Arm, seed: list[int]) -> Trial:
+    """Choose sets per energy and per torque and set their drive beside that of random sets."""
+    rng = np.random.default_rng(seed)
+    linear = LinearArm(arm, remember=4)
+    candidates = chebyshev_poses(arm, _POINTS[arm.n])
+    drawn = np.array([arm.random_pose(rng) for _ in range(RANDOM_POSES)])
+    groups = rng.integers(0, RANDOM_POSES, (RANDOM_SETS, SET))
+    chosen, scores_drawn, moves, rows, comparisons = {}, {}, [], [], []
+    wins, gains, follows, proximal, least_sine = {}, {}, {}, {}, {}
+    for by in ("energy", "torque"):
+        scores, scores_drawn[by] = (
+            np.array([worst_push(arm, q, normalised=by == "energy") for q in poses])
+            for poses in (candidates, drawn)
+        )
+        for difference in ("angle", "sine"):
+            picked = candidates[choose_poses(candidates, scores, SET, difference=difference)]
+            chosen[by] = picked  # that by the sine stays
+            first, second = np.triu_indices(SET, 1)
+            angle = np.abs((picked[first] - picked[second] + np.pi) % (2 * np.pi) - np.pi)
+            sine = float(np.abs(np.sin(angle)).min())
+            if by == "energy":
+                least_sine[difference] = sine
+            turns = (f"{np.degrees(turn):.0f}°" for turn in (angle.min(), angle.mean()))
+            moves.append((arm.name, by, difference, *turns, f"{sine:.2f}"))
+    narrow = [submanipulator(arm, q, arm.n).lengths[-1] for q in drawn]
+    for per, unit in _PER:
+        drive = np.array([_worst(linear, q, per) for q in drawn])
+        sets = drive[groups].mean(axis=1)
+        marks = []
+        for by, picked in chosen.items():
+            own = float(np.mean([_worst(linear, q, per) for q in picked]))
+            key = f"{by} {per}"
+            wins[key] = float((sets < own).mean())
+            gains[key] = own / float(drive.mean())
+            follows[key] = float(spearmanr(scores_drawn[by], drive).statistic)
+            marks.append((f"per {by}", own))
+            rows.append(
+                (
+                    arm.name,
+                    by,
+                    unit,
+                    f"{drive.mean():.2g}",
+                    f"{own:.2g}",
+                    f"{gains[key]:.2f}",
+                    f"{100 * wins[key]:.0f} %",
+                    f"{follows[key]:.2f}",
+                )
+            )
+        last = [seat_drive(linear, q, arm.n, per=per)[0] for q in drawn]
+        proximal[per] = float(spearmanr(narrow, last).statistic)
+        comparisons.append(Comparison(f"{arm.name}, per {unit}", sets, marks))
+    pushes = np.array([reactions(arm, q).per_energy[-1, :2] for q in chosen["energy"]])
+    return Trial(
+        arm,
+        len(candidates),
+        chosen["energy"],
+        pushes,
+        rows,
+        moves,
+        wins,
+        gains,
+        follows,
+        proximal,
+        least_sine,
+        comparisons,
+    )
+
+
+class EllipsoidPanel(NamedTuple):
+    """The arm in one pose with its ellipsoid; directions in the tool frame, from its x axis."""
+
+    title: str
+    pose: Array
+    half_axes: Array
+    """Half axes in columns [m] (2, 2)."""
+    line: Array
+    """Direction in which joint 1 moves the tool (2,)."""
+    printed: Array
+    """Printed direction of the major axis (2,)."""
+    agrees: bool
+    """True if the printed direction is that of the ellipsoid."""
+
+
+def pose_choice(seed: int) -> Section:
+    """Compare the printed ellipsoids and choose pose sets by section 4.2.3."""
+    told, arm = printed("pose_choice"), vera()
+
+    def plain(theta2: float) -> Ellipsoid:
+        return ellipsoid(geometric_jacobian(Chain.of(arm, np.radians([0.0, theta2])), "tool")[:2])
+
+    def like(angle: float, example: float) -> str:
+        """The end of an axis that lies nearer to an example."""
+        return f"{(example - axis_difference_deg(example, angle)) % 360:.1f}"
+
+    ellipsoid_rows, panels, agree_line, slips = [], [], 0, []
+    for theta, major, line in zip(
+        told["theta2_deg"], told["ellipsoid_major_axis_deg"], told["p1_line_deg"], strict=True
+    ):
+        pose, found = np.radians([0.0, theta]), plain(theta)
+        moved = rotation_line(arm, pose)
+        here, here_line = direction_deg(found.axes[:, 0]), direction_deg(moved)
+        off = axis_difference_deg(major, here)
+        same = abs(off) <= AGREES_DEG
+        agree_line += abs(axis_difference_deg(line, here_line)) <= AGREES_DEG
+        if not same:
+            slips.append((theta, major, abs(axis_difference_deg(major, 0.0))))
+        ellipsoid_rows.append(
+            (
+                f"{theta}°",
+                f"{line}",
+                like(here_line, line),
+                f"{major}" if same else f"{major} (slip)",
+                like(here, major),
+                f"{off:+.1f}",
+                f"{found.lengths[0] / found.lengths[1]:.2f}",
+            )
+        )
+        tilt, name = np.radians(major), f"θ₂ = {theta}°"
+        panels.append(
+            EllipsoidPanel(
+                name if same else f"{name}: printed {major}°",
+                pose,
+                found.axes * found.lengths,
+                moved,
+                np.array([-np.sin(tilt), np.cos(tilt)]),
+                same,
+            )
+        )
+    n_agree, lengths = len(panels) - len(slips), plain(told["theta2_deg"][0]).lengths
+    aspect = lengths[0] / lengths[1]
+    lean = max(
+        abs(axis_difference_deg(direction_deg(plain(t).axes[:, 0]), 0.0))
+        for t in np.arange(1.0, 360.0)
+    )
+
+    link, slope = told["looseness_link"] - 1, np.radians(told["looseness_deg"])
+    push_rows, shares, ranks = [], [], []
+    for theta in told["theta2_deg"]:
+        push = reactions(arm, np.radians([0.0, theta])).per_energy[link]
+        one = push[:2, 0]
+        # The reciprocal product of push and slide is the power of the one on the other.
+        along = abs(float(one @ np.array([-np.sin(slope), np.cos(slope)])))
+        shares.append(along / float(np.linalg.norm(one)))
+        rank, values = wrench_rank(push[:2])
+        ranks.append(rank)
+        push_rows.append(
+            (
+                f"{theta}°",
+                f"{direction_deg(one) % 180:.0f}",
+                f"{100 * shares[-1]:.0f} %",
+                str(rank),
+                f"{values[-1]:.2f}",
+            )
+        )
+    least, most, order = min(shares), max(shares), np.argsort(shares)
+    worst_pose = told["theta2_deg"][order[0]]
+    errors = np.abs(told["direction_error_deg"])[order]
+    others, full = (errors[2:].min(), errors[2:].max()), sum(rank == 2 for rank in ranks)
+
+    trials = [trial(each, [seed, k]) for k, each in enumerate((arm, planar(4)))]
+    one_arm, other_arm = trials
+    return section(
+        "pose_choice",
+        locals(),
+        [
+            ellipsoid_rows,
+            push_rows,
+            [row for t in trials for row in t.rows],
+            [row for t in trials for row in t.moves],
+        ],
+        [
+            ellipsoid_figure(arm, panels),
+            set_figure([(t.arm, t.poses, t.pushes) for t in trials]),
+            comparison_figure([c for t in trials for c in t.comparisons]),
+        ],
+    )
+
+
+def ellipsoid_figure(arm: Arm, panels: Sequence[EllipsoidPanel], *, columns: int = 3) -> Figure:
+    """Draw the arm and its manipulability ellipsoid in the tool frame, y up, a panel a pose."""
+    from matplotlib.lines import Line2D
+
+    rows = -(-len(panels) // columns)
+    side, top = _FLAT * WIDTH / columns, 0.3
+    height = rows * (side + top) + 0.02
+    figure = new_figure(height)
+    for k, panel in enumerate(panels):
+        row, column = divmod(k, columns)
+        bottom = 1 - ((row + 1) * (side + top)) / height
+        axes = figure.add_axes(
+            (column / columns, bottom, 1 / columns, side / height), aspect="equal"
+        )
+        _ellipsoid(axes, arm, panel)
+    entries = [
+        Line2D([], [], color=MEASURED, linewidth=1.6),
+        Line2D([], [], color=MEASURED, linewidth=1.1),
+        Line2D([], [], color=TRUTH, linewidth=1.5, linestyle=(0, (4, 2))),
+        Line2D([], [], color=INK, linewidth=1.3, linestyle=(0, (1.2, 1.2))),
+    ]
+    words = ["ellipsoid", "its major axis", "major axis, printed", "line of joint 1"]
+    place: dict[str, Any] = {"loc": "center", "bbox_to_anchor": (1 - 0.5 / columns, 0.23)}
+    figure.legend(entries, words, frameon=False, fontsize=8.5, labelcolor=INK, **place)
+    return figure
+
+
+def set_figure(arms: Sequence[tuple[Arm, Array, Array]]) -> Figure:
+    """Draw the chosen poses, a row an arm, with the pushes on the last link's seat."""
+    columns = max(len(poses) for _, poses, _ in arms)
+    side, top = WIDTH / columns, 0.42
+    height = len(arms) * (side + top)
+    figure = new_figure(height)
+    for row, (arm, poses, pushes) in enumerate(arms):
+        drawn = [_drawn(arm, pose, push) for pose, push in zip(poses, pushes, strict=True)]
+        low = [np.vstack([points, ends]).min(axis=0) for points, ends in drawn]
+        high = [np.vstack([points, ends]).max(axis=0) for points, ends in drawn]
+        half = 0.56 * float(
+            max(np.ptp([a, b], axis=0).max() for a, b in zip(low, high, strict=True))
+        )
+        for column, (points, ends) in enumerate(drawn):
+            bottom = 1 - ((row + 1) * (side + top)) / height
+            axes = figure.add_axes(
+                (column / columns, bottom, 1 / columns, side / height), aspect="equal"
+            )
+            _arm(axes, points)
+            for end in ends:
+                axes.annotate(
+                    "",
+                    xy=(float(end[0]), float(end[1])),
+                    xytext=(float(points[-2, 0]), float(points[-2, 1])),
+                    arrowprops={
+                        "arrowstyle": "-|>",
+                        "color": TRUTH,
+                        "linewidth": 1.4,
+                        "shrinkA": 0,
+                        "shrinkB": 0,
+                    },
+                    zorder=4,
+                )
+            x, y = (low[column] + high[column]) / 2
+            axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
+            axes.axis("off")
+            angles = [f"{a:.0f}°".replace("-", "−") for a in np.degrees(poses[column])]
+            lines = [", ".join(angles[k : k + 2]) for k in range(0, len(angles), 2)]
+            axes.set_title("\n".join(lines), fontsize=8.5, color=MUTED, pad=1)
+    return figure
+
+
+def _drawn(arm: Arm, pose: Array, push: Array) -> tuple[Array, Array]:
+    """Joints and tool, and the ends of the pushes on the last seat, in the plane [m]."""
+    chain = Chain.of(arm, pose)
+    points = np.vstack([chain.anchors, chain.tool])[:, :2]
+    size = 0.3 * arm.reach / float(np.linalg.norm(push, axis=0).max())
+    return points, points[-2] + size * (chain.tool_axes[:2, :2] @ push).T
+
+
+def comparison_figure(comparisons: Sequence[Comparison], *, columns: int = 2) -> Figure:
+    """Draw the spread of random sets' drive and mark the chosen sets on it."""
+    rows = -(-len(comparisons) // columns)
+    each, below = 1.4, 0.3
+    height = rows * each + below
+    figure = new_figure(height)
+    for k, item in enumerate(comparisons):
+        row, column = divmod(k, columns)
+        bottom = (below + (rows - 1 - row) * each + 0.16) / height
+        axes = figure.add_axes((0.04 + 0.5 * column, bottom, 0.42, 0.78 / height))
+        unit = float(item.random.mean())
+        counts, edges = np.histogram(item.random / unit, bins=24)
+        axes.stairs(counts / counts.max(), edges, fill=True, color=FAINT)
+        smaller = min(value for _, value in item.chosen)
+        for level, (name, value) in enumerate(item.chosen):
+            at, colour = value / unit, (TRUTH, MEASURED)[level % 2]
+            axes.plot([at, at], [0, 1.32], color=colour, linewidth=1.8)
+            left = value == smaller
+            shift, side = (-0.03, "right") if left else (0.03, "left")
+            axes.text(at + shift, 1.32, name, color=colour, fontsize=8.5, ha=side, va="top")
+        most = max([2.0, *(value / unit for _, value in item.chosen)])
+        axes.set(xlim=(0.0, 1.12 * most), ylim=(0, 1.35))
+        axes.text(0, 1.1, item.title, transform=axes.transAxes, color=INK, fontsize=9)
+        axes.set_yticks([])
+        quiet_axes(axes, grid=None, pad=4, size=8)
+        if row == rows - 1:
+            words = "drive over the mean of random poses"
+            axes.set_xlabel(words, color=MUTED, fontsize=8.5, labelpad=3)
+    return figure
+
+
+def _ellipsoid(axes: Axes, arm: Arm, panel: EllipsoidPanel) -> None:
+    chain = Chain.of(arm, panel.pose)
+    world = np.vstack([chain.anchors, chain.tool])
+    points = ((world - chain.tool) @ chain.tool_axes)[:, :2]
+    _arm(axes, points)
+    turn = np.linspace(0, 2 * np.pi, 121)
+    small = panel.half_axes / 3
+    ring = small @ np.array([np.cos(turn), np.sin(turn)])
+    axes.plot(ring[0], ring[1], color=MEASURED, linewidth=1.6, zorder=3)
+    length = 0.36 * arm.reach
+    for vector, colour, width, style in (
+        (small[:, 0] / np.linalg.norm(small[:, 0]), MEASURED, 1.1, "-"),
+        (panel.printed, TRUTH, 1.5, (0, (4, 2))),
+        (panel.line, INK, 1.3, (0, (1.2, 1.2))),
+    ):
+        ends = np.outer([-length, length], vector)
+        look: dict[str, Any] = {"color": colour, "linewidth": width, "linestyle": style}
+        axes.plot(ends[:, 0], ends[:, 1], zorder=4, **look)
+    wide, middle = 0.72 * arm.reach, -0.38 * arm.reach
+    axes.set(xlim=(middle - wide, middle + wide), ylim=(-_FLAT * wide, _FLAT * wide))
+    axes.axis("off")
+    colour = INK if panel.agrees else TRUTH
+    axes.set_title(panel.title, fontsize=8.5, color=colour, pad=2)
+
+
+def _arm(axes: Axes, points: Array) -> None:
+    axes.plot(points[:, 0], points[:, 1], color=_LINK, linewidth=4, solid_capstyle="round")
+    axes.plot(
+        points[:-1, 0], points[:-1, 1], "o", markersize=5, color="white", markeredgecolor=EDGE
+    )
+    axes.plot(points[-1, 0], points[-1, 1], "s", markersize=4, color=EDGE)
+    axes.plot(points[0, 0], points[0, 1], "o", markersize=5, color=EDGE)

@@ -1,0 +1,662 @@
+"""Experiments Five and Six: VERA on the shaker, with looseness and with play (6.4.1, 6.4.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.signal import welch
+from scipy.stats import gmean
+
+from loose_env.arms import COIL, Arm, LinearArm, ShakenArm
+from loose_env.envs import FAINT, INK, MUTED
+from loose_env.excitation import Excitation
+from loose_env.faults import Backlash, Fault, Healthy
+from loose_env.rig import Job, Measurement, SimulatedRig
+from loose_env.sensors import STANDARD_GRAVITY, Accelerometer, SensorSuite
+from loose_env.statistics import (
+    axial_difference,
+    axial_mean,
+    bandpass,
+    comparative_index,
+    kurtosis,
+    lowest_correlation_direction,
+    maximum_correlation,
+    skewness,
+    transfer_function,
+    transmission,
+)
+from loose_env.typing import Array
+from scripts.thesis.page import Rows, Section, printed, section
+from scripts.thesis.planar_motion import contour_levels, histogram
+from scripts.thesis.plots import (
+    COLOURS,
+    Curve,
+    LoopPanel,
+    Points,
+    by_category,
+    curves_by_direction,
+    loop_panels,
+    rms,
+    square_panels,
+)
+from scripts.thesis.rigs import (
+    PROXIMAL,
+    SHAKEN_BAND,
+    STIFF_PIN_FIT,
+    Pin,
+    ShakenVeraParameters,
+    finger_tight,
+    loosened,
+    shaken_vera,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RATE = 2000.0
+"""Rate at which the tape is digitised [Hz]."""
+RECORDS = 24
+"""Records of every case; the thesis had one."""
+DURATION = 1.2
+"""Length of a record [s], as in tables 6.1 and 6.2."""
+FORCE = 20.0
+"""Rms force of the shaker [N]: the healthy tool then peaks at 2 to 3 g (table 6.1)."""
+LOW_BAND = (20.0, 60.0)
+"""Band below the arm's first mode, in which the pinned arm moves as a rigid body [Hz]."""
+ALARM = 0.1
+"""Index D [1] below which a case counts as no alarm: table 6.6 prints up to 0.055 for low preload,
+which is no fault, and table 6.5 at least 0.11 for looseness; 0.1 lies between."""
+PARAMETERS = len(fields(ShakenVeraParameters))
+"""Parameters of the rig that are fitted to the ten printed numbers of the healthy cases."""
+LOOSE_DIRECTION = np.radians(-15.0)
+"""Direction of the looseness joint, from the long axis of link 2 [rad]."""
+PLAY_DIRECTION = np.pi / 2
+"""Direction in which play in joint 2 moves the tool, from the long axis of link 2 [rad]."""
+_ALONG = (float(np.cos(LOOSE_DIRECTION)), float(np.sin(LOOSE_DIRECTION)), 0.0)
+TIGHT, FINGER, LOOSE = "high preload", "low preload", "looseness"
+RELEASED, PLAY = "pin half released", "backlash"
+STATES: Mapping[str, tuple[Fault, Pin]] = {
+    TIGHT: (Healthy(), "engaged"),
+    FINGER: (finger_tight(link=2, direction=_ALONG), "engaged"),
+    LOOSE: (loosened(link=2, direction=_ALONG), "engaged"),
+    RELEASED: (Healthy(), "half_released"),
+    PLAY: (
+        Backlash(joint=2, gap=2e-3, stiffness=(2e4, 1e4), damping=(3.0, 2.0), friction=0.02),
+        "engaged",
+    ),
+}
+"""States of the rig: what is seated, and how the pin is; the same figures in all poses. A turn of
+2 mrad at the pin is the same gap as the looseness joint's."""
+
+
+class Spread(NamedTuple):
+    """A statistic over the records of a case, with what holds 95 % of single records."""
+
+    mean: float
+    """Mean over the records (axial for directions)."""
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Spread:
+        """Spread of plain numbers."""
+        low, high = np.quantile(values, [0.025, 0.975])
+        return cls(float(np.mean(values)), float(low), float(high))
+
+    @classmethod
+    def of_axes(cls, angles: Sequence[float]) -> Spread:
+        """Spread of directions [rad]; the ends may leave the half turn to stay in order."""
+        centre = axial_mean(np.array(angles))
+        low, high = np.quantile(axial_difference(np.array(angles), centre), [0.025, 0.975])
+        return cls(float(centre), float(centre + low), float(centre + high))
+
+    def words(self, digits: int = 2) -> str:
+        """Format a value with its interval."""
+        return f"{self.mean:.{digits}f} ({self.low:.{digits}f} to {self.high:.{digits}f})"
+
+    def axis(self) -> str:
+        """Write a direction with its interval, in degrees from the tool's y axis."""
+        return f"{from_y(self.mean):.0f}° ± {np.degrees(self.high - self.low) / 2:.0f}°"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Case:
+    """One pose in one state, over all its records."""
+
+    theta2: float
+    """Angle of joint 2 [rad]."""
+    measurements: tuple[Measurement, ...]
+
+    @property
+    def name(self) -> str:
+        """The pose."""
+        return f"{np.degrees(self.theta2):.0f}°"
+
+    @property
+    def pairs(self) -> list[tuple[Array, Array]]:
+        """Acceleration of link 1 (N,) and of the tool (2, N), a pair for every record."""
+        return [(m.probes[PROXIMAL][1], m.tool) for m in self.measurements]
+
+    @property
+    def lowest(self) -> Spread:
+        """Direction of lowest correlation from the tool's x axis [rad] (the thesis's φ)."""
+        return Spread.of_axes([lowest_correlation_direction(x, a) for x, a in self.pairs])
+
+    @property
+    def maximum(self) -> Spread:
+        """Maximum correlation over directions (the thesis's C)."""
+        return Spread.of([maximum_correlation(x, a).value for x, a in self.pairs])
+
+    @property
+    def peaks(self) -> tuple[float, float]:
+        """Median over the records of the lowest and the highest tool acceleration [g]."""
+        ends = np.median([(a.min(), a.max()) for _, a in self.pairs], axis=0) / STANDARD_GRAVITY
+        return float(ends[0]), float(ends[1])
+
+    @property
+    def long_axis(self) -> tuple[float, float]:
+        """Direction of the long axis of the tool's acceleration [rad], and its aspect ratio."""
+        covariance = np.mean([np.cov(a) for _, a in self.pairs], axis=0)
+        power, axes = np.linalg.eigh(covariance)
+        return float(np.arctan2(axes[1, 1], axes[0, 1])), float(np.sqrt(power[1] / power[0]))
+
+    def index(self, healthy: Case) -> Spread:
+        """Comparative index D (6.18) of single records against the mean of the healthy ones."""
+        c_n, phi_n = healthy.maximum.mean, healthy.lowest.mean
+        found = []
+        for x, a in self.pairs:
+            c, phi = maximum_correlation(x, a).value, lowest_correlation_direction(x, a)
+            found.append(comparative_index(c_n, phi_n, c, phi).mag_d)
+        return Spread.of(found)
+
+
+Cases = Mapping[str, Sequence[Case]]
+"""Cases of every state, in the order of the poses."""
+
+
+def poses() -> tuple[float, ...]:
+    """Angles of joint 2 in the five pose cases [rad]."""
+    return tuple(float(np.radians(t)) for t in printed("index_tables")["theta2_deg"])
+
+
+def printed_healthy() -> list[tuple[float, float, float]]:
+    """Printed healthy cases: angle of joint 2, direction from the x axis [rad], magnitude."""
+    table = printed("index_tables")
+    return [
+        (theta2, float(np.radians(case["lowest_high_preload_deg"] + 90)), c)
+        for theta2, case, c in zip(
+            poses(), table["looseness_cases"], table["table_6_4"]["c_n"], strict=True
+        )
+    ]
+
+
+def from_y(angle: float) -> float:
+    """Turn an angle from the tool's x axis [rad] into the thesis's, from its y axis [deg]."""
+    return float((np.degrees(angle) - 90.0) % 180.0)
+
+
+def axial_turn(found: float, other_deg: float) -> float:
+    """Angle from a printed axis [deg from y] to one found [rad from x], in degrees."""
+    return float(np.degrees(axial_difference(found, np.radians(other_deg + 90.0))))
+
+
+def measure_states(
+    arm: Arm, excitation: Excitation, slots: Sequence[tuple[Fault, Array, Sequence[int]]]
+) -> list[Measurement]:
+    """Measure faults in poses, each with its seed, by the rig's digitised accelerometers."""
+    sensors = SensorSuite(rate=RATE, accelerometer=Accelerometer(bandwidth=0.45 * RATE))
+    rig = SimulatedRig(arm, slots=len(slots), sensors=sensors)
+    jobs = []
+    for slot, (fault, pose, seed) in enumerate(slots):
+        rig.mount(slot, fault)
+        rng = np.random.default_rng(list(seed))
+        jobs.append(Job(slot=slot, pose=pose, excitation=excitation, rng=rng))
+    return rig.measure_many(jobs)
+
+
+@lru_cache(maxsize=8)
+def measured_case(seed: int, state: str, *, records: int = RECORDS) -> list[Case]:
+    """Measure every pose in one state; the first records are the same for any number."""
+    fault, pin = STATES[state]
+    shake = Excitation(torque_rms=(0.0, 0.0), duration=DURATION, band=SHAKEN_BAND, shaker_rms=FORCE)
+    number, angles = list(STATES).index(state), poses()
+    slots = [
+        (fault, np.array([0.0, theta2]), (seed, number, pose, record))
+        for pose, theta2 in enumerate(angles)
+        for record in range(records)
+    ]
+    measured = measure_states(shaken_vera(pin=pin), shake, slots)
+    return [
+        Case(
+            theta2=theta2,
+            measurements=tuple(
+                m for m in measured[k * records : (k + 1) * records] if m.failure is None
+            ),
+        )
+        for k, theta2 in enumerate(angles)
+    ]
+
+
+class Errors(NamedTuple):
+    """Errors of four estimators at one pose, record by record [deg]."""
+
+    lowest: Array
+    """Direction of lowest correlation with link 1, the thesis's method, local form (R,)."""
+    general: Array
+    """The same with the shaker's own motion instead of link 1's, the general form (R,)."""
+    coherence: Array
+    """Direction of lowest mean coherence with link 1 (R,)."""
+    change: Array
+    """Direction in which the transmission in the low band has changed (R,)."""
+    change_size: float
+    """That change, relative to the healthy transmission."""
+
+
+def direction_errors(case: Case, healthy: Case, direction: float) -> Errors:
+    """Compare four estimators on the same records, against the fault's true direction [rad]."""
+
+    def errors(found: Sequence[float]) -> Array:
+        return np.degrees(axial_difference(np.array(found), direction))
+
+    def low(x: Array, a: Array) -> Array:
+        b = transmission(bandpass(x, RATE, LOW_BAND), bandpass(a, RATE, LOW_BAND))
+        return np.asarray(b).reshape(2)
+
+    reference = np.mean([low(x, a) for x, a in healthy.pairs], axis=0)
+    changes = np.array([low(x, a) - reference for x, a in case.pairs])
+    lowest = lowest_correlation_direction
+    return Errors(
+        lowest=errors([lowest(x, a) for x, a in case.pairs]),
+        general=errors([lowest(m.probes[COIL][0], m.tool) for m in case.measurements]),
+        coherence=errors([lowest_coherence(x, a) for x, a in case.pairs]),
+        change=errors([float(np.arctan2(c[1], c[0])) for c in changes]),
+        change_size=float(np.median(np.hypot(*changes.T)) / np.hypot(*reference)),
+    )
+
+
+def coherence_by_direction(x: Array, a: Array, angles: Array) -> Array:
+    """Coherence of the motion along each direction with x, mean over the band (K,)."""
+    along = np.stack([np.cos(angles), np.sin(angles)]).T @ np.asarray(a)
+    found = transfer_function(x, along, RATE)
+    low, high = SHAKEN_BAND
+    inside = (found.frequencies >= low) & (found.frequencies <= high)
+    return np.asarray(found.coherence[:, inside].mean(axis=1))
+
+
+def lowest_coherence(x: Array, a: Array) -> float:
+    """Direction of lowest mean coherence, to 3 degrees [rad] (3.4, 4.1.2)."""
+    angles = np.radians(np.arange(0.0, 180.0, 3.0))
+    return float(angles[np.argmin(coherence_by_direction(x, a, angles))])
+
+
+def spectral_flatness(
+    signal: Array, rate: float, band: tuple[float, float], segments: int = 8
+) -> Array:
+    """Geometric over arithmetic mean of a Welch spectrum in a band (4.1.2), 0 to 1."""
+    half = signal.shape[-1] // (segments + 1)
+    frequency, power = welch(signal[..., : half * (segments + 1)], rate, nperseg=2 * half)
+    inside = (frequency >= band[0]) & (frequency <= band[1])
+    return np.asarray(gmean(power[..., inside], axis=-1) / power[..., inside].mean(axis=-1))
+
+
+def rms_over_poses(errors: Sequence[Array]) -> Spread:
+    """RMS error over the poses, for every set of single records [deg]."""
+    count = min(len(e) for e in errors)
+    return Spread.of([float(np.sqrt(np.mean([e[k] ** 2 for e in errors]))) for k in range(count)])
+
+
+def _estimators(errors: Sequence[Errors]) -> dict[str, Spread]:
+    names = ("lowest", "general", "coherence", "change")
+    return {name: rms_over_poses([getattr(e, name) for e in errors]) for name in names}
+
+
+def error_rows(cases: Sequence[Case], errors: Sequence[Errors], told: Sequence[float]) -> Rows:
+    """Errors of the four estimators beside the printed ones, pose by pose and altogether."""
+    rows: list[Sequence[str]] = []
+    for case, theirs, e in zip(cases, told, errors, strict=True):
+        cells = (f"{np.mean(v):+.0f}° (RMS {rms(v):.0f}°)" for v in e[:4])
+        rows.append((case.name, f"{theirs:+g}°", *cells, f"{100 * e.change_size:.0f} %"))
+    altogether = (spread.words(1) for spread in _estimators(errors).values())
+    return [*rows, ("RMS", f"{rms(np.array(told)):.1f}°", *altogether, "")]
+
+
+def peak_rows(cases: Cases, told: Mapping[str, Sequence[Sequence[float]]]) -> Rows:
+    """Range of the tool's acceleration, printed beside found, in the states told [g]."""
+    return [
+        (
+            case.name,
+            *(
+                f"{low:.1f} to {high:.1f}"
+                for state, ranges in told.items()
+                for low, high in (ranges[k], cases[state.replace("_", " ")][k].peaks)
+            ),
+        )
+        for k, case in enumerate(cases[TIGHT])
+    ]
+
+
+def experiment_five(seed: int) -> Section:
+    """Measure the five poses in four states and set them beside the printed cases."""
+    cases = {state: measured_case(seed, state) for state in (TIGHT, FINGER, LOOSE, RELEASED)}
+    tight, finger, loose, released = cases.values()
+    table, healthy, rig = printed("index_tables"), printed_healthy(), ShakenVeraParameters()
+    told = table["table_6_3"]["looseness_error_deg"]
+    errors = [direction_errors(f, n, LOOSE_DIRECTION) for f, n in zip(loose, tight, strict=True)]
+    by, theirs = _estimators(errors), rms(np.array(told))
+    ours, change, general, coherence = (by[k] for k in ("lowest", "change", "general", "coherence"))
+    closed = _closed_forms()
+    off = {name: _turn_of(found, [phi for _, phi, _ in healthy]) for name, found in closed.items()}
+    soft_turn = _turn_of(closed["pin half released"], closed["pin"])
+    stiff_turn = _turn_of(closed["stiff refitted half released"], closed["stiff refitted"])
+    pin_stiffness = rig.pin_stiffness / 1e4
+
+    groups: dict[str, list[str]] = {"closer": [], "about as close": [], "farther off": []}
+    for case, e in zip(tight, errors, strict=True):
+        changed, lowest = rms(e.change), rms(e.lowest)
+        # An RMS of 24 records is known to about 15 %, a ratio of two to about 20 %; within half
+        # as much again they count as alike.
+        ratio = changed / lowest
+        key = "closer" if ratio < 2 / 3 else "about as close" if ratio < 3 / 2 else "farther off"
+        words = f"{changed:.0f}° against {lowest:.0f}°, change {100 * e.change_size:.0f} %"
+        groups[key].append(f"{case.name} ({words})")
+    by_pose = "; ".join(f"{key} at {', '.join(at)}" for key, at in groups.items() if at)
+    weak = [k for k, e in enumerate(errors) if rms(e.change) > theirs]
+    strong = rms_over_poses([e.change for e in errors if rms(e.change) <= theirs]).mean
+    weak_poses = ", ".join(tight[k].name for k in weak)
+    one_pose = "one pose" if len(weak) == 1 else "some poses"
+    least_change = min(errors[k].change_size for k in weak)
+    preload_index = [p.index(n) for p, n in zip(finger, tight, strict=True)]
+    loose_index = [f.index(n) for f, n in zip(loose, tight, strict=True)]
+    apart = [
+        case.name
+        for case, a, b in zip(tight, preload_index, loose_index, strict=True)
+        if a.high < b.low
+    ]
+    n_apart, apart_poses = len(apart), ", ".join(apart) or "none"
+    most_preload = max(s.high for s in preload_index)
+
+    turned = ", ".join(
+        case.name
+        for case, (_, phi, _) in zip(tight, healthy, strict=True)
+        if abs(axial_difference(phi, case.lowest.mean))
+        > max(case.lowest.high - case.lowest.low, np.radians(10)) / 2
+    )
+    magnitudes, found = [c for *_, c in healthy], [case.maximum.mean for case in tight]
+    told_range = (min(magnitudes), max(magnitudes), min(found), max(found))
+    ranges = table["table_6_1_histogram_range_g"]
+    fall = np.mean(np.ptp(ranges["looseness"], axis=1) / np.ptp(ranges["high_preload"], axis=1))
+    both = zip(loose, tight, strict=True)
+    fall_here = np.mean([np.ptp(f.peaks) / np.ptp(n.peaks) for f, n in both])
+    leans, axis_rows = [], []
+    for k, case in enumerate(table["looseness_cases"]):
+        row = [tight[k].name]
+        for state, which in ((TIGHT, "preload"), (LOOSE, "looseness")):
+            axis, aspect = case.get(f"histogram_axis_{which}_deg"), case.get(f"aspect_{which}")
+            angle, ratio = cases[state][k].long_axis
+            said = "-" if axis is None else f"{axis % 180}°"
+            said += "" if aspect is None else f", {aspect:g}:1"
+            row += [said, f"{from_y(angle):.0f}°, {ratio:.1f}:1"]
+            if axis is not None:
+                leans.append(abs(axial_turn(angle, axis)))
+        axis_rows.append(row)
+    least_lean, most_lean = min(leans), max(leans)
+    turns = [
+        float(np.degrees(axial_difference(p.lowest.mean, n.lowest.mean)))
+        for p, n in zip(released, tight, strict=True)
+    ]
+    least_turn, most_turn = min(map(abs, turns)), max(map(abs, turns))
+
+    healthy_rows = [
+        (
+            case.name,
+            f"{from_y(phi):.0f}°",
+            *(f"{from_y(closed[m][k]):.0f}°" for m in ("rigid", "bending", "stiff refitted")),
+            case.lowest.axis(),
+            f"{axial_turn(case.lowest.mean, from_y(phi)):+.0f}°",
+            f"{c:.2f}",
+            case.maximum.words(),
+        )
+        for k, (case, (_, phi, c)) in enumerate(zip(tight, healthy, strict=True))
+    ]
+    loose_rows = [
+        (
+            f.name,
+            f"{table['looseness_cases'][k]['lowest_looseness_deg'] % 180}°",
+            f.lowest.axis(),
+            f"{table['table_6_4']['c_f'][k]:.2f}",
+            f.maximum.words(),
+            f"{table['table_6_5_looseness']['mag_d'][k]:.2f}",
+            loose_index[k].words(),
+        )
+        for k, f in enumerate(loose)
+    ]
+    preload_rows = [
+        (
+            p.name,
+            f"{table['looseness_cases'][k]['lowest_low_preload_deg'] % 180}°",
+            p.lowest.axis(),
+            p.maximum.words(),
+            f"{table['table_6_6_low_preload']['mag_d'][k]:.3f}",
+            preload_index[k].words(3),
+        )
+        for k, p in enumerate(finger)
+    ]
+    pin_rows = [
+        (
+            n.name,
+            n.maximum.words(),
+            p.maximum.words(),
+            n.lowest.axis(),
+            p.lowest.axis(),
+            f"{turn:+.0f}°",
+        )
+        for n, p, turn in zip(tight, released, turns, strict=True)
+    ]
+    tables = [healthy_rows, loose_rows, preload_rows, error_rows(tight, errors, told)]
+    return section(
+        "experiment_five",
+        locals(),
+        [*tables, peak_rows(cases, ranges), axis_rows, pin_rows],
+        _figures(cases, (TIGHT, LOOSE, FINGER), (TIGHT, LOOSE), LOOSE_DIRECTION, "looseness joint"),
+    )
+
+
+def _closed_forms() -> dict[str, list[float]]:
+    """Healthy directions [rad from x] by the closed form, for each model of the rig."""
+    kinematic = LinearArm(shaken_vera())
+
+    def rigid(theta2: float) -> Array:
+        return np.asarray(kinematic.at([0.0, theta2]).kinematic[:, 0])
+
+    def shaken(arm: Arm) -> Callable[[float], Array]:
+        linear = ShakenArm(arm)
+        return lambda theta2: linear.at([0.0, theta2]).covariances(PROXIMAL, 1)[1]
+
+    models = {
+        "rigid": rigid,
+        "pin": shaken(shaken_vera()),
+        "pin half released": shaken(shaken_vera(pin="half_released")),
+        "bending": shaken(shaken_vera(pin="rigid")),
+        "stiff refitted": shaken(shaken_vera(parameters=STIFF_PIN_FIT)),
+        "stiff refitted half released": shaken(
+            shaken_vera(pin="half_released", parameters=STIFF_PIN_FIT)
+        ),
+    }
+    columns = {name: [model(t) for t in poses()] for name, model in models.items()}
+    return {
+        name: [float(np.arctan2(c[1], c[0]) + np.pi / 2) for c in found]
+        for name, found in columns.items()
+    }
+
+
+def _turn_of(one: Sequence[float], other: Sequence[float]) -> float:
+    """RMS angle between directions [deg]."""
+    turns = axial_difference(np.array(one), np.array(other))
+    return float(np.degrees(np.sqrt(np.mean(turns**2))))
+
+
+def experiment_six(seed: int) -> Section:
+    """Measure the five poses with play in joint 2 and set them beside the printed cases."""
+    cases = {state: measured_case(seed, state) for state in (TIGHT, PLAY)}
+    tight, play = cases.values()
+    table = printed("index_tables")
+    told = table["table_6_3"]["backlash_error_deg"]
+    errors = [direction_errors(b, n, PLAY_DIRECTION) for b, n in zip(play, tight, strict=True)]
+    by, theirs = _estimators(errors), rms(np.array(told))
+    ours, change = by["lowest"], by["change"]
+    index = [b.index(n) for b, n in zip(play, tight, strict=True)]
+    said = table["table_6_7_backlash"]["mag_d"]
+    quiet = [case.name for case, d in zip(tight, index, strict=True) if d.mean < ALARM]
+    low = ", ".join(quiet) or "no pose"
+    both = [c.name for c, d in zip(tight, said, strict=True) if d < ALARM and c.name in quiet]
+    agreed = ", ".join(both) or "none of them"
+    loud = [(c.name, d, i.mean) for c, d, i in zip(tight, said, index, strict=True) if d >= ALARM]
+    printed_high = " and ".join(f"{d:.2f}" for _, d, _ in loud)
+    high = " and ".join(f"{name} ({here:.2f} here)" for name, _, here in loud)
+    claimed, apart, fallen, rows = table["claimed_error_deg"], [], [], []
+    for k, (n, b) in enumerate(zip(tight, play, strict=True)):
+        axis = table["backlash_cases"][k]["lowest_backlash_deg"]
+        c_n, c_b = (table["table_6_4"][name][k] for name in ("c_n", "c_b"))
+        if abs(axial_turn(b.lowest.mean, axis)) > claimed:
+            apart.append(f"{n.name} (printed {axis % 180}°, here {from_y(b.lowest.mean):.0f}°)")
+        if c_b < c_n / 2:
+            here = f"here from {n.maximum.mean:.2f} to {b.maximum.mean:.2f}"
+            fallen.append(f"{n.name} (from {c_n:.2f} to {c_b:.2f}; {here})")
+        rows.append(
+            (
+                n.name,
+                f"{axis % 180}°",
+                b.lowest.axis(),
+                f"{c_n:.2f}",
+                n.maximum.words(),
+                f"{c_b:.2f}",
+                b.maximum.words(),
+                f"{said[k]:.2f}",
+                index[k].words(),
+            )
+        )
+    apart_poses, fallen_poses = ", ".join(apart) or "no pose", " and ".join(fallen)
+    ranges = table["table_6_2_histogram_range_g"]
+    wide = np.ptp(ranges["backlash"], axis=1) / np.ptp(ranges["high_preload"], axis=1)
+    here_wide = [np.ptp(b.peaks) / np.ptp(n.peaks) for b, n in zip(play, tight, strict=True)]
+    span = (min(wide), max(wide), min(here_wide), max(here_wide))
+    return section(
+        "experiment_six",
+        locals(),
+        [rows, error_rows(tight, errors, told), peak_rows(cases, ranges)],
+        _figures(cases, (TIGHT, PLAY), (TIGHT, PLAY), PLAY_DIRECTION, "backlash motion", pose=2),
+    )
+
+
+def moment_points(cases: Sequence[Case], direction: float, name: str, *, third: bool) -> Points:
+    """Skewness (third moment) or kurtosis of the tool along a direction, pose by pose."""
+    unit, moment = [np.cos(direction), np.sin(direction)], skewness if third else kurtosis
+    return points_of(name, [[float(moment(a, unit)) for _, a in case.pairs] for case in cases])
+
+
+def points_of(name: str, values: Sequence[Sequence[float]]) -> Points:
+    """Mean and interval of single records in every category."""
+    mean, low, high = zip(*map(Spread.of, values), strict=True)
+    return Points(name, mean, low, high)
+
+
+def _figures(
+    cases: Cases,
+    states: Sequence[str],
+    two: Sequence[str],
+    direction: float,
+    label: str,
+    *,
+    pose: int = 0,
+) -> list[Figure]:
+    """Loops, histograms, moments along the fault, and what the thesis left aside, by direction."""
+    names = [case.name for case in cases[TIGHT]]
+    panels = [
+        LoopPanel(f"θ₂ = {name}", [cases[state][k].pairs[0] for state in states], direction)
+        for k, name in enumerate(names)
+    ]
+    moments = [
+        by_category(
+            [moment_points(cases[s], direction, s, third=third) for s in states],
+            names,
+            ylabel="skewness" if third else "kurtosis",
+            xlabel="pose θ₂",
+            symlog=1.0,
+        )
+        for third in (True, False)
+    ]
+    return [
+        loop_panels(panels, states),
+        histogram_panels(cases, states, direction),
+        *moments,
+        direction_figure(cases, two, direction, label, pose=pose),
+    ]
+
+
+def direction_figure(
+    cases: Cases, states: Sequence[str], direction: float, label: str, *, pose: int
+) -> Figure:
+    """Kurtosis, flatness of the spectrum and coherence against direction, first record."""
+    angles = np.radians(np.arange(90.0, 270.0, 3.0))
+    units = np.stack([np.cos(angles), np.sin(angles)])
+    panels: dict[str, list[Curve]] = {"kurtosis": [], "flatness": [], "coherence": []}
+    for state in states:
+        x, a = cases[state][pose].pairs[0]
+        values = (
+            np.array([kurtosis(a, u) for u in units.T]),
+            spectral_flatness(units.T @ a, RATE, SHAKEN_BAND),
+            coherence_by_direction(x, a, angles),
+        )
+        for curves, curve in zip(panels.values(), values, strict=True):
+            curves.append(Curve(state, angles, curve))
+    return curves_by_direction(list(panels.items()), direction=direction, label=label)
+
+
+_BINS = 31
+_SHARE = 0.9
+
+
+def histogram_panels(cases: Cases, states: Sequence[str], direction: float) -> Figure:
+    """Draw the contour that holds 90 % of the samples, every state in every pose."""
+    count = len(cases[states[0]])
+    figure, places = square_panels(count, states)
+    samples = {
+        (state, k): np.concatenate([a for _, a in cases[state][k].pairs], axis=1) / STANDARD_GRAVITY
+        for state in states
+        for k in range(count)
+    }
+    most = 1.15 * max(float(np.quantile(np.abs(a), 0.99)) for a in samples.values())
+    tick = 1.0 if most < 3 else 2.0
+    for k, axes in enumerate(places):
+        axes.set(xlim=(-1.1 * most, 1.1 * most), ylim=(-most, 1.2 * most), aspect="equal")
+        end = most * np.array([np.cos(direction), np.sin(direction)])
+        axes.plot([-end[0], end[0]], [-end[1], end[1]], color=INK, linewidth=1.0, zorder=1)
+        for u in ((1, 0), (0, 1)):
+            axes.plot([-most * u[0], most * u[0]], [-most * u[1], most * u[1]], color=FAINT, lw=0.8)
+        for state, colour in zip(states, COLOURS, strict=False):
+            found = histogram(samples[state, k], bins=_BINS)
+            level = contour_levels(found, (_SHARE,))[0]
+            axes.contour(
+                found.centres(0),
+                found.centres(1),
+                found.counts.T,
+                levels=[level],
+                colors=[colour],
+                linewidths=1.4,
+            )
+        name = f"θ₂ = {cases[states[0]][k].name}"
+        axes.text(0.0, 1.05 * most, name, color=INK, fontsize=9, ha="center")
+        axes.plot([0.1 * most, 0.1 * most + tick], [-0.93 * most] * 2, color=MUTED, linewidth=2)
+        axes.text(
+            0.1 * most + tick + 0.06 * most,
+            -0.93 * most,
+            f"{tick:.0f} g",
+            color=MUTED,
+            fontsize=8,
+            va="center",
+        )
+    return figure

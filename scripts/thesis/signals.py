@@ -1,0 +1,713 @@
+"""Experiments Two and Three: two accelerometers and a resolver (6.3.1, 6.3.2).
+
+A slide is shaken through a stinger, and link 1 of VERA carries a resolver behind a gear with play.
+The rigs' sensors are ideal; accelerometers, protractor and tape are put on their readings, so that
+several pairs can be tried on one and the same motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.signal import welch
+
+from loose_env.arms import COIL, Arm, Holding, Mismatch
+from loose_env.envs import INK, MEASURED, MUTED, SHAKEN, TRUTH
+from loose_env.errors import InvalidData
+from loose_env.excitation import Excitation
+from loose_env.rig import Measurement, SimulatedRig
+from loose_env.sensors import Accelerometer, Encoder, SensorSuite
+from loose_env.statistics import bandpass
+from loose_env.typing import Array
+from scripts.thesis.page import Rows, Section, printed, section
+from scripts.thesis.plots import centred, panels, rms
+from scripts.thesis.rigs import BENCH, SLIDE, shaken_vera, slide_rig
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PAIRS = 12
+"""Pairs of accelerometers that are drawn."""
+FORCE_RMS, FORCE_BAND = 6.0, (5.0, 2000.0)
+"""Force of the shaker [N] and its band [Hz]; estimates. The suspension of its coil takes the
+part below 40 Hz away."""
+MACHINE_MASS, MACHINE_RMS, MACHINE_BAND = 5.0, 15.0, (8.0, 60.0)
+"""Another machine on the bench: its moving mass [kg], force [N] and band [Hz]; estimates."""
+FULL_SCALE = 50.0
+"""Full scale of a tape channel [m/s²]; an estimate."""
+TAPE_RATIO_DB = 46.0
+"""Full scale over noise of an FM tape channel [dB]; an estimate."""
+TAPE_OFFSET = 0.005
+"""Deviation of a channel's offset over its full scale [1]; an estimate."""
+PAIR = replace(Mismatch().scaled(0.0), gain=0.005, cross_axis=0.01)
+"""Deviations of gain and cross-axis sensitivity of the accelerometers; estimates."""
+PROTRACTOR = np.radians(0.15)
+"""Deviation of the angle read [rad]; an estimate."""
+BENCH_GAIN = 0.03
+"""Deviation of the gain of the bench's sensor, which is of another kind [1]; an estimate."""
+BENCH_SCALE = 0.1
+"""Full scale of the bench's tape channel over that of the others; an estimate."""
+RATE, DURATION = 10_000.0, 2.0
+RESOLVER_UNIT = 2 * np.pi / 2**16
+"""One unit of a resolver of 16 bits [rad]."""
+RESOLVER_RATE = 1000.0
+"""Readings of the resolver through the computer's digital port [Hz]; an estimate."""
+GEAR_PLAY = 3 * RESOLVER_UNIT
+"""Play between link and resolver [rad]: one arc-minute; an estimate."""
+LINK_BAND = (20.0, 150.0)
+"""Band of the shaker that drives link 1 [Hz]: readings at `RESOLVER_RATE` can follow it, so that
+what spoils its derivative is the resolver and its gear. An estimate."""
+LINK_FORCE_RMS = 48.0
+"""Its force [N], for a resolver that moves by the few units printed (6.3.2)."""
+VERA_POSE = (0.0, np.pi / 2)
+"""Joints of VERA [rad]; the second is pinned."""
+
+# Rules for one interval of samples have a bounded error each; what happens when their results are
+# summed, or divided by the step, follows from each rule's gain for white noise.
+
+QUADRATURES: dict[str, tuple[float, ...]] = {
+    "two_point": (3 / 2, -1 / 2),
+    "newton_cotes": (55 / 24, -59 / 24, 37 / 24, -9 / 24),
+}
+"""Weights of open quadratures over the interval that ends at the first sample used (6.9, 6.10)."""
+DIFFERENCES: dict[str, tuple[float, ...]] = {
+    "two_point": (-1.0, 1.0),
+    "three_point": (-3 / 2, 2.0, -1 / 2),
+}
+"""Weights of forward differences, the earliest sample first (6.13, 6.14)."""
+
+
+def noise_gain(weights: tuple[float, ...]) -> float:
+    """Deviation of a rule's result over that of white noise, in steps or inverse steps [1]."""
+    return float(np.sqrt(np.sum(np.square(weights))))
+
+
+def quadrature_steps(g: ArrayLike, dt: float, rule: str) -> Array:
+    """Integrate over each interval by an open quadrature of the samples that follow it.
+
+    With g_1 at the end of the interval: dt/2 (3 g_1 - g_2) (6.9), or the Newton-Cotes formula
+    dt/24 (55 g_1 - 59 g_2 + 37 g_3 - 9 g_4) (6.10). Errors of one interval fall as dt^3 and dt^5.
+    (The thesis gives dt^2 for 6.9, which is the error of dt g_1.)
+    """
+    return _filter(g, QUADRATURES[rule]) * dt
+
+
+def integrate(g: ArrayLike, dt: float, rule: str) -> Array:
+    """Sum the steps of a quadrature from zero: velocity from acceleration.
+
+    The rules differ by the end terms only, and each gathers the same drift from noise and offset.
+    """
+    return np.asarray(np.cumsum(quadrature_steps(g, dt, rule), axis=-1))
+
+
+def differentiate(g: ArrayLike, dt: float, rule: str) -> Array:
+    """Differentiate by (g_1 - g_0) / dt (6.13), or (-g_2 + 4 g_1 - 3 g_0) / (2 dt) (6.14).
+
+    Errors fall as dt and dt^2. (The thesis gives dt^2 and dt^3, those before the division by dt.)
+    """
+    return _filter(g, DIFFERENCES[rule]) / dt
+
+
+def _filter(g: ArrayLike, weights: tuple[float, ...]) -> Array:
+    samples = np.asarray(g, dtype=float)
+    count = samples.shape[-1] - len(weights) + 1
+    return np.asarray(sum(w * samples[..., k : k + count] for k, w in enumerate(weights)))
+
+
+class PlaneMotion(NamedTuple):
+    """Size of a motion, and its direction from the first accelerometer's axis [rad]."""
+
+    magnitude: Array
+    direction: Array
+
+
+class LineFit(NamedTuple):
+    """Straight line through pairs of samples: correlation, angle from the x axis [rad]."""
+
+    correlation: float
+    direction: float
+
+
+def rms_motion(x: ArrayLike, y: ArrayLike) -> PlaneMotion:
+    """Find size and direction of a motion from the rms of two perpendicular accelerations.
+
+    Magnitude sqrt(x_rms^2 + y_rms^2) (6.7), direction arctan(y_rms / x_rms) (6.8), means removed.
+    An rms has no sign, so the direction lies between 0 and pi/2, and what either channel adds by
+    itself pulls it off the axes.
+    """
+    first, second = np.asarray(x, dtype=float).std(axis=-1), np.asarray(y, dtype=float).std(axis=-1)
+    return PlaneMotion(np.hypot(first, second), np.arctan2(second, first))
+
+
+def instantaneous_motion(x: Array, y: Array) -> PlaneMotion:
+    """Find size and direction at every sample, -pi/2 to pi/2 (6.7 and 6.8 without the means)."""
+    flip = np.where((x < 0.0) | ((x == 0.0) & (y < 0.0)), -1.0, 1.0)
+    return PlaneMotion(np.hypot(x, y), np.arctan2(flip * y, flip * x))
+
+
+def line_of_motion(x: Array, y: Array) -> LineFit:
+    """Fit a straight line to one acceleration against the other, by least squares in y alone."""
+    dx, dy = x - x.mean(), y - y.mean()
+    correlation = float(np.clip(dx @ dy / np.sqrt(float(dx @ dx) * float(dy @ dy)), -1.0, 1.0))
+    return LineFit(correlation, float(np.arctan(float(dx @ dy) / float(dx @ dx))))
+
+
+def subtract_base(signal: Array, base: Array, *, fit: bool = False) -> tuple[Array, float]:
+    """Take the motion of the base off the motion of the point of interest (4.1.4), and the gain.
+
+    A gain fitted by least squares mends an unequal one, but it takes part of the wanted motion off
+    where that is itself correlated with the base's.
+    """
+    varying = base - base.mean()
+    gain = float(signal @ varying / float(varying @ varying)) if fit else 1.0
+    return signal - gain * base, gain
+
+
+class BaseRecord(NamedTuple):
+    """The slide while the bench is shaken, along the rails [m/s²] (N,)."""
+
+    slide: Array
+    """Measured on the slide."""
+    base: Array
+    """Measured on the bench."""
+    relative: Array
+    """True motion of the slide relative to the bench."""
+
+
+class SlideRecords(NamedTuple):
+    """One record for each angle of the cube."""
+
+    alpha: Array
+    """Angle of the cube as read from the protractor [rad] (A,)."""
+    x: Array
+    """Accelerometer at alpha from the rails, as measured [m/s²] (A, N)."""
+    y: Array
+    """Accelerometer perpendicular to it [m/s²] (A, N)."""
+    shaker: Array
+    """Shaker's table, as measured [m/s²] (A, N)."""
+    velocity: Array
+    """True velocity of the slide along the rails, relative to the bench [m/s] (A, N)."""
+    shaken_by: dict[str, BaseRecord]
+    """Records about the base's motion, by what shakes the bench."""
+
+
+class ResolverRecords(NamedTuple):
+    """Link 1 driven from outside, at `RESOLVER_RATE`."""
+
+    angle: Array
+    """True angle of the link [rad] (N,)."""
+    velocity: Array
+    """True velocity of the link [rad/s] (N,)."""
+    resolver: Array
+    """Reading behind the gear [units of `RESOLVER_UNIT`] (N,)."""
+
+
+def slide_records(seed: int, *, pair: int = 0) -> SlideRecords:
+    """Shake the slide with the cube at 0 to 90 degrees; then once with the bench shaken too."""
+    alpha, runs, with_machine = _motions(seed)
+    rng = np.random.default_rng([seed, 91, pair])
+    noise = FULL_SCALE * 10 ** (-TAPE_RATIO_DB / 20)
+    sensor = PAIR.draw(slide_rig(), rng).sensor
+    # The protractor's error turns the cube, and with it both accelerometers.
+    turned = PROTRACTOR * rng.standard_normal(len(alpha))
+    c, s = np.cos(turned)[:, None], np.sin(turned)[:, None]
+    along, across = np.stack([run.tool for run in runs], axis=1)
+    cube = np.array([c * along - s * across, s * along + c * across])
+    measured = np.einsum("ij,jkn->ikn", sensor[:2, :2], cube)
+    measured += noise * rng.standard_normal(measured.shape)
+    measured += TAPE_OFFSET * FULL_SCALE * rng.standard_normal((2, len(alpha), 1))
+    gain = 1 + BENCH_GAIN * rng.standard_normal()
+    shaken_by = {}
+    for name, run in (
+        ("the shaker's own reaction", runs[0]),
+        ("another machine too", with_machine),
+    ):
+        slide, base = run.probes[SLIDE][0], run.probes[BENCH][0]
+        shaken_by[name] = BaseRecord(
+            slide=slide + noise * rng.standard_normal(slide.shape),
+            base=gain * base + BENCH_SCALE * noise * rng.standard_normal(base.shape),
+            relative=slide - base,
+        )
+    shaker = np.array([run.probes[COIL][0] for run in runs])
+    return SlideRecords(
+        alpha=alpha,
+        x=measured[0],
+        y=measured[1],
+        shaker=shaker + noise * rng.standard_normal(shaker.shape),
+        velocity=np.array([_velocity(run) for run in runs]),
+        shaken_by=shaken_by,
+    )
+
+
+def resolver_records(seed: int) -> ResolverRecords:
+    """Drive link 1 of VERA by the shaker and read its resolver behind a gear with play."""
+    shake = Excitation(
+        torque_rms=(0.0, 0.0), duration=DURATION, band=LINK_BAND, shaker_rms=LINK_FORCE_RMS
+    )
+    run = _measure(shaken_vera(), np.array(VERA_POSE), shake, [seed, 95])
+    every = round(RATE / RESOLVER_RATE)
+    angle = run.encoder[0, 1:-1]
+    rotor = play(angle, GEAR_PLAY)
+    return ResolverRecords(
+        angle=angle[::every],
+        velocity=_velocity(run)[::every],
+        resolver=np.floor(rotor[::every] / RESOLVER_UNIT),
+    )
+
+
+def play(driving: Array, width: float) -> Array:
+    """Follow a motion through play: the driven side stays until it is pushed."""
+    driven = np.array(driving, dtype=float)
+    for k in range(1, len(driven)):
+        driven[k] = min(max(driven[k - 1], driving[k] - width / 2), driving[k] + width / 2)
+    return driven
+
+
+@lru_cache(maxsize=1)
+def _motions(seed: int) -> tuple[Array, tuple[Measurement, ...], Measurement]:
+    """Angles of the cube, the motion at each, and one with another machine on the bench."""
+    alpha = np.radians(np.arange(0.0, 91.0, 5.0))
+    shake = Excitation(torque_rms=(0.0,), duration=DURATION, band=FORCE_BAND, shaker_rms=FORCE_RMS)
+    runs = tuple(
+        # The cube's accelerometers turn against its angle: x lies at -alpha in the bench's frame.
+        _measure(
+            slide_rig(cube_angle=-angle, stinger="threaded_rod"),
+            np.zeros(1),
+            shake,
+            [seed, 100 + k],
+        )
+        for k, angle in enumerate(alpha)
+    )
+    arm = _beside_a_machine(slide_rig(stinger="threaded_rod"))
+    return alpha, runs, _with_machine(arm, seed)
+
+
+def _with_machine(arm: Arm, seed: int) -> Measurement:
+    low, high = MACHINE_BAND
+    shake = Excitation(
+        torque_rms=(MACHINE_RMS, 0.0),
+        duration=DURATION,
+        band=FORCE_BAND,
+        shaping=(lambda f: ((f >= low) & (f <= high)).astype(float), None),
+        shaker_rms=FORCE_RMS,
+    )
+    return _measure(arm, np.zeros(2), shake, [seed, 90])
+
+
+def _beside_a_machine(rig: Arm) -> Arm:
+    """Put a machine on the bench of the slide rig: a mass that its drive shakes."""
+    spec = rig.spec.copy()
+    machine = spec.body("bench").add_body(name="machine", pos=[-0.3, 0, 0.1])
+    # In two halves, as every link of an arm: a seat, shut here, lies between them.
+    for body in (machine, machine.add_body(name="machine_top")):
+        body.mass, body.ipos = MACHINE_MASS / 2, [0, 0, 0]
+        body.inertia, body.explicitinertial = [0.1] * 3, True
+    machine.add_joint(name="machine", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
+    omega = 2 * np.pi * 5.0  # on its mounts, below its band
+
+    def beside(own: Holding, stiffness: float, damping: float) -> Holding:
+        return Holding(stiffness=(stiffness, *own.stiffness), damping=(damping, *own.damping))
+
+    return replace(
+        rig,
+        spec=spec,
+        joints=("machine", *rig.joints),
+        seat_bodies=("machine_top", *rig.seat_bodies),
+        torque_limits=(10 * MACHINE_RMS, *rig.torque_limits),
+        joint_ranges=(None, *rig.joint_ranges),
+        brake=beside(rig.brake, 1e7, 1e3),
+        servo=beside(rig.servo, 2e4, 1e2),
+        centring=beside(rig.centring, MACHINE_MASS * omega**2, MACHINE_MASS * omega),
+        shaker=replace(rig.shaker, joint=2) if rig.shaker else None,
+    )
+
+
+def _measure(arm: Arm, pose: Array, shake: Excitation, key: list[int]) -> Measurement:
+    """Measure a healthy arm by sensors that add nothing but their rate and band."""
+    sensors = SensorSuite(
+        rate=RATE,
+        accelerometer=Accelerometer(noise_density=0.0, bandwidth=0.45 * RATE, resolution=0.0),
+        encoder=Encoder(resolution=0.0, noise=0.0, linear_resolution=0.0, linear_noise=0.0),
+    )
+    rig = SimulatedRig(arm, sensors=sensors, threads=1)
+    run = rig.measure(pose, shake, rng=np.random.default_rng(key))
+    if run.failure is not None:
+        raise InvalidData(f"the record of {arm.name!r} is worthless: {run.failure}")
+    return run
+
+
+def _velocity(run: Measurement) -> Array:
+    """Velocity of the shaken joint, by central differences of its exact position (N,)."""
+    position = run.encoder[0]
+    return np.asarray((position[2:] - position[:-2]) * (run.rate / 2))
+
+
+class Angles(NamedTuple):
+    """Direction of the slide's motion by each method, one entry an angle of the cube [deg]."""
+
+    alpha: Array
+    """Angle of the cube as read."""
+    by_rms: Array
+    """Direction from rms accelerations (6.8)."""
+    by_line: Array
+    """Direction of the regression line."""
+    correlation: Array
+    """Correlation r of that line, by size [1]."""
+    spread: Array
+    """Spread of the instantaneous direction about its middle."""
+
+
+def angles(records: SlideRecords, band: tuple[float, float]) -> Angles:
+    """Estimate the direction of motion at every angle of the cube.
+
+    The rms is taken within `band` [Hz]; line and instantaneous direction use the whole signal. The
+    instantaneous direction is that of samples larger than the rms; its spread is half the
+    range that holds 68 % of them.
+    """
+    x, y = (bandpass(centred(s), RATE, band) for s in (records.x, records.y))
+    rows = []
+    for one, other in zip(centred(records.x), centred(records.y), strict=True):
+        fit, now = line_of_motion(one, other), instantaneous_motion(one, other)
+        large = now.magnitude > np.sqrt(np.mean(now.magnitude**2))
+        # Turn the line upright before taking the spread: its direction has no ends there.
+        middle = rms_motion(one, other).direction
+        turned = (now.direction[large] - middle + np.pi / 2) % np.pi - np.pi / 2
+        low, high = np.percentile(turned, [16, 84])
+        spread = np.degrees(high - low) / 2
+        rows.append((np.degrees(fit.direction), abs(fit.correlation), spread))
+    return Angles(
+        np.degrees(records.alpha),
+        np.degrees(rms_motion(x, y).direction),
+        *np.array(rows).T,
+    )
+
+
+def share_within(
+    records: SlideRecords, band: tuple[float, float], limits: tuple[float, float], percent: float
+) -> float:
+    """Share of the cube's angles within limits that come out right by rms (6.8) [%]."""
+    x, y = (bandpass(centred(s), RATE, band) for s in (records.x, records.y))
+    alpha = np.degrees(records.alpha)
+    inside = (alpha >= limits[0]) & (alpha <= limits[1])
+    off = np.abs(np.degrees(rms_motion(x, y).direction) - alpha)[inside]
+    return float(100 * np.mean(off <= percent / 100 * alpha[inside]))
+
+
+Correlations = dict[tuple[str, str], float]
+
+
+def velocity_correlations(x: Array, y: Array, window: float) -> Correlations:
+    """Correlation of two axes' velocities, median over windows [s], by rule and use of steps."""
+    length, found = round(window * RATE), {}
+    uses: dict[str, Callable[..., Array]] = {"step by step": quadrature_steps, "summed": integrate}
+    for rule in QUADRATURES:
+        for use, method in uses.items():
+            values = []
+            for start in range(0, len(x) - length + 1, length):
+                part = slice(start, start + length)
+                both = (method(signal[part], 1 / RATE, rule) for signal in (x, y))
+                values.append(np.corrcoef(*both)[0, 1])
+            found[rule, use] = float(np.median(values))
+    return found
+
+
+def _opposed_offset(x: Array, y: Array, window: float, wanted: float) -> tuple[float, float]:
+    """Offset on x, its opposite on y, that brings the sums of Newton-Cotes to a correlation.
+
+    Returns the offset [m/s²] and the correlation that the sums of the two-point rule have then.
+    """
+    low, high, found = 0.0, rms(x), Correlations()
+    for _ in range(20):
+        offset = (low + high) / 2
+        found = velocity_correlations(x + offset, y - offset, window)
+        if found["newton_cotes", "summed"] > wanted:
+            low = offset
+        else:
+            high = offset
+    return (low + high) / 2, found["two_point", "summed"]
+
+
+def order_rows(told: Mapping[str, Any]) -> Rows:
+    """Order of accuracy measured on a sine, printed beside."""
+    rows = []
+    for number, name, rules, rule, unit in (
+        ("6.9", "two_point_quadrature", QUADRATURES, "two_point", "Δt"),
+        ("6.10", "newton_cotes", QUADRATURES, "newton_cotes", "Δt"),
+        ("6.13", "two_point_difference", DIFFERENCES, "two_point", "/ Δt"),
+        ("6.14", "three_point_difference", DIFFERENCES, "three_point", "/ Δt"),
+    ):
+        errors = []
+        for dt in (0.02, 0.01):
+            g = np.sin(1.0 + dt * np.arange(6))
+            if rules is QUADRATURES:
+                exact = np.cos(1.0 - dt) - np.cos(1.0)
+                errors.append(abs(quadrature_steps(g, dt, rule)[0] - exact))
+            else:
+                errors.append(abs(differentiate(g, dt, rule)[0] - np.cos(1.0)))
+        order, given = float(np.log2(errors[0] / errors[1])), told[f"error_order_{name}"]
+        mark = "" if round(order) == given else " (a slip)"
+        gain = f"{noise_gain(rules[rule]):.2f} {unit}"
+        rows.append((number, f"Δt^{given}{mark}", f"Δt^{order:.1f}", gain))
+    return rows
+
+
+def resolver_rows(turned: ResolverRecords, bits: int) -> tuple[Rows, float]:
+    """Differentiate the resolver's angle and hold it against the link's true velocity.
+
+    Returns the rows, and the error of the better difference of the resolver over the true rms.
+    """
+    dt, rows, lowest = 1 / RESOLVER_RATE, [], np.inf
+    read = {
+        "exact angle of the link": turned.angle,
+        f"{bits}-bit steps only": RESOLVER_UNIT * np.floor(turned.angle / RESOLVER_UNIT),
+        "steps and the gear's play": RESOLVER_UNIT * turned.resolver,
+    }
+    for name, angle in read.items():
+        cells, errors = [name], []
+        for rule in DIFFERENCES:
+            rate = differentiate(angle, dt, rule)
+            truth = turned.velocity[: len(rate)]
+            errors.append(rms(rate - truth) / rms(truth))
+            # A resolver that does not move follows nothing.
+            r = np.corrcoef(rate, truth)[0, 1] if np.ptp(rate) > 0 else 0.0
+            twice = differentiate(rate, dt, rule)
+            exact = np.gradient(turned.velocity, dt)[: len(twice)]
+            worse = 100 * rms(twice - exact) / rms(exact)
+            cells.append(f"{100 * errors[-1]:.0f} %, r = {r:.2f}; {worse:.0f} %")
+        rows.append(cells)
+        lowest = min(errors)  # the resolver comes last
+    return rows, lowest
+
+
+def signals(seed: int) -> Section:
+    """Find directions, velocities and derivatives from simulated records of both experiments."""
+    told = printed("signals")
+    records, turned = slide_records(seed), resolver_records(seed)
+    band, limits, within = (2.0, 200.0), told["angle_range_deg"], told["angle_within_percent"]
+    frequency, power = welch(records.x[-1], RATE, nperseg=8192)
+    peaks = []
+    for one in told["bench_peaks_hz"]:
+        near = np.abs(frequency - one) < 15.0
+        peaks.append(float(frequency[near][np.argmax(power[near])]))
+
+    found = angles(records, band)
+    alpha, off = found.alpha, np.abs(found.by_rms - found.alpha)
+    inside = (alpha >= limits[0]) & (alpha <= limits[1])
+    of_angle = np.mean(off[inside] <= within / 100 * alpha[inside])
+    of_right = np.mean(off[inside] <= within / 100 * 90)
+    ends, error = 100 * off[[0, -1]] / 90, np.median(off[inside])
+    lowest = found.correlation[(alpha >= 20) & (alpha <= 70)].min()
+    best = alpha[np.argmax(found.correlation)]
+    line_off = np.median(np.abs(found.by_line - alpha)[inside])
+    spreads = found.spread[inside].min(), found.spread[inside].max()
+    at_45 = found.spread[np.argmin(np.abs(alpha - 45))]
+    shares = [
+        share_within(slide_records(seed, pair=pair), band, limits, within) for pair in range(PAIRS)
+    ]
+    least, most, middle = min(shares), max(shares), np.median(shares)
+    angle_rows = [
+        (f"{a:.0f}°", f"{r:.1f}°", f"{line:.1f}°", f"{c:.3f}", f"{s:.1f}°")
+        for a, r, line, c, s in list(zip(*found, strict=True))[::2]
+    ]
+
+    case = int(np.argmin(np.abs(np.degrees(records.alpha) - told["velocity_angle_deg"])))
+    x, y, window = records.x[case], records.y[case], told["velocity_windows_s"][0]
+    # Noise on both axes until the accelerations correlate as the printed ones did.
+    extra = np.random.default_rng([seed, 30]).standard_normal((2, len(x)))
+    wanted = told["acceleration_correlation_same_signals"]
+    level, noisy = 0.0, centred(np.array([x, y]))
+    while line_of_motion(*noisy).correlation > wanted:
+        level += 0.02 * rms(centred(x))
+        noisy = centred(np.array([x, y])) + level * extra
+    as_is = line_of_motion(x, y).correlation
+    variants = {
+        f"here: accelerations correlate by {as_is:.4f}, offsets removed": (
+            centred(x),
+            centred(y),
+        ),
+        f"here: noise added until they correlate by {wanted}": noisy,
+        "here: as recorded, with the tape's offset": (x, y),
+    }
+    correlated = [velocity_correlations(*pair, window) for pair in variants.values()]
+    gap = max(abs(c["two_point", "summed"] - c["newton_cotes", "summed"]) for c in correlated)
+    steps, step_sum, cotes, cotes_sum = correlated[1].values()
+    newton = told["velocity_correlation_newton_cotes"]
+    opposed, two_point = _opposed_offset(centred(x), centred(y), window, newton)
+    opposed_share = opposed / rms(centred(x))
+    gains = [noise_gain(weights) for weights in QUADRATURES.values()]
+    frequency, power = welch(x, RATE, nperseg=2048)
+    peak = float(frequency[np.argmax(power)])
+    said = {
+        ("two_point", "step by step"): told["velocity_correlation_two_point"],
+        ("newton_cotes", "summed"): newton,
+    }
+    velocity_rows = [
+        ("rule and use", "printed", *variants),
+        *(
+            (
+                f"{'6.9' if rule == 'two_point' else '6.10'}, {use}",
+                str(said.get((rule, use), "-")),
+                *(f"{values[rule, use]:.2f}" for values in correlated),
+            )
+            for rule, use in correlated[0]
+        ),
+    ]
+
+    turn_rows, fails = resolver_rows(turned, told["resolver_bits"])
+    turns, units = np.ptp(turned.angle) / RESOLVER_UNIT, np.ptp(turned.resolver)
+    play_units, unit_rate = GEAR_PLAY / RESOLVER_UNIT, RESOLVER_UNIT * RESOLVER_RATE
+    true_rms, every_ms = rms(turned.velocity), 1000 / RESOLVER_RATE
+
+    base_rows, fitted = [], []
+    for name, run in records.shaken_by.items():
+        slide, base, truth = (bandpass(centred(s), RATE, band) for s in run)
+        mended, gain = subtract_base(slide, base, fit=True)
+        kinds = (slide, subtract_base(slide, base)[0], mended)
+        base_rows.append(
+            (
+                name,
+                f"{np.corrcoef(base, truth)[0, 1]:+.2f}",
+                *(f"{100 * rms(kind - truth) / rms(truth):.0f} %" for kind in kinds),
+                f"{gain:+.2f}",
+            )
+        )
+        fitted.append(gain)
+    return section(
+        "signals",
+        locals(),
+        [angle_rows, velocity_rows, order_rows(told), turn_rows, base_rows],
+        [
+            angle_figure(found),
+            moment_figure(records),
+            velocity_figure(records, case, told),
+            resolver_figure(turned),
+        ],
+    )
+
+
+def angle_figure(found: Angles) -> Figure:
+    """Draw the error of the direction and the correlation against the angle of the cube."""
+    figure, (upper, lower) = panels(
+        ["error of the direction found [°]", "correlation |r| of one axis with the other"],
+        across="angle α of the cube [°]",
+        up=["", ""],
+        height=1.35,
+    )
+    off = found.by_rms - found.alpha
+    line = found.by_line - found.alpha
+    inside = slice(1, -1)  # at the ends the regression has nothing to go by
+    upper.axhline(0, color=MUTED, linewidth=0.9)
+    upper.plot(found.alpha, off, "o-", color=MEASURED, markersize=3.5, linewidth=1.2)
+    upper.plot(found.alpha[inside], line[inside], "s-", color=SHAKEN, markersize=3, linewidth=1.2)
+    top = 1.15 * float(max(np.abs(off).max(), np.abs(line[inside]).max()))
+    upper.set(xlim=(-2, 92), ylim=(-top, top))
+    upper.text(8, 0.72 * top, "rms", color=MEASURED, fontsize=9)
+    upper.text(74, 0.3 * top, "regression", color="#a06c00", fontsize=9)
+    lower.plot(found.alpha, found.correlation, "o-", color=INK, markersize=3.5, linewidth=1.2)
+    lower.set(xlim=(-2, 92), ylim=(0, 1.08))
+    for panel in (upper, lower):
+        panel.set_xticks(range(0, 91, 15))
+    return figure
+
+
+def moment_figure(records: SlideRecords) -> Figure:
+    """Draw the direction at every instant for three angles of the cube."""
+    shown = [int(np.argmin(np.abs(np.degrees(records.alpha) - a))) for a in (10, 45, 80)]
+    count = round(0.02 * RATE)
+    figure, axes = panels(
+        [f"direction [°], α = {np.degrees(records.alpha[k]):.0f}°" for k in shown],
+        across="time [ms]",
+        up=[""] * 3,
+        height=0.9,
+    )
+    time = 1000 * np.arange(count) / RATE
+    for panel, k in zip(axes, shown, strict=True):
+        x, y = records.x[k] - records.x[k].mean(), records.y[k] - records.y[k].mean()
+        now = instantaneous_motion(x[:count], y[:count])
+        # Within half a turn about the cube's angle.
+        true = records.alpha[k]
+        direction = np.degrees((now.direction - true + np.pi / 2) % np.pi - np.pi / 2 + true)
+        size = 2 + 40 * (now.magnitude / now.magnitude.max()) ** 2
+        panel.axhline(np.degrees(true), color=TRUTH, linewidth=1.1)
+        panel.scatter(time, direction, s=size, color=MEASURED, alpha=0.6, linewidth=0)
+        panel.set(xlim=(0, time[-1]), ylim=(np.degrees(true) - 30, np.degrees(true) + 30))
+    return figure
+
+
+def velocity_figure(records: SlideRecords, case: int, told: Mapping[str, Any]) -> Figure:
+    """Draw velocities by quadrature, step by step and summed, of one record."""
+    short, long = told["velocity_windows_s"]
+    rate = RATE
+    x, y = records.x[case], records.y[case]
+    figure, axes = panels(
+        [
+            f"two-point rule step by step, {short} s",
+            f"two-point rule summed, {long} s",
+            f"Newton-Cotes summed, {long} s",
+        ],
+        across="time [ms]",
+        up=["mm/s"] * 3,
+        height=1.0,
+    )
+    plans: tuple[tuple[Any, str, float], ...] = (
+        (quadrature_steps, "two_point", short),
+        (integrate, "two_point", long),
+        (integrate, "newton_cotes", long),
+    )
+    for panel, (method, rule, window) in zip(axes, plans, strict=True):
+        part = slice(0, round(window * rate))
+        for signal, colour in ((x, MEASURED), (y, SHAKEN)):
+            v = 1000 * method(signal[part], 1 / rate, rule)
+            panel.plot(1000 * np.arange(len(v)) / rate, v, color=colour, linewidth=0.9)
+        panel.set_xlim(0, 1000 * window)
+    axes[0].text(
+        1.0,
+        1.07,
+        "x of the cube",
+        transform=axes[0].transAxes,
+        color=MEASURED,
+        fontsize=9,
+        ha="right",
+    )
+    axes[1].text(
+        1.0,
+        1.07,
+        "y of the cube",
+        transform=axes[1].transAxes,
+        color="#a06c00",
+        fontsize=9,
+        ha="right",
+    )
+    return figure
+
+
+def resolver_figure(turned: ResolverRecords) -> Figure:
+    """Draw angle and velocity by the resolver beside those of the link."""
+    count = round(0.12 * RESOLVER_RATE)
+    time = 1000 * np.arange(count) / RESOLVER_RATE
+    figure, (upper, lower) = panels(
+        ["angle [resolver units]: link, and resolver behind the gear", "velocity of the link"],
+        across="time [ms]",
+        up=["units", "rad/s"],
+        height=1.3,
+    )
+    middle = np.median(turned.angle[:count]) / RESOLVER_UNIT
+    upper.plot(time, turned.angle[:count] / RESOLVER_UNIT - middle, color=TRUTH, linewidth=1.2)
+    steps = turned.resolver[:count] - np.median(turned.resolver[:count])
+    upper.step(time, steps, where="post", color=MEASURED, linewidth=1.2)
+    rate = differentiate(RESOLVER_UNIT * turned.resolver, 1 / RESOLVER_RATE, "two_point")
+    lower.step(time, rate[:count], where="post", color=MEASURED, linewidth=0.9)
+    lower.plot(time, turned.velocity[:count], color=TRUTH, linewidth=1.2)
+    for panel in (upper, lower):
+        panel.set_xlim(0, time[-1])
+    upper.text(1.0, 1.06, "link", transform=upper.transAxes, color=TRUTH, fontsize=9, ha="right")
+    lower.text(
+        1.0, 1.06, "by 6.13", transform=lower.transAxes, color=MEASURED, fontsize=9, ha="right"
+    )
+    return figure

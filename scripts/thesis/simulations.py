@@ -1,0 +1,562 @@
+"""Chapter 5: simulated motion, matching of distributions, and the lowest correlation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.report import AGENTS, new_figure, quiet_axes
+from loose_env.statistics import (
+    axial_difference,
+    correlation_loop,
+    kurtosis,
+    lowest_correlation_direction,
+)
+from loose_env.typing import Array
+from scripts.thesis.matching import (
+    ANGLE,
+    HALF_WIDTH,
+    OFFSETS,
+    STARTS,
+    Case,
+    Found,
+    MatchSettings,
+    exact_surface,
+    far_success,
+    near_errors,
+    planar_study,
+    spatial_study,
+)
+from scripts.thesis.page import Rows, Section, printed, section
+from scripts.thesis.planar_motion import (
+    LoosePlanarArm,
+    MonteCarlo,
+    SeatMotion,
+    contour_levels,
+    displacement_chain,
+    draw_tool_acceleration,
+    draw_tool_displacement,
+    draw_tool_velocity,
+    histogram,
+    looseness_direction,
+    region_probabilities,
+    regions,
+    tool_acceleration,
+    tool_velocity,
+    transition_table,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Draw = Callable[[MonteCarlo, int, np.random.Generator], Array]
+
+POSES = (30.0, 90.0, 150.0)
+"""Angles of joint 2 [deg]; joint 1 is at zero."""
+BETA = math.radians(15.0)
+"""Angle of the slide from link 2 [rad]."""
+SAMPLES = 400_000
+"""Draws behind a set of contours."""
+STEPS = 200_000
+"""Displacements in the chain behind the transition table."""
+SHARES = (0.5, 0.9, 0.99)
+"""Shares of the data that the contours enclose."""
+KINDS: tuple[tuple[str, Draw], ...] = (
+    ("displacement", draw_tool_displacement),
+    ("velocity", draw_tool_velocity),
+    ("acceleration", draw_tool_acceleration),
+)
+
+
+class Motion(NamedTuple):
+    """Motion of the tool in one pose, drawn tight and loose (2, N)."""
+
+    theta2: float
+    """Angle of joint 2 [deg]."""
+    slide: Array
+    """Unit vector along the slide in the world (2,)."""
+    tight: Array
+    loose: Array
+
+    @property
+    def across(self) -> Array:
+        """Unit vector across the slide (2,)."""
+        return np.array([-self.slide[1], self.slide[0]])
+
+
+def draw_motions(draw: Draw, seed: int, first: int) -> list[Motion]:
+    """Draw the motion in each pose, tight and loose, from the seeds ``[seed, first + i]``."""
+    found = []
+    for k, theta2 in enumerate(POSES):
+        loose = MonteCarlo(
+            arm=LoosePlanarArm(beta=BETA),
+            theta=(0.0, math.radians(theta2)),
+            angle_sd=1e-4,
+            rate_sd=0.1,
+            acceleration_sd=100.0,
+        )
+        both = [
+            draw(setting, SAMPLES, np.random.default_rng([seed, first + 2 * k + j]))
+            for j, setting in enumerate((replace(loose, seat=None), loose))
+        ]
+        found.append(Motion(theta2, looseness_direction(loose.arm, loose.theta), *both))
+    return found
+
+
+def _coriolis_gap() -> float:
+    """Largest difference of (5.6) from differences of (5.4) along a motion, relative to (5.6)."""
+    arm, step = LoosePlanarArm(), 1e-5
+    t = np.linspace(0.0, 2.0, 41)
+    turn, slide = np.array([[1.0], [0.7]]), 0.1
+
+    def velocity(at: Array) -> Array:
+        q = np.sin(turn * at)
+        rate = turn * np.cos(turn * at)
+        return tool_velocity(arm, q, rate, slide * np.sin(2 * at), 2 * slide * np.cos(2 * at))
+
+    slope = (velocity(t + step) - velocity(t - step)) / (2.0 * step)
+    given = tool_acceleration(
+        arm,
+        np.sin(turn * t),
+        turn * np.cos(turn * t),
+        -(turn**2) * np.sin(turn * t),
+        slide * np.sin(2 * t),
+        2 * slide * np.cos(2 * t),
+        -4 * slide * np.sin(2 * t),
+    )
+    return float(np.abs(slope - given).max() / np.abs(given).max())
+
+
+def simulations(seed: int) -> Section:
+    """Motion distributions of a loose arm, and the fit of a Gaussian ridge to histograms."""
+    source = printed("simulations")
+    told = source["matching"]
+    motions = {name: draw_motions(draw, seed, 10 * k) for k, (name, draw) in enumerate(KINDS)}
+    every = [(name, m) for name, group in motions.items() for m in group]
+    excess = [
+        (kurtosis(m.tight, m.slide), kurtosis(m.loose, m.slide), kurtosis(m.loose, m.across))
+        for _, m in every
+    ]
+    along, across = [along for _, along, _ in excess], [across for *_, across in excess]
+    # Four deviations of the kurtosis of a Gaussian sample, sqrt(24 / N), since there are many.
+    limit = 4.0 * math.sqrt(24.0 / SAMPLES)
+    chain = displacement_chain(SeatMotion(), STEPS, np.random.default_rng([seed, 40]))
+    table = transition_table(regions(SeatMotion(), chain))
+    end, free = source["point_probability_at_each_stop"], source["probability_free"]
+    shares = region_probabilities(table)
+    part = told["trial_values_within_percent"] / 100.0
+    exact = near_errors(*exact_surface(), part)
+    far, by_offset = far_success(*exact_surface())
+    many, few = 6000, int(told["trials"])
+    cases = (
+        Case(name=f"{few} samples", trials=few, bins=10, sets=40),
+        Case(name=f"{many} samples", trials=many, bins=30, sets=12),
+        Case(
+            name=f"{many} samples,\nempty bins too",
+            trials=many,
+            bins=20,
+            sets=8,
+            settings=MatchSettings(bins="all", iterations=50),
+        ),
+    )
+    found = [planar_study(case, [seed, 50 + k], part) for k, case in enumerate(cases)]
+    spatial = {
+        n: spatial_study(Case(name="", trials=n, bins=b, sets=8), [seed, 60 + k])
+        for k, (n, b) in enumerate(((few, 6), (many, 12)))
+    }
+    promise = f"{told['parameter_error_percent']} %"
+    error_rows = [
+        ("the model's own counts (worst)", promise, *map(_tiny, 100 * np.abs(exact).max(0)), "")
+    ]
+    for f in found:
+        height, exponent, turn = np.median(np.abs(f.near), axis=0)
+        error_rows.append(
+            (
+                f.case.name.replace("\n", " "),
+                promise if f.case.trials == few else "",
+                *(f"{100 * x:.0f} %" if x < 10.0 else "diverges" for x in (height, exponent)),
+                f"{math.degrees(turn):.1f}°",
+                f"{100 * f.converged:.0f} %",
+            )
+        )
+    sparse, dense, all_bins = found
+    off = np.median(np.abs(sparse.near), axis=0)
+    names = ("proximal stop", "free", "distal stop")
+    return section(
+        "simulations",
+        {
+            "beta": math.degrees(BETA),
+            "limit": limit,
+            "stays": "stays" if np.abs(across).max() < limit else "does not stay",
+            "cases": len(across),
+            "distinct": sum(abs(value) > limit for value in along),
+            "low": min(along),
+            "high": max(along),
+            "chain": STEPS,
+            "scatter": float(np.abs(shares - [end, free, end]).max()),
+            "gap": _coriolis_gap(),
+            "angle": math.degrees(ANGLE),
+            "half": HALF_WIDTH,
+            "worst": _tiny(100 * float(np.abs(exact).max())),
+            "far": 100 * far,
+            "height": 100 * off[0],
+            "exponent": 100 * off[1],
+            "turn": math.degrees(off[2]),
+            "many": many,
+            "few": few,
+            "least": f"{100 * dense.success[:-1].min():.0f} % or more"
+            if dense.success[:-1].min() < 1.0
+            else "all",
+            "near_few": 100 * sparse.success[0],
+            "far_few": 100 * sparse.success[-1],
+            "starts": STARTS,
+            "searched": 100 * sparse.searched,
+            "ended": 100 * all_bins.converged,
+            "close": 100 * all_bins.success[0],
+            "beyond": 100 * float(all_bins.success[1:].max()),
+            "kept": math.degrees(float(np.median(np.abs(all_bins.near[:, 2])))),
+            "begun": math.degrees(ANGLE) * part,
+            "searched_all": 100 * all_bins.searched,
+            "spatial": [math.degrees(float(np.median(s))) for _, s in spatial.values()],
+            "covered": 100 * math.sqrt(2.0) / 4.0,
+            "samples": SAMPLES,
+        },
+        [
+            [
+                (f"{name}, θ₂ = {m.theta2:g}°", *(f"{x:+.3f}" for x in row))
+                for (name, m), row in zip(every, excess, strict=True)
+            ],
+            [
+                *(
+                    (f"now: {name}", *(f"{p:.4f}" for p in row), f"{total:.4f}", f"{assumed}")
+                    for name, row, total, assumed in zip(
+                        names, table, shares, (end, free, end), strict=True
+                    )
+                ),
+                ("sum", *(f"{p:.4f}" for p in table.sum(axis=0)), f"{table.sum():.4f}", "1"),
+            ],
+            error_rows,
+            [
+                (
+                    f"{n} samples",
+                    *(f"{e:.1f}°" for e in np.degrees(np.median(errors, axis=0))),
+                    f"{math.degrees(float(np.median(searched))):.1f}°",
+                )
+                for n, (errors, searched) in spatial.items()
+            ],
+        ],
+        [
+            _contours(motions["displacement"], 1e3, "mm"),
+            _contours(motions["velocity"], 1.0, "m/s"),
+            basin_figure(found, by_offset),
+        ],
+    )
+
+
+def _tiny(percent: float) -> str:
+    return "below 0.0001 %" if percent < 1e-4 else f"{percent:.2g} %"
+
+
+def _contours(motions: list[Motion], scale: float, unit: str) -> Figure:
+    figure = new_figure(3.9)
+    reach = scale * max(float(np.quantile(np.abs(m.loose), 0.9995)) for m in motions)
+    for k, m in enumerate(motions):
+        for row, (samples, name, colour) in enumerate(
+            ((m.tight, "tight", MEASURED), (m.loose, "loose", TRUTH))
+        ):
+            axes = figure.add_axes((0.075 + 0.31 * k, 0.475 - 0.43 * row, 0.30, 0.42))
+            found = histogram(samples * scale, 50)
+            levels = np.unique(contour_levels(found, SHARES))
+            axes.contour(
+                found.centres(0),
+                found.centres(1),
+                found.counts.T,
+                levels=levels,
+                colors=[colour],
+                linewidths=np.linspace(0.8, 1.8, len(levels)),
+            )
+            bar = reach * np.outer(m.slide, [-0.95, 0.95])
+            axes.plot(*bar, color=MUTED, linewidth=1.0, dashes=(3, 3), zorder=0)
+            axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+            axes.axis("off")
+            if row == 0:
+                axes.set_title(f"θ₂ = {m.theta2:g}°", fontsize=9.5, color=INK, pad=4)
+            if k == 0:
+                figure.text(
+                    0.03,
+                    0.685 - 0.43 * row,
+                    name,
+                    fontsize=9.5,
+                    color=INK,
+                    rotation=90,
+                    ha="center",
+                    va="center",
+                )
+            if k == 0 and row == 1:
+                length = 10.0 ** math.floor(math.log10(reach))
+                x, y = -0.95 * reach, -0.93 * reach
+                axes.plot([x, x + length], [y, y], color=INK, linewidth=1.6)
+                axes.text(x, y + 0.04 * reach, f"{length:g} {unit}", fontsize=8.5, color=INK)
+    return figure
+
+
+def basin_figure(found: Sequence[Found], exact: Array) -> Figure:
+    """Draw the share of right directions against the trial direction's distance from the truth."""
+    figure = new_figure(3.3)
+    axes = figure.add_axes((0.10, 0.20, 0.48, 0.70))
+    edge = float(np.degrees(OFFSETS[-1]))
+    search = edge + 14.0
+    heights = np.array([f.searched for f in found])
+    order = np.argsort(heights, kind="stable")
+    labels = dict(zip(order.tolist(), _apart(heights[order], 0.2), strict=True))
+    for k, f in enumerate(found):
+        colour = AGENTS[k]
+        x = np.degrees(OFFSETS)
+        axes.plot(x, f.success, color=colour, linewidth=2.0, marker="os^D"[k], markersize=4.5)
+        axes.plot([search], [f.searched], color=colour, marker="os^D"[k], markersize=7)
+        axes.plot(
+            [edge, search], [f.success[-1], f.searched], color=colour, linewidth=1.0, dashes=(2, 2)
+        )
+        axes.annotate(
+            f.case.name,
+            xy=(search, f.searched),
+            xytext=(search + 14.0, labels[k]),
+            color=INK,
+            fontsize=9,
+            va="center",
+            annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 1.0, "shrinkB": 6},
+        )
+    axes.plot(np.degrees(OFFSETS), exact, color=INK, linewidth=1.0, dashes=(4, 2), zorder=5)
+    axes.text(34.0, 0.955, "the model's own counts", color=INK, fontsize=9, ha="center", va="top")
+    ticks = [0, 30, 60, 90]
+    axes.set_xticks([*ticks, search], [*(f"{t}°" for t in ticks), f"{STARTS}\nstarts"])
+    axes.set_yticks([0.0, 0.5, 1.0], ["0 %", "50 %", "100 %"])
+    axes.set(xlim=(-3.0, search + 4.0), ylim=(-0.04, 1.04))
+    axes.set_xlabel("trial direction away from the truth", color=MUTED, fontsize=9, x=0.42)
+    axes.text(-3.0, 1.09, "within 5° of the truth", color=MUTED, fontsize=9)
+    quiet_axes(axes, size=9)
+    return figure
+
+
+def _apart(rising: Array, gap: float) -> list[float]:
+    """Move rising heights to at least ``gap`` from each other, and below 1."""
+    placed = rising.astype(float).copy()
+    for k in range(1, len(placed)):
+        placed[k] = max(placed[k], placed[k - 1] + gap)
+    limit = 1.0
+    for k in reversed(range(len(placed))):
+        placed[k] = min(placed[k], limit)
+        limit = placed[k] - gap
+    return [float(p) for p in placed]
+
+
+# Correlation vectors of motions whose directions are known (5.3.2).
+
+SETS = 200
+"""Data sets behind each error of a direction."""
+LOOP = np.linspace(0.0, math.pi, 361)
+"""Angles of a loop [rad]; the other half of the turn repeats it."""
+RATIOS = (0.1, 0.5, 1.0, 2.0, 10.0)
+"""Variance of the component that is correlated, to that of the other."""
+MIXES = ((1, 10), (1, 5), (1, 1), (5, 1), (10, 1))
+"""Half range of the uniform component and variance of the Gaussian one."""
+
+
+class Loop(NamedTuple):
+    """Loop and direction errors of one ratio."""
+
+    name: str
+    slope: float
+    """Change of the correlation per radian where it is zero, from the model [1/rad]."""
+    loop: Array
+    """Correlation at the angles of `LOOP` (K,), of one data set."""
+    errors: Array
+    """Errors of the direction of lowest correlation over data sets [rad] (S,)."""
+    predicted: float
+    """Sampling deviation of the direction, from the model [rad]."""
+
+    @property
+    def rms(self) -> float:
+        """Root mean square error [deg]."""
+        return math.degrees(float(np.sqrt(np.mean(self.errors**2))))
+
+    @property
+    def low(self) -> float:
+        """Share of directions whose correlation is below 0.1, from the model [1]."""
+        # |r| < 0.1 where |cot phi| < t / slope, with t = 0.1 / sqrt(1 - 0.1²).
+        return 2.0 * math.atan(0.1 / math.sqrt(0.99) / self.slope) / math.pi
+
+
+def scaled_normal(count: int, ratio: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Draw a Gaussian signal x and a motion: x with its variance scaled, across it another."""
+    x, other = rng.standard_normal((2, count))
+    return x, np.stack([math.sqrt(ratio) * x, other])
+
+
+def uniform_across(
+    count: int, width: float, variance: float, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Draw a Gaussian signal x and a motion: x itself, and across it one uniform in ± width."""
+    x = math.sqrt(variance) * rng.standard_normal(count)
+    return x, np.stack([x, rng.uniform(-width, width, count)])
+
+
+def lowest_correlation_search(x: Array, a: Array, tolerance: float = 1e-9) -> float:
+    """Direction of lowest correlation by the thesis's bisection from 0 to pi [rad]."""
+    low, high = 0.0, math.pi
+    at_low = correlation_loop(x, a, [low])[0]
+    while high - low > tolerance:
+        middle = 0.5 * (low + high)
+        if correlation_loop(x, a, [middle])[0] * at_low > 0.0:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def _loop(name: str, slope: float, count: int, sets: Sequence[tuple[Array, Array]]) -> Loop:
+    """Loop of the first set and errors of all; slope: deviation along over deviation across."""
+    errors = [axial_difference(lowest_correlation_direction(x, a), math.pi / 2) for x, a in sets]
+    predicted = 1.0 / (slope * math.sqrt(count))
+    return Loop(name, slope, correlation_loop(*sets[0], LOOP), np.array(errors), predicted)
+
+
+def correlation_simulations(seed: int) -> Section:
+    """Correlation loops of scaled Gaussian motions and of uniform ones, and their minima."""
+    count = int(printed("correlation_simulations")["samples"])
+
+    def rngs(k: int) -> list[np.random.Generator]:
+        return [np.random.default_rng([seed, k, s]) for s in range(SETS)]
+
+    scaled = [
+        _loop(f"{q:g}", math.sqrt(q), count, [scaled_normal(count, q, rng) for rng in rngs(k)])
+        for k, q in enumerate(RATIOS)
+    ]
+    mixed = [
+        _loop(
+            f"a{w}b{v}",
+            math.sqrt(3.0 * v) / w,
+            count,
+            [uniform_across(count, w, v, rng) for rng in rngs(10 + k)],
+        )
+        for k, (w, v) in enumerate(MIXES)
+    ]
+    x, a = uniform_across(count, 5.0, 1.0, np.random.default_rng([seed, 30]))
+    direct, loop = lowest_correlation_direction(x, a), correlation_loop(x, a, LOOP)
+    louder = axial_difference(lowest_correlation_direction(x, 10.0 * a), direct)
+    both = [*scaled, *mixed]
+    biased = [r.name for r in both if abs(r.errors.mean()) > 4 * r.errors.std() / math.sqrt(SETS)]
+    factors = [float(np.sqrt(np.mean(r.errors**2))) / r.predicted for r in both]
+    worst = max(mixed, key=lambda r: r.rms)
+
+    def table(results: list[Loop]) -> Rows:
+        return [
+            (
+                r.name,
+                f"{90 + math.degrees(float(r.errors.mean())):.2f}°",
+                f"{r.rms:.2f}°",
+                f"{math.degrees(r.predicted):.2f}°",
+                f"{r.slope:.2f}",
+                f"{2.0 / r.slope:.2f}",
+                f"{100 * r.low:.1f} %",
+            )
+            for r in results
+        ]
+
+    return section(
+        "correlation_simulations",
+        {
+            "scaled": scaled,
+            "mixed": mixed,
+            "last": (scaled[-1], mixed[-1]),
+            "searched": abs(axial_difference(lowest_correlation_search(x, a), direct)),
+            "opposite": float(np.abs(loop + correlation_loop(x, a, LOOP + math.pi)).max()),
+            "louder": "leaves the direction as it is"
+            if abs(louder) < 1e-12
+            else "changes the direction",
+            "biased": f"error is beyond four of its own deviations at {', '.join(biased)}"
+            if biased
+            else "error is within four of its own deviations at every ratio",
+            "least": min(factors),
+            "most": max(factors),
+            "worst": worst,
+            "turned": 100 * float(np.mean(np.abs(worst.errors) > math.pi / 4)),
+            "thin": 100 * worst.low,
+            "wide": 100 * mixed[0].low,
+            "sets": SETS,
+        },
+        [table(scaled), table(mixed)],
+        [_loops(scaled, mixed), _error_figure(scaled, mixed)],
+    )
+
+
+def _loops(scaled: list[Loop], mixed: list[Loop]) -> Figure:
+    figure = new_figure(5.0)
+    for k, results in enumerate((scaled, mixed)):
+        axes = figure.add_axes((0.02 + 0.5 * k, 0.07, 0.46, 0.87))
+        axes.set_title(
+            ("scaled Gaussian", "uniform across")[k], fontsize=9.5, color=INK, x=0.02, ha="left"
+        )
+        turn = np.linspace(-math.pi / 2, math.pi / 2, 181)
+        for radius in (0.5, 1.0):
+            axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, linewidth=0.8)
+        for angle, label in ((0, "0°"), (45, "45°"), (90, "90°"), (-45, "135°")):
+            c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+            axes.plot([0.0, c], [0.0, s], color=FAINT, linewidth=0.8, zorder=0)
+            axes.text(
+                1.08 * c, 1.08 * s, label, fontsize=8.5, color=MUTED, ha="center", va="center"
+            )
+        for j, result in enumerate(results):
+            axes.plot(
+                result.loop * np.cos(LOOP),
+                result.loop * np.sin(LOOP),
+                color=AGENTS[j],
+                linewidth=1.8,
+            )
+        _key(axes, [r.name for r in results])
+        axes.set(xlim=(-0.12, 1.2), ylim=(-1.7, 1.16), aspect="equal")
+        axes.axis("off")
+    return figure
+
+
+def _key(axes: Axes, names: Sequence[str]) -> None:
+    """Name the loops below them, in three rows."""
+    for j, name in enumerate(names):
+        x, y = 0.08 + 0.55 * (j // 3), -1.33 - 0.15 * (j % 3)
+        axes.plot([x, x + 0.11], [y, y], color=AGENTS[j], linewidth=2.0)
+        axes.text(x + 0.16, y, name, fontsize=8.5, color=INK, va="center")
+
+
+def _error_figure(scaled: list[Loop], mixed: list[Loop]) -> Figure:
+    figure = new_figure(3.0)
+    axes = figure.add_axes((0.12, 0.17, 0.82, 0.70))
+    slopes = np.geomspace(0.15, 6.5, 30)
+    count = 1.0 / (scaled[0].predicted * scaled[0].slope) ** 2
+    axes.plot(slopes, np.degrees(1.0 / (slopes * math.sqrt(count))), color=MUTED, linewidth=1.2)
+    for results, colour, marker in ((scaled, AGENTS[0], "o"), (mixed, AGENTS[1], "s")):
+        axes.plot(
+            [r.slope for r in results],
+            [r.rms for r in results],
+            color=colour,
+            marker=marker,
+            markersize=6,
+            linestyle="none",
+        )
+    axes.text(0.19, 4.8, "uniform across", color=INK, fontsize=9)
+    axes.text(1.12, 0.78, "scaled Gaussian", color=INK, fontsize=9)
+    axes.set(xscale="log", yscale="log", xlim=(0.13, 8.0), ylim=(0.09, 7.0))
+    axes.set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"], minor=False)
+    axes.set_yticks([0.1, 0.3, 1, 3], ["0.1°", "0.3°", "1°", "3°"], minor=False)
+    axes.set_xticks([], minor=True)
+    axes.set_yticks([], minor=True)
+    axes.set_xlabel("deviation along over deviation across", color=MUTED, fontsize=9)
+    axes.text(0.13, 8.0, "rms error of the direction", color=MUTED, fontsize=9)
+    quiet_axes(axes, size=9)
+    return figure

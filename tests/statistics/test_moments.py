@@ -1,0 +1,154 @@
+"""Covariances, skewness and kurtosis of a record, and what records are refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from loose_env.errors import InvalidData
+from loose_env.statistics import covariances, kurtosis, record_covariances, skewness
+
+GOOD = np.array([1.0, 2.0, 4.0, 3.0, 0.0])
+
+
+def test_covariances_are_those_of_numpy(rng):
+    x, a = rng.standard_normal((3, 200)) + 5.0, rng.standard_normal((2, 200))
+    cov = covariances(x, a)
+    expected = np.cov(np.vstack((x, a)), bias=True)
+    np.testing.assert_allclose(cov.xx, expected[:3, :3])
+    np.testing.assert_allclose(cov.xa, expected[:3, 3:])
+    np.testing.assert_allclose(cov.aa, expected[3:, 3:])
+    assert cov.count == 200
+
+
+def test_a_single_signal_needs_no_second_axis(rng):
+    x, a = rng.standard_normal(50), rng.standard_normal((3, 50))
+    np.testing.assert_array_equal(covariances(x, a).xa, covariances(x[None], a).xa)
+
+
+def test_the_record_is_left_as_it_was(rng):
+    x, a = rng.standard_normal((2, 50)), rng.standard_normal((2, 50))
+    before = x.copy(), a.copy()
+    covariances(x, a)
+    np.testing.assert_array_equal(x, before[0])
+    np.testing.assert_array_equal(a, before[1])
+
+
+def test_one_pass_with_the_command_gives_the_covariances_of_each_pair(rng):
+    u, x, a = rng.standard_normal((2, 90)), rng.standard_normal((2, 90)), rng.standard_normal(90)
+    joint = record_covariances(u, x, a)
+    for found, pair in (
+        (joint.x_a, (x, a)),
+        (joint.command_x, (u, x)),
+        (joint.command_a, (u, a)),
+    ):
+        expected = covariances(*pair)
+        for name in ("xx", "xa", "aa", "count"):
+            np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("x", "a", "said"),
+    [
+        (GOOD[:3], GOOD[:3], "4 samples"),
+        (GOOD, GOOD[:4], "'x': 5, 'a': 4"),
+        (3.0, GOOD, r"shape \(\)"),
+        (np.ones((2, 2, 5)), GOOD, r"\(2, 2, 5\)"),
+        (np.where(GOOD > 3, np.nan, GOOD), GOOD, "NaN"),
+        (GOOD, np.where(GOOD > 3, np.inf, GOOD), "infinite"),
+        (1e200 * GOOD, GOOD, "too large"),
+        ([GOOD, np.full(5, 0.1)], GOOD, "x is constant in row 1"),
+        (GOOD, np.full((2, 5), 9.81), "a is constant"),
+        (["a", "b", "c", "d"], GOOD, "real numbers"),
+        (np.empty((0, 5)), GOOD, r"\(0, 5\)"),
+    ],
+)
+def test_a_record_that_cannot_be_used_is_refused_with_the_reason(x, a, said):
+    with pytest.raises(InvalidData, match=said):
+        covariances(x, a)
+
+
+def test_the_rounding_of_a_mean_is_no_motion(rng):
+    constant = np.full(1201, 0.1)
+    assert np.var(constant) > 0
+    with pytest.raises(InvalidData, match="x is constant"):
+        covariances(constant, rng.standard_normal(1201))
+
+
+def test_one_still_row_of_the_tool_is_allowed():
+    assert covariances(GOOD, [GOOD, np.full(5, 9.81)]).aa[1, 1] == pytest.approx(0, abs=1e-30)
+
+
+def test_a_constant_command_is_refused(rng):
+    x = rng.standard_normal(20)
+    with pytest.raises(InvalidData, match="command is constant"):
+        record_covariances(np.ones(20), x, x)
+
+
+def skewed(rng, count=500):
+    """Planar motion, neither symmetric nor Gaussian, its components correlated."""
+    return np.array([[1.0, 0.4], [-0.7, 2.0]]) @ rng.gamma(2.0, size=(2, count)) + 30.0
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_moments_are_those_of_scipy(rng, dimension):
+    a = rng.gamma(2.0, size=(dimension, 300))
+    np.testing.assert_allclose(skewness(a), stats.skew(a, axis=1))
+    np.testing.assert_allclose(kurtosis(a), stats.kurtosis(a, axis=1))
+    direction = rng.standard_normal(dimension)
+    assert skewness(a, direction) == pytest.approx(stats.skew(direction @ a))
+    assert kurtosis(a, direction) == pytest.approx(stats.kurtosis(direction @ a))
+
+
+def test_a_single_signal_has_one_moment(rng):
+    a = rng.gamma(2.0, size=200)
+    assert skewness(a).shape == kurtosis(a).shape == ()
+    assert float(kurtosis(a)) == pytest.approx(stats.kurtosis(a))
+
+
+def test_known_distributions():
+    two_points = np.array([1.0, -1.0] * 10)
+    assert kurtosis(two_points) == pytest.approx(-2)
+    even = np.linspace(-1, 1, 100_001)
+    assert kurtosis(even) == pytest.approx(-1.2, abs=1e-3)
+    assert skewness(even) == pytest.approx(0, abs=1e-9)
+    waves = np.sin(2 * np.pi * np.arange(1000) / 50)
+    assert kurtosis(waves) == pytest.approx(-1.5)
+
+
+def test_a_direction_and_its_opposite_differ_in_the_sign_of_skewness_only(rng):
+    a = skewed(rng)
+    assert skewness(a, [1, 2]) == pytest.approx(-skewness(a, [-1, -2]))
+    assert kurtosis(a, [1, 2]) == pytest.approx(kurtosis(a, [-1, -2]))
+
+
+def test_impacts_raise_the_kurtosis_along_the_slide(rng):
+    a = rng.standard_normal((2, 2000))
+    a[1, ::100] += 20.0
+    angles = np.radians(np.arange(0, 180, 5))
+    along = [kurtosis(a, [math.cos(angle), math.sin(angle)]) for angle in angles]
+    peak = angles[np.argmax(along)]
+    assert math.degrees(peak) == pytest.approx(90, abs=10)
+
+
+@pytest.mark.parametrize("function", [skewness, kurtosis])
+@pytest.mark.parametrize(
+    ("a", "direction"),
+    [
+        ([1.0, 2.0, 3.0], None),
+        ([1.0, 2.0, np.nan, 3.0], None),
+        ([1.0, 2.0, np.inf, 3.0], None),
+        ([0.1] * 7, None),
+        ([[1.0, 2.0, 3.0, 5.0], [0.3] * 4], None),
+        ([[1.0, 2.0, 3.0, 5.0], [0.3] * 4], [0.0, 1.0]),
+        ([1.0, 2.0, 3.0, 5.0], [1.0]),
+        ([[1.0, 2.0, 3.0, 5.0]] * 2, [1.0, 0.0, 0.0]),
+        (np.ones((2, 2, 5)), None),
+    ],
+)
+def test_motion_without_moments_is_refused(function, a, direction):
+    with pytest.raises(InvalidData):
+        function(a, direction)
