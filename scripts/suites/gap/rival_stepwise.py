@@ -47,8 +47,6 @@ class Group:
     """Number of columns."""
     read: Read
     """Parameters of the effect from its coefficients."""
-    basic: bool = True
-    """Whether it belongs to the classical set: inertia, friction, springs and rotors."""
     grid: bool = False
     """Whether it is one value of a grid."""
     positive: bool = False
@@ -60,8 +58,6 @@ class Group:
     """Value of the first coefficient beyond that up to which an effect does not count."""
     largest: float = np.inf
     """Largest coefficient for which the columns, which are derivatives, hold."""
-    tensor: bool = False
-    """Whether it is the inertia tensor of a link, which is no effect of its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,24 +119,6 @@ class InverseDynamics:
 
         return self.torque(motion, double) - base
 
-    def moments(self, motion: Motion, body: int, base: Array) -> Array:
-        """Derivatives by the inertia tensor of a body, of shape (t, n, 6): diagonal, then mixed."""
-        step = 0.1 * float(self.recording.model().body_inertia[body].min())
-        columns = []
-        for axis in range(3):
-
-            def grow(model: mujoco.MjModel, axis: int = axis) -> None:
-                model.body_inertia[body, axis] += step
-
-            columns.append((self.torque(motion, grow) - base) / step)
-        for first, second in ((0, 1), (0, 2), (1, 2)):
-
-            def turn(model: mujoco.MjModel, first: int = first, second: int = second) -> None:
-                _add_mixed(model, body, first, second, step)
-
-            columns.append((self.torque(motion, turn) - base) / step)
-        return np.stack(columns, axis=-1)
-
     def centre(self, motion: Motion, body: int, base: Array) -> Array:
         """Derivatives by the centre of mass of a body in its own frame, of shape (t, n, 3)."""
         columns = []
@@ -201,13 +179,6 @@ def _add_point(model: mujoco.MjModel, body: int, place: Array) -> None:
     _set_tensor(model, body, tensor)
 
 
-def _add_mixed(model: mujoco.MjModel, body: int, first: int, second: int, step: float) -> None:
-    tensor = _tensor(model, body)
-    tensor[first, second] += step
-    tensor[second, first] += step
-    _set_tensor(model, body, tensor)
-
-
 def _tensor(model: mujoco.MjModel, body: int) -> Array:
     turn = np.empty(9)
     mujoco.mju_quat2Mat(turn, model.body_iquat[body])
@@ -221,10 +192,6 @@ def _set_tensor(model: mujoco.MjModel, body: int, tensor: Array) -> None:
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, axes.ravel())
     model.body_inertia[body], model.body_iquat[body] = values, quaternion
-
-
-TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
-"""Parameters of an inertia tensor [kg m²]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -317,19 +284,15 @@ def _friction(found: _Collected, recording: Recording, run: JointRun, grid: Grid
         coulomb = reduced(side)
         viscous = reduced(run.position_rate()[:, j])
 
-        def group(
-            kind: str, *names: str, basic: bool = False, nominal: float = 0.0, where: str = name
-        ) -> Group:
+        def group(kind: str, *names: str, nominal: float = 0.0, where: str = name) -> Group:
             return Group(
-                kind=kind, where=where, width=len(names), read=_plain(*names), basic=basic,
+                kind=kind, where=where, width=len(names), read=_plain(*names),
                 positive=True, nominal=nominal,
             )  # fmt: skip
 
-        found.at_joint(group("coulomb_friction", "torque", basic=True), j, [coulomb])
+        found.at_joint(group("coulomb_friction", "torque"), j, [coulomb])
         damping = float(model.dof_damping[j])
-        found.at_joint(
-            group("viscous_friction", "damping", basic=True, nominal=damping), j, [viscous]
-        )
+        found.at_joint(group("viscous_friction", "damping", nominal=damping), j, [viscous])
         found.at_joint(group("quadratic_drag", "drag"), j, [reduced(v * np.abs(v))])
         sides = [reduced(np.maximum(side, 0.0)), reduced(np.minimum(side, 0.0))]
         found.at_joint(group("asymmetric_friction", "forward", "backward"), j, sides)
@@ -340,7 +303,7 @@ def _friction(found: _Collected, recording: Recording, run: JointRun, grid: Grid
             found.at_joint(
                 Group(
                     kind="stribeck_friction", where=name, width=2, read=_stribeck(at * unit),
-                    basic=False, grid=True, positive=True,
+                    grid=True, positive=True,
                 ),
                 j, [coulomb, bump],
             )  # fmt: skip
@@ -397,7 +360,7 @@ def _drives(
             found.at_joint(
                 Group(
                     kind="torque_constant", where=model.joint(j).name, width=1,
-                    read=_gain("factor"), basic=False, nominal=1.0,
+                    read=_gain("factor"), nominal=1.0,
                 ),
                 j, [base[:, j]],
             )  # fmt: skip
@@ -415,7 +378,7 @@ def _drives(
         zone = reduced(gain * np.tanh(run.proportional[:, j] / (1e-4 * gain)))
         # by the torque of the model, which has no noise of the torque that is explained
         found.at_joint(
-            Group(kind="actuator_gain", where=name, width=1, read=_inverse_gain, basic=False,
+            Group(kind="actuator_gain", where=name, width=1, read=_inverse_gain,
                   nominal=1.0),
             j, [base[:, j]],
         )  # fmt: skip
@@ -424,12 +387,10 @@ def _drives(
             ("actuator_lag", _plain("time_constant"), clock, rate[:, j]),
             ("dead_zone", _plain("width"), 0.0, zone),
         ):
-            group = Group(
-                kind=kind, where=name, width=1, read=read, basic=False, positive=True, least=least
-            )
+            group = Group(kind=kind, where=name, width=1, read=read, positive=True, least=least)
             found.at_joint(group, j, [column])
     everywhere = Group(
-        kind="command_delay", where="all", width=1, read=_plain("delay"), basic=False,
+        kind="command_delay", where="all", width=1, read=_plain("delay"),
         positive=True, least=clock,
     )  # fmt: skip
     found.add(everywhere, slope[..., None])
@@ -461,20 +422,14 @@ def _links(
             dynamics.centre(motion, b, base),
         )  # fmt: skip
         found.add(
-            Group(kind="link_inertia", where=name, width=6, read=_plain(*TENSOR), tensor=True),
-            dynamics.moments(motion, b, base),
-        )
-        found.add(
-            Group(
-                kind="gravity_compensation", where=name, width=1, read=_plain("share"), basic=False
-            ),
+            Group(kind="gravity_compensation", where=name, width=1, read=_plain("share")),
             -dynamics.weight(motion, b)[..., None],
         )
     site = next((s for s in range(model.nsite) if model.site(s).name == "tool"), None)
     if site is not None:
         body, place = int(model.site_bodyid[site]), model.site_pos[site].copy()
         found.add(
-            Group(kind="payload", where="tool", width=4, read=_payload, basic=False, positive=True),
+            Group(kind="payload", where="tool", width=4, read=_payload, positive=True),
             dynamics.point_mass(motion, body, place, base),
         )
 
@@ -495,7 +450,7 @@ def _angles(
 ) -> None:
     found.add(
         Group(kind="base_tilt", where="base", width=2, read=_plain("tilt_x", "tilt_y"),
-              basic=False, largest=grid.largest_angle),
+              largest=grid.largest_angle),
         dynamics.tilt(motion, base),
     )  # fmt: skip
     for j in range(model.njnt):
@@ -503,13 +458,13 @@ def _angles(
         if _is_slide(model, j):
             continue
         found.add(
-            Group(kind="encoder_offset", where=name, width=1, read=_plain("offset"), basic=False,
+            Group(kind="encoder_offset", where=name, width=1, read=_plain("offset"),
                   largest=grid.largest_angle),
             -dynamics.position(motion, j, base)[..., None],
         )  # fmt: skip
         for order in grid.ripple_orders:
             found.at_joint(
-                Group(kind="torque_ripple", where=name, width=2, read=_ripple(order), basic=False,
+                Group(kind="torque_ripple", where=name, width=2, read=_ripple(order),
                       grid=True),
                 j, [np.sin(order * q), np.cos(order * q)],
             )  # fmt: skip
@@ -738,18 +693,6 @@ class Regression:
         """Root mean square of the held-out run's residual [noise sd]."""
         return float(np.sqrt(np.mean((self.residual(fit, -1) / self.noise) ** 2)))
 
-    def wald(self, fit: Fit, position: int) -> tuple[float, int]:
-        """Wald statistic of the group at a position among the chosen ones, and its rank."""
-        at = self.within(fit, position)
-        values, covariance = fit.coefficients[at], fit.covariance[at, at]
-        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        inverse = linalg.pinvh(covariance / np.outer(scale, scale), rtol=1e-8)
-        return float(values / scale @ inverse @ (values / scale)), len(values)
-
-    def p_value(self, fit: Fit, position: int) -> float:
-        """Probability of so large a Wald statistic without the effect."""
-        return float(stats.chi2.sf(*self.wald(fit, position)))
-
     def effect(self, fit: Fit, position: int) -> NamedEffect:
         """Effect at a position among the chosen ones; intervals by the delta method."""
         group, at = self.groups[fit.chosen[position]], self.within(fit, position)
@@ -845,9 +788,7 @@ def _noise(
 def _reweighted(first: Regression) -> Regression:
     """Weights and autocorrelation from what a fit of all groups outside grids leaves."""
     # without torques the whole regressor would fit any motion by an arm of no inertia
-    fit = first.fit(
-        [i for i, g in enumerate(first.groups) if not g.grid and not g.tensor] * first.driven
-    )
+    fit = first.fit([i for i, g in enumerate(first.groups) if not g.grid] * first.driven)
     residuals = [first.residual(fit, i) for i in first.training]
     left = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
     weights = np.maximum(first.noise, left) if first.driven else first.noise
@@ -893,13 +834,9 @@ def run_stepwise_bic(recording: Path, folder: Path, tolerance: float) -> None:
 def selected(regression: Regression, settings: StepwiseSettings) -> Fit:
     """Fit of the groups that forward steps with deletions choose."""
     gram = regression.gram()
-    search = 2.0 * np.log(sum(not group.tensor for group in regression.groups))
-    prices = np.array(
-        [
-            np.inf if group.tensor else group.width * np.log(regression.independent_rows) + search
-            for group in regression.groups
-        ]
-    )
+    search = 2.0 * np.log(len(regression.groups))
+    widths = np.array([group.width for group in regression.groups])
+    prices = widths * np.log(regression.independent_rows) + search
     fit = regression.fit([], gram)
     while len(fit.chosen) < settings.most_groups:
         drops = regression.gains(fit, gram) / regression.inflation - prices

@@ -17,6 +17,7 @@ import functools
 import json
 import math
 import shutil
+import tempfile
 import time
 import traceback
 from collections.abc import Callable, Sequence
@@ -56,7 +57,7 @@ from scripts.suites.gap.cases import (
     write_case,
 )
 from scripts.suites.gap.grading import Grade, failed, grade, separable_by_data
-from scripts.suites.gap.tables import lines_of_cases, markdown, methods_table, text
+from scripts.suites.gap.tables import METHODS, lines_of_cases, markdown, methods_table, text
 from scripts.suites.rows import Row, add, check_code, code_hash, kept, run_cases
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -244,6 +245,8 @@ class RunSettings:
     """Keep recordings after their case is graded (about 3 MB each)."""
     show: bool = False
     """Run nothing, print the kept rows."""
+    recording: Path | None = None
+    """Print what the tool says of one recording instead."""
     methods: bool = False
     """Run nothing, print the table of all methods on the cases that all of them have."""
     afresh: bool = False
@@ -296,6 +299,24 @@ def tables(rows: Sequence[Row], asked: int) -> str:
     return "\n".join(parts).rstrip() + "\n"
 
 
+def said_of(recording: Path, tool: str, tolerance: float = 0.03) -> str:
+    """What a tool says of one recording, a line for each effect."""
+    with tempfile.TemporaryDirectory() as place:
+        tool_named(tool)(recording, Path(place), tolerance)
+        result = read_result(place)
+    lines = [
+        f"{METHODS[tool]}: {result.verdict}; residual on the held-out run "
+        f"{result.gap.before:.2f} noise sd before, {result.gap.after:.2f} after"
+    ]
+    for effect in (*result.effects, *result.doubtful):
+        values = []
+        for key, value in effect.parameters.items():
+            low, high = effect.interval_95.get(key, (math.nan, math.nan))
+            values.append(f"{key} {value:.4g} ({low:.4g} to {high:.4g})")
+        lines.append(f"  {effect.kind} at {effect.where}: {', '.join(values)}")
+    return "\n".join(lines)
+
+
 def run(settings: RunSettings) -> None:
     """Run the cases asked for and print how the tool did."""
     if settings.methods:
@@ -310,6 +331,9 @@ def run(settings: RunSettings) -> None:
         print(content)
         if settings.docs:
             write_between(DOCS, content, name="methods")
+        return
+    if settings.recording is not None:
+        print(said_of(settings.recording, settings.tool))
         return
     if settings.docs and settings.tool != TOOL:
         raise InvalidSetting("--docs writes the tables of loose gap; see --methods")
