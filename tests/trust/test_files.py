@@ -35,7 +35,18 @@ def test_damaged_files_are_refused_by_name_or_read(watch: Watch, kind: str) -> N
     assert any(outcome == "refused" for outcome, _ in found)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if "MJCF" not in kind])
+RESULTS = ("gap result", "diagnosis result", "plan beside a recording", "rows")
+"""Kinds for which the tools are run first."""
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(k, marks=pytest.mark.slow) if k in RESULTS else k
+        for k in KINDS
+        if "MJCF" not in k
+    ],
+)
 def test_a_pickle_in_the_place_of_a_file_is_refused_and_not_loaded(watch: Watch, kind: str) -> None:
     data = pickle.dumps(Trap(watch.cwd / "EXECUTED"))
     for name in KINDS[kind].damaged:

@@ -53,7 +53,7 @@ OWN = {
         "pickle.loads",
     ): "what the same line has pickled, to see if it can be",
     (
-        "loose_env/arms/engine_warnings.py",
+        "loose_env/arms/arm.py",
         "ctypes.CDLL",
     ): "MuJoCo's own library, and only if `import mujoco` has loaded it already",
     (

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +38,6 @@ from scripts.suites.gap.public import (
     places_of,
     read_answer,
     read_suite,
-    seed_of,
 )
 from scripts.suites.gap.public_scores import (
     PAGE,
@@ -112,15 +110,6 @@ def test_the_published_cases_are_what_they_were() -> None:
     assert dict(case.arm.effects[0].parameters) == pytest.approx(PUBLISHED, rel=1e-6)
 
 
-def test_another_seed_tells_nothing_by_names_or_lengths() -> None:
-    seed = seed_of("another")
-    names = [int(name_of(n, seed=seed)[5:]) for n in range(4000, 6000)]
-    assert min(names) < 4000  # names of cases with many effects lie among the others
-    assert len({name_of(n, seed=seed) for n in range(6000)}) == 6000
-    lengths = {len(motion.commands) for motion in draw_case(310, seed=seed_of(PHRASE)).motions}
-    assert lengths == {6000} != {len(motion.commands) for motion in draw_case(310).motions}
-
-
 def test_numbers_are_drawn_by_the_seed_from_those_not_published() -> None:
     one, same, other = (drawn_numbers(24, seed) for seed in (1, 1, 2))
     assert one == same != other
@@ -183,17 +172,6 @@ def test_a_perfect_answer_scores_one_and_an_empty_one_nothing(
     assert empty.cases == ()
     board = leaderboard([empty, found])
     assert board.index("oracle") < board.index("none")
-
-
-def test_an_answer_written_by_a_shell_is_scored(
-    suite_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    script = """for folder in "$1"/recordings/*/; do
-        printf '{"format": "gap-answer/1", "verdict": "no_gap"}' > "$2/$(basename "$folder").json"
-    done"""
-    subprocess.run(["sh", "-c", script, "sh", suite_folder, tmp_path], check=True)
-    main(["score", str(suite_folder), str(tmp_path), "--name", "shell"])
-    assert "cases right                     1/2" in capsys.readouterr().out
 
 
 EFFECT = {"kind": "coulomb_friction", "where": "joint1"}
@@ -334,9 +312,3 @@ def test_the_leaderboard_of_the_page_is_that_of_the_stored_scores() -> None:
         again = total(found.cases, **told)
         assert (again.right, again.found, again.named) == (found.right, found.found, found.named)
         assert (again.recall, again.brier) == pytest.approx((found.recall, found.brier))
-
-
-def test_entries_lie_beside_their_answers() -> None:
-    for path in stored_scores():
-        cases = {case.case for case in read_score(path).cases}
-        assert cases == {file.stem for file in path.with_suffix("").glob("*.json")}

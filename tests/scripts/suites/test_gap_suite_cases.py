@@ -16,7 +16,6 @@ from scripts.suites.gap.arms import planar3
 from scripts.suites.gap.cases import (
     HELD_OUT,
     RUNS,
-    SEED,
     VISIBLE,
     Case,
     Visibility,
@@ -28,7 +27,6 @@ from scripts.suites.gap.cases import (
     role_of,
     runs_of,
     tolerance_of,
-    torque_residual,
     truth_of,
     visible_size,
     write_case,
@@ -39,9 +37,7 @@ from scripts.suites.gap.machine import (
     Noise,
     TrueArm,
     add_noise,
-    motions,
     rich_motion,
-    shaken_motion,
 )
 from scripts.suites.gap.simulate import TOLERANCE, Factors
 
@@ -62,13 +58,6 @@ def noise() -> Noise:
 def view(arm, noise) -> Visibility:
     motion = rich_motion(np.random.default_rng(7), arm.figures, family="multisine", seconds=2.0)
     return Visibility(arm, motion, noise, "forward")
-
-
-def test_true_figures_are_one_to_three_per_cent_off():
-    off = np.abs(Factors.draw(4, np.random.default_rng(0)).flat() - 1)
-    assert off.shape == (24,)
-    assert off.min() >= 0.01
-    assert off.max() <= 0.03
 
 
 def test_the_list_holds_every_kind_and_names_say_nothing():
@@ -102,22 +91,6 @@ def test_what_the_tolerance_explains_is_not_seen_and_a_little_more_is(view):
         assert view.of(kind, place, {}, 0.95 * room * armature) < 0.2
         size = visible_size(view, kind, place, {})
         assert size is None or size > room * armature
-
-
-def test_an_effect_that_brings_a_figure_back_to_its_nominal_value_is_not_seen(view):
-    kind = kinds()["link_mass"]
-    for link, place in enumerate(kind.places(view.arm.figures)):
-        off = view.arm.factors.mass[link] - 1
-        back, away = (
-            view.of(kind, place, {"sign": -sign * np.sign(off)}, 2 * abs(off)) for sign in (1, -1)
-        )
-        assert back < 0.2 and back < away
-
-
-def test_an_effect_too_small_in_all_its_range_has_no_visible_size(view, monkeypatch):
-    monkeypatch.setattr(view, "of", lambda *_: 1.0)
-    kind = kinds()["payload"]
-    assert visible_size(view, kind, kind.places(view.arm.figures)[0], {}) is None
 
 
 def test_a_case_is_drawn_by_its_number_alone():
@@ -182,53 +155,6 @@ def test_readings_have_the_noise_and_the_steps_they_are_said_to_have(arm, noise)
     np.testing.assert_allclose(error, 1.0, atol=0.1)
 
 
-def test_a_rigid_arm_needs_the_torque_that_its_drives_give(arm):
-    rng = np.random.default_rng(1)
-    motion = motions(rng, arm.figures, form="inverse", runs=1, seconds=3.0)[0]
-    signals = arm.run(motion)
-    right = torque_residual(signals, arm.figures, arm.factors)
-    wrong = torque_residual(signals, arm.figures, arm.factors.changed("mass", 2, 0.2))
-    limits = [link.limit for link in arm.figures.links]
-    assert np.all(np.abs(right).max(axis=0) < 0.002 * np.array(limits))
-    assert wrong[:, 0].std() + abs(wrong[:, 0].mean()) > 10 * right[:, 0].std()
-
-
-@pytest.mark.parametrize("form", ["inverse", "random"])
-def test_other_forms_see_a_heavy_payload_and_no_small_one(arm, noise, form):
-    rng = np.random.default_rng(3)
-    if form == "random":
-        motion = shaken_motion(rng, arm.figures, joint=1, seconds=5.0)
-    else:
-        motion = motions(rng, arm.figures, form="inverse", runs=1, seconds=5.0)[0]
-    view = Visibility(arm, motion, noise, form)
-    kind = kinds()["payload"]
-    place = kind.places(arm.figures)[0]
-    at_tool = {"x": 0.0, "y": 0.0, "z": 0.0}
-    assert view.of(kind, place, at_tool, 1.4) > VISIBLE
-    assert view.of(kind, place, at_tool, 0.002) < 0.5
-
-
-def test_two_effects_that_act_alike_are_no_pair(view):
-    figures = view.arm.figures
-    tilt, offset, friction = (
-        Effect(
-            kind=name,
-            place=kinds()[name].places(figures)[0],
-            parameters=parameters,
-        )
-        for name, parameters in (
-            ("base_tilt", {"angle": 0.02, "x": 0.0, "y": 0.02}),
-            ("encoder_offset", {"offset": 0.02}),
-            (
-                "coulomb_friction",
-                {"torque": 2.0, "static_torque": 2.1, "speed": 0.1, "smooth_speed": 2e-3},
-            ),
-        )
-    )
-    assert view.beside(tilt, offset) < VISIBLE
-    assert view.beside(friction, offset) > VISIBLE
-
-
 def test_an_outside_effect_is_seen_beyond_what_the_catalogue_explains(view):
     kind = kinds()["drive_hysteresis"]
     place = kind.places(view.arm.figures)[1]
@@ -291,16 +217,3 @@ def test_a_whole_machine_has_many_clearly_visible_effects() -> None:
     assert off.min() >= 0.03 and off.max() <= tolerance_of(5001) == 0.10
     assert tolerance_of(1001) == TOLERANCE
     assert np.array_equal(draw_case(5001).arm.factors.flat(), case.arm.factors.flat())
-
-
-def test_of_a_machine_of_both_forms_every_other_run_has_torques() -> None:
-    number = next(n for n in range(5000, 5100) if _form(n) == "mixed")
-    case = draw_case(number)
-    forms = ["inverse" if run.torques else "forward" for run in runs_of(case)]
-    assert forms == ["forward", "inverse"] * (len(forms) // 2)
-
-
-def _form(number: int) -> str:
-    """Form of a machine, which is drawn first."""
-    rng = np.random.default_rng(np.random.SeedSequence([SEED, 0, number]))
-    return str(rng.choice(["forward", "inverse", "mixed"], p=[0.5, 0.3, 0.2]))

@@ -7,9 +7,7 @@ from typing import Any
 import pytest
 
 from loose_env.recording import read_recording
-from scripts.suites.machines import __main__ as suite
 from scripts.suites.machines.__main__ import (
-    calibration,
     line_of,
     main,
     result_of,
@@ -20,7 +18,7 @@ from scripts.suites.machines.__main__ import (
 )
 from scripts.suites.machines.case import CaseSettings, draw, play
 from scripts.suites.machines.machine import Unstable
-from scripts.suites.rows import add, kept
+from scripts.suites.rows import kept
 from tests.instrument.test_result import diagnosis
 
 SHORT = CaseSettings(runs=2, poses=1, seconds=0.3)
@@ -60,6 +58,7 @@ def test_a_result_is_kept_with_its_verdict_and_errors() -> None:
     json.dumps(found)
 
 
+@pytest.mark.slow
 def test_a_case_is_diagnosed_and_a_finished_one_is_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -112,26 +111,3 @@ def test_tables_count_false_alarms_links_and_what_was_refused() -> None:
     assert "| `cables` | 1 of 3 = 33.3%" in said
     assert "no run can be used" in line_of(refused)
     assert tables([])
-
-
-def test_calibration_error_is_the_mean_distance_of_probability_and_accuracy() -> None:
-    rows = [row(probability=0.8), row(probability=0.8, named="healthy")]
-    error, lines = calibration(rows)
-    assert error == pytest.approx(0.3)
-    assert lines == [("0.7 to 0.9", "2", "0.800", "0.500")]
-
-
-def test_the_page_takes_tables_between_its_marks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    page, out = tmp_path / "page.md", tmp_path / "rows.jsonl"
-    marks = [(f"<!-- {n}: begin -->", f"<!-- {n}: end -->") for n in ("tables", "disturbances")]
-    text = "Before\n" + "\nbetween\n".join(f"{a}\nold\n{b}" for a, b in marks) + "\nAfter"
-    page.write_text(text, encoding="utf-8")
-    add(out, row())
-    monkeypatch.setattr(suite, "DOCS", page)
-    for _ in range(2):
-        main(["--table", "--docs", "--out", str(out)])
-    written = page.read_text("utf-8")
-    assert written.startswith("Before") and written.endswith("After") and "between" in written
-    assert "old" not in written and written.count("`clock_drift`") == 1

@@ -39,6 +39,7 @@ def test_commands_on_anything_end_with_a_result_or_one_line(case: Case, tmp_path
     assert outcome in ("result", "refused"), f"{case.words}\n{words}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [1009, 1019, 1027])
 def test_spectra_with_few_lines_are_no_traceback(number: int, tmp_path: Path) -> None:
     case = case_of(number, ("gap", "doctor", "diagnose"))
