@@ -23,6 +23,7 @@ PARTS = (
     "importing",
     "rig",
     "statistics",
+    "inference",
     "kinematics",
     "diagnosis",
     "gap",
@@ -35,16 +36,9 @@ PARTS = (
     "report",
     "api",
 )
-"""Parts of the package in the order in which data flow, without the command line and the thesis."""
+"""Parts of the package in the order in which data flow, without the command line."""
 
-AGENTS = (
-    "core/base",
-    "core/estimators",
-    "core/belief_agent",
-    "evaluation/evaluate",
-    "policies/policies",
-    "registry",
-)
+AGENTS = ("base", "belief", "evaluation", "comparison", "policies/choice", "registry")
 """Modules of the agents that somebody who adds one meets."""
 
 

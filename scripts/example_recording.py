@@ -13,16 +13,18 @@ Usage: python scripts/example_recording.py --out example
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 import mujoco
 import numpy as np
-from loose_agents.execution.script_errors import errors_in_one_line
 from numpy.typing import NDArray
+from tyro.conf import arg
 
 from loose_env.arms import DESK_ARM, Mismatch, arm_from_file
+from loose_env.cli.command import command
 from loose_env.excitation import Excitation
 from loose_env.faults import StructuralLooseness
 from loose_env.instrument import read_arm
@@ -133,8 +135,8 @@ def example(folder: Path, *, seed: int = 1) -> Recording:
         for _ in range(4000):  # comes to rest
             mujoco.mj_step(model, data)
         shown = np.zeros((len(time), model.nsensordata))
-        for row, command in zip(shown, given, strict=True):
-            data.ctrl[:] = command
+        for row, control in zip(shown, given, strict=True):
+            data.ctrl[:] = control
             mujoco.mj_step(model, data)
             row[:] = data.sensordata
             mujoco.mj_step(model, data)
@@ -180,27 +182,30 @@ MADE: dict[str, Callable[..., Recording]] = {"gap": example, "diagnose": loose_a
 """Command -> what makes a recording for it."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the recording."""
+
+    out: Path = Path("example")
+    """Folder; new or empty."""
+    command: Annotated[Literal["gap", "diagnose"], arg(name="for")] = "gap"
+    """Command that reads it."""
+    seed: int = 1
+    """Seed of parameters, motions and noise."""
+
+
+def make(options: Options) -> None:
+    """Make the recording and say what to do with it."""
+    recording = MADE[options.command](options.out, seed=options.seed)
+    seconds = recording.runs[0].time[-1] - recording.runs[0].time[0]
+    print(f"{recording.folder}: {len(recording.runs)} runs of {seconds:.1f} s. Now:")
+    given, name = recording.folder, options.command
+    print(f"  loose {name} {given} --out {given}-{name}")
+
+
 def main() -> None:
-    """Read the options and make it."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, default=Path("example"), help="folder; new or empty")
-    parser.add_argument(
-        "--for",
-        dest="command",
-        choices=sorted(MADE),
-        default="gap",
-        help="command that reads it (default: gap)",
-    )
-    parser.add_argument("--seed", type=int, default=1, help="of parameters, motions and noise")
-    options = parser.parse_args()
-    with errors_in_one_line("example_recording"):
-        recording = MADE[options.command](options.out, seed=options.seed)
-        seconds = recording.runs[0].time[-1] - recording.runs[0].time[0]
-        print(f"{recording.folder}: {len(recording.runs)} runs of {seconds:.1f} s. Now:")
-        given, name = recording.folder, options.command
-        print(f"  loose {name} {given} --out {given}-{name}")
+    """Make it, with errors in one line."""
+    command("example_recording", __doc__, Options, make)
 
 
 if __name__ == "__main__":

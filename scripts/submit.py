@@ -11,17 +11,18 @@ make plays an agent (a name, module:Class, path/model.zip or the folder of an ex
 writes OUT/TASK/ENTRY.json, OUT/TASK/SET/ENTRY.json for sets out of distribution; stopped at any
 moment, the same command goes on. check reads files and plays a sample of their episodes again:
 their actions, and the agent where the file names one. board prints the leaderboard of the files in
-docs/benchmark_results. docs/benchmark.md has protocol and format. Exit codes: 0 done, 2 a file or
-an argument cannot be used, or what was replayed differs.
+docs/benchmark_results. docs/benchmark.md has protocol and format. Exit codes: 0 done, 1 a file or
+a setting cannot be used, or what was replayed differs, 2 the command line is wrong.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 # One thread each: the order in which threads add up changes the last digit of a return.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -30,6 +31,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
+from loose_agents.benchmark.episodes import SETS, TASKS, set_named, task_problem
 from loose_agents.benchmark.leaderboard import (
     RESULTS,
     leaderboard,
@@ -37,65 +39,86 @@ from loose_agents.benchmark.leaderboard import (
     stored_results,
     value_tables,
 )
-from loose_agents.benchmark.reference import training_of
-from loose_agents.benchmark.results import Results, read_results, write_results
-from loose_agents.benchmark.submission import check_results, play_results
-from loose_agents.benchmark.tasks import SETS, TASKS, set_named, task_problem
-from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.execution.study import write_between
+from loose_agents.benchmark.results import (
+    Results,
+    check_results,
+    play_results,
+    read_results,
+    training_of,
+    write_results,
+)
 from loose_agents.registry import describe
+from tyro.conf import Positional
 
+from loose_env.cli.command import commands, one_of
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.io import Count, NonNegativeCount
+from scripts.study import write_between
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "benchmark.md"
 """Page of the leaderboard."""
-SAMPLE = 20
-"""Episodes that are played again by default."""
 
 
-def parser_of() -> argparse.ArgumentParser:
-    """The commands and their options."""
-    parser = argparse.ArgumentParser(
-        prog="python scripts/submit.py",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    commands = parser.add_subparsers(dest="command", required=True)
-    made = commands.add_parser("make", help="play agents and write results files")
-    made.add_argument("--agents", nargs="+", required=True, metavar="AGENT")
-    made.add_argument("--tasks", nargs="+", default=list(TASKS), choices=TASKS, metavar="TASK")
-    made.add_argument("--sets", nargs="+", default=["test"], choices=list(SETS), metavar="SET",
-                      help=f"of {', '.join(SETS)}")  # fmt: skip
-    made.add_argument("--episodes", type=int, help="the first so many; default: the whole set")
-    made.add_argument("--entry", default="", help="name on the leaderboard; default: the agent's")
-    made.add_argument("--about", default="", help="the method in a sentence")
-    made.add_argument("--code", default="", help="address of code and weights")
-    made.add_argument("--log", default="", help="learning curve or log: path or address")
-    made.add_argument("--training-records", type=int, help="records taken in training and tuning")
-    made.add_argument("--agent-seed", type=int, default=0, help="seed of what the agent draws")
-    made.add_argument("--actions-only", action="store_true",
-                      help="do not name the agent: it is not in the repository")  # fmt: skip
-    made.add_argument("--out", type=Path, default=Path("benchmark_results"), metavar="FOLDER")
-    made.add_argument("--shards", type=Path, default=Path("runs/benchmark"), metavar="FOLDER",
-                      help="folder of episodes until a file is whole")  # fmt: skip
-    checked = commands.add_parser("check", help="check files by playing a sample again")
-    checked.add_argument("files", type=Path, nargs="+", metavar="FILE")
-    checked.add_argument("--episodes", type=int, default=SAMPLE, help="episodes of each file")
-    checked.add_argument("--seed", type=int, help="seed of the sample; default: drawn")
-    checked.add_argument("--actions-only", action="store_true", help="do not play the agent")
-    board = commands.add_parser("board", help="leaderboard of stored results")
-    board.add_argument("--docs", action="store_true", help="write it to docs/benchmark.md")
-    return parser
+@dataclass(frozen=True, kw_only=True)
+class Make:
+    """Play agents and write results files."""
+
+    agents: tuple[str, ...]
+    """Names, module:Class, path/model.zip or the folder of an exported policy."""
+    tasks: tuple[Annotated[str, one_of(TASKS)], ...] = TASKS
+    """Tasks of the benchmark."""
+    sets: tuple[Annotated[str, one_of(tuple(SETS))], ...] = ("test",)
+    """Sets of episodes."""
+    episodes: Count | None = None
+    """The first so many; the whole set by default."""
+    entry: str = ""
+    """Name on the leaderboard; the agent's by default."""
+    about: str = ""
+    """The method in a sentence."""
+    code: str = ""
+    """Address of code and weights."""
+    log: str = ""
+    """Learning curve or log: path or address."""
+    training_records: NonNegativeCount | None = None
+    """Records taken in training and tuning."""
+    agent_seed: int = 0
+    """Seed of what the agent draws."""
+    actions_only: bool = False
+    """Do not name the agent: it is not in the repository."""
+    out: Path = Path("benchmark_results")
+    """Folder of the results."""
+    shards: Path = Path("runs/benchmark")
+    """Folder of episodes until a file is whole."""
+
+    def __post_init__(self) -> None:
+        if self.entry and len(self.agents) > 1:
+            raise InvalidSetting("--entry names one agent; leave it out for several")
 
 
-def check_same_agent(path: Path, there: Results, given: argparse.Namespace, agent: str) -> None:
-    """Refuse to take a stored file for the results of another agent.
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Check files by playing a sample again."""
 
-    Raises
-    ------
-    InvalidSetting
-        If agent or seed differ from those of the file.
-    """
+    files: Positional[tuple[Path, ...]]
+    """Results files."""
+    episodes: Count = 20
+    """Episodes of each file."""
+    seed: int | None = None
+    """Seed of the sample; drawn by default."""
+    actions_only: bool = False
+    """Do not play the agent."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Board:
+    """Leaderboard of stored results."""
+
+    docs: bool = False
+    """Write it to docs/benchmark.md."""
+
+
+def check_same_agent(path: Path, there: Results, given: Make, agent: str) -> None:
+    """Refuse to take a stored file for the results of another agent."""
     asked = None if given.actions_only else agent
     if (there.agent, there.agent_seed) != (asked, given.agent_seed):
         raise InvalidSetting(
@@ -104,12 +127,8 @@ def check_same_agent(path: Path, there: Results, given: argparse.Namespace, agen
         )
 
 
-def make(given: argparse.Namespace) -> None:
+def make(given: Make) -> None:
     """Play what is missing; a file that is there is left alone."""
-    if given.entry and len(given.agents) > 1:
-        raise InvalidSetting("--entry names one agent; leave it out for several")
-    if given.training_records is not None and given.training_records < 0:
-        raise InvalidSetting("--training-records must be 0 or more")
     for task in given.tasks:
         for agent in given.agents:
             for set_name in given.sets:
@@ -148,10 +167,8 @@ def make(given: argparse.Namespace) -> None:
                 )
 
 
-def check(given: argparse.Namespace) -> None:
+def check(given: Check) -> None:
     """Check files one by one; the first that is wrong ends it."""
-    if given.episodes < 1:
-        raise InvalidSetting(f"--episodes must be 1 or more, got {given.episodes}")
     rng = np.random.default_rng(given.seed)
     for path in given.files:
         results = read_results(path)
@@ -164,7 +181,7 @@ def check(given: argparse.Namespace) -> None:
         print(f"{path}: {said}")
 
 
-def board(given: argparse.Namespace) -> None:
+def board(given: Board) -> None:
     """Print the tables, and put them on the page."""
     results = stored_results(RESULTS)
     values, entries = value_tables(results), leaderboard(results)
@@ -175,17 +192,10 @@ def board(given: argparse.Namespace) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Take the command line."""
-    given = parser_of().parse_args(arguments)
-    run = {"make": make, "check": check, "board": board}[given.command]
-    try:
-        with errors_in_one_line(f"submit {given.command}", interrupted="the same command goes on"):
-            run(given)
-    except SystemExit as ended:
-        if not isinstance(ended.code, str):
-            raise
-        print(ended.code, file=sys.stderr)
-        raise SystemExit(2) from None
+    """Run the command that is named."""
+    actions = {"make": (Make, make), "check": (Check, check), "board": (Board, board)}
+    going_on = "the same command goes on"
+    commands("submit", __doc__, actions, arguments, interrupted=going_on)
 
 
 if __name__ == "__main__":

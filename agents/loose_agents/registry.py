@@ -19,11 +19,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from loose_agents.core.base import Agent, Problem
-from loose_agents.core.belief_agent import BeliefAgent, Sure
-from loose_agents.core.estimators import (
+from loose_agents.base import Agent, Problem
+from loose_agents.belief import (
     ESTIMATORS,
     WEIGHTS,
+    AfterRecords,
+    BeliefAgent,
+    Sure,
     make_estimator,
     setting_name,
     tuned,
@@ -32,18 +34,26 @@ from loose_agents.core.estimators import (
     weights_digest,
     weights_path,
 )
-from loose_agents.evaluation.evaluate import AfterRecords
-from loose_agents.policies.blind import BlindAgent
-from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings, arm_class
-from loose_agents.policies.link_finding import LinkFindingAgent
-from loose_agents.policies.local import LocalAgent
-from loose_agents.policies.non_adaptive import FIXED_RECORDS, FixedPolicy, tuned_sequence
-from loose_agents.policies.oracle import oracle_agent
-from loose_agents.policies.policies import POLICIES, make_policy
-from loose_agents.policies.spatial_link_finding import (
+from loose_agents.policies.choice import (
+    FIXED_RECORDS,
+    POLICIES,
+    FixedPolicy,
+    make_policy,
+    tuned_sequence,
+)
+from loose_agents.policies.classical import (
+    BlindAgent,
+    ClassicalAgent,
+    ClassicalSettings,
+    LocalAgent,
+    arm_class,
+)
+from loose_agents.policies.link_finding import (
+    LinkFindingAgent,
     SpaceLinkFindingAgent,
     SpaceLinkFindingSettings,
 )
+from loose_agents.policies.oracle import oracle_agent
 from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
 from loose_env.faults import UNSURE
@@ -66,8 +76,8 @@ def belief_agent(estimator: str, policy: str, problem: Problem, *, seed: int = 0
     Parameters
     ----------
     estimator, policy : str
-        Names in `loose_agents.core.estimators.ESTIMATORS` and
-        `loose_agents.policies.policies.POLICIES`.
+        Names in `loose_agents.belief.ESTIMATORS` and
+        `loose_agents.policies.choice.POLICIES`.
     problem : Problem
         The nominal arm and the rules.
     seed : int
@@ -149,9 +159,9 @@ def _blind(verdict: str) -> Callable[[Problem, int], Agent]:
 
 def _learned(name: str, training: str = "") -> Callable[[Problem, int], Agent]:
     def make(problem: Problem, seed: int) -> Agent:
-        from loose_agents.rl.learned_policy import LearnedAgent
+        from loose_agents.rl.agents import LearnedAgent
 
-        folder = f"{LEARNED[name]}-{setting_name(problem)}"
+        folder = f"{name}-{setting_name(problem)}"
         agent = LearnedAgent.load(
             problem, weights_path(f"{folder}-{training}" if training else folder)
         )
@@ -163,8 +173,8 @@ def _learned(name: str, training: str = "") -> Callable[[Problem, int], Agent]:
     return make
 
 
-LEARNED = {"ppo": "ppo", "recurrent_ppo": "ppo_lstm", "maskable_ppo": "maskable_ppo"}
-"""Learned agents, and the algorithm that trained each."""
+LEARNED = ("ppo", "maskable_ppo")
+"""Learned agents, named after the algorithm that trained each."""
 
 
 AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
@@ -211,7 +221,6 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
         "no agent: greedy, told the hidden direction and friction",
     ),
     "ppo": (_learned("ppo"), "a policy trained by PPO on the learned posterior"),
-    "recurrent_ppo": (_learned("recurrent_ppo"), "the same with a memory of its own"),
     "maskable_ppo": (_learned("maskable_ppo"), "the same, allowed choices only"),
 }
 """Constructor and short description of each agent."""
@@ -287,11 +296,11 @@ def is_outside(name: str) -> bool:
 
 def _from_outside(name: str, problem: Problem, seed: int) -> Agent:
     if name.endswith(".zip"):
-        from loose_agents.rl.model_agent import model_agent
+        from loose_agents.rl.agents import model_agent
 
         return model_agent(name, problem, seed=seed)
     if Path(name).is_dir():
-        from loose_agents.rl.learned_policy import LearnedAgent
+        from loose_agents.rl.agents import LearnedAgent
 
         return LearnedAgent.load(problem, name)
     module, _, attribute = name.partition(":")

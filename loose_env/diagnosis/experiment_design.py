@@ -346,7 +346,7 @@ class Expectation:
 
 
 USUAL_FACTORS = InformationFactors(length=0.06, together=-0.46)
-"""Fitted on records of planar4; `loose_agents.posterior_training.information_calibration` fits
+"""Fitted on records of planar4; `loose_agents.posterior_training` fits
 those of other arms."""
 
 

@@ -10,7 +10,7 @@ them. Mismatch, which all records of an arm share, enters as a temper by the num
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -129,6 +129,7 @@ FORMAT = "loose-posterior/1"
 REFERENCE = "reference."
 """Prefix of the names of the tensors of a `NoveltyReference`."""
 CONFIGURATION, WEIGHTS = "configuration.json", "posterior.safetensors"
+_TRAINER = "scripts/agents/train_posterior.py"
 
 _MOST_DIRECTIONS = 10_000
 _MOST_FRICTION = 1e6  # over the seat drive of the top level
@@ -342,25 +343,8 @@ def _grid(configuration: Mapping[str, Any], file: Path) -> tuple[int, tuple[floa
     return directions, (float(friction[0]), float(friction[1]))
 
 
-def read_network(
-    folder: str | Path,
-    *,
-    format: str = FORMAT,
-    needs: Sequence[str] = ("arm", "directions", "friction"),
-    trainer: str = "scripts/agents/train_posterior.py",
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read the configuration and the tensors of a trained network.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Where `write_network` wrote them.
-    format : str
-        Format that the configuration has to name.
-    needs : sequence of str
-        Entries that it has to have.
-    trainer : str
-        Command that trains one, for the errors.
+def read_network(folder: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Read the configuration and the tensors that `write_network` wrote into a folder.
 
     Raises
     ------
@@ -377,22 +361,22 @@ def read_network(
     except FileNotFoundError as error:
         raise InvalidData(
             f"no trained posterior in {where}: {CONFIGURATION} and {WEIGHTS} are needed; train one "
-            f"with {trainer}"
+            f"with {_TRAINER}"
         ) from error
     except (ValueError, RecursionError, OSError, SafetensorError) as error:
         reason = " ".join(str(error).split())[:200]
         raise InvalidData(f"the trained posterior in {where} cannot be read: {reason}") from error
     found = configuration.get("format") if isinstance(configuration, dict) else None
-    if found != format:
+    if found != FORMAT:
         raise InvalidData(
-            f"the posterior in {where} has format {found!r:.60}, not {format!r}; train it again "
-            f"with {trainer}"
+            f"the posterior in {where} has format {found!r:.60}, not {FORMAT!r}; train it again "
+            f"with {_TRAINER}"
         )
-    missing = [name for name in needs if name not in configuration]
+    missing = [name for name in ("arm", "directions", "friction") if name not in configuration]
     if missing:
         raise InvalidData(
             f"{where / CONFIGURATION} says nothing of {missing}; train the posterior again with "
-            f"{trainer}"
+            f"{_TRAINER}"
         )
     return configuration, tensors
 

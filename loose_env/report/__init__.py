@@ -4,7 +4,6 @@ Data flow: page, figures, words -> comparison, diagnosis, trend, plan, gap -> re
 """
 
 from loose_env.envs import FAINT, INK, MUTED
-from loose_env.io import write_text as write_whole
 from loose_env.report.comparison import (
     EpisodeTimeline,
     comparison_text,
@@ -112,5 +111,4 @@ __all__ = [
     "write_study",
     "write_tool_page",
     "write_trend_page",
-    "write_whole",
 ]

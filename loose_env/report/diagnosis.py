@@ -360,7 +360,7 @@ def summary_words(diagnosis: Diagnosis, arm: Arm) -> list[str]:
         return [first, *_reasons(diagnosis, arm)]
     first = (
         "Model and record differ by more than the model's tolerances and any single fault explain: "
-        "no fault is named."
+        "no fault is identified."
     )
     if np.isfinite(diagnosis.misfit):
         first += f" The best model leaves {100 * diagnosis.misfit:.0f} % of the record unexplained."

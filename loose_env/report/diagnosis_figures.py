@@ -189,7 +189,7 @@ def _joint(
     shape, colour, said = "s" if arm.sliding[k] else "o", palette.CAP, None
     if excited is not None:
         on = arm.joints[k] in excited
-        colour, said = (SHAKEN, "shaken") if on else (palette.HELD_CAP, "held")
+        colour, said = (SHAKEN, "shaken") if on else (palette.HELD_CAP, "braked or servoed")
     if ringed:
         look: dict[str, Any] = {"color": "none", "mec": TRUTH, "mew": 3, "zorder": 5}
         axes.plot(*at, "o", markersize=22, linestyle="", label="suspected joint", **look)

@@ -227,7 +227,7 @@ def quick_text(look: QuickLook) -> str:
     Examples
     --------
     >>> print(quick_text(QuickLook(before=1.02)))
-    Residual on held-out windows: 1.02 noise standard deviations; nothing hangs together in it.
+    Residual on held-out windows: 1.02 noise standard deviations; it is white.
     A quick look ranks and does not decide: run the command without --quick.
     """
     rows = [_QUICK]
@@ -240,7 +240,7 @@ def quick_text(look: QuickLook) -> str:
                 rows.append([name, words, f"{value:.4g}", unit, *shares])
                 name, shares = "", ["", "", ""]
     size = f"Residual on held-out windows: {look.before:.2f} noise standard deviations"
-    lines = [f"{size}." if look.candidates else f"{size}; nothing hangs together in it."]
+    lines = [f"{size}." if look.candidates else f"{size}; it is white."]
     table = aligned(rows) if look.candidates else []
     lines += [f"  {words}" for words in (*look.location_words, *table)]
     lines.append("A quick look ranks and does not decide: run the command without --quick.")

@@ -57,14 +57,14 @@ _KINDS = {
     "follows",
 }
 _ACTS = {
-    "hammer": "strike the tool some ten times a second, not in step, with a tip hard enough that a "
-    "blow lasts {contact:.0f} ms or less",
+    "hammer": "strike the tool some ten times a second, not in step, with a tip hard enough that "
+    "an impact lasts {contact:.0f} ms or less",
     "shaker": "play signal.csv (force.tool in N) on the shaker, whose force sensor sits between "
     "it and the tool",
 }
 _PULSE_BAND = 0.75
-"""Length of a blow times the upper end of the band: its spectrum has its first zero at twice that
-[1]."""
+"""Duration of an impact times the upper end of the band: its spectrum has its first zero at twice
+that [1]."""
 _LAST = "Run the two commands below: the first says what is loose, the second plans the next pose."
 
 
@@ -252,7 +252,7 @@ def _joint_sheet(plan: Plan, planned: Sequence[PlannedRun]) -> _Sheet:
             image=arm_figure(
                 nominal, dict(zip(nominal.joints, plan.pose, strict=True)), excited=own
             ),
-            caption="The joint in yellow is shaken, the others are held.",
+            caption="The joint in yellow is shaken, the others are braked or servoed.",
         ),
         further=[
             Section(

@@ -43,7 +43,7 @@ _PLAIN = {
     "dead_zone": "a dead zone",
     "gravity_compensation": "a weight that is carried",
     "torque_constant": "another torque constant",
-    "base_compliance": "a base that gives way",
+    "base_compliance": "a compliant base",
     "gear_eccentricity": "an eccentric gear",
     "sensor_quantisation": "a coarse sensor",
 }

@@ -4,17 +4,9 @@ Data flow: _checks -> directions -> gaussian_mixture -> moments -> correlation -
 spectra -> transmission.
 """
 
-from loose_env.statistics._checks import (
-    as_finite_samples,
-    as_floats,
-    as_record,
-    require_finite,
-    require_rate,
-)
 from loose_env.statistics.correlation import (
     ComparativeIndex,
     LowestCoherence,
-    MaximumCorrelation,
     comparative_index,
     correlation_loop,
     correlation_loop_from,
@@ -37,7 +29,6 @@ from loose_env.statistics.gaussian_mixture import (
 )
 from loose_env.statistics.moments import (
     Covariances,
-    RecordCovariances,
     covariances,
     kurtosis,
     record_covariances,
@@ -46,7 +37,6 @@ from loose_env.statistics.moments import (
 )
 from loose_env.statistics.spectra import (
     PhaseDelay,
-    TransferFunction,
     acceleration_from_angle,
     bandpass,
     channel_floor,
@@ -68,15 +58,9 @@ __all__ = [
     "Covariances",
     "GaussianMixture",
     "LowestCoherence",
-    "MaximumCorrelation",
     "PhaseDelay",
-    "RecordCovariances",
-    "TransferFunction",
     "acceleration_from_angle",
     "apparent_inertia_from",
-    "as_finite_samples",
-    "as_floats",
-    "as_record",
     "axes_grid",
     "axial_angle",
     "axial_difference",
@@ -97,8 +81,6 @@ __all__ = [
     "noise_floor",
     "phase_delay",
     "record_covariances",
-    "require_finite",
-    "require_rate",
     "resolution_of",
     "shape_of",
     "skewness",

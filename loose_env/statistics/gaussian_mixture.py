@@ -85,15 +85,10 @@ class GaussianMixture:
             return np.asarray(logs + np.log(self.weights))
 
     def log_upper_tail(self, points: ArrayLike) -> Array:
-        """Log upper-tail probability of the first dimension, given the others (N,).
+        """Log upper-tail probability of the first dimension of points (N, D), given the others.
 
         Given the others, each Gaussian is one in the first dimension, and its weight goes with
         the density of the others (Bishop 2006, 2.3.1).
-
-        Parameters
-        ----------
-        points : array, shape (N, D)
-            Points, D two or more.
 
         Examples
         --------

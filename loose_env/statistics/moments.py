@@ -87,22 +87,14 @@ def record_covariances(command: ArrayLike, x: ArrayLike, a: ArrayLike) -> Record
 
     Parameters
     ----------
-    command : array, shape (N,) or (..., m, N)
-        Commanded torques of the excited joints, N m. Axes in front are those of several records.
-    x : array, shape (N,) or (..., m, N)
-        Accelerations of the excited joints, rad/s^2.
-    a : array, shape (N,) or (..., d, N)
-        Tool acceleration in the tool frame, m/s^2.
+    command, x, a : array, shape (N,) or (..., k, N)
+        Commanded torques of the excited joints, N m; their accelerations, rad/s^2; tool
+        acceleration in the tool frame, m/s^2. Axes in front are those of several records.
 
     Returns
     -------
     RecordCovariances
-        The same as `covariances` of each pair, of every record.
-
-    Raises
-    ------
-    InvalidData
-        As `covariances`, for each pair.
+        The same as `covariances` of each pair, of every record, with the same errors.
 
     Examples
     --------
@@ -120,13 +112,6 @@ def record_covariances(command: ArrayLike, x: ArrayLike, a: ArrayLike) -> Record
         command_x=joint.between("command", "x"),
         command_a=joint.between("command", "a"),
     )
-
-
-def centred(signal: ArrayLike) -> Array:
-    """Return a signal of shape (N,) or (k, N) as (k, N), means removed."""
-    record = as_record(signal, "signal")
-    removed: Array = record - record.mean(axis=1, keepdims=True)
-    return removed
 
 
 def single_excitation(cov: Covariances) -> Array:
@@ -267,24 +252,8 @@ def kurtosis(a: ArrayLike, direction: ArrayLike) -> float: ...
 def kurtosis(a: ArrayLike, direction: ArrayLike | None = None) -> Array | float:
     """Measure the excess kurtosis, E[(X - mu)^4] / sigma^4 - 3 (4.20).
 
-    Zero for a Gaussian motion; impacts at the stops raise it.
-
-    Parameters
-    ----------
-    a : array, shape (N,) or (d, N)
-        Tool acceleration in the tool frame, m/s^2.
-    direction : array, shape (d,), optional
-        Direction in the tool frame, of any length above zero.
-
-    Returns
-    -------
-    array, shape () or (d,), or float
-        Excess kurtosis of each row of a, or of the component along `direction`.
-
-    Raises
-    ------
-    InvalidData
-        If a or the direction cannot be used, or a component asked for does not vary.
+    Zero for a Gaussian motion; impacts at the stops raise it. Parameters and errors are those of
+    `skewness`.
 
     Examples
     --------
@@ -296,22 +265,7 @@ def kurtosis(a: ArrayLike, direction: ArrayLike | None = None) -> Array | float:
 
 
 def shape_of(rows: ArrayLike) -> tuple[Array, Array]:
-    """Measure `skewness` and `kurtosis` of every row together, in one pass.
-
-    Parameters
-    ----------
-    rows : array, shape (d, N)
-        Signals of any unit.
-
-    Returns
-    -------
-    array, array, each of shape (d,)
-        Skewness and excess kurtosis.
-
-    Raises
-    ------
-    InvalidData
-        If the rows cannot be used, or one does not vary.
+    """Measure `skewness` and `kurtosis` of every row (d, N) together, each (d,).
 
     Examples
     --------

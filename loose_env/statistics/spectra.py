@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.signal import csd, welch
 
 from loose_env.errors import InvalidData
 from loose_env.statistics._checks import (
@@ -132,14 +133,14 @@ def transfer_function(
     """Estimate the transfer function from x to y, and the coherence (H1, Welch's averages).
 
     The record is cut into segments that overlap by half; their means are removed, a Hann window is
-    laid on them and their spectra are averaged: H = S_xy / S_xx.
+    laid on them and their spectra are averaged: H = S_xy / S_xx (Bendat and Piersol, Random Data,
+    chapters 9 and 11).
 
     Parameters
     ----------
-    x : array, shape (N,)
-        Input, such as the acceleration of the excited joint, rad/s^2.
-    y : array, shape (N,) or (dy, N)
-        Outputs, such as the tool acceleration, m/s^2.
+    x, y : array, shape (N,), and (N,) or (dy, N)
+        Input, such as the acceleration of the excited joint, rad/s^2, and outputs, such as the tool
+        acceleration, m/s^2.
     rate : float
         Sampling rate, Hz.
     segments : int
@@ -156,10 +157,6 @@ def transfer_function(
     InvalidData
         If the record cannot be used or is too short for the segments.
 
-    References
-    ----------
-    Bendat and Piersol, Random Data, chapters 9 and 11.
-
     Examples
     --------
     >>> x = np.random.default_rng(0).standard_normal(1200)
@@ -173,35 +170,26 @@ def transfer_function(
             f"x has shape {source.shape} and y {outputs.shape}; they must be (1, N) and (dy, N)"
         )
     require_rate(rate)
-    spectra, length = _segment_spectra(np.concatenate((source, outputs)), segments)
-    from_x, from_y = spectra[0], spectra[1:]
-    power_x = np.sum(np.abs(from_x) ** 2, axis=0)
-    power_y = np.sum(np.abs(from_y) ** 2, axis=1)
-    if power_x.max() == 0.0:
-        raise InvalidData("x is constant; it must vary")
-    cross = np.sum(np.conj(from_x) * from_y, axis=1)
-    present = power_x > EMPTY * power_x.max()
-    response = np.where(present, cross / np.where(present, power_x, 1.0), 0.0)
-    both = np.where(present, power_x * power_y, 0.0)
-    coherence = np.where(both > 0.0, np.abs(cross) ** 2, 0.0) / np.where(both > 0.0, both, 1.0)
-    frequencies = np.asarray(np.fft.rfftfreq(length, 1.0 / rate), dtype=np.float64)
-    return TransferFunction(frequencies, response, np.minimum(coherence, 1.0))
-
-
-def _segment_spectra(record: Array, segments: int) -> tuple[NDArray[np.complex128], int]:
-    """Return the spectra of the segments of each row, (k, segments, K), and their length."""
-    require_finite(record, "the record")
-    count = record.shape[1]
+    require_finite(source, "x")
+    require_finite(outputs, "y")
+    count = source.shape[1]
     length = 2 * (count // (segments + 1)) if segments > 0 else 0
     if length < MIN_SAMPLES:
         raise InvalidData(
             f"segments is {segments} for {count} samples; it must be at least 1 and leave "
             f"{MIN_SAMPLES} samples to a segment"
         )
-    windows = np.lib.stride_tricks.sliding_window_view(record, length, axis=1)
-    pieces = windows[:, :: length // 2][:, :segments]
-    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
-    return np.fft.rfft((pieces - pieces.mean(axis=-1, keepdims=True)) * window), length
+    used = length // 2 * (segments + 1)
+    x_used, y_used = source[:, :used], outputs[:, :used]
+    frequencies, cross = csd(x_used, y_used, rate, nperseg=length)
+    power_x, power_y = (welch(each, rate, nperseg=length)[1] for each in (x_used, y_used))
+    if power_x.max() == 0.0:
+        raise InvalidData("x is constant; it must vary")
+    present = power_x > EMPTY * power_x.max()
+    response = np.where(present, cross / np.where(present, power_x, 1.0), 0.0)
+    both = np.where(present, power_x * power_y, 0.0)
+    coherence = np.where(both > 0.0, np.abs(cross) ** 2, 0.0) / np.where(both > 0.0, both, 1.0)
+    return TransferFunction(frequencies, response, np.minimum(coherence, 1.0))
 
 
 _PER_PERIOD = 24

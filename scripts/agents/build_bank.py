@@ -4,7 +4,7 @@ Usage: python scripts/agents/build_bank.py --env loose_env/Planar-v0 --episodes 
 banks/planar4
 
 A bank holds episodes of random records and the truth behind them (see
-agents/loose_agents/posterior_training/record_bank.py). It is a folder with a file for every
+agents/loose_agents/record_bank.py). It is a folder with a file for every
 500 episodes; stopped at any moment, the same command goes on. Every episode has its own seed, so a
 bank is the same for any backend and number of workers.
 """
@@ -21,22 +21,23 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from loose_agents.execution.backends import BackendSettings
-from loose_agents.execution.command import command, option
-from loose_agents.execution.shard_store import ShardStore
-from loose_agents.posterior_training.bank_storage import (
+from loose_agents.jobs import BackendSettings, Store
+from loose_agents.record_bank import (
     BankOptions,
     BankPlan,
     build_bank,
     build_features,
 )
 
+from loose_env.cli.command import command
+
 
 @dataclass(frozen=True, kw_only=True)
 class Options(BankOptions, BackendSettings):
     """Options of the script."""
 
-    records_only: bool = option(False, "work out no features")
+    records_only: bool = False
+    """Work out no features."""
 
 
 def build(options: Options) -> None:
@@ -45,7 +46,9 @@ def build(options: Options) -> None:
     begin = time.perf_counter()
     store = build_bank(plan, folder, options)
     made = time.perf_counter() - begin
-    records = sum(int((part["slots"][:, :, 0] > 0.5).sum()) for part in store.read_all(plan.shards))
+    records = sum(
+        int((part["slots"][:, :, 0] > 0.5).sum()) for part in map(store.read, plan.shards)
+    )
     print(
         f"{plan.episodes} episodes, {records} records, {megabytes(store, plan):.1f} MB in "
         f"{store.folder}; this run took {made:.1f} s"
@@ -60,7 +63,7 @@ def build(options: Options) -> None:
         )
 
 
-def megabytes(store: ShardStore, plan: BankPlan) -> float:
+def megabytes(store: Store, plan: BankPlan) -> float:
     """Size of a bank's files in a folder [MB]; other episodes may lie there too."""
     return sum(store.path(shard).stat().st_size for shard in plan.shards) / 1e6
 

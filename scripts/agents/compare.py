@@ -26,26 +26,23 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
-from loose_agents.benchmark.sharded import EvaluationTask, play_task, problem_of
-from loose_agents.core.base import Problem
-from loose_agents.core.estimators import (
+from loose_agents.base import EVALUATION_SEED, Problem
+from loose_agents.belief import (
     ESTIMATORS,
     OWN_WEIGHTS,
     setting_name,
     weights_digest,
     weights_path,
 )
-from loose_agents.core.seeds import EVALUATION_SEED
-from loose_agents.evaluation.env_arguments import arguments_of
-from loose_agents.evaluation.record_bounds import bound_line
-from loose_agents.execution.backends import BackendSettings
-from loose_agents.execution.command import command, option
-from loose_agents.execution.configuration_hash import canonical
-from loose_agents.policies.policies import POLICIES
+from loose_agents.comparison import EvaluationTask, bound_line, play_task
+from loose_agents.evaluation import arguments_of, problem_of
+from loose_agents.jobs import BackendSettings, canonical
+from loose_agents.policies.choice import POLICIES
 from loose_agents.registry import AGENTS, describe, is_outside, make_agent
 
 import loose_env
 from loose_env.arms import unfelt_words
+from loose_env.cli.command import command
 from loose_env.evaluation import (
     SEPARATOR,
     Row,
@@ -78,46 +75,56 @@ BOOTSTRAP_SEED = 0
 """Seed of the resamples behind the intervals."""
 
 
-KNOWN = "; ".join(f"{name}, {words}" for name, (_, words) in AGENTS.items())
-"""Names of the agents, each with a description."""
+ABOUT = f"""{__doc__}
+Estimators: {", ".join(ESTIMATORS)}. Policies: {", ".join(POLICIES)}. Agents by name:
+
+""" + "\n".join(f"    {name:18} {words}" for name, (_, words) in AGENTS.items())
+"""Help of the command."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options(BackendSettings):
     """Options of the comparison."""
 
-    env: str = option("loose_env/Vera-v0", "environment id")
-    arguments: str = option("{}", "its arguments, as JSON")
-    agents: tuple[str, ...] = option(
-        (),
-        "estimator/policy, module:Class, path/model.zip, the folder of an exported policy, or any "
-        f"of: {KNOWN}",
-    )
-    weights: str | None = option(
-        None, "folder of weights of your own, which go before the shipped ones"
-    )
-    estimators: tuple[str, ...] = option((), f"of {list(ESTIMATORS)}, to cross")
-    policies: tuple[str, ...] = option((), f"of {list(POLICIES)}, to cross")
-    reference: str | None = option(
-        None, "agent whose return is subtracted; default: classical, or the first agent"
-    )
-    difficulties: tuple[str, ...] = option((), "play all episodes at each of these")
-    curve: Count | None = option(
-        None, "play again, K records each: success after 1 to K", metavar="K"
-    )
-    episodes: Count = option(EPISODES, "episodes for each agent and difficulty")
-    seed: int = option(EVALUATION_SEED, "seed of the episodes")
-    agent_seed: int = option(0, "seed of what agents draw")
-    width: Count = option(64, "arms simulated side by side in a process")
-    threads: NonNegativeCount = option(0, "simulation threads with --workers 1, 0 for all")
-    shard: Count = option(200, "episodes that a worker plays at a time")
-    out: str = option("out", "folder of rows and page")
-    keep: bool = option(
-        False,
-        "keep what was played: the same command with further agents plays only these",
-    )
-    rows: str = option("parquet", "raw rows as parquet or json")
-    page: bool = option(False, "write a page with pictures too")
+    env: str = "loose_env/Vera-v0"
+    """Environment id."""
+    arguments: str = "{}"
+    """Its arguments, as JSON."""
+    agents: tuple[str, ...] = ()
+    """Names as below, estimator/policy, module:Class, path/model.zip, or the folder of an exported
+    policy."""
+    weights: str | None = None
+    """Folder of weights of your own, which go before the shipped ones."""
+    estimators: tuple[str, ...] = ()
+    """Estimators to cross with the policies."""
+    policies: tuple[str, ...] = ()
+    """Policies to cross with the estimators."""
+    reference: str | None = None
+    """Agent whose return is subtracted; default: classical, or the first agent."""
+    difficulties: tuple[str, ...] = ()
+    """Play all episodes at each of these."""
+    curve: Count | None = None
+    """Play again, K records each: success after 1 to K."""
+    episodes: Count = EPISODES
+    """Episodes for each agent and difficulty."""
+    seed: int = EVALUATION_SEED
+    """Seed of the episodes."""
+    agent_seed: int = 0
+    """Seed of what agents draw."""
+    width: Count = 64
+    """Arms simulated side by side in a process."""
+    threads: NonNegativeCount = 0
+    """Simulation threads with --workers 1, 0 for all."""
+    shard: Count = 200
+    """Episodes that a worker plays at a time."""
+    out: str = "out"
+    """Folder of rows and page."""
+    keep: bool = False
+    """Keep what was played: the same command with further agents plays only these."""
+    rows: str = "parquet"
+    """Raw rows as parquet or json."""
+    page: bool = False
+    """Write a page with pictures too."""
 
 
 def names_of(options: Options, problem: Problem) -> list[str]:
@@ -363,7 +370,7 @@ def command_of(options: Options) -> str:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Compare, with errors in one line."""
     going_on = "the same command goes on from what was played"
-    command("compare", __doc__, Options, compare, arguments, interrupted=going_on)
+    command("compare", ABOUT, Options, compare, arguments, interrupted=going_on)
 
 
 if __name__ == "__main__":

@@ -8,64 +8,63 @@ Takes the runs of scripts/agents/train.py, or any folder with trained weights:
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import io
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
-from loose_agents.core.base import Problem
-from loose_agents.evaluation.env_arguments import diagnosis_env
-from loose_agents.execution.command import OneLineParser
-from loose_agents.execution.script_errors import errors_in_one_line
+from loose_agents import Problem, diagnosis_env
+from loose_agents.rl.agents import CONFIGURATION, LearnedAgent, described_run
 from loose_agents.rl.hyperparameters import ALGORITHMS, key_values
-from loose_agents.rl.learned_policy import CONFIGURATION, LearnedAgent
+from tyro.conf import arg
 
+from loose_env.cli.command import command, one_of
 from loose_env.envs import Action, DiagnosisEnv
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.io import write_bytes
+from loose_env.errors import InvalidData, UnknownName
+from loose_env.io import Count, NonNegativeCount, write_bytes
 from loose_env.registration import IDS
 
 
-def parser() -> OneLineParser:
+@dataclass(frozen=True, kw_only=True)
+class Options:
     """Options of playing."""
-    options = OneLineParser(
-        prog="enjoy", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    add = options.add_argument
-    add("--algo", default="ppo", choices=list(ALGORITHMS), help="algorithm of the run")
-    add("--env", default="loose_env/Vera-v0", help="environment id")
-    add("-f", "--folder", default="runs", help="folder of the runs")
-    add("--exp-id", type=int, help="the run's number, its seed; by default the latest run")
-    add("--weights", default="", help="folder with weights, in place of a run")
-    add("--load-best", action="store_true", help="the best policy, not the last")
-    add("--env-kwargs", nargs="+", default=[], metavar="KEY:VALUE",
-        help="arguments of the environment that override the run's")  # fmt: skip
-    add("--gym-packages", nargs="+", default=[], help="packages to import for their ids")
-    add("--seed", type=int, default=0, help="seed of the episodes")
-    add("--n-episodes", type=int, default=5, help="episodes to play")
-    add("-n", "--n-timesteps", type=int, default=1000, help="steps after which no episode begins")
-    add("--render", nargs="?", const="pictures", default="", metavar="FOLDER",
-        help="write a picture of each record")  # fmt: skip
-    add("--no-render", action="store_true", help="write no pictures (as is the default)")
-    return options
+
+    algo: Annotated[str, one_of(ALGORITHMS)] = "ppo"
+    """Algorithm of the run."""
+    env: str = "loose_env/Vera-v0"
+    """Environment id."""
+    folder: Annotated[Path, arg(aliases=["-f"])] = Path("runs")
+    """Folder of the runs."""
+    exp_id: int | None = None
+    """The run's number, its seed; by default the latest run."""
+    weights: Path | None = None
+    """Folder with weights, in place of a run."""
+    load_best: bool = False
+    """The best policy, not the last."""
+    env_kwargs: tuple[str, ...] = ()
+    """Arguments of the environment that override the run's, key:value."""
+    gym_packages: tuple[str, ...] = ()
+    """Packages to import for their ids."""
+    seed: NonNegativeCount = 0
+    """Seed of the episodes."""
+    n_episodes: Count = 5
+    """Episodes to play."""
+    n_timesteps: Annotated[Count, arg(aliases=["-n"])] = 1000
+    """Steps after which no episode begins."""
+    render: Path | None = None
+    """Folder for a picture of each record."""
 
 
-def run_folder(options: argparse.Namespace) -> Path:
-    """Find the weights that are to be played.
-
-    Raises
-    ------
-    InvalidData
-        If there is no such run.
-    """
-    if options.weights:
-        return Path(options.weights)
-    home = Path(options.folder) / ALGORITHMS[options.algo][0]
+def run_folder(options: Options) -> Path:
+    """Find the weights that are to be played."""
+    if options.weights is not None:
+        return options.weights
+    home = options.folder / options.algo
     name = options.env.replace("/", "-")
     number = re.compile(rf"{re.escape(name)}_(\d+)")
     found = {
@@ -84,35 +83,11 @@ def run_folder(options: argparse.Namespace) -> Path:
     return root / "best" if options.load_best else root
 
 
-def environment_of(
-    folder: Path, options: argparse.Namespace
-) -> tuple[DiagnosisEnv, dict[str, Any]]:
-    """Make the environment of a run, and return the arguments that it was made with.
-
-    Raises
-    ------
-    UnknownName
-        If the id is none of the registered ones.
-    """
-    from loose_agents.rl.training_run import RunFolder
-
-    described = RunFolder(folder).described()
-    if options.env not in gymnasium.registry:
-        raise UnknownName(f"unknown environment {options.env!r}; they are {', '.join(IDS)}")
-    arguments = {**described.get("env_kwargs", {})}
-    arguments |= key_values(options.env_kwargs, "--env-kwargs")
-    mode = "rgb_array" if options.render else None
-    return diagnosis_env(options.env, arguments, render_mode=mode), arguments
-
-
 def shaken(env: DiagnosisEnv, action: Action) -> str:
     """Joints that an action excites, and how."""
     names = env.settings.level_names(env.arm)
-    on = [
-        f"{joint} {names[level].split(' ')[0]}"
-        for joint, level in zip(env.arm.joints, action.levels, strict=True)
-        if level
-    ]
+    levels = zip(env.arm.joints, action.levels, strict=True)
+    on = [f"{joint} {names[level].split(' ')[0]}" for joint, level in levels if level]
     return ", ".join(on) or "none"
 
 
@@ -124,19 +99,10 @@ def posed(env: DiagnosisEnv, pose: Sequence[float]) -> str:
     )
 
 
-def believed(problem: Problem, probabilities: Sequence[float], count: int = 3) -> str:
+def believed(problem: Problem, probabilities: Any, count: int = 3) -> str:
     """Name the most probable hypotheses."""
     order = np.argsort(probabilities)[::-1][:count]
     return "  ".join(f"{problem.hypotheses[k]} {100 * probabilities[k]:.1f} %" for k in order)
-
-
-def write_picture(env: DiagnosisEnv, path: Path) -> None:
-    """Write what the environment draws."""
-    from matplotlib import image
-
-    buffer = io.BytesIO()
-    image.imsave(buffer, env.render(), format="png")
-    write_bytes(path, buffer.getvalue())
 
 
 def play_episode(
@@ -146,7 +112,7 @@ def play_episode(
     observation = env.batch.observe(0)
     belief = agent.estimator.begin()
     problem, state, total, step = agent.problem, None, 0.0, 0
-    print(f"\nepisode {number}: {believed(problem, agent.estimator.follow(observation, belief))}")  # type: ignore[arg-type]
+    print(f"\nepisode {number}: {believed(problem, agent.estimator.follow(observation, belief))}")
     while True:
         action, state = agent.predict(observation, state)
         observation, reward, terminated, truncated, info = env.step(action)
@@ -158,40 +124,39 @@ def play_episode(
             print(f"  verdict {named}, truth {info['fault']}: {right}, return {total:+.3f}")
             return {"return": total, "success": info["is_success"], "records": info["records"]}
         decoded = env.actions.decode(action)
-        pose = problem.layout.pose_of(observation)
+        pose: Any = problem.layout.pose_of(observation)
         print(
-            f"  {step:2d}  pose {posed(env, pose)}  |  m/s² {shaken(env, decoded)}  "  # type: ignore[arg-type]
+            f"  {step:2d}  pose {posed(env, pose)}  |  m/s² {shaken(env, decoded)}  "
             f"{decoded.duration:g} s  |  "
-            f"{believed(problem, agent.estimator.follow(observation, belief))}"  # type: ignore[arg-type]
+            f"{believed(problem, agent.estimator.follow(observation, belief))}"
         )
         if pictures is not None:
-            write_picture(env, pictures / f"episode{number}_record{step}.png")
+            from matplotlib import image
+
+            buffer = io.BytesIO()
+            image.imsave(buffer, env.render(), format="png")
+            write_bytes(pictures / f"episode{number}_record{step}.png", buffer.getvalue())
 
 
-def enjoy(options: argparse.Namespace) -> None:
+def enjoy(options: Options) -> None:
     """Play the episodes."""
     for package in options.gym_packages:
         importlib.import_module(package)
-    for name in ("n_episodes", "n_timesteps"):
-        if getattr(options, name) < 1:
-            raise InvalidSetting(
-                f"--{name.replace('_', '-')} must be 1 or more, got {getattr(options, name)}"
-            )
-    if options.seed < 0:
-        raise InvalidSetting(f"--seed must be 0 or more, got {options.seed}")
-    if options.no_render:
-        options.render = ""
     folder = run_folder(options)
-    env, arguments = environment_of(folder, options)
+    if options.env not in gymnasium.registry:
+        raise UnknownName(f"unknown environment {options.env!r}; they are {', '.join(IDS)}")
+    arguments = {**described_run(folder).get("env_kwargs", {})}
+    arguments |= key_values(options.env_kwargs, "--env-kwargs")
+    mode = "rgb_array" if options.render else None
+    env = diagnosis_env(options.env, arguments, render_mode=mode)
     agent = LearnedAgent.load(Problem.of(env.arm, env.settings), folder)
-    pictures = Path(options.render) if options.render else None
-    if pictures is not None:
-        pictures.mkdir(parents=True, exist_ok=True)
+    if options.render is not None:
+        options.render.mkdir(parents=True, exist_ok=True)
     print(f"{folder}: {options.env} {arguments or ''}")
     played: list[dict[str, Any]] = []
     while len(played) < options.n_episodes:
         env.reset(seed=None if played else options.seed)
-        played.append(play_episode(env, agent, len(played) + 1, pictures))
+        played.append(play_episode(env, agent, len(played) + 1, options.render))
         if sum(row["records"] + 1 for row in played) >= options.n_timesteps:
             break
     env.close()
@@ -200,15 +165,13 @@ def enjoy(options: argparse.Namespace) -> None:
         f"mean records {np.mean([r['records'] for r in played]):.2f}, "
         f"mean return {np.mean([r['return'] for r in played]):+.3f}"
     )
-    if pictures is not None:
-        print(f"pictures: {pictures}")
+    if options.render is not None:
+        print(f"pictures: {options.render}")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Read the options and play, with errors in one line."""
-    options = parser().parse_args(arguments)
-    with errors_in_one_line("enjoy"):
-        enjoy(options)
+    command("enjoy", __doc__, Options, enjoy, arguments)
 
 
 if __name__ == "__main__":

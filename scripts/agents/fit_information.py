@@ -19,11 +19,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from loose_agents.benchmark.tuning import write_tuned
-from loose_agents.core.estimators import WEIGHTS, make_estimator, tuning_name
-from loose_agents.execution.command import command
-from loose_agents.posterior_training.bank_storage import BankOptions, read_bank
-from loose_agents.posterior_training.information_calibration import fit_factors, transitions_of
+from loose_agents.belief import WEIGHTS, make_estimator, tuning_name
+from loose_agents.posterior_training import fit_factors, transitions_of
+from loose_agents.record_bank import BankOptions, read_bank
+from loose_agents.tuning import write_tuned
+
+from loose_env.cli.command import command
 
 SHARDS = 4
 """Shards of the bank that are read; the posterior was not trained on the first ones."""

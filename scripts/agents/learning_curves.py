@@ -3,126 +3,247 @@
 Usage: python scripts/agents/learning_curves.py --learners ppo ppo_set --seeds 0 1 2 --out curves
 
 Each run lies in OUT/ENV/LEARNER/seed_K: configuration.json, curve.csv and checkpoint.zip. The same
-command resumes every run from its last evaluation. scripts/dev/draw_curves.py draws the curves.
+command resumes every run from its last evaluation. `--draw FIGURE` draws the curves of OUT when
+all runs are through, mean over the seeds with its 95 % confidence interval (Student's t), and
+prints the table of the last evaluations; `--seeds` without a number only draws.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
-from loose_agents.execution.command import command, option
-from loose_agents.execution.local_pools import ONE_THREAD, cores
-from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.rl.end_to_end.training import LEARNERS, Job, train_end_to_end
-from loose_agents.rl.hyperparameters import key_values
+import numpy as np
+from loose_agents.jobs import BackendSettings, results_of
+from loose_agents.rl.hyperparameters import (
+    HYPERPARAMETERS,
+    algorithm_named,
+    key_values,
+    read_hyperparameters,
+    whole,
+)
+from scipy.stats import t as student
+from tyro.conf import arg
 
-from loose_env.errors import InvalidSetting
-from loose_env.io import Checked, Count, NonNegativeCount
+from loose_env.cli.command import command, one_of
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.io import Count, NonNegative, NonNegativeCount
+from loose_env.report import pyplot, save_figure
+from loose_env.typing import Array
+
+LEARNERS = {
+    "ppo": ("ppo", "ppo", "flat"),
+    "maskable_ppo": ("maskable_ppo", "maskable_ppo", "flat"),
+    "ppo_set": ("ppo", "ppo_set", "set"),
+    "maskable_ppo_set": ("maskable_ppo", "ppo_set", "set"),
+}
+"""Learners: algorithm, hyperparameter file, and layers on the flat observation or a set network."""
+SHOWN = {
+    "mean_return": ("mean return", (-1.0, 1.0)),
+    "right": ("share right", (0.0, 1.0)),
+    "unsure": ("share unsure", (0.0, 1.0)),
+    "records_per_episode": ("records an episode", (0.0, None)),
+}
+"""Columns of the curves, their words and the ends of their axis: bands of few seeds are wide."""
+COLOURS = ("#0072b2", "#d0451b", "#009e73", "#cc79a7", "#f0a30a")
+"""A colour for each learner, told apart by colour-blind readers too."""
+
+Curves = dict[str, dict[str, list[list[Any]]]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(Checked):
+class Options:
     """Options of the training."""
 
-    env: tuple[str, ...] = option(("loose_env/Vera-v0",), "environment ids")
-    env_kwargs: tuple[str, ...] = option((), "their arguments, key:value")
-    learners: tuple[str, ...] = option(("ppo", "ppo_set"), f"of {list(LEARNERS)}")
-    seeds: tuple[NonNegativeCount, ...] = option((0, 1, 2, 3, 4), "training seeds")
-    processes: Count = option(1, "runs side by side, a process each")
-    threads: Count = option(1, "threads of a run's own process")
-    workers: Count = option(1, "processes that simulate the arms of a run; 1: its own alone")
-    device: str = option("cpu", "device of torch, such as cuda")
-    steps: NonNegativeCount = option(0, "steps of a run; 0: those of its hyperparameter file")
-    seconds: float = option(0.0, "time of a run in all [s], last evaluation aside; 0: no limit")
-    hyperparams: tuple[str, ...] = option(
-        (), "hyperparameters, key:value", "--hyperparams", "-params"
-    )
-    evaluations: Count = option(12, "evaluations of a run")
-    eval_episodes: Count = option(200, "episodes of an evaluation, the same in all")
-    last_episodes: Count = option(1000, "episodes of the last evaluation")
-    out: str = option("curves", "folder of the results")
-    restart: bool = option(False, "forget what the folder holds")
+    env: tuple[str, ...] = ("loose_env/Vera-v0",)
+    """Environment ids."""
+    env_kwargs: tuple[str, ...] = ()
+    """Their arguments, key:value."""
+    learners: tuple[Annotated[str, one_of(tuple(LEARNERS))], ...] = ("ppo", "ppo_set")
+    """Learners."""
+    seeds: tuple[NonNegativeCount, ...] = (0, 1, 2, 3, 4)
+    """Training seeds; none: only draw."""
+    processes: Count = 1
+    """Runs side by side, a process each."""
+    threads: Count = 1
+    """Threads of a run, of torch and of the simulation."""
+    device: str = "cpu"
+    """Device of torch, such as cuda."""
+    steps: NonNegativeCount = 0
+    """Steps of a run; 0: those of its hyperparameter file."""
+    seconds: NonNegative = 0.0
+    """Time of a run in all [s], last evaluation aside; 0: no limit."""
+    hyperparams: Annotated[tuple[str, ...], arg(aliases=["-params"])] = ()
+    """Hyperparameters, key:value."""
+    evaluations: Count = 12
+    """Evaluations of a run."""
+    eval_episodes: Count = 200
+    """Episodes of an evaluation, the same in all."""
+    last_episodes: Count = 1000
+    """Episodes of the last evaluation."""
+    out: Path = Path("curves")
+    """Folder of the results."""
+    restart: bool = False
+    """Forget what the folder holds."""
+    draw: Path | None = None
+    """Figure of the curves of OUT (.svg)."""
 
 
-def jobs_of(options: Options) -> list[Job]:
-    """One job for each environment, learner and seed, seeds innermost."""
-    if options.seconds < 0:
-        raise InvalidSetting(f"--seconds must be 0 or more, got {options.seconds}")
-    unknown = sorted(set(options.learners) - set(LEARNERS))
-    if unknown:
-        raise InvalidSetting(f"unknown learners {unknown}; learners are {list(LEARNERS)}")
-    return [
-        Job(
-            learner=learner,
+Run = tuple[str, str, int]
+"""Environment, learner and seed."""
+
+
+def train_one(run: Run, options: Options) -> None:
+    """Train or resume one run."""
+    env, learner, seed = run
+    algorithm, file, network = LEARNERS[learner]
+    algorithm_named(algorithm)  # says which extra is missing
+    from loose_agents.rl import training
+
+    given = read_hyperparameters(HYPERPARAMETERS / f"{file}.yml", env)
+    given |= key_values(options.hyperparams, "--hyperparams")
+    arguments = given.pop("env_kwargs", {}) | {"threads": options.threads}
+    steps = options.steps or whole(given.get("n_timesteps", 0), "n_timesteps")
+    name = f"{env} {learner} seed {seed}"
+    training.train(
+        training.Training(
+            algorithm=algorithm,
+            estimator=None,
+            network=network,  # type: ignore[arg-type]
             env=env,
-            env_kwargs=key_values(options.env_kwargs, "--env-kwargs"),
-            hyperparams=key_values(options.hyperparams, "--hyperparams"),
-            seed=seed,
-            steps=options.steps,
+            arguments=arguments | key_values(options.env_kwargs, "--env-kwargs"),
+            hyperparameters=given,
+            steps=steps,
             seconds=options.seconds or None,
-            out=options.out,
-            device=options.device,
-            threads=options.threads,
-            workers=options.workers,
+            seed=seed,
             evaluations=options.evaluations,
             eval_episodes=options.eval_episodes,
             last_episodes=options.last_episodes,
+            eval_width=128,
+            save_freq=steps // options.evaluations,
+            device=options.device,
+            threads=options.threads,
+            folder=options.out / env.replace("/", "-") / learner / f"seed_{seed}",
             restart=options.restart,
-            command=" ".join(sys.argv),
-        )
-        for env in options.env
-        for learner in options.learners
-        for seed in options.seeds
+        ),
+        say=lambda words: print(f"{name}: {words}", flush=True),
+        show=lambda steps, words: print(f"{name}: {steps} steps, {words}", flush=True),
+        learner=learner,
+        command=" ".join(sys.argv),
+    )
+
+
+def _work(job: tuple[Run, Options]) -> None:
+    train_one(*job)
+
+
+def train(options: Options) -> None:
+    """Train all runs, ``processes`` at a time, then draw."""
+    runs = [(e, k, s) for e in options.env for k in options.learners for s in options.seeds]
+    side_by_side = BackendSettings(workers=min(options.processes, max(len(runs), 1)))
+    for _ in results_of(_work, [(run, options) for run in runs], side_by_side):
+        pass
+    if options.draw is not None:
+        curves = read_curves(options.out)
+        print(table(curves))
+        draw(curves, options.draw)
+        print(f"Figure: {options.draw}")
+    elif not runs:
+        raise InvalidSetting("no seeds and no --draw: nothing to do")
+
+
+def read_curves(folder: Path) -> Curves:
+    """Curves of each environment, learner and seed."""
+    from loose_agents.rl.training import read_curve
+
+    found: Curves = {}
+    for path in sorted(folder.glob("*/*/seed_*/curve.csv")):
+        if points := read_curve(path):
+            env, learner = path.parts[-4:-2]
+            # A folder's name cannot hold the id's stroke.
+            found.setdefault(env.replace("-", "/", 1), {}).setdefault(learner, []).append(points)
+    if not found:
+        raise InvalidData(f"{folder} holds no curves ENV/LEARNER/seed_K/curve.csv")
+    return found
+
+
+def mean_and_half(values: Array) -> tuple[Array, Array]:
+    """Mean over seeds (seeds, ...) and half width of its 95 % interval; NaN for a single seed."""
+    count = len(values)
+    if count == 1:
+        return values[0], np.full(values.shape[1:], np.nan)
+    error = values.std(axis=0, ddof=1) / np.sqrt(count)
+    return values.mean(axis=0), student.ppf(0.975, count - 1) * error
+
+
+def band(seeds: list[list[Any]], name: str) -> tuple[Array, Array, Array]:
+    """Records taken, mean and half width, over the range that all seeds have reached."""
+    places = [np.array([p.records for p in points], dtype=float) for points in seeds]
+    grid = np.linspace(max(x[0] for x in places), min(x[-1] for x in places), 60)
+    curves = zip(places, seeds, strict=True)
+    values = [np.interp(grid, x, [getattr(p, name) for p in points]) for x, points in curves]
+    return grid, *mean_and_half(np.array(values))
+
+
+def table(curves: Curves) -> str:
+    """The last evaluation of each learner, mean over the seeds with its 95 % interval."""
+    columns = (
+        ("mean_return", 1, "+.3f"), ("right", 100, ".1f"), ("unsure", 100, ".1f"),
+        ("records_per_episode", 1, ".2f"),
+    )  # fmt: skip
+    lines = [
+        "| environment | learner | seeds | records taken | return | right [%] | unsure [%] | "
+        "records an episode |",
+        "|---" * 8 + "|",
     ]
+    for env, learners in curves.items():
+        for learner, seeds in learners.items():
+            last = [points[-1] for points in seeds]
+            cells = [f"{np.mean([p.records for p in last]):.0f}"]
+            for name, scale, form in columns:
+                mean, half = mean_and_half(np.array([scale * getattr(p, name) for p in last]))
+                shown = f" ± {half:{form.lstrip('+')}}" if len(last) > 1 else ""
+                cells.append(f"{mean:{form}}{shown}")
+            lines.append(f"| {env} | {learner} | {len(seeds)} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
 
-def _say(words: str) -> None:
-    print(words, flush=True)
-
-
-def _work(job: Job) -> str:
-    """Run a job in a worker; return the error's line, if there is one."""
-    try:
-        with errors_in_one_line(f"{job.env} {job.learner} seed {job.seed}"):
-            train_end_to_end(job, _say)
-    except SystemExit as error:
-        return str(error.code)
-    return ""
-
-
-def run(options: Options) -> None:
-    """Train all runs, ``processes`` at a time."""
-    jobs = jobs_of(options)
-    workers = min(options.processes, len(jobs))
-    if workers == 1:
-        for job in jobs:
-            train_end_to_end(job, _say)
-        return
-    if workers * options.threads > cores():
-        print(
-            f"learning_curves: note: {workers} processes of {options.threads} threads on "
-            f"{cores()} cores",
-            file=sys.stderr,
-        )
-    threads = dict.fromkeys(ONE_THREAD, str(options.threads))
-    os.environ.update(threads)  # read by the libraries when a worker imports them
-    context: Any = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, max_tasks_per_child=1) as pool:
-        errors = [words for words in pool.map(_work, jobs) if words]
-    if errors:
-        raise InvalidSetting("; ".join(errors))
+def draw(curves: Curves, path: Path) -> None:
+    """Draw a column for each environment and a row for each quantity."""
+    plt = pyplot()
+    size = (4.2 * len(curves), 2.1 * len(SHOWN))
+    figure, axes = plt.subplots(
+        len(SHOWN), len(curves), figsize=size, sharex="col", squeeze=False, layout="constrained"
+    )
+    learners = sorted({learner for own in curves.values() for learner in own})
+    colours = {each: COLOURS[k % len(COLOURS)] for k, each in enumerate(learners)}
+    for column, (env, own) in enumerate(curves.items()):
+        for row, (name, (words, ends)) in enumerate(SHOWN.items()):
+            panel: Any = axes[row][column]
+            highest = 1.0
+            for learner, seeds in own.items():
+                grid, mean, half = band(seeds, name)
+                colour, x = colours[learner], grid / 1000
+                panel.plot(x, mean, color=colour, lw=1.6, label=learner)
+                panel.fill_between(x, mean - half, mean + half, color=colour, alpha=0.2, lw=0)
+                highest = max(highest, 1.1 * float(mean.max()))
+            panel.set_ylim(ends[0], highest if ends[1] is None else ends[1])
+            if column == 0:
+                panel.set_ylabel(words)
+        axes[0][column].set_title(env)
+        axes[0][column].legend(frameon=False, loc="lower right")
+        axes[-1][column].set_xlabel("records taken [thousands]")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_figure(plt, figure, path)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, with errors in one line."""
     resumes = "the same command resumes every run from its last evaluation"
-    command("learning_curves", __doc__, Options, run, arguments, interrupted=resumes)
+    command("learning_curves", __doc__, Options, train, arguments, interrupted=resumes)
 
 
 if __name__ == "__main__":

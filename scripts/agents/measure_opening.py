@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from loose_agents.execution.command import command, option
-from loose_agents.execution.progress import ProgressLine
+from loose_agents.jobs import ProgressLine
 
 import loose_env
 from loose_env.arms import LinearArm
+from loose_env.cli.command import command
 from loose_env.diagnosis import (
     LOOSE,
     OPENINGS,
@@ -39,7 +39,7 @@ from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, StructuralLooseness, hypotheses
 from loose_env.io import Count, write_text
 from loose_env.rig import Job, SimulatedRig
-from scripts.study_parts.arms import arm_named
+from scripts.study import arm_named
 
 TABLE = Path(loose_env.__file__).parent / "diagnosis" / "opening.json"
 SLOTS = 32
@@ -181,16 +181,18 @@ def _short(pages: np.ndarray) -> list[object]:
 class Options:
     """Options of the measurement."""
 
-    arms: tuple[str, ...] = option(
-        ("vera", "planar3", "planar4", "planar6"), "arms without gravity", nargs="*"
-    )
-    pressed: tuple[str, ...] = option(
-        ("six_axis", "planar3v", "planar5v", "scara"), "arms under gravity", nargs="*"
-    )
-    records: Count = option(1200, "records for each arm, thrice with gravity")
-    seed: int = option(2, "root of all draws")
-    out: Path = option(TABLE, "file of the table; default: the shipped one")
-    keep: bool = option(False, "keep what ships for seats without gravity")
+    arms: tuple[str, ...] = ("vera", "planar3", "planar4", "planar6")
+    """Arms without gravity."""
+    pressed: tuple[str, ...] = ("six_axis", "planar3v", "planar5v", "scara")
+    """Arms under gravity."""
+    records: Count = 1200
+    """Records for each arm, thrice with gravity."""
+    seed: int = 2
+    """Root of all draws."""
+    out: Path = TABLE
+    """File of the table; default: the shipped one."""
+    keep: bool = False
+    """Keep what ships for seats without gravity."""
 
 
 def measure(options: Options) -> None:

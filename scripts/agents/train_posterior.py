@@ -22,11 +22,16 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from loose_agents.core.estimators import WEIGHTS, setting_name
-from loose_agents.execution.backends import BackendSettings
-from loose_agents.execution.command import command, option
-from loose_agents.execution.shards import Shard
-from loose_agents.posterior_training.bank_storage import (
+from loose_agents.belief import WEIGHTS, setting_name
+from loose_agents.jobs import BackendSettings
+from loose_agents.posterior_training import (
+    PosteriorTraining,
+    TrainingSettings,
+    fit_reference,
+    seen_episodes,
+    with_reference,
+)
+from loose_agents.record_bank import (
     BankOptions,
     BankPlan,
     build_bank,
@@ -36,10 +41,9 @@ from loose_agents.posterior_training.bank_storage import (
     read_features,
     seat_features,
 )
-from loose_agents.posterior_training.novelty import fit_reference, seen_episodes, with_reference
-from loose_agents.posterior_training.train import PosteriorTraining, TrainingSettings
 from numpy.typing import NDArray
 
+from loose_env.cli.command import command
 from loose_env.diagnosis import NoveltyReference, Seen, read_network, write_network
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
@@ -52,13 +56,16 @@ from loose_env.statistics import axes_grid
 class Options(BankOptions, BackendSettings):
     """Options of the training."""
 
-    steps: Count = option(TrainingSettings.steps, "optimiser steps")
-    hidden: Count = option(TrainingSettings.hidden, "hidden units")
-    training_seed: int = option(TrainingSettings.seed, "its seed")
-    weights: str | None = option(None, "folder of the trained weights")
-    reference_only: bool = option(
-        False, "train nothing; add to the weights what trained-kind arms leave unexplained"
-    )
+    steps: Count = TrainingSettings.steps
+    """Optimiser steps."""
+    hidden: Count = TrainingSettings.hidden
+    """Hidden units."""
+    training_seed: int = TrainingSettings.seed
+    """Its seed."""
+    weights: str | None = None
+    """Folder of the trained weights."""
+    reference_only: bool = False
+    """Train nothing; add to the weights what trained-kind arms leave unexplained."""
 
 
 def train(options: Options) -> None:
@@ -131,9 +138,9 @@ def reference_of(
     problem, directions = plan.problem(), directions_of(plan)
     features = seat_features(problem, directions)
 
-    def episodes(shards: tuple[Shard, ...]) -> Iterator[list[Seen]]:
+    def episodes(shards: list[range]) -> Iterator[list[Seen]]:
         for shard in shards:  # one after the other: what all of them show is large
-            yield from seen_episodes(problem, features, read_bank(plan, folder, (shard,)))
+            yield from seen_episodes(problem, features, read_bank(plan, folder, [shard]))
 
     return fit_reference(
         tensors,

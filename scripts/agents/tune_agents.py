@@ -21,7 +21,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -30,31 +30,34 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from loose_agents.benchmark.sharded import problem_of
-from loose_agents.benchmark.tuning import (
-    Trails,
-    best_constant,
-    best_sequences,
-    best_threshold,
-    single_joints,
-    unseen_return,
-    write_tuned,
-)
-from loose_agents.benchmark.tuning_sharded import ORACLE, Player, names_of, play_player, trained
-from loose_agents.core.estimators import WEIGHTS, make_estimator, tuning_name
-from loose_agents.core.seeds import BANK_SEED, TUNING_SEED, check_training_seed
-from loose_agents.evaluation.env_arguments import arguments_of
-from loose_agents.execution.backends import BackendSettings
-from loose_agents.execution.command import command, option
-from loose_agents.policies.non_adaptive import (
+from loose_agents.base import BANK_SEED, TUNING_SEED, check_training_seed
+from loose_agents.belief import WEIGHTS, make_estimator, tuning_name
+from loose_agents.evaluation import arguments_of, problem_of
+from loose_agents.jobs import BackendSettings
+from loose_agents.policies.choice import (
     FIXED_RECORDS,
     OpenLoopPolicy,
     Records,
     designed_sequences,
     drawn_sequences,
+    make_policy,
 )
-from loose_agents.policies.policies import make_policy
+from loose_agents.tuning import (
+    ORACLE,
+    Player,
+    Trails,
+    best_constant,
+    best_sequences,
+    best_threshold,
+    names_of,
+    play_player,
+    single_joints,
+    trained,
+    unseen_return,
+    write_tuned,
+)
 
+from loose_env.cli.command import command
 from loose_env.errors import InvalidSetting
 from loose_env.evaluation import bootstrap_mean
 from loose_env.io import Count
@@ -67,20 +70,30 @@ BOOTSTRAP_SEED = 0
 class Options(BackendSettings):
     """Options of the tuning."""
 
-    env: str = option("loose_env/Planar-v0", "environment id")
-    arguments: str = option('{"engine": "reduced"}', "its arguments, as JSON")
-    agents: tuple[str, ...] = option(MISSING, "estimator/policy, or oracle/policy")
-    episodes: Count = option(4000, "training episodes for each agent")
-    records: Count = option(12, "records an episode, at most the rules' own")
-    levels: tuple[int, ...] | None = option(
-        None, "levels tried for the constant policy; default: all"
-    )
-    sequences: Count = option(24, "sequences for the fixed policy to choose from")
-    seed: int = option(TUNING_SEED, "seed of the training episodes")
-    agent_seed: int = option(0, "seed of what agents draw")
-    shard: Count = option(100, "episodes that a worker plays at a time")
-    folder: str = option("runs/tuning", "folder of the shards")
-    out: str = option(str(WEIGHTS), "folder of the tuned settings; default: the shipped ones")
+    env: str = "loose_env/Planar-v0"
+    """Environment id."""
+    arguments: str = '{"engine": "reduced"}'
+    """Its arguments, as JSON."""
+    agents: tuple[str, ...]
+    """Estimator/policy, or oracle/policy."""
+    episodes: Count = 4000
+    """Training episodes for each agent."""
+    records: Count = 12
+    """Records an episode, at most the rules' own."""
+    levels: tuple[int, ...] | None = None
+    """Levels tried for the constant policy; default: all."""
+    sequences: Count = 24
+    """Sequences for the fixed policy to choose from."""
+    seed: int = TUNING_SEED
+    """Seed of the training episodes."""
+    agent_seed: int = 0
+    """Seed of what agents draw."""
+    shard: Count = 100
+    """Episodes that a worker plays at a time."""
+    folder: str = "runs/tuning"
+    """Folder of the shards."""
+    out: str = str(WEIGHTS)
+    """Folder of the tuned settings; default: the shipped ones."""
 
 
 def line_of(agent: str, trails: Trails, threshold: float) -> str:

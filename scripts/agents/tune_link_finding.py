@@ -20,12 +20,9 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from loose_agents.benchmark.sharded import problem_of
-from loose_agents.core.base import Agent, Problem
-from loose_agents.evaluation.env_arguments import arguments_of
-from loose_agents.evaluation.evaluate import evaluate
-from loose_agents.execution.command import command, option
-from loose_agents.execution.progress import ProgressLine
+from loose_agents.base import Agent, Problem
+from loose_agents.evaluation import arguments_of, evaluate, problem_of
+from loose_agents.jobs import ProgressLine
 from loose_agents.policies.classical import (
     ClassicalAgent,
     ClassicalSettings,
@@ -35,19 +32,13 @@ from loose_agents.policies.classical import (
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.registry import classical_settings
 
-from loose_env.arms import MismatchDraw
+from loose_env.cli.command import command
 from loose_env.diagnosis import (
     LinkFindingSettings,
     Order,
-    PlaceDirections,
-    RecordScatter,
-    RecordStatistics,
 )
-from loose_env.envs import BatchRig, EpisodeBatch
 from loose_env.errors import InvalidSetting
-from loose_env.faults import Fault
 from loose_env.io import Count, write_text
-from loose_env.rig import Job, Measurement
 from loose_env.typing import Array
 
 TRAINING_SEED = 1
@@ -60,113 +51,23 @@ ANEW = 0.35
 """Probability that a candidate of the classical method has a field drawn anew."""
 
 
-class RememberingRig:
-    """A simulated rig that does not simulate the same record twice.
-
-    Candidates that excite the same joint take the same first steps on the same arms; a record
-    depends on its arm, pose, excitation and generator alone.
-    """
-
-    def __init__(self, rig: BatchRig) -> None:
-        self.rig = rig
-        self._arms: dict[int, tuple[str, bytes]] = {}
-        self._pending: dict[int, tuple[Fault, MismatchDraw | None]] = {}
-        self._known: dict[tuple[object, ...], Measurement] = {}
-
-    def forget(self) -> None:
-        """Drop what is remembered: other episodes follow."""
-        self._known.clear()
-
-    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
-        """Remember the arm; it is built when something new is asked of it."""
-        zero = b"" if mismatch is None else mismatch.joint_zero.tobytes()
-        self._arms[slot] = (repr(fault), zero)
-        self._pending[slot] = (fault, mismatch)
-
-    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
-        """Look records up; simulate the rest."""
-        keys = [self._key(job) for job in jobs]
-        new = [k for k, key in enumerate(keys) if key not in self._known]
-        for k in new:
-            slot = jobs[k].slot
-            if slot in self._pending:
-                self.rig.mount(slot, *self._pending.pop(slot))
-        if new:
-            measured = self.rig.measure_many([jobs[k] for k in new])
-            self._known.update(zip((keys[k] for k in new), measured, strict=True))
-        return [self._known[key] for key in keys]
-
-    def _key(self, job: Job) -> tuple[object, ...]:
-        shake = job.excitation
-        state = repr(job.rng.bit_generator.state)
-        return (
-            *self._arms[job.slot],
-            job.pose.tobytes(),
-            shake.torque_rms,
-            shake.duration,
-            state,
-        )
-
-
-class RememberingPlaces(PlaceDirections):
-    """Places of an arm that do not judge the same record twice."""
-
-    known: dict[bytes, RecordScatter]
-
-    @classmethod
-    def like(cls, places: PlaceDirections) -> RememberingPlaces:
-        """Take over what was computed for an arm."""
-        made = cls.__new__(cls)
-        made.__dict__.update(places.__dict__, known={})
-        return made
-
-    def of(self, record: RecordStatistics) -> RecordScatter:
-        """Look a record up, or judge it."""
-        key = record.pose.tobytes() + record.torque.tobytes() + record.tool_covariance.tobytes()
-        if key not in self.known:
-            self.known[key] = super().of(record)
-        return self.known[key]
-
-
 class Bench:
     """Training episodes of one arm, on which candidates play."""
 
     def __init__(self, env: str, arguments: Mapping[str, Any]) -> None:
         self.problem = problem_of(env, arguments)
-        # The rig of the engine that the arguments name.
-        batch = EpisodeBatch(self.problem.arm, self.problem.settings, num=WIDTH)
-        self.rig = RememberingRig(batch.rig)
-        self.places: RememberingPlaces | None = None
 
     def play(self, agents: Sequence[Agent], first: int, count: int) -> tuple[Array, Array]:
         """Returns and successes of episodes ``first`` to ``first + count - 1`` (agents, count)."""
-        parts = []
-        for begin in range(first, first + count, WIDTH):
-            size = min(WIDTH, first + count - begin)
-            parts.append(np.array([self._rows(agent, begin, size) for agent in agents]))
-            self.rig.forget()
-            if self.places is not None:
-                self.places.known.clear()
-        returns, right = np.moveaxis(np.concatenate(parts, axis=1), -1, 0)
+        played = [self._rows(agent, first, count) for agent in agents]
+        returns, right = np.moveaxis(np.array(played), -1, 0)
         return returns, right
 
     def _rows(self, agent: Agent, first: int, count: int) -> list[tuple[float, bool]]:
-        if isinstance(agent, ClassicalAgent):
-            if self.places is None:
-                self.places = RememberingPlaces.like(agent.places)
-            agent.places = self.places
         arm, settings = self.problem.arm, self.problem.settings
         rows = evaluate(
-            agent,
-            "",
-            arm,
-            settings,
-            episodes=count,
-            seed=TRAINING_SEED,
-            first=first,
-            width=WIDTH,
-            rig=self.rig,
-        )
+            agent, "", arm, settings, episodes=count, seed=TRAINING_SEED, first=first
+        )  # fmt: skip
         return [(row.reward, row.success) for row in rows]
 
 
@@ -220,12 +121,18 @@ METHODS: Mapping[Method, tuple[Draw, Callable[[Problem, Any], Agent]]] = {
 class Options:
     """Options of the search."""
 
-    env: tuple[str, ...] = option(("loose_env/Vera-v0",), "environment ids")
-    arguments: str = option("{}", "their arguments, as JSON")
-    methods: tuple[Method, ...] = option(get_args(Method), "methods to tune")
-    candidates: Count = option(72, "settings to try a method")
-    episodes: Count = option(32, "episodes that each plays on every arm; the better ones play on")
-    out: str = option("agents/loose_agents/weights", "folder of the results")
+    env: tuple[str, ...] = ("loose_env/Vera-v0",)
+    """Environment ids."""
+    arguments: str = "{}"
+    """Their arguments, as JSON."""
+    methods: tuple[Method, ...] = get_args(Method)
+    """Methods to tune."""
+    candidates: Count = 72
+    """Settings to try a method."""
+    episodes: Count = 32
+    """Episodes that each plays on every arm; the better ones play on."""
+    out: str = "agents/loose_agents/weights"
+    """Folder of the results."""
 
 
 def tune(options: Options) -> None:
@@ -291,11 +198,6 @@ def halving(
 
 def choose(returns: Array, right: Array) -> int:
     """Settings most often right among those within a standard error of the best return.
-
-    Parameters
-    ----------
-    returns, right : ndarray (settings, arms, episodes)
-        Returns and successes on the same episodes.
 
     Examples
     --------

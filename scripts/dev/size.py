@@ -45,13 +45,7 @@ def files_of(place: str, root: Path) -> list[Path]:
 
 
 def measured(contributing: str, root: Path = ROOT) -> list[Part]:
-    """Size of every part that the table of budgets names.
-
-    Raises
-    ------
-    ValueError
-        If there is no such table, or it names a place that does not exist.
-    """
+    """Size of every part that the table of budgets names."""
     section = SECTION.search(contributing)
     rows = list(ROW.finditer(section["body"])) if section else []
     if not rows:

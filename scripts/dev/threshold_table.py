@@ -5,11 +5,14 @@ Usage: python -m scripts.dev.threshold_table [doctor | gap | instrument]
 
 from __future__ import annotations
 
-import argparse
 import re
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-__all__ = ["PARTS", "main", "threshold_table"]
+from tyro.conf import Positional
+
+from loose_env.cli.command import command, one_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = {
@@ -49,12 +52,22 @@ def threshold_table(source: str) -> str:
     return "\n".join(rows)
 
 
-def main() -> None:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Part whose thresholds are printed."""
+
+    part: Positional[Annotated[str, one_of(tuple(PARTS))]] = "gap"
+    """Part."""
+
+
+def show(options: Options) -> None:
     """Print the table of a part."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", nargs="?", default="gap", choices=PARTS)
-    chosen = parser.parse_args()
-    print(threshold_table(PARTS[chosen.part].read_text(encoding="utf-8")))
+    print(threshold_table(PARTS[options.part].read_text(encoding="utf-8")))
+
+
+def main() -> None:
+    """Print the table, with errors in one line."""
+    command("threshold_table", __doc__, Options, show)
 
 
 if __name__ == "__main__":

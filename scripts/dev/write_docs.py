@@ -7,11 +7,9 @@ With --check nothing is written; the exit status says whether the page is up to 
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import inspect
 import re
-import sys
 import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,7 +19,10 @@ import gymnasium
 
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import Arm
+from loose_env.cli.command import command
 from loose_env.envs import DIFFICULTIES, DiagnosisEnv
+from loose_env.errors import InvalidData
+from loose_env.io import write_text
 from loose_env.registration import IDS, TIERS
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "environments.md"
@@ -253,20 +254,26 @@ def name_of(arm: Arm, name: str) -> str:
     return group if of_joint or (last and set(last) <= set("xyz")) else name
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """What is done."""
+
+    check: bool = False
+    """Write nothing: fail where the page is out of date."""
+
+
+def write(options: Options) -> None:
+    """Write the page, or check it."""
+    text = environments()
+    if not options.check:
+        print(f"wrote {write_text(PAGE, text)}")
+    elif PAGE.read_text(encoding="utf-8") != text:
+        raise InvalidData(f"{PAGE.name} is out of date: run python scripts/dev/write_docs.py")
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Write the files, or check them."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="only say whether they are current")
-    options = parser.parse_args(arguments)
-    path, text = PAGE, environments()
-    if options.check:
-        if path.read_text(encoding="utf-8") != text:
-            sys.exit(f"{path.name} is out of date: run python scripts/dev/write_docs.py")
-        return
-    beside = path.with_suffix(".part")
-    beside.write_text(text, encoding="utf-8")
-    beside.replace(path)
-    print(f"wrote {path}")
+    """Write the page, with errors in one line."""
+    command("write_docs", __doc__, Options, write, arguments)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,1 @@
-"""Scripts about loose_env/Gap-v0: evaluation, confusable pairs, training.
-
-Data flow: play -> tables -> figure -> evaluate -> pairs -> train.
-"""
+"""Agents of loose_env/Gap-v0: evaluation and training."""

@@ -4,7 +4,7 @@ Every agent meets the same hidden machines. It is played without stopping, and t
 after each motion; accuracy against machine time, stopping and calibration are read off that. The
 best stopping probabilities are found on other episodes:
 
-    python scripts/model_gap/evaluate.py --seed 20081000 --out out/gap_tuning
+    python scripts/model_gap/evaluate.py --seed 20081000 --out out/gap_tuning.json
 
 Usage: python scripts/model_gap/evaluate.py --episodes 60
 
@@ -14,32 +14,52 @@ Episodes are stored as they come: the same command goes on where it was stopped.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache, partial
+from itertools import pairwise
 from pathlib import Path
+from typing import Annotated, Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from loose_agents.execution.command import option
-from loose_agents.execution.study import Row, Study, StudyRun
-from loose_agents.policies.model_gap import GAP_AGENTS, STOPPING
+import gymnasium
+import numpy as np
+from loose_agents import EpisodeAgent
+from loose_agents.policies.model_gap import GAP_AGENTS, STOPPING, make_gap_agent
+from tyro.conf import OmitArgPrefixes
 
-from loose_env.envs import ModelGapEnv
+from loose_env.cli.command import command, one_of
+from loose_env.envs import GapPrices, ModelGapEnv
+from loose_env.evaluation import wilson
 from loose_env.io import Count
-from scripts.model_gap.figure import draw, write_curves
-from scripts.model_gap.play import EVALUATION_SEED, TUNING_SEED, agent_of, made, played
-from scripts.model_gap.tables import (
-    accuracy_table,
-    best_stopping,
-    calibration_table,
-    confusion_table,
-    ratio_table,
-    stopping_table,
-    time_table,
-)
+from loose_env.registration import GAP_ID
+from loose_env.report import pyplot, save_figure
+from loose_env.typing import Array
+from scripts.study import ROOT, Row, study_rows
 
+EVALUATION_SEED, TUNING_SEED = 20_261_126, 20_081_000
+"""Seeds of the judging episodes and of those on which stopping is tuned."""
+COUNTS = (1, 2, 1, 0, 1, 2, 1, 2, 1, 0)
+"""Hidden effects of the episodes, in turn."""
+_CERTAIN = 0.9999
+"""Probability of a set after which an episode's belief is taken not to change: evidence grows with
+every motion."""
+_CERTAIN_MOTIONS = 2
+GRID = (1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0, 25.0, 40.0)
+"""Machine times of the table [s]."""
+GROUPS = (("one effect", 1), ("two effects", 2), ("none", 0))
+"""Groups of episodes by the number of hidden effects."""
+THRESHOLDS = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
+"""Probabilities among which the stopping is tuned."""
+COLOURS = {
+    "greedy": "#0b6e99",
+    "battery": "#c4622d",
+    "random": "#7a7a7a",
+    "brief": "#8e5ba6",
+    "ppo": "#5b8c3a",
+}
 Case = tuple[str, int]
 """Agent and number of the episode."""
 
@@ -48,24 +68,115 @@ Case = tuple[str, int]
 class Settings:
     """Settings that every row depends on."""
 
-    seed: int = option(EVALUATION_SEED, "seed of the machines")
-    model: str = option("", "MJCF file of the arm; the package's three-joint arm by default")
-    most: Count = option(8, "motions of an episode")
+    seed: int = EVALUATION_SEED
+    """Seed of the machines."""
+    model: str = ""
+    """MJCF file of the arm; the package's three-joint arm by default."""
+    most: Count = 8
+    """Motions of an episode."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run(StudyRun):
+class Options:
     """Rows that are asked for."""
 
-    agents: tuple[str, ...] = option(GAP_AGENTS, "agents to play", choices=GAP_AGENTS)
-    episodes: Count = option(60, "episodes of each agent")
-    ppo: Path | None = option(None, "weights of train.py: the agent ppo, which stops by itself")
+    settings: OmitArgPrefixes[Settings] = field(default_factory=Settings)
+    agents: tuple[Annotated[str, one_of(GAP_AGENTS)], ...] = GAP_AGENTS
+    """Agents to play."""
+    ppo: Path | None = None
+    """Weights of train.py: the agent ppo, which stops by itself."""
+    episodes: Count = 60
+    """Episodes of each agent."""
+    out: Path = ROOT / "docs" / "figures" / "gap_env.json"
+    """File of the rows; the figure lies beside it."""
+    afresh: bool = False
+    """Work out again what is stored."""
 
 
-def cases_of(settings: Settings, run: Run) -> list[Case]:
-    """Cases, episode by episode, so that an interrupted study is paired."""
-    agents = (*run.agents, *(("ppo",) if run.ppo else ()))
-    return [(agent, n) for n in range(run.episodes) for agent in agents]
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """State of the belief after a motion."""
+
+    motion: int
+    seconds: float
+    wear: float
+    right: bool
+    probability: float
+    parameter_error: float
+    covered: float
+    worth: float
+
+
+def made(model: str | Path | None = None, **settings: Any) -> ModelGapEnv:
+    """Make the environment of an arm, with fields of its settings."""
+    env = gymnasium.make(GAP_ID, model=model, **settings)
+    unwrapped = env.unwrapped
+    assert isinstance(unwrapped, ModelGapEnv)
+    return unwrapped
+
+
+def agent_of(env: ModelGapEnv, name: str, number: int, weights: Path | None) -> EpisodeAgent:
+    """Make an agent that does not stop, but for ``ppo``, which has the weights and stops itself."""
+    if name != "ppo":
+        return make_gap_agent(name, env, sure=2.0, seed=number)
+    from loose_agents.rl.motion_policy import LearnedGapAgent  # torch where it is used
+
+    assert weights is not None
+    return LearnedGapAgent(weights, env)
+
+
+def played(
+    env: ModelGapEnv, agent: Any, *, seed: int, number: int, names: tuple[str, ...] = (),
+    most: int = 12,
+) -> dict[str, Any]:  # fmt: skip
+    """Play one episode, and keep the belief after every motion.
+
+    The agent is one that never stops: when it would have is read off the probabilities.
+    """
+    options = {"names": names} if names else {"count": COUNTS[number % len(COUNTS)]}
+    observation, info = env.reset(seed=int(seed + 1000 * number), options=options)
+    assert env.machine is not None
+    truth, certain = env.machine.names, 0
+    steps: list[Step] = []
+    state, start = None, True
+    while len(steps) < most and certain < _CERTAIN_MOTIONS:
+        action, state = agent.predict(observation, state, np.array([start]))
+        start = False
+        observation, _, terminated, truncated, info = env.step(action)
+        if terminated or truncated:
+            break
+        best = env.belief.posterior.best
+        certain = certain + 1 if best.probability > _CERTAIN else 0
+        hidden = {e.name: e.value for e in env.machine.effects}
+        inside = [e.low <= hidden[e.name] <= e.high for e in best.effects if e.name in hidden]
+        steps.append(
+            Step(
+                motion=int(action),
+                seconds=float(info["seconds"]),
+                wear=float(info["wear"]),
+                right=best.names == truth,
+                probability=best.probability,
+                parameter_error=env.parameter_error(best),
+                worth=float(np.max(observation[env.layout.gain] - env.motion_prices)),
+                covered=float(np.mean(inside)) if inside else float("nan"),
+            )
+        )
+    named = env.belief.posterior.best.names if steps else ()
+    return {
+        "episode": number,
+        "effects": len(truth),
+        "truth": " + ".join(truth),
+        "named": " + ".join(named),
+        "failure": info.get("failure", ""),
+        "motion": [s.motion for s in steps],
+        "seconds": [s.seconds for s in steps],
+        "wear": [s.wear for s in steps],
+        "right": [int(s.right) for s in steps],
+        "probability": [s.probability for s in steps],
+        "worth": [s.worth for s in steps],
+        "parameter_error": [s.parameter_error for s in steps],
+        "covered": [-1.0 if np.isnan(s.covered) else s.covered for s in steps],
+    }
 
 
 @cache
@@ -73,53 +184,238 @@ def _env(model: str) -> ModelGapEnv:
     return made(model or None)
 
 
-def play(case: Case, *, settings: Settings, run: Run, say: Callable[[str], None]) -> list[Row]:
+def play(case: Case, *, settings: Settings, ppo: Path | None) -> list[Row]:
     """Play one episode of one agent."""
     agent, number = case
     env = _env(settings.model)
-    never = agent_of(env, agent, number, run.ppo)
+    never = agent_of(env, agent, number, ppo)
     row = played(env, never, seed=settings.seed, number=number, most=settings.most)
     return [{"agent": agent, **row}]
 
 
-def case_of(row: Row) -> Case:
-    """Case of a row."""
-    return row["agent"], row["episode"]
+def accuracy_at(rows: Sequence[Row], seconds: float) -> float:
+    """Share of episodes whose most probable set is right after some machine time [s].
+
+    Before its first motion is through, an episode counts as wrong; after its last one as it ended.
+    """
+    right = []
+    for row in rows:
+        done = np.searchsorted(row["seconds"], seconds, side="right")
+        right.append(row["right"][done - 1] if done else 0)
+    return float(np.mean(right)) if right else float("nan")
 
 
-def show(rows: list[Row], settings: Settings, path: Path, run: Run) -> None:
-    """Print the tables."""
-    sure = best_stopping(rows) if settings.seed == TUNING_SEED else STOPPING
+def of(rows: Sequence[Row], agent: str, effects: int) -> list[Row]:
+    """Episodes of an agent with some number of hidden effects, those without failure."""
+    return [
+        row
+        for row in rows
+        if row["agent"] == agent and row["effects"] == effects and row["seconds"]
+    ]
+
+
+def agents_in(rows: Sequence[Row]) -> list[str]:
+    """Agents, in the order of their rows."""
+    return list(dict.fromkeys(row["agent"] for row in rows))
+
+
+def curves(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Accuracy by machine second, for each agent and number of effects."""
+    grid = np.arange(1.0, 91.0, 0.5)
+    return [
+        {
+            "agent": agent,
+            "effects": effects,
+            "seconds": float(t),
+            "accuracy": accuracy_at(own, float(t)),
+            "episodes": len(own),
+        }
+        for agent in agents_in(rows)
+        for _, effects in GROUPS
+        if (own := of(rows, agent, effects))
+        for t in grid
+    ]
+
+
+def accuracy_table(rows: Sequence[Row]) -> list[str]:
+    """Accuracy after some machine times."""
+    lines = [
+        "| agent | hidden | episodes | " + " | ".join(f"{t:g} s" for t in GRID) + " |",
+        "|---|---|---|" + "---|" * len(GRID),
+    ]
+    for words, effects in GROUPS:
+        for agent in agents_in(rows):
+            own = of(rows, agent, effects)
+            if own:
+                shares = " | ".join(f"{100 * accuracy_at(own, t):.0f} %" for t in GRID)
+                lines.append(f"| {agent} | {words} | {len(own)} | {shares} |")
+    return lines
+
+
+def seconds_for(rows: Sequence[Row], accuracy: float) -> float:
+    """Machine time from which accuracy stays at a level or above [s]; NaN if it never does."""
+    ends = sorted({s for row in rows for s in row["seconds"]})
+    found = float("nan")
+    for t in reversed(ends):
+        if accuracy_at(rows, t) < accuracy:
+            break
+        found = t
+    return found
+
+
+def time_table(rows: Sequence[Row]) -> list[str]:
+    """Machine times to reach and keep some accuracies."""
+    levels = (0.5, 0.7, 0.8, 0.9)
+    lines = [
+        "| agent | hidden | " + " | ".join(f"{100 * a:.0f} %" for a in levels) + " | in the end |",
+        "|---|---|" + "---|" * (len(levels) + 1),
+    ]
+    for words, effects in GROUPS:
+        for agent in agents_in(rows):
+            own = of(rows, agent, effects)
+            if not own:
+                continue
+            times = [seconds_for(own, a) for a in levels]
+            cells = " | ".join("not reached" if np.isnan(t) else f"{t:.1f} s" for t in times)
+            right = sum(row["right"][-1] for row in own)
+            low, high = wilson(right, len(own))
+            end = f"{100 * right / len(own):.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+            lines.append(f"| {agent} | {words} | {cells} | {end} |")
+    return lines
+
+
+def stopped(row: Row, sure: float, prices: GapPrices | None = None) -> dict[str, float]:
+    """Right or not, seconds and reward of an episode that stops as its agent does."""
+    prices = prices or GapPrices()
+    enough = np.array(row["probability"]) >= sure
+    if row["agent"] == "greedy":
+        enough |= np.array(row["worth"]) <= 0
+    enough[-1] = True
+    k = int(np.argmax(enough))
+    right = bool(row["right"][k])
+    verdict = prices.wrong
+    if right:
+        off = prices.parameter * min(row["parameter_error"][k], 1.0) if row["effects"] else 0.0
+        verdict = prices.correct - off
+    cost = prices.second * row["seconds"][k] + prices.wear * row["wear"][k]
+    return {
+        "right": float(right),
+        "seconds": row["seconds"][k],
+        "reward": verdict - cost,
+        "probability": row["probability"][k],
+    }
+
+
+def best_stopping(rows: Sequence[Row]) -> dict[str, float]:
+    """Probability of stopping with the largest mean reward, by agent."""
+    found = {}
+    for agent in agents_in(rows):
+        own = [row for row in rows if row["agent"] == agent and row["seconds"]]
+        means = [np.mean([stopped(row, p)["reward"] for row in own]) for p in THRESHOLDS]
+        found[agent] = THRESHOLDS[int(np.argmax(means))]
+    return found
+
+
+def stopping_table(rows: Sequence[Row], sure: dict[str, float]) -> list[str]:
+    """Accuracy, machine time and reward of the agents with their stopping."""
+    lines = [
+        "| agent | stops at | one effect | two effects | none | machine time | reward |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for agent in agents_in(rows):
+        shares = []
+        for _, effects in GROUPS:
+            own = [stopped(row, sure[agent]) for row in of(rows, agent, effects)]
+            shares.append(f"{100 * np.mean([o['right'] for o in own]):.0f} %" if own else "")
+        every = [stopped(r, sure[agent]) for r in rows if r["agent"] == agent and r["seconds"]]
+        rewards = np.array([o["reward"] for o in every])
+        error = 1.96 * float(rewards.std()) / np.sqrt(len(rewards))
+        lines.append(
+            f"| {agent} | {_threshold(sure[agent])} | {' | '.join(shares)} | "
+            f"{np.mean([o['seconds'] for o in every]):.1f} s | "
+            f"{rewards.mean():+.2f} ± {error:.2f} |"
+        )
+    return lines
+
+
+def _threshold(sure: float) -> str:
+    """Probability that an agent stops at; one above 1 is that of an agent with its own rule."""
+    return f"{sure:g}" if sure <= 1 else "its choice"
+
+
+def calibration_table(rows: Sequence[Row]) -> list[str]:
+    """Right verdicts by the probability of the most probable set, after every motion."""
+    p = np.array([v for row in rows for v in row["probability"]])
+    right = np.array([v for row in rows for v in row["right"]])
+    lines = ["| probability | beliefs | mean probability | right |", "|---|---|---|---|"]
+    edges = (0.0, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0001)
+    for low, high in pairwise(edges):
+        inside = (p >= low) & (p < high)
+        if inside.any():
+            lines.append(
+                f"| {low:g} to {min(high, 1):g} | {inside.sum()} | {p[inside].mean():.3f} | "
+                f"{right[inside].mean():.3f} |"
+            )
+    covered: Array = np.array([v for row in rows for v in row["covered"][-1:] if v >= 0])
+    if len(covered):
+        lines += [
+            "",
+            f"95 % intervals of the parameters that are named rightly hold the true value in "
+            f"{100 * covered.mean():.0f} % ({len(covered)} episodes).",
+        ]
+    return lines
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draw accuracy by machine time for one and two effects, and the calibration."""
+    plt = pyplot()
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
+    found = curves(rows)
+    for axis, effects, title in ((axes[0], 1, "one effect"), (axes[1], 2, "two effects")):
+        for agent in agents_in(rows):
+            own = [c for c in found if c["agent"] == agent and c["effects"] == effects]
+            times, shares = [c["seconds"] for c in own], [100 * c["accuracy"] for c in own]
+            axis.step(times, shares, color=COLOURS[agent], label=agent, where="post")
+        axis.set(title=title, xlabel="machine time [s]", ylabel="accuracy [%]", ylim=(0, 100))
+        axis.legend(loc="lower right", frameon=False)
+    p = np.array([v for row in rows for v in row["probability"]])
+    right = np.array([v for row in rows for v in row["right"]])
+    bins = np.clip((10 * p).astype(int), 0, 9)
+    axes[2].plot([0, 1], [0, 1], color="#999999", linewidth=1)
+    for k in set(bins.tolist()):
+        axes[2].plot(p[bins == k].mean(), right[bins == k].mean(), "o", color=COLOURS["greedy"])
+    axes[2].set(title="calibration", xlabel="probability of the set", ylabel="share right")
+    save_figure(plt, figure, path)
+
+
+def evaluate(options: Options) -> None:
+    """Play what is missing, print the tables and draw the figure."""
+    settings, agents = options.settings, (*options.agents, *(("ppo",) if options.ppo else ()))
+    rows = study_rows(
+        options.out,
+        [(agent, n) for n in range(options.episodes) for agent in agents],
+        partial(play, ppo=options.ppo),
+        lambda row: (row["agent"], row["episode"]),
+        script="scripts/model_gap/evaluate.py",
+        settings=settings,
+        digits=5,
+        unit="episodes",
+        afresh=options.afresh,
+    )
+    sure = STOPPING
     if settings.seed == TUNING_SEED:
+        sure = best_stopping(rows)
         print(f"best stopping on these episodes: {sure}\n")
     parts = [accuracy_table(rows), time_table(rows), stopping_table(rows, sure)]
-    parts += [ratio_table(rows, sure)]
-    parts += [calibration_table(rows), confusion_table(rows, "greedy")]
-    print("\n\n".join("\n".join(lines) for lines in parts))
+    print("\n\n".join("\n".join(lines) for lines in [*parts, calibration_table(rows)]))
+    draw(rows, options.out.with_suffix(".svg"))
 
 
-def drawn(rows: list[Row], settings: Settings, picture: Path) -> None:
-    """Draw the figure, and write the curves beside it."""
-    draw(rows, picture)
-    write_curves(rows, picture.with_suffix(".csv"))
-
-
-STUDY = Study(
-    script=__file__,
-    about=__doc__,
-    settings=Settings,
-    cases=cases_of,
-    work=play,
-    case_of=case_of,
-    show=show,
-    run=Run,
-    quick={"most": 3},
-    file="gap_env.json",
-    unit="episodes",
-    draw=drawn,
-    digits=5,
-)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Evaluate, with errors in one line."""
+    going_on = "the same command goes on"
+    command("evaluate", __doc__, Options, evaluate, arguments, interrupted=going_on)
 
 
 if __name__ == "__main__":
-    STUDY.main()
+    main()

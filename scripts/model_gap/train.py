@@ -20,13 +20,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from loose_agents.execution.command import add_options, new_parser, option, options_of
-from loose_agents.execution.script_errors import errors_in_one_line
 
+from loose_env.cli.command import command
 from loose_env.envs import ModelGapEnv
 from loose_env.gap import BeliefSettings
 from loose_env.io import Count, written_beside
-from scripts.model_gap.play import made
+from scripts.model_gap.evaluate import made
 
 CURVE = ("steps", "episodes", "reward", "success", "seconds")
 """Columns of the learning curve: means since the row before."""
@@ -36,21 +35,16 @@ CURVE = ("steps", "episodes", "reward", "success", "seconds")
 class Options:
     """Options of a training."""
 
-    out: Path = option(Path("out/gap_ppo"), "folder of the weights")
-    steps: Count = option(100_000, "motions and verdicts to train on, earlier ones included")
-    every: Count = option(2_048, "steps between two states that are kept")
-    simulations: int = option(0, "simulations of the belief after a motion")
-    seed: int = option(1, "seed of the training")
-
-
-def main() -> None:
-    """Train by the options of the command line."""
-    with errors_in_one_line("train", interrupted="the same command goes on"):
-        parser = new_parser(__doc__)
-        add_options(parser, Options)
-        options = options_of(Options, parser.parse_args())
-        belief = BeliefSettings(simulations=options.simulations)
-        train(options, made(belief=belief))
+    out: Path = Path("out/gap_ppo")
+    """Folder of the weights."""
+    steps: Count = 100_000
+    """Motions and verdicts to train on, earlier ones included."""
+    every: Count = 2_048
+    """Steps between two states that are kept."""
+    simulations: int = 0
+    """Simulations of the belief after a motion."""
+    seed: int = 1
+    """Seed of the training."""
 
 
 def train(options: Options, env: ModelGapEnv) -> None:
@@ -114,6 +108,15 @@ class _Ends:
                 writer.writeheader()
             writer.writerow(row)
         print(" ".join(f"{name} {value}" for name, value in row.items()), flush=True)
+
+
+def main() -> None:
+    """Train, with errors in one line."""
+
+    def run(options: Options) -> None:
+        train(options, made(belief=BeliefSettings(simulations=options.simulations)))
+
+    command("train", __doc__, Options, run, interrupted="the same command goes on")
 
 
 if __name__ == "__main__":

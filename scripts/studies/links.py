@@ -11,15 +11,16 @@ Usage: python scripts/studies/links.py [--cases 300] [--arm six_axis ...] [--fil
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from loose_agents.execution.command import option
-from loose_agents.execution.study import Row, Study, StudyRun
+from tyro.conf import OmitArgPrefixes
 
 from loose_env.arms import Arm, LinearArm, Mismatch, arm_from_file
+from loose_env.cli.command import command, one_of
 from loose_env.diagnosis import (
     ChangeModel,
     ChangeSighting,
@@ -45,7 +46,7 @@ from loose_env.faults import StructuralLooseness
 from loose_env.io import Count, NonNegativeCount
 from loose_env.rig import Job, SimulatedRig
 from loose_env.typing import Array
-from scripts.study_parts.arms import arm_named
+from scripts.study import ROOT, Row, arm_named, study_rows
 
 ARMS = ("six_axis", "scara", "planar4", "planar6")
 METHODS = ("4.31 outward", "4.31 bisection", "images one", "images all")
@@ -62,13 +63,33 @@ SCATTERS = (2.0, 5.0, 10.0, 20.0)
 class Settings:
     """Settings of the study."""
 
-    arm: tuple[str, ...] = option(ARMS, "arms", choices=ARMS, nargs="*")
-    file: tuple[str, ...] = option((), "more arms, MJCF or URDF files", nargs="*")
-    cases: NonNegativeCount = option(300, "cases a scatter in part (a); 0: none")
-    records: NonNegativeCount = option(96, "arms in part (b); 0: none")
-    poses: Count = option(6, "poses, the first included")
-    tries: Count = option(6, "first poses until the seat opens")
-    seed: int = option(0, "root of all draws")
+    arm: tuple[Annotated[str, one_of(ARMS)], ...] = ARMS
+    """Arms."""
+    file: tuple[str, ...] = ()
+    """More arms, MJCF or URDF files."""
+    cases: NonNegativeCount = 300
+    """Cases a scatter in part (a); 0: none."""
+    records: NonNegativeCount = 96
+    """Arms in part (b); 0: none."""
+    poses: Count = 6
+    """Poses, the first included."""
+    tries: Count = 6
+    """First poses until the seat opens."""
+    seed: int = 0
+    """Root of all draws."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Run of the study; no row depends on it."""
+
+    settings: OmitArgPrefixes[Settings] = field(default_factory=Settings)
+    quick: bool = False
+    """A rough look with few cases."""
+    out: Path = ROOT / "out" / "links.json"
+    """File of the rows."""
+    afresh: bool = False
+    """Work out again what is stored."""
 
 
 @dataclass
@@ -285,7 +306,7 @@ def visible(seen: ChangeSighting) -> bool:
 
 
 def by_simulation(
-    arm: Arm, cases: int, poses: int, tries: int, seed: int, say: Callable[[str], None]
+    arm: Arm, cases: int, poses: int, tries: int, seed: int
 ) -> tuple[Array, float, float]:
     """Share of right links (methods, poses), share of seats that opened, median error [deg]."""
     bench = Bench(arm, cases, seed)
@@ -308,7 +329,6 @@ def by_simulation(
                     if visible(seen):
                         errors.append(np.arccos(min(1.0, abs(float(true @ seen.direction)))))
             right[m, t] = np.mean([c.guess(method) == bench.links[k] for k, c in active.items()])
-            say(f"{arm.name}: {method}, pose {t + 1} of {poses}")
     return right, len(first) / cases, float(np.degrees(np.median(errors)))
 
 
@@ -324,13 +344,7 @@ def bound(frames: ToolFrames, draws: int, seed: int) -> float:
     return float(np.mean(shares))
 
 
-def work(
-    case: tuple[str, str, float],
-    *,
-    settings: Settings,
-    run: StudyRun,
-    say: Callable[[str], None],
-) -> list[Row]:
+def work(case: tuple[str, str, float], *, settings: Settings) -> list[Row]:
     """Accuracy by method and pose of one part, or its bound."""
     name, part, scatter = case
     arm = arm_from_file(Path(name)) if name in settings.file else arm_named(name)
@@ -344,13 +358,13 @@ def work(
     else:
         number = [*settings.arm, *settings.file].index(name)
         right, opened, error = by_simulation(
-            arm, settings.records, settings.poses, settings.tries, seed + number, say
+            arm, settings.records, settings.poses, settings.tries, seed + number
         )
         row |= {"right": right.tolist(), "opened": opened, "error": error}
     return [{"arm": name, "part": part, "scatter": scatter} | row]
 
 
-def cases_of(settings: Settings, run: StudyRun) -> list[tuple[str, str, float]]:
+def cases_of(settings: Settings) -> list[tuple[str, str, float]]:
     """For each arm its bound, part (a) by scatter, and part (b)."""
     parts = [("bound", 0.0)]
     parts += [("scatter", sd) for sd in SCATTERS if settings.cases]
@@ -358,7 +372,7 @@ def cases_of(settings: Settings, run: StudyRun) -> list[tuple[str, str, float]]:
     return [(name, *part) for name in (*settings.arm, *settings.file) for part in parts]
 
 
-def show(rows: list[Row], settings: Settings, path: Path, run: StudyRun) -> None:
+def show(rows: list[Row], settings: Settings) -> None:
     """Print a table for each arm and part."""
     for row in rows:
         if row["part"] == "bound":
@@ -376,21 +390,30 @@ def show(rows: list[Row], settings: Settings, path: Path, run: StudyRun) -> None
             print(f"  {method:<18} " + "".join(f"{100 * share:6.0f}" for share in shares))
 
 
-STUDY = Study(
-    script=__file__,
-    about=__doc__,
-    settings=Settings,
-    run=StudyRun,
-    quick={"cases": 4, "records": 4, "poses": 3, "tries": 2},
-    folder="out",
-    unit="parts",
-    cases=cases_of,
-    work=work,
-    case_of=lambda row: (row["arm"], row["part"], row["scatter"]),
-    show=show,
-    digits=8,
-)
-main = STUDY.main
+def find(options: Options) -> None:
+    """Work out what is missing, and print the tables."""
+    settings = options.settings
+    if options.quick:
+        settings = replace(settings, cases=4, records=4, poses=3, tries=2)
+    rows = study_rows(
+        options.out,
+        cases_of(settings),
+        work,
+        lambda row: (row["arm"], row["part"], row["scatter"]),
+        script="scripts/studies/links.py",
+        settings=settings,
+        unit="parts",
+        digits=8,
+        afresh=options.afresh,
+    )
+    show(rows, settings)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Find links, with errors in one line."""
+    going_on = "the same command goes on"
+    command("links", __doc__, Options, find, arguments, interrupted=going_on)
+
 
 if __name__ == "__main__":
     main()

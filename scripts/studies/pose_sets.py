@@ -13,20 +13,17 @@ Usage: python scripts/studies/pose_sets.py [--level directions|records] [--quick
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from loose_agents.core.base import Problem
-from loose_agents.execution.command import command, option
-from loose_agents.execution.study import ClusterRun, Row, Study, write_between
-from loose_agents.registry import make_agent
-from loose_agents.research.pose_set_trials import (
+from loose_agents.base import Problem
+from loose_agents.jobs import BackendSettings
+from loose_agents.policies.pose_sets import (
     ARMS,
     GREEDY,
     LIMIT,
@@ -37,16 +34,18 @@ from loose_agents.research.pose_set_trials import (
     limit_rows,
     records_block,
 )
+from loose_agents.registry import make_agent
 
+from loose_env.cli.command import command, one_of
 from loose_env.diagnosis import PLANNED, one_by_one_share
-from loose_env.errors import LooseEnvError
+from loose_env.errors import InvalidSetting, LooseEnvError
 from loose_env.evaluation import wilson
 from loose_env.io import Count, written_beside
 from loose_env.report import AGENTS as PALETTE
-from loose_env.report import FAINT, INK, MUTED, pyplot, save_figure
+from loose_env.report import FAINT, INK, MUTED, pyplot, read_study, save_figure
 from loose_env.typing import Array
+from scripts.study import ROOT, Row, study_rows, write_between
 
-ROOT = Path(__file__).resolve().parents[2]
 STRATEGIES = (*PLANNED, GREEDY)
 COLOURS = dict(zip(STRATEGIES, (6, 1, 3, 4, 5, 0, 2), strict=True))
 LEVELS = ("directions", "records")
@@ -54,21 +53,31 @@ _LIMITS = Task(arm="", strategy=LIMIT, first=0, cases=0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(ClusterRun):
+class Options(BackendSettings):
     """Settings of both levels."""
 
-    level: tuple[str, ...] = option(
-        LEVELS, "directions, records; none: draw what is stored", choices=LEVELS, nargs="*"
-    )
-    arm: tuple[str, ...] = option(tuple(ARMS), "arms", choices=tuple(ARMS), nargs="*")
-    cases: Count | None = option(None, "cases for each arm, scatter and strategy")
-    engine: str = option("mujoco", "engine of the simulation: mujoco or reduced")
-    excited: Literal["all", "first"] = option("all", "excited joints")
-    difficulty: str = option("default", "easy, default or hard")
-    learned: tuple[str, ...] = option(
-        ("ppo",), "agents of the registry; skipped if untrained", nargs="*"
-    )
-    seed: int = option(0, "root of all draws")
+    level: tuple[Annotated[str, one_of(LEVELS)], ...] = LEVELS
+    """Levels that are worked out; none: print and draw what is stored."""
+    arm: tuple[Annotated[str, one_of(tuple(ARMS))], ...] = tuple(ARMS)
+    """Arms."""
+    cases: Count | None = None
+    """Cases for each arm, scatter and strategy."""
+    engine: Literal["mujoco", "reduced"] = "mujoco"
+    """Engine of the simulation."""
+    excited: Literal["all", "first"] = "all"
+    """Excited joints."""
+    difficulty: str = "default"
+    """Easy, default or hard."""
+    learned: tuple[str, ...] = ("ppo",)
+    """Agents of the registry; skipped if untrained."""
+    seed: int = 0
+    """Root of all draws."""
+    quick: bool = False
+    """A rough look with few cases."""
+    out: Path | None = None
+    """Folder of rows and figure; docs/figures by default, of a quick run out."""
+    afresh: bool = False
+    """Work out again what is stored."""
 
 
 def playable(settings: Records) -> dict[str, list[str]]:
@@ -86,7 +95,7 @@ def playable(settings: Records) -> dict[str, list[str]]:
     return found
 
 
-def tasks_of(settings: Directions | Records, run: ClusterRun) -> list[Task]:
+def tasks_of(settings: Directions | Records) -> list[Task]:
     """All blocks, in an order in which a run cut short has a little of everything."""
     further = playable(settings) if isinstance(settings, Records) else {}
     blocks = [
@@ -98,13 +107,7 @@ def tasks_of(settings: Directions | Records, run: ClusterRun) -> list[Task]:
     return blocks if isinstance(settings, Records) else [_LIMITS, *blocks]
 
 
-def work(
-    task: Task,
-    *,
-    settings: Directions | Records,
-    run: ClusterRun,
-    say: Callable[[str], None],
-) -> Sequence[Row]:
+def work(task: Task, *, settings: Directions | Records) -> Sequence[Row]:
     """Rows of one block, or the limits of all directions."""
     if isinstance(settings, Records):
         return records_block(task, settings)
@@ -120,26 +123,32 @@ def task_of(settings: Directions | Records, row: Row) -> Task:
     return Task(arm=row["arm"], strategy=row["strategy"], first=first, cases=cases)
 
 
-def study_of(settings: Directions | Records) -> Study[Any, ClusterRun]:
-    """Study of one level."""
-    return Study(
-        script=__file__,
-        about=__doc__,
-        settings=type(settings),
-        run=ClusterRun,
-        file=f"pose_sets_{type(settings).__name__.lower()}.json",
-        unit="blocks",
-        cases=tasks_of,
-        work=work,
-        case_of=partial(task_of, settings),
-        show=lambda rows, settings, path, run: None,
+def rows_of(
+    folder: Path, settings: Directions | Records, backend: BackendSettings, *, afresh: bool = False
+) -> list[Row]:
+    """Rows of one level."""
+    return study_rows(
+        path_of(folder, settings),
+        tasks_of(settings),
+        work,
+        partial(task_of, settings),
+        script="scripts/studies/pose_sets.py",
+        settings=settings,
         order=lambda row: (
             list(ARMS).index(row["arm"]),
             row["strategy"],
             row.get("sd", 0.0),
             row.get("first", 0),
         ),
+        unit="blocks",
+        backend=backend,
+        afresh=afresh,
     )
+
+
+def path_of(folder: Path, settings: Directions | Records) -> Path:
+    """File of the rows of a level."""
+    return folder / f"pose_sets_{type(settings).__name__.lower()}.json"
 
 
 def summed(rows: Sequence[Row]) -> dict[tuple[str, float, str], Row]:
@@ -329,22 +338,20 @@ def evaluate(chosen: Options) -> None:
         directions = replace(directions, cases=chosen.cases)
         records = replace(records, cases=chosen.cases)
     rows: list[Row] = []
+    folder = chosen.out or ROOT / ("out" if chosen.quick else "docs/figures")
     both: tuple[Directions | Records, ...] = (directions, records)
     for level, settings in zip(LEVELS, both, strict=True):
-        study = study_of(settings)
-        path = study.path(settings, chosen)
-        if level in chosen.level and chosen.show is None:
-            rows += study.rows(path, settings, chosen)
-        elif path.exists():  # drawn and printed as it was stored
-            rows += json.loads(path.read_text(encoding="utf-8"))["rows"]
+        if level in chosen.level:
+            rows += rows_of(folder, settings, chosen, afresh=chosen.afresh)
+        elif path_of(folder, settings).exists():  # drawn and printed as it was stored
+            rows += read_study(path_of(folder, settings))["rows"]
     if not rows:
-        print(f"no rows lie in {path.parent}: name a --level", file=sys.stderr)
-        return
-    draw(rows, path.parent / "pose_sets.png")
+        raise InvalidSetting(f"no rows lie in {folder}: name a --level")
+    draw(rows, folder / "pose_sets.png")
     print(tables(rows))
-    if path.parent == study.root / "docs/figures":
-        write_between(study.root / "docs/pose_sets.md", tables(rows))
-    print(f"\npicture: {path.parent / 'pose_sets.png'}", file=sys.stderr)
+    if folder == ROOT / "docs/figures":
+        write_between(ROOT / "docs/pose_sets.md", tables(rows))
+    print(f"\npicture: {folder / 'pose_sets.png'}", file=sys.stderr)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

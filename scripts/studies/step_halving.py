@@ -19,15 +19,15 @@ docs/figures/...]
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
-from loose_agents.execution.command import option
-from loose_agents.execution.study import Row, Study, StudyRun
+from tyro.conf import OmitArgPrefixes
 
 from loose_env.arms import Arm, LinearArm
+from loose_env.cli.command import command, one_of
 from loose_env.diagnosis import RecordStatistics, statistics_of
 from loose_env.envs import DIFFICULTIES, FaultSampler
 from loose_env.errors import InvalidSetting
@@ -38,7 +38,7 @@ from loose_env.report import INK, MUTED, pyplot, save_figure
 from loose_env.rig import Job, SimulatedRig
 from loose_env.statistics import axial_angle, axial_difference, axial_mean
 from loose_env.typing import Array
-from scripts.study_parts.arms import arm_named
+from scripts.study import ROOT, Row, arm_named, study_rows
 
 ARMS = ("vera", "planar2", "planar4", "planar6", "planar4v")
 STEPS = (5e-4, 2.5e-4, 2e-4, 1e-4)
@@ -58,19 +58,14 @@ TWO_SIDED = 1.96  # standard deviations of a 95 % interval
 QUANTILES = (0.5, 0.9, 0.95, 1.0)
 
 
-def microseconds(word: str) -> float:
-    """Read a time [µs] as seconds."""
-    return float(word) * 1e-6
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
     """Settings of the study."""
 
-    arms: tuple[str, ...] = option(ARMS, "arms under test", choices=ARMS, metavar="ARM")
-    steps: tuple[float, ...] = option(
-        STEPS, "candidate steps [µs]; default: 500 250 200 100", type=microseconds
-    )
+    arms: tuple[Annotated[str, one_of(ARMS)], ...] = ARMS
+    """Arms under test."""
+    steps: tuple[float, ...] = STEPS
+    """Candidate steps [s]."""
     cases: Count = 18
     """Faults and poses per arm, 1 or more; the locations of the arm take turns."""
     records: Count = 6
@@ -85,12 +80,22 @@ class Settings:
     """Seed of faults, poses and excitations."""
 
     def __post_init__(self) -> None:
-        """Check the counts."""
-        if self.cases < 1 or self.records < 3:
-            raise InvalidSetting(
-                f"cases must be 1 or more and records 3 or more, got {self.cases} and "
-                f"{self.records}"
-            )
+        if self.records < 3:
+            raise InvalidSetting(f"records must be 3 or more, got {self.records}")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """Run of the study; no row depends on it."""
+
+    settings: OmitArgPrefixes[Settings] = dataclasses.field(default_factory=Settings)
+    quick: bool = False
+    """A rough look with few cases."""
+    out: Path | None = None
+    """File of the rows, the figure beside it; docs/figures/step_halving.json by default, of a quick
+    run out/step_halving.json."""
+    afresh: bool = False
+    """Work out again what is stored."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -198,9 +203,7 @@ def changes(ladder: Sequence[Sequence[RecordStatistics]], rung: int) -> dict[str
     return found
 
 
-def work(
-    case: tuple[str, float], *, settings: Settings, run: StudyRun, say: Callable[[str], None]
-) -> list[Row]:
+def work(case: tuple[str, float], *, settings: Settings) -> list[Row]:
     """Compare one candidate step of an arm with its halves; a row for each rung."""
     name, candidate = case
     arm = arm_named(name)
@@ -213,13 +216,11 @@ def work(
         duration=SURVEY_DURATION,
         hardest=True,
     )
-    say(f"{name}, step {candidate * 1e6:g} µs: survey")
     surveyed = [one[0] for one in measure(arm, many, candidate, settings, draws=1)]
     steps = [candidate / 2**k for k in range(HALVINGS + 1)]
     steps = [step for step in steps if step > 0.99 * FINEST]
     ladder = []
     for step in steps:
-        say(f"{name}, step {candidate * 1e6:g} µs: records at {step * 1e6:g} µs")
         ladder.append(measure(arm, cases, step, settings, draws=settings.records))
     rows = []
     for rung in range(len(steps) - 1):
@@ -264,17 +265,7 @@ def chance(settings: Settings) -> float:
     return float(np.sqrt(2 / settings.records))
 
 
-def head(settings: Settings) -> Mapping[str, Any]:
-    """What the rows rest on."""
-    ranges = vars(DIFFICULTIES[settings.difficulty])
-    return {
-        "settings": settings,
-        "difficulty": {key: str(value) for key, value in ranges.items() if key != "kinds"},
-        "chance": chance(settings),
-    }
-
-
-def show(rows: list[Row], settings: Settings, path: Path, run: StudyRun) -> None:
+def show(rows: list[Row]) -> None:
     """Print quantiles of z by arm, step and statistic."""
     print(
         f"{'arm':<9} {'faults for':>10} {'step':>8} {'statistic':<27}"
@@ -380,21 +371,35 @@ def draw(rows: list[Row], settings: Settings, path: Path) -> None:
     save_figure(plt, figure, path, dpi=150)
 
 
-STUDY = Study(
-    script=__file__,
-    about=__doc__,
-    settings=Settings,
-    run=StudyRun,
-    quick={"cases": 4, "records": 3, "surveyed": 40, "steps": (5e-4, 2e-4)},
-    unit="steps",
-    cases=lambda settings, run: [(a, step) for a in settings.arms for step in settings.steps],
-    work=work,
-    case_of=lambda row: (row["arm"], row["candidate"]),
-    head=head,
-    show=show,
-    draw=draw,
-)
-main = STUDY.main
+QUICK = {"cases": 4, "records": 3, "surveyed": 40, "steps": (5e-4, 2e-4)}
+"""Settings of a quick run."""
+
+
+def halve(options: Options) -> None:
+    """Work out what is missing, print the table and draw the figure."""
+    settings = options.settings
+    if options.quick:
+        settings = dataclasses.replace(settings, **QUICK)
+    path = options.out or ROOT / ("out" if options.quick else "docs/figures") / "step_halving.json"
+    rows = study_rows(
+        path,
+        [(arm, step) for arm in settings.arms for step in settings.steps],
+        work,
+        lambda row: (row["arm"], row["candidate"]),
+        script="scripts/studies/step_halving.py",
+        settings=settings,
+        unit="steps",
+        afresh=options.afresh,
+    )
+    show(rows)
+    draw(rows, settings, path.with_suffix(".png"))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Halve the step, with errors in one line."""
+    going_on = "the same command goes on"
+    command("step_halving", __doc__, Options, halve, arguments, interrupted=going_on)
+
 
 if __name__ == "__main__":
     main()

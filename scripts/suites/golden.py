@@ -205,7 +205,7 @@ def _episodes(
 ) -> list[Any]:
     """Play episodes by number, or one of each hypothesis."""
     import gymnasium
-    from loose_agents.core.base import Problem
+    from loose_agents.base import Problem
     from loose_agents.registry import make_agent
 
     env: Any = gymnasium.make(env_id, disable_env_checker=True, **arguments)

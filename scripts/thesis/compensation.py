@@ -107,7 +107,7 @@ def study(settings: Settings) -> dict[Compensation, Array]:
                     continue
                 motion, truth = joint_motion(pair[1], joint)[0], twins.slide(k)
                 lowest = angle_deg(statistics_of(pair[0]).lowest_direction, truth)
-                flatness = spectral_flatness(motion, pair[1].rate, arm.band)
+                flatness = float(spectral_flatness(motion, pair[1].rate, arm.band))
                 rows[kind].append((lowest, angle_deg(change_of(pair, joint), truth), flatness))
     return {kind: np.array(found) for kind, found in rows.items()}
 

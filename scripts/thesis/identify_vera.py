@@ -28,7 +28,7 @@ from scripts.thesis.rigs import PROXIMAL, STIFF_PIN_FACTOR, Pin, ShakenVeraParam
 from scripts.thesis.shaken_vera import from_y, printed_healthy
 
 # Parameter, lowest and highest value, and whether to search on a logarithmic scale.
-BOUNDS = (
+BOUNDS: tuple[tuple[str, float, float, bool], ...] = (
     ("pin_stiffness", 5e3, 5e5, True),
     ("pin_damping", 3.0, 60.0, True),
     ("link2_mode", 205.0, 320.0, False),

@@ -31,6 +31,7 @@ from scripts.thesis.rigs import shaken_vera
 from scripts.thesis.shaken_vera import (
     LOOSE,
     LOOSE_DIRECTION,
+    LOW_BAND,
     PLAY,
     PLAY_DIRECTION,
     TIGHT,
@@ -273,12 +274,13 @@ def vera_link_finding(seed: int) -> Section:
     """Find VERA's loose link from the printed directions, and from simulated ones."""
     simulated = {e: simulated_directions(seed, e) for e in EXPERIMENTS}
     told = {e: printed_directions(e) for e in EXPERIMENTS}
-    counts, spread = ({e: f(told[e]) for e in told} for f in (pair_count, scatter))
+    counts = {e: pair_count(directions) for e, directions in told.items()}
+    spread = {e: scatter(directions) for e, directions in told.items()}
     pooled = sum(named(directions) == SLIDES[1] for directions in told.values())
     healthy = scatter([phi for _, phi, _ in printed_healthy()])
     chance = {e: chance_of(spread[e][SLIDES[1]], seed) for e in told}
     shares = {e: {by: _shares(simulated[e][by]) for by in BY} for e in told}
-    hypotheses = (*SLIDES, *JOINTS)
+    hypotheses, low_band = (*SLIDES, *JOINTS), LOW_BAND
 
     def degrees(values: Mapping[str, float]) -> list[str]:
         return [f"{np.degrees(values[name]):.0f}°" for name in hypotheses]

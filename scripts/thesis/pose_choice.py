@@ -166,7 +166,8 @@ def trial(arm: Arm, seed: list[int]) -> Trial:
     drawn = np.array([arm.random_pose(rng) for _ in range(RANDOM_POSES)])
     groups = rng.integers(0, RANDOM_POSES, (RANDOM_SETS, SET))
     chosen, scores_drawn, moves, rows, comparisons = {}, {}, [], [], []
-    wins, gains, follows, proximal, least_sine = {}, {}, {}, {}, {}
+    wins, gains, follows, least_sine = {}, {}, {}, {}
+    proximal: dict[str, float] = {}
     for by in ("energy", "torque"):
         scores, scores_drawn[by] = (
             np.array([worst_push(arm, q, normalised=by == "energy") for q in poses])

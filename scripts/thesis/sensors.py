@@ -46,10 +46,11 @@ def gains(record: Measurement, joint: int) -> Array:
     """Acceleration of every link (rows) and of the tool per command of a joint (links + 1, 3)."""
     rate, band = record.rate, record.excitation.band
     command = bandpass(record.command[joint], rate, band)
-    links = [] if record.links is None else list(record.links)
-    tool = np.zeros((3, record.tool.shape[1]))
-    tool[: len(record.tool)] = record.tool
-    signals = bandpass(np.array([*links, tool]), rate, band)
+    tool, links = record.tool, record.links
+    assert links is not None
+    padded = np.zeros((1, links.shape[1], tool.shape[1]))
+    padded[0, : len(tool)] = tool
+    signals = bandpass(np.concatenate([links, padded]), rate, band)
     return np.asarray(signals @ command / (command @ command))
 
 
@@ -89,9 +90,11 @@ def compare(settings: Settings) -> None:
     )
     for arm in (vera(), planar(4)):
         loose, quiet, links, errors = study(arm, settings)
+        noise = np.median(quiet, axis=0)  # a sensor that hardly moves scatters most
         for name, sensors in (("tool", [arm.n]), ("tool + all links", list(range(arm.n + 1)))):
-            most, healthy = loose[:, sensors].max(axis=1), quiet[:, sensors].max(axis=1)
-            found = most > np.quantile(healthy, 1 - FALSE_ALARMS, method="higher")
+            most = loose[:, sensors].max(axis=1)
+            seen, healthy = ((x / noise)[:, sensors].max(axis=1) for x in (loose, quiet))
+            found = seen > np.quantile(healthy, 1 - FALSE_ALARMS, method="higher")
             # The last sensor is the tool's, which is carried by the last link.
             first = np.argmax(loose[:, sensors] > 0.5 * most[:, None], axis=1)
             named = np.minimum(1 + first, arm.n) if len(sensors) > 1 else np.full(len(links), arm.n)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import welch
 from scipy.stats import gmean
 
-from loose_env.arms import COIL, Arm, LinearArm, ShakenArm
+from loose_env.arms import BENDING_MODE_HZ, COIL, Arm, LinearArm, ShakenArm
 from loose_env.envs import FAINT, INK, MUTED
 from loose_env.excitation import Excitation
 from loose_env.faults import Backlash, Fault, Healthy
@@ -352,7 +352,7 @@ def experiment_five(seed: int) -> Section:
     off = {name: _turn_of(found, [phi for _, phi, _ in healthy]) for name, found in closed.items()}
     soft_turn = _turn_of(closed["pin half released"], closed["pin"])
     stiff_turn = _turn_of(closed["stiff refitted half released"], closed["stiff refitted"])
-    pin_stiffness = rig.pin_stiffness / 1e4
+    pin_stiffness, bending_hz = rig.pin_stiffness / 1e4, BENDING_MODE_HZ
 
     groups: dict[str, list[str]] = {"closer": [], "about as close": [], "farther off": []}
     for case, e in zip(tight, errors, strict=True):
@@ -456,7 +456,7 @@ def experiment_five(seed: int) -> Section:
         )
         for n, p, turn in zip(tight, released, turns, strict=True)
     ]
-    tables = [healthy_rows, loose_rows, preload_rows, error_rows(tight, errors, told)]
+    tables: list[Rows] = [healthy_rows, loose_rows, preload_rows, error_rows(tight, errors, told)]
     return section(
         "experiment_five",
         locals(),

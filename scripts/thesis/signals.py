@@ -411,8 +411,8 @@ def velocity_correlations(x: Array, y: Array, window: float) -> Correlations:
             values = []
             for start in range(0, len(x) - length + 1, length):
                 part = slice(start, start + length)
-                both = (method(signal[part], 1 / RATE, rule) for signal in (x, y))
-                values.append(np.corrcoef(*both)[0, 1])
+                one, other = (method(signal[part], 1 / RATE, rule) for signal in (x, y))
+                values.append(np.corrcoef(one, other)[0, 1])
             found[rule, use] = float(np.median(values))
     return found
 
@@ -526,15 +526,13 @@ def signals(seed: int) -> Section:
         level += 0.02 * rms(centred(x))
         noisy = centred(np.array([x, y])) + level * extra
     as_is = line_of_motion(x, y).correlation
+    plain = np.array([x, y])
     variants = {
-        f"here: accelerations correlate by {as_is:.4f}, offsets removed": (
-            centred(x),
-            centred(y),
-        ),
+        f"here: accelerations correlate by {as_is:.4f}, offsets removed": centred(plain),
         f"here: noise added until they correlate by {wanted}": noisy,
-        "here: as recorded, with the tape's offset": (x, y),
+        "here: as recorded, with the tape's offset": plain,
     }
-    correlated = [velocity_correlations(*pair, window) for pair in variants.values()]
+    correlated = [velocity_correlations(pair[0], pair[1], window) for pair in variants.values()]
     gap = max(abs(c["two_point", "summed"] - c["newton_cotes", "summed"]) for c in correlated)
     steps, step_sum, cotes, cotes_sum = correlated[1].values()
     newton = told["velocity_correlation_newton_cotes"]

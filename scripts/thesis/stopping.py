@@ -23,7 +23,7 @@ from loose_env.io import Count
 from loose_env.typing import Array
 from scripts.thesis.twins import Twins, angle_deg, change_of
 
-WANTED = (20.0, 10.0, 5.0, 2.5)
+WANTED = (5.0, 2.0, 1.0, 0.5)
 """Half widths of the interval at which a measurement stops [deg]."""
 FIRST = 4
 """Records before the first look: fewer tell little of their scatter."""

@@ -10,6 +10,7 @@ import tomllib
 import warnings
 from collections.abc import Callable
 from contextlib import redirect_stdout
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -34,25 +35,28 @@ def test_the_pages_show_commands_of_every_kind() -> None:
     }  # fmt: skip
 
 
-def help_of(run: Callable[..., object], program: str) -> str:
-    """What a program says to ``--help``, run in this process as if it were typed."""
+def help_of(run: Callable[..., object], program: str, *verb: str) -> str:
+    """What a program, or a verb of it, says to ``--help``, in this process as if it were typed."""
     argv, path, said = sys.argv, sys.path.copy(), io.StringIO()
-    sys.argv = [program, "--help"]
+    sys.argv = [program, *verb, "--help"]
     try:
-        with (
-            redirect_stdout(said),
-            warnings.catch_warnings(action="ignore"),
-            pytest.raises(SystemExit) as ended,
-        ):
+        with redirect_stdout(said), warnings.catch_warnings(action="ignore"):
             run(program, run_name="__main__")
+    except SystemExit as ended:
+        assert not ended.code, program
     finally:
         sys.argv, sys.path[:] = argv, path
-    assert not ended.value.code, program
     return said.getvalue()
 
 
-def unknown_options(name: str, shown: list[tuple[str, list[str]]], said: str) -> list[str]:
-    """Options that pages show with a program, and its help does not."""
+def unknown_options(
+    name: str, shown: list[tuple[str, list[str]]], run: Callable[..., object]
+) -> list[str]:
+    """Options that pages show with a program, and its help and that of its verbs do not."""
+    said = help_of(run, name)
+    after = {words[1] for _, words in shown if words[0] == name and len(words) > 1}
+    for verb in sorted(v for v in after if re.search(rf"^\W*{re.escape(v)}: ", said, re.MULTILINE)):
+        said += help_of(run, name, verb)
     known = set(re.findall(r"(?<![\w-])-{1,2}[a-zA-Z][\w-]*", said))
     options = {
         (page, word.partition("=")[0])
@@ -66,7 +70,7 @@ def unknown_options(name: str, shown: list[tuple[str, list[str]]], said: str) ->
 @pytest.mark.parametrize("script", sorted({w[0] for _, w in of("python") if w[0][0] != "-"}))
 def test_scripts_exist_and_know_the_options_shown(script: str) -> None:
     assert (ROOT / script).is_file(), f"{script} is shown and does not exist"
-    unknown = unknown_options(script, of("python"), help_of(runpy.run_path, script))
+    unknown = unknown_options(script, of("python"), runpy.run_path)
     assert not unknown, f"{script} has no {unknown}"
 
 
@@ -87,7 +91,8 @@ def test_modules_exist_and_know_the_options_shown(module: str) -> None:
         assert find_spec(module) is not None
         return
     pytest.importorskip(module.partition(".")[0])
-    unknown = unknown_options(module, of_modules(), help_of(runpy.run_module, module))
+    run = partial(runpy.run_module, alter_sys=True)
+    unknown = unknown_options(module, of_modules(), run)
     assert not unknown, f"python -m {module} has no {unknown}"
 
 

@@ -28,6 +28,8 @@ from tests.importing.sample_files import (
     write_uff,
 )
 
+pytestmark = pytest.mark.slow
+
 REPLACED = ImportSettings(overwrite=True)
 FREELY = settings(
     max_examples=40,

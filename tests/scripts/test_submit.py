@@ -25,7 +25,7 @@ def test_a_submission_is_made_checked_and_refused_once_changed(
     assert "there already" in capsys.readouterr().out and path.read_bytes() == stored
     with pytest.raises(SystemExit) as ended:
         submit.main([*given, "--agents", "always_unsure", "--entry", "always_healthy"])
-    assert ended.value.code == 2 and "holds agent 'always_healthy'" in capsys.readouterr().err
+    assert "holds agent 'always_healthy'" in str(ended.value)
     submit.main(["check", str(path), "--seed", "0"])
     assert "3 of 3 episodes replayed from their actions and by the agent" in capsys.readouterr().out
     whole = json.loads(stored)
@@ -33,8 +33,7 @@ def test_a_submission_is_made_checked_and_refused_once_changed(
     path.write_text(json.dumps(whole))
     with pytest.raises(SystemExit) as ended:
         submit.main(["check", str(path)])
-    assert ended.value.code == 2
-    said = capsys.readouterr().err.strip()
+    said = str(ended.value)
     assert said.count("\n") == 0 and f"{path}: episode 0: the file says return 1.0" in said
 
 
@@ -46,17 +45,19 @@ def test_a_submission_is_made_checked_and_refused_once_changed(
         (["make", "--agents", "random", "--tasks", TASK, "--episodes", "0"], "got 0"),
         (["make", "--agents", "random", "fixed", "--entry", "mine"], "--entry names one agent"),
         (["check", "nowhere.json"], "nowhere.json"),
-        (["check", "nowhere.json", "--episodes", "0"], "--episodes must be 1 or more"),
+        (
+            ["check", "nowhere.json", "--episodes", "0"],
+            "must be a whole number, 1 or more",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_said_in_one_line(
-    given: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    given: list[str], words: str, tmp_path: Path
 ) -> None:
     if given[0] == "make":
         given = [*given, "--out", str(tmp_path / "out"), "--shards", str(tmp_path / "shards")]
     with pytest.raises(SystemExit) as ended:
         submit.main(given)
-    assert ended.value.code == 2
-    said = capsys.readouterr().err.strip()
+    said = str(ended.value)
     assert words in said and said.count("\n") == 0
     assert not (tmp_path / "out").exists()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 import re
+import string
 from dataclasses import replace
 from importlib import import_module
 
@@ -64,6 +65,26 @@ def test_every_equation_has_a_function_that_cites_it(key: str) -> None:
             break
         assert callable(found)
         assert set(numbers.split()) <= cited(inspect.getdoc(found) or ""), path
+
+
+def strings(consts: object) -> set[str]:
+    """All strings among the constants of a function, those of its dictionaries too."""
+    if isinstance(consts, str):
+        return {consts}
+    return set().union(*map(strings, consts)) if isinstance(consts, tuple) else set()
+
+
+@pytest.mark.parametrize("key", list(SECTIONS))
+def test_the_text_uses_names_that_its_section_has(key: str) -> None:
+    module = import_module(f"scripts.thesis.{SECTIONS[key]}")
+    code, text = getattr(module, key).__code__, text_of(key)
+    known = {*vars(module), *text.get("printed", {}), *code.co_varnames, *code.co_cellvars}
+    pages = [text["finding"], text["words"], text.get("left_out", "")]
+    for block in (*text.get("table", ()), *text.get("figure", ())):
+        pages += [block["caption"], block.get("title", ""), *block.get("columns", ())]
+    used = {name for page in pages for _, name, *_ in string.Formatter().parse(page) if name}
+    first = {re.split(r"[.\[]", name)[0] for name in used}
+    assert first <= known | strings(code.co_consts)
 
 
 def test_the_looseness_joint_is_a_column_that_locates_its_link() -> None:

@@ -49,10 +49,6 @@ def test_the_trap_works(tmp_path: Path) -> None:
 
 OWN = {
     (
-        "agents/loose_agents/execution/local_pools.py",
-        "pickle.loads",
-    ): "what the same line has pickled, to see if it can be",
-    (
         "loose_env/arms/arm.py",
         "ctypes.CDLL",
     ): "MuJoCo's own library, and only if `import mujoco` has loaded it already",
@@ -146,7 +142,7 @@ def zipped(tmp_path: Path, *, tensors: object, described: dict[str, Any]) -> Pat
 
 def test_the_settings_of_a_stored_model_are_not_unpickled(tmp_path: Path, trap: bytes) -> None:
     pytest.importorskip("sb3_contrib")
-    from loose_agents.rl.checkpoint import network_arguments, read_model
+    from loose_agents.rl.model_files import network_arguments, read_model
 
     serialized = base64.b64encode(trap).decode()
     kwargs = {":type:": "<class 'dict'>", ":serialized:": serialized, "net_arch": [4]}
@@ -160,7 +156,7 @@ def test_the_settings_of_a_stored_model_are_not_unpickled(tmp_path: Path, trap: 
 
 
 def test_tensors_of_a_stored_model_are_tensors(tmp_path: Path, trap: bytes) -> None:
-    from loose_agents.rl.checkpoint import read_model
+    from loose_agents.rl.model_files import read_model
 
     file = zipped(tmp_path, tensors={"a": Trap(tmp_path / "executed")}, described={})
     with pytest.raises(InvalidData, match=r"model\.zip holds no model that can be read"):
@@ -183,7 +179,7 @@ def test_a_training_is_not_continued_from_a_model_that_would_run_something(
 
 def test_the_posterior_s_checkpoint_is_read_without_its_code(tmp_path: Path, trap: bytes) -> None:
     torch = pytest.importorskip("torch")
-    from loose_agents.posterior_training.train import PosteriorTraining
+    from loose_agents.posterior_training import PosteriorTraining
 
     file = tmp_path / "checkpoint.pt"
     torch.save({"layers": Trap(tmp_path / "executed")}, file)

@@ -16,7 +16,6 @@ from loose_env.envs import DiagnosisVectorEnv
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.wrappers import (
     ActionAndPrediction,
-    DiagnosisWrapper,
     LatestRecord,
     MacroActions,
     MeasuredMinusNominal,
@@ -119,8 +118,8 @@ def test_differences_are_of_twins_and_the_rest_stays() -> None:
 
 
 def test_the_posterior_is_that_of_the_estimator() -> None:
-    from loose_agents.core.base import Problem
-    from loose_agents.core.estimators import Tracker
+    from loose_agents.base import Problem
+    from loose_agents.belief import Tracker
 
     env = PosteriorObservation(make())
     inner = env.unwrapped
@@ -221,24 +220,6 @@ def test_predictions_that_make_no_sense_are_refused() -> None:
     for action in wrong:
         with pytest.raises(InvalidAction, match="logits"):
             env.step(action)
-
-
-@pytest.mark.parametrize("wrapper", [w for w in PLAIN if w is not ActionAndPrediction])
-def test_a_single_file_ppo_trains_through_it(wrapper: type[DiagnosisWrapper]) -> None:
-    pytest.importorskip("torch")
-    from scripts.ppo_single_file import Options, train
-
-    options = Options(
-        env="loose_env/Planar-v0",
-        arguments='{"n_links": 2, "durations": [0.1], "max_records": 2, "engine": "reduced"}',
-        wrapper=(wrapper.__name__,),
-        steps=64,
-        num_envs=4,
-        length=8,
-    )
-    returns = train(options)
-    assert len(returns) > 8 and np.isfinite(returns).all()
-    assert train(options) == returns
 
 
 def test_gymnasium_s_vector_form_takes_the_wrappers() -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from loose_agents.base import hypothesis_prior
+from loose_agents.benchmark.episodes import SETS, TASKS, task_problem
 from loose_agents.benchmark.results import Results, read_results
-from loose_agents.benchmark.tasks import SETS, TASKS, task_problem
-from loose_agents.core.base import hypothesis_prior
-from loose_agents.evaluation.record_bounds import STAR, bound_of
+from loose_agents.comparison import STAR, bound_of
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidData
 from loose_env.evaluation import Interval, bootstrap_mean, expected_calibration_error, wilson
@@ -53,13 +53,7 @@ def results_path(folder: Path, task: str, set_name: str, entry: str) -> Path:
 
 
 def stored_results(folder: Path) -> list[Results]:
-    """Read all results files below a folder, tasks and sets in their order.
-
-    Raises
-    ------
-    InvalidData
-        If one cannot be read, or two entries of a set have one name.
-    """
+    """Read all results files below a folder, tasks and sets in their order."""
     found = [read_results(path) for path in sorted(folder.rglob("*.json"))]
     seen: set[tuple[str, str, str]] = set()
     for each in found:

@@ -1,5 +1,1 @@
-"""Policies: random, constant, greedy, look-ahead, oracle, link finding, constant baselines.
-
-Data flow: blind -> seat_search -> classical -> local -> information_policies -> non_adaptive ->
-link_finding -> policies -> oracle -> spatial_link_finding -> model_gap.
-"""
+"""Choice of the next record, and searches with a rule of their own."""

@@ -7,6 +7,7 @@ motion against the nominal arm (3.34), and every judgement uses all poses so far
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal, get_args
@@ -14,28 +15,101 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_agents.core.base import EpisodeAgent, Problem
-from loose_agents.core.belief_agent import records_taken
-from loose_agents.policies.seat_search import SeatSearch
+from loose_agents.base import EpisodeAgent, Problem, hypothesis_prior
+from loose_agents.belief import links_from, records_taken
 from loose_env.diagnosis import (
     Order,
     PlaceDirections,
     PooledScatter,
     RecordScatter,
     RecordStatistics,
+    SeatCoverage,
+    SensedPlaces,
     SensorFloor,
     ToolFrames,
+    fault_locations,
     next_joint,
     propose_excitation,
     shape_of_motion,
 )
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
+from loose_env.faults import UNSURE
 from loose_env.io import Checked, NonNegative, Positive
 from loose_env.typing import Array
 from loose_env.wrappers import record_from
 
-__all__ = ["ClassicalAgent", "ClassicalSettings", "Level", "Search", "arm_class"]
+_TRIED = 8
+"""Random moves of which the best is taken."""
+
+Levels = Callable[[Array], NDArray[np.intp]]
+"""Levels of all joints, from 1, in a pose."""
+
+
+class SeatSearch:
+    """Chooses records while nothing is seen, and says when to stop searching.
+
+    Weights (P, F) are probabilities of places of the coverage and of their frictions.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        rules = problem.settings
+        usual = difficulty_named(rules.difficulty)
+        self.problem = problem
+        self.coverage = SeatCoverage(problem.linear, usual.friction, usual.friction_over)
+        prior = hypothesis_prior(problem.hypotheses, usual.probabilities(rules.kinds))
+        known = dict(zip(problem.hypotheses, prior, strict=True))
+        self.prior = self.spread([known.get(name, 0.0) for name in fault_locations(problem.arm)])
+        """Weights before any record (P, F)."""
+        self._healthy = known.get("healthy", 0.0)
+
+    def spread(self, weights: Array | list[float]) -> Array:
+        """Spread weights of a slide of each link and play in each joint (2 n,) over (P, F)."""
+        n, count, frictions = self.problem.arm.n, len(self.coverage.axes), self.coverage.frictions
+        given = np.asarray(weights, dtype=float)
+        places = np.concatenate([np.repeat(given[:n] / count, count), given[n:]])
+        return np.repeat(places[:, None] / frictions, frictions, axis=1)
+
+    def next(
+        self, rng: np.random.Generator, pose: Array, levels: Levels, weights: Array
+    ) -> tuple[NDArray[np.intp], float]:
+        """Moves (n,) to the pose, of some at random, in which most seats open, and how many do."""
+        actions, n = self.problem.actions, self.problem.arm.n
+        allowed = [np.flatnonzero(row) for row in actions.allowed_moves(pose)]
+        tried = [np.array([rng.choice(own) for own in allowed]) for _ in range(_TRIED)]
+        poses = [pose + actions.steps[np.arange(n), moves] for moves in tried]
+        opened = [
+            float(np.sum(weights * self.shown(there, self.excited(there, levels(there), weights))))
+            for there in poses
+        ]
+        best = int(np.argmax(opened))
+        return tried[best], opened[best]
+
+    def excited(self, pose: Array, levels: NDArray[np.intp], weights: Array) -> NDArray[np.intp]:
+        """Levels (n,) with as many joints on as the rules allow, those that open most seats."""
+        most, n = self.problem.actions.most_excited, len(levels)
+        if most >= n:
+            return levels
+        alone = [np.where(np.arange(n) == joint, levels, 0) for joint in range(n)]
+        opened = [float(np.sum(weights * self.shown(pose, one))) for one in alone]
+        chosen = np.argsort(-np.array(opened), kind="stable")[:most]
+        return np.where(np.isin(np.arange(n), chosen), levels, 0)
+
+    def shown(self, pose: Array, levels: NDArray[np.intp]) -> Array:
+        """Probability that a record shows each seat (P, F)."""
+        return self.coverage.shown(pose, np.array([0.0, *self.problem.arm.levels])[levels])
+
+    def pays(self, missed: Array, opened: float, duration: float) -> bool:
+        """Tell whether a further record is worth its price."""
+        prices = self.problem.settings.prices
+        named = next(name for name in self.problem.hypotheses if name != "healthy")
+        better = prices.correct - prices.verdict("healthy", named)
+        most = min(self.problem.actions.most_excited, self.problem.arm.n)
+        price = prices.record + prices.second * duration
+        price += prices.level * most * len(self.problem.arm.levels)
+        found = opened / (self._healthy + float(missed.sum()))
+        return bool(found * better > price)
+
 
 Level = Literal["top", "falling", "proposed"]
 """Choice of the excitation's level."""
@@ -120,20 +194,7 @@ class Search:
 
 
 class ClassicalAgent(EpisodeAgent):
-    """Link finding with directions of change, pooled over poses (3.34, 3.4, 4.2.2).
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    settings : ClassicalSettings
-        Order, excitation and thresholds.
-
-    Raises
-    ------
-    InvalidSetting
-        If none of the hypotheses is structural looseness or backlash.
-    """
+    """Link finding with directions of change, pooled over poses (3.34, 3.4, 4.2.2)."""
 
     def __init__(
         self, problem: Problem, settings: ClassicalSettings | None = None, *, seed: int = 0
@@ -333,3 +394,50 @@ class ClassicalAgent(EpisodeAgent):
 def _angle(cosine: Array) -> Array:
     """Angle between axes from the cosine [rad]."""
     return np.asarray(np.arccos(np.minimum(np.abs(cosine), 1.0)))
+
+
+class LocalAgent(ClassicalAgent):
+    """Link finding by the change of motion at the tool and on the links."""
+
+    places: SensedPlaces
+
+    def __init__(
+        self, problem: Problem, settings: ClassicalSettings | None = None, *, seed: int = 0
+    ) -> None:
+        super().__init__(problem, settings, seed=seed)
+        rules = problem.settings
+        mismatch = difficulty_named(rules.difficulty).mismatch
+        self.places = SensedPlaces(problem.linear, rules.sensors, mismatch)
+
+    def _scatter(
+        self, observation: NDArray[np.float32], slot: int, record: RecordStatistics
+    ) -> RecordScatter:
+        return self.places.with_links(record, links_from(self.problem.layout, observation, slot))
+
+    def _as_play(self, memory: Search, best: int) -> int:
+        """The best place itself: play turns all beyond its joint, a slide shifts it."""
+        return best
+
+
+class BlindAgent(EpisodeAgent):
+    """Gives the same verdict on every arm, whatever the record shows."""
+
+    def __init__(self, problem: Problem, verdict: str, *, seed: int = 0) -> None:
+        super().__init__(problem, seed=seed)
+        self.verdict = verdict
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Keep nothing."""
+        return ()
+
+    def act(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.int64]:
+        """Take the cheapest records until the verdict counts; then give it."""
+        problem = self.problem
+        taken = records_taken(problem, observation)
+        unsure = problem.actions.allows_unsure(taken, taken)
+        if taken and (self.verdict != UNSURE or unsure):
+            return problem.verdict(self.verdict)
+        levels = np.zeros(problem.arm.n, dtype=np.intp)
+        levels[0] = 1
+        shortest = int(np.argmin(problem.settings.durations))
+        return problem.actions.encode(levels=levels, duration=shortest)

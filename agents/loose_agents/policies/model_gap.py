@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_agents.core.base import EpisodeAgent
+from loose_agents.base import EpisodeAgent
 from loose_env.envs import GapObservation, ModelGapEnv
 from loose_env.errors import UnknownName
 from loose_env.gap import battery
@@ -41,27 +41,7 @@ class _Memory:
 
 
 class GapAgent(EpisodeAgent):
-    """Agent that takes motions by a rule and names the most probable set once it is sure enough.
-
-    Parameters
-    ----------
-    rule : {"random", "battery", "brief", "greedy"}
-        Choice of motions.
-    layout : GapObservation
-        Layout of the observation.
-    seconds : ndarray (M,)
-        Machine time of the motions [s].
-    order : sequence of int
-        Motions of the battery, in order; repeated when they are through.
-    sure : float
-        Probability of the best set from which it is named; above 1 never.
-    prices : ndarray (M,), optional
-        Prices of the motions: greedy also stops where none is expected to gain more than its own.
-    most : int
-        Motions after which it is named anyway.
-    seed : int
-        Seed of random motions.
-    """
+    """Agent that takes motions by a rule and names the most probable set once it is sure enough."""
 
     def __init__(
         self, rule: str, layout: GapObservation, seconds: Array, order: Sequence[int], *,
@@ -104,17 +84,7 @@ class GapAgent(EpisodeAgent):
 def make_gap_agent(
     name: str, env: ModelGapEnv, *, sure: float | None = None, seed: int = 0
 ) -> GapAgent:
-    """Make an agent for an environment.
-
-    Parameters
-    ----------
-    name : str
-        One of `GAP_AGENTS`.
-    env : ModelGapEnv
-        The environment, unwrapped; its hidden machine is not looked at.
-    sure : float, optional
-        Probability from which it stops; by default the tuned one.
-    """
+    """Make an agent for an environment."""
     order = _briefest(env) if name == "brief" else _battery(env)
     return GapAgent(
         name, env.layout, env.bank.seconds, order,

@@ -19,10 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import BeliefAgent, Policy, StoppingRule
-from loose_agents.core.estimators import Tracker, make_estimator, tuned_stopping
-from loose_agents.policies.policies import make_policy
+from loose_agents.base import Problem
+from loose_agents.belief import (
+    BeliefAgent,
+    Policy,
+    StoppingRule,
+    Tracker,
+    make_estimator,
+    tuned_stopping,
+)
+from loose_agents.policies.choice import make_policy
 from loose_env.diagnosis import Belief, RecordStatistics
 from loose_env.envs import FaultSampler, difficulty_named
 from loose_env.errors import InvalidSetting
@@ -44,14 +50,6 @@ class Told:
 
 def restricted(belief: Belief, told: Told) -> Belief:
     """Condition a belief on the side information, keeping the hypotheses' prior.
-
-    Parameters
-    ----------
-    belief : Belief
-        Log-weights over variants, places and frictions, equal over directions and frictions
-        beforehand.
-    told : Told
-        The direction that a slide of any link has, and the friction that any fault has.
 
     Examples
     --------
@@ -113,20 +111,7 @@ class _InformedPosterior:
 class OracleAgent(BeliefAgent):
     """`BeliefAgent` that is given direction and friction at the start of an episode.
 
-    `loose_agents.evaluation.evaluate.evaluate` tells it, by ``informed``.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    estimator : Tracker
-        Keeps a posterior over places and frictions.
-    policy : Policy
-        What to measure next; made for the same estimator.
-    stopping : StoppingRule
-        When to stop.
-    seed : int
-        Seed of what it draws.
+    `loose_agents.evaluation` tells it, by ``informed``.
     """
 
     def __init__(
@@ -147,16 +132,10 @@ class OracleAgent(BeliefAgent):
         )
 
     def begin(self, rng: np.random.Generator) -> Any:
-        """Refuse to play without side information.
-
-        Raises
-        ------
-        InvalidSetting
-            Always.
-        """
+        """Refuse to play without side information."""
         raise InvalidSetting(
             "the oracle must be told each hidden fault: play it with "
-            "loose_agents.evaluation.evaluate.evaluate, or take the estimator/policy of the same "
+            "loose_agents.evaluation, or take the estimator/policy of the same "
             "name, which needs no telling"
         )
 
@@ -200,22 +179,7 @@ def oracle_agent(
     estimator: str = "amortised",
     policy: str = "greedy",
 ) -> OracleAgent:
-    """Make the oracle of an estimator and a policy, with the stopping rule tuned for them.
-
-    Parameters
-    ----------
-    problem : Problem
-        The nominal arm and the rules.
-    seed : int
-        Seed of what it draws.
-    estimator, policy : str
-        Names, as `loose_agents.registry.belief_agent` takes them.
-
-    Raises
-    ------
-    InvalidSetting
-        If the estimator keeps no posterior over places and frictions.
-    """
+    """Make the oracle of an estimator and a policy, with the stopping rule tuned for them."""
     made = make_estimator(estimator, problem)
     if not isinstance(made, Tracker) or not hasattr(made.posterior, "frictions"):
         raise InvalidSetting(

@@ -10,29 +10,12 @@ from typing import Any
 
 from loose_env.errors import InvalidSetting, MissingExtra, UnknownName
 
-__all__ = [
-    "ALGORITHMS",
-    "HYPERPARAMETERS",
-    "LinearSchedule",
-    "algorithm_named",
-    "key_values",
-    "model_arguments",
-    "read_hyperparameters",
-    "shipped_file",
-    "value_of",
-    "whole",
-]
-
 HYPERPARAMETERS = Path(__file__).parents[1] / "hyperparams"
 """Folder of the hyperparameter files that ship with the agents."""
 
-ALGORITHMS = {
-    "ppo": ("ppo", "MlpPolicy"),
-    "ppo_lstm": ("ppo_lstm", "MlpLstmPolicy"),
-    "recurrent_ppo": ("ppo_lstm", "MlpLstmPolicy"),
-    "maskable_ppo": ("maskable_ppo", "MlpPolicy"),
-}
-"""Names of the algorithms: the rl-zoo's name, and the policy that can be shipped."""
+ALGORITHMS = ("ppo", "maskable_ppo")
+"""Names of the algorithms in the rl-zoo."""
+_POLICY = "MlpPolicy"
 
 _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 _OF_THE_RUN = ("n_timesteps", "n_envs", "env_kwargs", "normalize")
@@ -60,15 +43,7 @@ class LinearSchedule:
 
 
 def algorithm_named(name: str) -> type[Any]:
-    """Return the algorithm class by its rl-zoo name.
-
-    Raises
-    ------
-    UnknownName
-        If it is none of `ALGORITHMS`.
-    MissingExtra
-        If the package that has it is not installed.
-    """
+    """Return the algorithm class by its rl-zoo name."""
     if name not in ALGORITHMS:
         raise UnknownName(f"unknown algorithm {name!r}; algorithms are {list(ALGORITHMS)}")
     try:
@@ -76,27 +51,17 @@ def algorithm_named(name: str) -> type[Any]:
             from stable_baselines3 import PPO
 
             return PPO
-        from sb3_contrib import MaskablePPO, RecurrentPPO
+        from sb3_contrib import MaskablePPO
+
+        return MaskablePPO
     except ImportError as error:
         raise MissingExtra(
             f"training needs {error.name}; install it with: pip install -e '.[train]'"
         ) from error
-    return MaskablePPO if name == "maskable_ppo" else RecurrentPPO
-
-
-def shipped_file(algorithm: str) -> Path:
-    """Path of the shipped hyperparameter file of an algorithm."""
-    return HYPERPARAMETERS / f"{ALGORITHMS[algorithm][0]}.yml"
 
 
 def whole(value: Any, name: str) -> int:
-    """Read a whole number, which YAML may give as 1e6 or as text.
-
-    Raises
-    ------
-    InvalidSetting
-        If it is none, or negative.
-    """
+    """Read a whole number, which YAML may give as 1e6 or as text."""
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -110,11 +75,6 @@ def value_of(text: str) -> Any:
     """Parse a Python literal or ``dict(...)``; words and paths without brackets are strings.
 
     Nothing is run.
-
-    Raises
-    ------
-    InvalidSetting
-        If it is anything else.
 
     Examples
     --------
@@ -170,11 +130,6 @@ def _value(node: ast.expr) -> Any:
 def key_values(words: Sequence[str], option: str) -> dict[str, Any]:
     """Parse ``key:value`` words in the syntax of rl-zoo's command line.
 
-    Raises
-    ------
-    InvalidSetting
-        If a word has no colon, or a value cannot be read.
-
     Examples
     --------
     >>> key_values(["n_links:3", 'hold:"servo"'], "--env-kwargs")
@@ -193,17 +148,7 @@ def key_values(words: Sequence[str], option: str) -> dict[str, Any]:
 
 
 def read_hyperparameters(path: str | Path, env_id: str) -> dict[str, Any]:
-    """Read an environment's hyperparameters, falling back to "default".
-
-    Raises
-    ------
-    InvalidSetting
-        If the file is no YAML of that form.
-    UnknownName
-        If it has neither entry.
-    MissingExtra
-        If PyYAML is not installed.
-    """
+    """Read an environment's hyperparameters, falling back to "default"."""
     try:
         import yaml  # type: ignore[import-untyped]
     except ImportError as error:
@@ -235,13 +180,6 @@ def model_arguments(given: dict[str, Any], algorithm: str) -> dict[str, Any]:
 
     Schedules such as "lin_3e-4" become functions, and policy_kwargs in text becomes a dict.
     What concerns the run and not the model is left out.
-
-    Raises
-    ------
-    InvalidSetting
-        If a value makes no sense, or asks for what these agents do not do.
-    UnknownName
-        If the algorithm has no such hyperparameter.
     """
     if given.get("normalize"):
         raise InvalidSetting(
@@ -259,9 +197,8 @@ def model_arguments(given: dict[str, Any], algorithm: str) -> dict[str, Any]:
             f"unknown hyperparameters {unknown}; those of {algorithm} are "
             f"{sorted([*known, *_OF_THE_RUN])}"
         )
-    wanted = ALGORITHMS[algorithm][1]
-    if own.setdefault("policy", wanted) != wanted:
-        raise InvalidSetting(f"{algorithm} takes the policy {wanted!r}, got {own['policy']!r}")
+    if own.setdefault("policy", _POLICY) != _POLICY:
+        raise InvalidSetting(f"{algorithm} takes the policy {_POLICY!r}, got {own['policy']!r}")
     for key, value in own.items():
         if isinstance(value, str) and key not in ("policy", "policy_kwargs"):
             # YAML reads 3e-4, without a dot, as text.

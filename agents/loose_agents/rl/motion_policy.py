@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sb3_contrib.common.maskable.policies import MaskableActorCriticPolicy
 from torch import nn
 
-from loose_agents.core.base import EpisodeAgent
+from loose_agents.base import EpisodeAgent
 from loose_agents.policies.model_gap import NAT, SETUP_S
 from loose_env.envs import GapObservation, ModelGapEnv
 from loose_env.errors import InvalidSetting
@@ -30,15 +30,7 @@ _UNKNOWN = 1.1e-6
 
 
 class _Scores(nn.Module):
-    """Logits of motions and verdicts, and features of the value.
-
-    Parameters
-    ----------
-    layout : GapObservation
-        Layout of the observation.
-    seconds, prices : ndarray (M,)
-        Machine time [s] and price [reward] of each motion.
-    """
+    """Logits of motions and verdicts, and features of the value."""
 
     seconds: torch.Tensor
     prices: torch.Tensor
@@ -125,15 +117,6 @@ class MotionPolicy(MaskableActorCriticPolicy):
     and library. It begins as a soft form of the greedy agent: the logit of a motion is the expected
     reward with it, that of a verdict the reward expected now, over a temperature. What the networks
     add begins at zero.
-
-    Parameters
-    ----------
-    *args, **arguments
-        Those of sb3-contrib's policy.
-    layout : GapObservation
-        Layout of the observation.
-    seconds, prices : ndarray (M,)
-        Machine time [s] and price [reward] of each motion.
     """
 
     def __init__(
@@ -160,13 +143,7 @@ class MotionPolicy(MaskableActorCriticPolicy):
 
 
 def load_policy(weights: Path, policy: nn.Module) -> dict[str, Any]:
-    """Load stored weights into a policy; return all that is stored beside them.
-
-    Raises
-    ------
-    InvalidSetting
-        If there are no such weights, they are damaged, or of a policy with other ranks.
-    """
+    """Load stored weights into a policy; return all that is stored beside them."""
     if not weights.is_file():
         raise InvalidSetting(f"no weights {weights}: scripts/model_gap/train.py writes them")
     try:
@@ -187,20 +164,7 @@ def load_policy(weights: Path, policy: nn.Module) -> dict[str, Any]:
 
 
 class LearnedGapAgent(EpisodeAgent):
-    """Agent that acts by a maskable PPO of sb3-contrib on the belief.
-
-    Parameters
-    ----------
-    weights : Path
-        Weights that scripts/model_gap/train.py wrote, for this arm and library or another.
-    env : ModelGapEnv
-        The environment, unwrapped; its hidden machine is not looked at.
-
-    Raises
-    ------
-    InvalidSetting
-        If there are no such weights, or they were trained with another number of ranks.
-    """
+    """Agent that acts by a maskable PPO of sb3-contrib on the belief."""
 
     def __init__(self, weights: Path, env: ModelGapEnv) -> None:
         self.layout, self.most = env.layout, env.settings.max_motions

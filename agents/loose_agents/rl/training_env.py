@@ -1,4 +1,4 @@
-"""Training environment of the learned policy: posterior in, compact choices out."""
+"""Training environment of a policy on a posterior: posterior in, compact choices out."""
 
 from __future__ import annotations
 
@@ -9,22 +9,19 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
-from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import Estimator, records_measured, records_taken
-from loose_agents.core.estimators import feature_size, further_features, make_estimator
-from loose_agents.rl.learned_policy import PolicyForm
+from loose_agents.base import Problem
+from loose_agents.belief import (
+    Estimator,
+    feature_size,
+    further_features,
+    make_estimator,
+    records_measured,
+    records_taken,
+)
+from loose_agents.rl.agents import PolicyForm
 from loose_env.envs import DiagnosisVectorEnv
 from loose_env.envs.sb3 import Sb3VecEnv
 from loose_env.errors import InvalidSetting
-
-__all__ = [
-    "LOG_FLOOR",
-    "TrackedVecEnv",
-    "evaluation_seed",
-    "forced_records",
-    "log_posterior",
-    "training_seed",
-]
 
 LOG_FLOOR = -5.0
 """Lowest log-posterior of the truth in the shaping: e^-5 is 0.7 %."""
@@ -64,15 +61,6 @@ def forced_records(done: float, *, first: int = 3, until: float = 0.4) -> int:
     would have told. So it is made to go on at first: before ``first`` records, then before
     fewer, down to one from the share ``until`` of the training on.
 
-    Parameters
-    ----------
-    done : float
-        Share of the training that is done, 0 to 1.
-    first : int
-        Records at the start.
-    until : float
-        Share of the training after which any number will do; 0 for no forcing.
-
     Examples
     --------
     >>> [forced_records(share) for share in (0.0, 0.19, 0.21, 0.4, 1.0)]
@@ -99,22 +87,6 @@ class TrackedVecEnv(VecEnvWrapper):
     unshaped one: at 0.1, going from 90 to 95 % pays 0.005, a tenth of a record's price.
 
     Only the training looks at the truth. The returns in ``info["episode"]`` are unshaped.
-
-    Parameters
-    ----------
-    env : DiagnosisVectorEnv
-        The environments.
-    problem : Problem
-        The nominal arm and the rules, as the agent will have them.
-    estimator : Estimator, optional
-        What the records say; the analytic posterior by default.
-    shaping : float
-        Weight of the gain in log-posterior [1 / nat].
-
-    Raises
-    ------
-    InvalidSetting
-        If the weight is negative or no number.
     """
 
     def __init__(

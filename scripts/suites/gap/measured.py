@@ -12,13 +12,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from loose_agents.execution.script_errors import errors_in_one_line
-from loose_agents.execution.study import write_between
-
 import loose_env
+from loose_env.cli.command import errors_in_one_line
 from loose_env.errors import LooseEnvError
 from loose_env.gap import GapResult
 from loose_env.recording import read_recording
+from scripts.study import write_between
 from scripts.suites.rows import add, kept
 
 Row = dict[str, Any]

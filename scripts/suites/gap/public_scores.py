@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from loose_agents.execution.study import write_between
 
 from loose_env.errors import InvalidData
 from loose_env.evaluation import expected_calibration_error
 from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
+from scripts.study import write_between
 from scripts.suites.gap.grading import (
     NAMED,
     Grade,

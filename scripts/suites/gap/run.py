@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Literal
 
 import mujoco
-from loose_agents.execution.study import write_between
 
 import loose_env
 from loose_env.cli.command import command
@@ -43,6 +42,7 @@ from loose_env.gap import (
     write_model,
 )
 from loose_env.recording import read_recording
+from scripts.study import write_between
 from scripts.suites.gap.cases import (
     LAST,
     draw_case,

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from loose_agents.execution.study import write_between
 
 from loose_env.cli.command import command
 from loose_env.errors import InvalidSetting, LooseEnvError
 from loose_env.evaluation import wilson
 from loose_env.instrument import DiagnoseSettings, Diagnosis, diagnose
 from loose_env.recording import Recording, Run, write_recording
+from scripts.study import write_between
 from scripts.suites.machines.case import Case, CaseMade, CaseSettings, RunMade, draw, play
 from scripts.suites.machines.machine import KINDS, Disturbances, Unstable, ranges_table
 from scripts.suites.rows import kept, run_cases

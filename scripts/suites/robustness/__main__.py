@@ -26,10 +26,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from loose_agents.execution.study import write_between
-
 from loose_env.cli.command import command
 from loose_env.errors import InvalidSetting
+from scripts.study import write_between
 from scripts.suites.robustness.cases import COMMANDS, Case, case_of, write_case
 from scripts.suites.rows import Row, run_cases
 

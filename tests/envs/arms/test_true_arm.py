@@ -8,8 +8,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
-from loose_agents.evaluation.evaluate import evaluate
+from loose_agents.base import Problem
+from loose_agents.evaluation import evaluate
 from loose_agents.registry import belief_agent
 
 import loose_env  # noqa: F401  (registers the ids)

@@ -7,8 +7,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from loose_agents.core.base import Problem
-from loose_agents.core.belief_agent import best_verdict
+from loose_agents.base import Problem
+from loose_agents.belief import best_verdict
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 

@@ -1,0 +1,531 @@
+"""Agents of an estimator, a policy and a stopping rule; estimators, weights and tuned settings."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from loose_agents.base import Agent, EpisodeAgent, Problem
+from loose_env.diagnosis import Belief, LinkReadings, link_axes
+from loose_env.envs import DiagnosisSettings, ObservationLayout, difficulty_named
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.faults import UNSURE
+from loose_env.wrappers import Posterior, analytic_posterior, record_from
+
+SURPRISING = 0.003
+"""p-value of an episode among those of the trained kind, below which nothing is named."""
+DECISIVE = 0.3
+"""Share of that p-value below which further records are not waited for."""
+
+
+class Estimator(Protocol):
+    """Maps the records of an episode to probabilities of the hypotheses."""
+
+    problem: Problem
+    """The nominal arm and the rules."""
+
+    def begin(self) -> Any:
+        """Return the initial state of an episode."""
+        ...
+
+    def follow(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.float64]:
+        """Update with the new records; return the probabilities (hypotheses,).
+
+        May change the memory. They stand in the order of ``problem.hypotheses``.
+        """
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Situation:
+    """Information available when the next record is chosen."""
+
+    observation: NDArray[np.float32]
+    """The environment's flat observation."""
+    pose: NDArray[np.float64]
+    """Joint positions [rad, m where one slides] (n,)."""
+    records: int
+    """Records taken so far."""
+    probabilities: NDArray[np.float64]
+    """Of the hypotheses, by the estimator (hypotheses,)."""
+    memory: Any
+    """The estimator's memory, for policies that know what is in it."""
+    rng: np.random.Generator
+    """The episode's own generator."""
+
+
+class Policy(Protocol):
+    """Chooses the next record."""
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Return a measurement action, never a verdict."""
+        ...
+
+
+class StoppingRule(Protocol):
+    """Decides when to stop measuring."""
+
+    def stop(self, situation: Situation) -> bool:
+        """Return True to stop and give a verdict; called after at least one record."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sure:
+    """Stops once the maximum posterior probability reaches a threshold."""
+
+    probability: float = 0.9
+    """From which probability on."""
+
+    def stop(self, situation: Situation) -> bool:
+        """Return True once the maximum probability reaches the threshold."""
+        return bool(situation.probabilities.max() >= self.probability)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AfterRecords:
+    """Stopping rule that fires after a fixed number of records."""
+
+    records: int
+    """Records before the verdict."""
+
+    def stop(self, situation: Situation) -> bool:
+        """Return True once the fixed number of records is reached."""
+        return situation.records >= self.records
+
+
+def goes_on(agent: Agent, records: int) -> Agent:
+    """Return a copy of an agent that always takes a given number of records."""
+    if not hasattr(agent, "stopping"):
+        raise InvalidSetting(
+            f"{type(agent).__name__} has no stopping rule to replace: only agents made of an "
+            "estimator, a policy and a stopping rule can be made to go on"
+        )
+    changed = copy.copy(agent)
+    changed.stopping = AfterRecords(records=records)
+    return changed
+
+
+@dataclass
+class _Memory:
+    """State of one episode: its generator and the estimator's state."""
+
+    rng: np.random.Generator
+    estimate: Any
+    probabilities: NDArray[np.float64] | None = None
+    """Of the hypotheses, after the latest record (hypotheses,); read by the evaluator."""
+
+
+class BeliefAgent(EpisodeAgent):
+    """Measures by its policy until the stopping rule fires, then gives a verdict.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    estimator : Estimator
+        What the records say.
+    policy : Policy
+        What to measure next.
+    stopping : StoppingRule
+        When to stop. When the records have run out it is not asked.
+    surprising : float
+        Below which p-value an episode is so unlike all that the estimator knows that the verdict
+        is "unsure"; 0: never. See `surprise_of`.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        estimator: Estimator,
+        policy: Policy,
+        stopping: StoppingRule,
+        *,
+        seed: int = 0,
+        surprising: float = SURPRISING,
+    ) -> None:
+        super().__init__(problem, seed=seed)
+        self.estimator, self.policy, self.stopping = estimator, policy, stopping
+        self.surprising = surprising
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Start from the prior."""
+        return _Memory(rng=rng, estimate=self.estimator.begin())
+
+    def act(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.int64]:
+        """Take a measurement, or give the verdict of highest expected reward."""
+        problem = self.problem
+        probabilities = self.estimator.follow(observation, memory.estimate)
+        memory.probabilities = probabilities
+        situation = Situation(
+            observation=observation,
+            pose=problem.layout.pose_of(observation),
+            records=records_taken(problem, observation),
+            probabilities=probabilities,
+            memory=memory.estimate,
+            rng=memory.rng,
+        )
+        done = situation.records >= problem.settings.max_records
+        if situation.records > 0 and (
+            done
+            or self.stopping.stop(situation)
+            or surprise_of(situation.memory) < DECISIVE * self.surprising
+        ):
+            named = verdict_of(problem, situation, self.surprising)
+            if named is not None:
+                return problem.verdict(named)
+        return self.policy.choose(situation)
+
+
+def records_taken(problem: Problem, observation: NDArray[np.float32]) -> int:
+    """Number of records in an observation."""
+    share = float(problem.layout.physical(observation, "spent")[0])
+    return round(share * problem.settings.max_records)
+
+
+def records_measured(problem: Problem, observation: NDArray[np.float32]) -> int:
+    """Number of records in an observation that are not empty."""
+    return int(np.count_nonzero(problem.layout.slots_of(observation)[:, 0]))
+
+
+def surprise_of(memory: Any) -> float:
+    """p-value of an episode under the estimator's training distribution.
+
+    Estimators say it in ``surprise`` of the belief that their memory holds; one for those that
+    say nothing.
+    """
+    return float(getattr(getattr(memory, "belief", None), "surprise", 1.0))
+
+
+def verdict_of(
+    problem: Problem, situation: Situation, surprising: float = SURPRISING
+) -> str | None:
+    """Verdict of highest expected reward; "unsure" for out-of-distribution episodes.
+
+    None where it would be "unsure" and may not be yet: then more is to be measured.
+    """
+    measured = records_measured(problem, situation.observation)
+    unsure = problem.actions.allows_unsure(situation.records, measured)
+    if surprise_of(situation.memory) < surprising:
+        if unsure:
+            return UNSURE
+        if situation.records < problem.settings.max_records:
+            return None
+    return best_verdict(problem, situation.probabilities, unsure=unsure)
+
+
+def best_verdict(
+    problem: Problem, probabilities: NDArray[np.float64], *, unsure: bool = True
+) -> str:
+    """Verdict of the highest expected reward under the environment's rewards.
+
+    "unsure" only where it may be said and is worth more than every name.
+    """
+    prices = problem.settings.prices
+    worth = [
+        sum(
+            p * prices.verdict(named, truth)
+            for p, truth in zip(probabilities, problem.hypotheses, strict=True)
+        )
+        for named in (problem.verdicts if unsure else problem.hypotheses)
+    ]
+    return problem.verdicts[int(np.argmax(worth))]
+
+
+WEIGHTS = Path(__file__).parent / "weights"
+"""Folder of tuned settings and trained weights."""
+
+
+OWN_WEIGHTS = "LOOSE_ENV_WEIGHTS"
+"""Environment variable: folder of weights of one's own, which go before the shipped ones."""
+
+
+def weights_path(name: str) -> Path:
+    """Path of weights or tuned settings by name, such as "ppo-vera-default".
+
+    Those in the folder that the environment variable ``LOOSE_ENV_WEIGHTS`` names come first.
+    """
+    own = os.environ.get(OWN_WEIGHTS)
+    if own and (Path(own) / name).exists():
+        return Path(own) / name
+    return WEIGHTS / name
+
+
+def weights_digest() -> str:
+    """SHA-256 of all tuned settings and trained weights, one's own included.
+
+    What is resumed may only go on with the weights that it began with.
+    """
+    found = hashlib.sha256()
+    folders = [WEIGHTS, *([Path(os.environ[OWN_WEIGHTS])] if os.environ.get(OWN_WEIGHTS) else [])]
+    for folder in folders:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file():
+                found.update(path.relative_to(folder).as_posix().encode("utf-8"))
+                found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+def tuned(problem: Problem) -> dict[str, Any]:
+    """Settings tuned on training episodes of an arm, difficulty and rules; may be empty.
+
+    ``stop`` maps agents to the probability at which they stop, ``constant`` holds the best
+    levels of one joint, ``fixed`` the best sequences of records, ``information`` the factors on
+    expected information. What was not tuned under other rules (`tuning_name`) is that of the
+    usual ones. Written by scripts/agents/tune_agents.py and scripts/agents/fit_information.py.
+    """
+    usual, own = (
+        json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        for path in (weights_path(f"{f(problem)}.json") for f in (setting_name, tuning_name))
+    )
+    if setting_name(problem) != tuning_name(problem):
+        usual.pop("fixed", None)  # actions of other rules
+    return {**usual, **own, "stop": {**usual.get("stop", {}), **own.get("stop", {})}}
+
+
+def tuned_stopping(problem: Problem, agent: str) -> Sure:
+    """Stopping rule tuned for an agent; that of `Sure` by default where it was not tuned."""
+    return Sure(probability=tuned(problem).get("stop", {}).get(agent, Sure.probability))
+
+
+def usual_estimator(problem: Problem) -> str:
+    """Name of the learned posterior where one is trained for a problem, else the analytic one."""
+    trained = weights_path(f"posterior-{setting_name(problem)}").is_dir()
+    return "amortised" if trained else "posterior"
+
+
+def setting_name(problem: Problem) -> str:
+    """Name of the tuned or trained item for an arm at a difficulty."""
+    difficulty = problem.settings.difficulty
+    name = difficulty if isinstance(difficulty, str) else "own"
+    return f"{problem.arm.name}-{name}"
+
+
+def links_from(
+    layout: ObservationLayout, observation: NDArray[np.float32], slot: int
+) -> LinkReadings:
+    """Decode what the accelerometers on links show in one record of an observation."""
+    choice = layout.settings.sensors.on_links
+    if choice is None:
+        raise InvalidSetting("the observation holds no accelerometers on links")
+    at = layout.groups_of(layout.slots_of(observation)[slot])
+    count, axes = len(choice.on(layout.arm)), len(link_axes(layout.arm, choice))
+    return LinkReadings(
+        transmission_by_instrument=at["link_transmission_by_instrument"].reshape(
+            count, axes, layout.arm.n
+        ),
+        rms=at["link_rms"].reshape(count, axes),
+    )
+
+
+def tuning_name(problem: Problem) -> str:
+    """Name of the settings tuned for an arm, a difficulty and rules other than the usual ones.
+
+    What was trained is known by `setting_name`: a posterior holds for any rules of its arm.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.envs import DiagnosisSettings, Prices
+    >>> tuning_name(Problem.of(planar(4), DiagnosisSettings(max_excited=1, durations=(0.2,))))
+    'planar4-default-excited1-0.2s'
+    >>> tuning_name(Problem.of(planar(4), DiagnosisSettings(prices=Prices(miss=-2.0))))
+    'planar4-default-miss-2'
+    """
+    settings, arm, usual = problem.settings, problem.arm, DiagnosisSettings()
+    parts = [setting_name(problem)]
+    if settings.max_excited is not None:
+        parts.append(f"excited{settings.max_excited}")
+    if settings.max_moved is not None:
+        parts.append(f"moved{settings.max_moved}")
+    if settings.durations != usual.durations:
+        parts += [f"{seconds:g}s" for seconds in settings.durations]
+    if arm.rated_level is not None:
+        parts.append("level" + "_".join(f"{level:g}" for level in arm.levels))
+    gravity = arm.model.opt.gravity
+    if not np.allclose(gravity, (0.0, 0.0, -9.81), atol=0.1):
+        parts.append("gravity" + "_".join(f"{g:g}" for g in gravity))
+    for name, price in vars(settings.prices).items():
+        if price != getattr(usual.prices, name):
+            parts.append(f"{name}{price:g}")
+    if settings.moves != usual.moves:
+        parts.append("moves" + "_".join(f"{degrees:g}" for degrees in settings.moves))
+    for name in ("max_records", "unsure_after"):
+        if getattr(settings, name) != getattr(usual, name):
+            parts.append(f"{name}{getattr(settings, name)}")
+    if settings.kinds != usual.kinds:
+        parts.append("kinds_" + "_".join(settings.kinds))
+    if settings.sensors != usual.sensors:
+        parts.append("sensors" + hashlib.sha256(repr(settings.sensors).encode()).hexdigest()[:8])
+    return "-".join(parts)
+
+
+@dataclass
+class _Tracked:
+    """Belief of one episode and the number of records in it."""
+
+    belief: Any
+    records: int = 0
+
+
+class Tracker:
+    """Updates beliefs from observations, one new record at a time.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal arm and the rules.
+    posterior : Posterior, optional
+        What weighs the records; the analytic posterior by default.
+
+    Raises
+    ------
+    InvalidSetting
+        If a kind of fault that may come up has no model in the posterior.
+    """
+
+    def __init__(self, problem: Problem, posterior: Posterior | None = None) -> None:
+        self.problem = problem
+        self.posterior = (
+            analytic_posterior(problem.linear, problem.settings) if posterior is None else posterior
+        )
+        known = self.posterior.hypotheses
+        unknown = [name for name in problem.hypotheses if name not in known]
+        if unknown:
+            raise InvalidSetting(
+                f"the posterior knows nothing of {unknown}; it knows {list(known)}"
+            )
+        self._order = [known.index(name) for name in problem.hypotheses]
+
+    def begin(self) -> _Tracked:
+        """Return the initial state of an episode."""
+        return _Tracked(belief=self.posterior.start())
+
+    def follow(self, observation: NDArray[np.float32], memory: _Tracked) -> NDArray[np.float64]:
+        """Update with the new records; return the hypotheses' probabilities."""
+        layout = self.problem.layout
+        taken = records_taken(self.problem, observation)
+        for slot in range(memory.records, taken):
+            record = record_from(layout, observation, slot)
+            if record is not None:
+                memory.belief = self.posterior.update(memory.belief, record)
+        memory.records = taken
+        return np.asarray(memory.belief.probabilities[self._order])
+
+    @property
+    def feature_size(self) -> int:
+        """Number of elements that `features` returns."""
+        n, d = self.problem.arm.n, len(self.problem.arm.axes)
+        return n * (d * (d + 1) // 2) + 2 * n
+
+    def features(self, observation: NDArray[np.float32], memory: _Tracked) -> NDArray[np.float32]:
+        """Policy features in addition to the probabilities.
+
+        For every link the mean of its sliding direction's products of components, in the link's
+        frame, times the probability that it is loose; then for every fault the mean place of its
+        friction among the nodes, from -1 for the lowest to 1 for the highest.
+        """
+        belief = getattr(memory.belief, "belief", memory.belief)
+        log = logsumexp(belief.loose, axis=0)
+        top = log.max()
+        weight = np.exp(log - top)
+        n, u = belief.links, belief.directions
+        total = weight.sum() + np.exp(belief.healthy - top).sum()
+        by_direction = weight[: n * len(u)].sum(1).reshape(n, len(u)) / total
+        upper = np.triu_indices(u.shape[1])
+        products = (u[:, upper[0]] * u[:, upper[1]])[None]
+        directions = (by_direction[..., None] * products).sum(1)
+        slides = weight[: n * len(u)].reshape(n, len(u), -1).sum(1)
+        by_node = np.concatenate([slides, weight[n * len(u) :]]) + 1e-12
+        nodes = np.linspace(-1.0, 1.0, by_node.shape[1])
+        friction = by_node @ nodes / by_node.sum(1)
+        return np.concatenate([directions.ravel(), friction]).astype(np.float32)
+
+
+def belief_of(situation: Situation) -> Belief:
+    """Log-weights of locations and frictions behind a situation's probabilities."""
+    belief = getattr(situation.memory, "belief", None)
+    belief = getattr(belief, "belief", belief)
+    if not isinstance(belief, Belief):
+        raise InvalidSetting(
+            "this policy needs an estimator that keeps a posterior over places and frictions, "
+            f"not one whose memory is {type(situation.memory).__name__}"
+        )
+    return belief
+
+
+def _posterior(problem: Problem) -> Estimator:
+    return Tracker(problem)
+
+
+def _amortised(problem: Problem) -> Estimator:
+    from loose_env.diagnosis import AmortisedPosterior
+
+    difficulty = difficulty_named(problem.settings.difficulty)
+    posterior = AmortisedPosterior.load(
+        weights_path(f"posterior-{setting_name(problem)}"),
+        problem.linear,
+        problem.settings.sensors,
+        difficulty.mismatch,
+        kinds=difficulty.probabilities(problem.settings.kinds),
+    )
+    return Tracker(problem, posterior)
+
+
+ESTIMATORS: dict[str, tuple[Callable[[Problem], Estimator], str]] = {
+    "posterior": (_posterior, "the analytic posterior over the faults"),
+    "amortised": (_amortised, "the posterior with a learned likelihood"),
+}
+"""Constructor and short description of each estimator."""
+
+
+def make_estimator(name: str, problem: Problem) -> Estimator:
+    """Make an estimator for a problem.
+
+    Raises
+    ------
+    UnknownName
+        If there is no estimator of that name.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.envs import DiagnosisSettings
+    >>> make_estimator("posterior", Problem.of(planar(2), DiagnosisSettings())).problem.arm.name
+    'planar2'
+    """
+    if name not in ESTIMATORS:
+        raise UnknownName(f"unknown estimator {name!r}; estimators are {list(ESTIMATORS)}")
+    return ESTIMATORS[name][0](problem)
+
+
+def feature_size(estimator: Estimator) -> int:
+    """Number of an estimator's features beyond its probabilities; 0 by default.
+
+    An estimator that has more to say, such as what the next record could show under each
+    hypothesis, has an attribute ``feature_size`` and a method
+    ``features(observation, memory)`` that returns so many numbers of the order of one.
+    """
+    return int(getattr(estimator, "feature_size", 0))
+
+
+def further_features(
+    estimator: Estimator, observation: NDArray[np.float32], memory: Any
+) -> NDArray[np.float32]:
+    """Features of an estimator beyond its probabilities (feature_size,)."""
+    if not feature_size(estimator):
+        return np.zeros(0, dtype=np.float32)
+    return np.asarray(
+        estimator.features(observation, memory),  # type: ignore[attr-defined]
+        dtype=np.float32,
+    )

@@ -1,0 +1,337 @@
+"""Episodes of a comparison played in shards, and the lower bound on records that follows from them.
+
+The bounds of `loose_env.diagnosis.least_records` need the most that a record says and the most arms
+that k records allow to get right. Neither is known. Both are taken from whoever plays:
+
+- Information: for each player and each record, the mean rise of the log probability of the truth
+  over the arms still measured; the largest, at the upper end of its interval.
+- Success: the largest share of right best guesses after k records, at the upper end of its
+  interval.
+
+So the bound holds for whoever gets no more out of a record than the best player counted. Taken
+from the agents it can be beaten by a better posterior or better records than theirs. Taken from the
+oracle too, which is told direction and friction, it hardly can, and is lower.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+import loose_env
+from loose_agents.base import Agent, Problem, hypothesis_prior
+from loose_agents.evaluation import diagnosis_env, evaluate
+from loose_agents.jobs import (
+    BackendSettings,
+    ProgressLine,
+    Store,
+    canonical,
+    run_stored,
+    spans,
+)
+from loose_agents.registry import content_of, make_agent
+from loose_env.arms import Arm
+from loose_env.diagnosis import least_records
+from loose_env.envs import difficulty_named
+from loose_env.evaluation import Row, by_agent, configuration_hash, standings, wilson
+from loose_env.typing import Array
+from loose_env.wrappers import PROBABILITY_FLOOR
+
+_THREAD = threading.local()  # agents and problems already made, in each thread of a worker
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationTask:
+    """Serialisable description of the episodes that one agent plays."""
+
+    agent: str
+    """Name of the agent, as `loose_agents.registry.make_agent` knows it."""
+    env_id: str
+    """Id of the environment."""
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments of the environment."""
+    first: int = 0
+    """First episode."""
+    count: int
+    """Number of episodes."""
+    seed: int
+    """Seed of the episodes."""
+    agent_seed: int = 0
+    """Seed of what the agent draws."""
+    records: int | None = None
+    """Records that the agent is made to take; None lets it stop."""
+    width: int = 64
+    """Arms side by side; no row depends on it."""
+    threads: int = 1
+    """Simulation threads; no row depends on it."""
+
+    @property
+    def configuration(self) -> dict[str, Any]:
+        """Return every setting that determines the rows."""
+        named = asdict(self)
+        for name in ("width", "threads"):
+            del named[name]
+        content = content_of(self.agent)  # what it is made of counts, not its name alone
+        return {**named, "version": loose_env.__version__, "content": content}
+
+
+def evaluate_shard(
+    task: EvaluationTask, progress: Callable[[int], None] | None = None
+) -> list[dict[str, Any]]:
+    """Play the episodes of a task; return their rows as dictionaries, in order."""
+    problem, agent, true_arm = _ready(task)
+    rows = evaluate(
+        agent,
+        task.agent,
+        problem.arm,
+        problem.settings,
+        episodes=task.count,
+        first=task.first,
+        seed=task.seed,
+        records=task.records,
+        width=task.width,
+        threads=task.threads,
+        true_arm=true_arm,
+        progress=progress,
+    )
+    return [asdict(row) for row in rows]
+
+
+def play_task(
+    task: EvaluationTask,
+    folder: Path,
+    *,
+    settings: BackendSettings | None = None,
+    shard: int = 200,
+    keep: bool = False,
+) -> list[dict[str, Any]]:
+    """Play a task in shards, resuming from the shards already stored.
+
+    With one worker it is played in this process, ``task.width`` arms side by side.
+
+    Parameters
+    ----------
+    task : EvaluationTask
+        All episodes of one agent.
+    folder : Path
+        Where shards lie until the task is done; then they are removed, unless kept.
+    settings : BackendSettings, optional
+        Where shards run; in this process if None.
+    shard : int
+        Episodes a shard; no row depends on it.
+    keep : bool
+        Whether shards stay, so that a later call finds them.
+    """
+    parts = spans(task.count, shard)
+    where = folder / configuration_hash(canonical(task.configuration))[:16]
+    gone = where.with_name(f"{where.name}.gone")
+    shutil.rmtree(gone, ignore_errors=True)  # left by a run that was killed while it tidied up
+    store = Store(where, task.configuration)
+    if settings is None or (settings.backend == "loky" and settings.workers == 1):
+        _play_here(task, store, store.missing(parts))
+    else:
+        run_stored(partial(_part, replace(task, threads=1)), parts, store, settings)
+    rows = [row for part in parts for row in store.read(part)]
+    if not keep:
+        # Renamed first: half a folder of shards would be taken for somebody else's.
+        where.rename(gone)
+        shutil.rmtree(gone)
+    return rows
+
+
+def _part(
+    task: EvaluationTask, span: range, progress: Callable[[int], None] | None = None
+) -> list[dict[str, Any]]:
+    part = replace(task, first=task.first + span.start, count=len(span))
+    return evaluate_shard(part, progress=progress)
+
+
+def _play_here(task: EvaluationTask, store: Store, missing: Sequence[range]) -> None:
+    with ProgressLine(task.count, done=task.count - sum(map(len, missing))) as line:
+        for span in missing:
+            store.write(span, _part(task, span, lambda _: line.advance(1)))
+
+
+def _ready(task: EvaluationTask) -> tuple[Problem, Agent, Arm]:
+    """Problem, agent and true arm of a task, cached per thread."""
+    made: dict[str, tuple[Problem, Agent, Arm]] = _THREAD.__dict__.setdefault("made", {})
+    key = json.dumps([task.env_id, task.arguments, task.agent, task.agent_seed], sort_keys=True)
+    if key not in made:
+        env = diagnosis_env(task.env_id, task.arguments)
+        problem = Problem.of(env.arm, env.settings)
+        made.clear()  # one at a time: a task's shards follow each other
+        agent = make_agent(task.agent, problem, seed=task.agent_seed)
+        made[key] = problem, agent, env.batch.true_arm
+    return made[key]
+
+
+STAR = "*"
+"""End of the names that are no agents."""
+
+FEWEST = 30
+"""Episodes that a mean is taken of, at least."""
+
+_LEVEL = 0.95
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordBound:
+    """Lower bound on the mean number of records at one difficulty."""
+
+    prior: Array
+    """Probability of each hypothesis beforehand (K,)."""
+    information: float
+    """Most that a record says about the hypothesis, on average [nat]."""
+    teller: str
+    """Who took the record that says most."""
+    record: int
+    """Number of that record in its episode, from 1."""
+    success: Array
+    """Highest share of right verdicts after 1, 2, ... records."""
+
+    def by_information(self, error: ArrayLike) -> Array:
+        """Bound from the information gained per record."""
+        return least_records(error, self.prior, information=self.information)
+
+    def by_success(self, error: ArrayLike) -> Array:
+        """Bound from the accuracy reached after k records."""
+        return least_records(error, self.prior, success=self.success)
+
+    def records(self, error: ArrayLike) -> Array:
+        """Larger of the two bounds, as plotted in records against success."""
+        return np.maximum(self.by_information(error), self.by_success(error))
+
+
+def record_bound(problem: Problem, rows: Sequence[Row]) -> RecordBound | None:
+    """Compute the bound from episodes of one difficulty."""
+    players = {
+        name: (information_limits(problem, own), success_limits(own))
+        for name, own in by_agent(rows).items()
+    }
+    return bound_of(_prior(problem, str(rows[0].get("difficulty", "own"))), players)
+
+
+def bound_of(
+    prior: Array, players: Mapping[str, tuple[Sequence[float], Sequence[float]]]
+) -> RecordBound | None:
+    """Compute the bound from each player's limits, `information_limits` and `success_limits`."""
+    most: tuple[float, str, int] | None = None
+    success: list[float] = []
+    for name, (information, guesses) in players.items():
+        for k, end in enumerate(information, 1):
+            if most is None or end > most[0]:
+                most = (end, name, k)
+        for k, end in enumerate(guesses):
+            success[k : k + 1] = [max(end, *success[k : k + 1])] if k < len(success) else [end]
+    if most is None or most[0] <= 0:
+        return None
+    return RecordBound(
+        prior=prior,
+        information=most[0],
+        teller=most[1],
+        record=most[2],
+        success=np.maximum.accumulate(success),
+    )
+
+
+def bound_line(problem: Problem, rows: Sequence[Row]) -> str:
+    """Format the lower bounds at the best agent's error rate, by difficulty.
+
+    The best agent is the one of the highest mean return among those that are told nothing. The
+    bound is that of the agents; where an oracle plays, what is left of it with the oracle's
+    records is said too.
+    """
+    parts = []
+    levels = dict.fromkeys(str(row.get("difficulty", "own")) for row in rows)
+    for level in levels:
+        some = [row for row in rows if str(row.get("difficulty", "own")) == level]
+        where = f" ({level})" if len(levels) > 1 else ""
+        best = next((s for s in standings(some) if not s.agent.endswith(STAR)), None)
+        if best is None:
+            continue
+        own = [row for row in some if not str(row["agent"]).endswith(STAR)]
+        bound = record_bound(problem, own)
+        if bound is None:
+            parts.append(
+                f"Bound on records{where}: 1; more cannot be said, for no agent here keeps "
+                f"probabilities on {FEWEST} arms or more."
+            )
+            continue
+        error = 1 - best.success
+        told = "" if len(own) == len(some) else _told(record_bound(problem, some), error)
+        parts.append(
+            f"Bound on records{where}: {float(bound.records(error)):.2f} on average at the error "
+            f"of {best.agent}, {100 * error:.1f} %, which took {best.records:.2f}. By information "
+            f"(Fano) {float(bound.by_information(error)):.2f}, if no record says more than "
+            f"{bound.information:.2f} nat, the most that one says to an agent here "
+            f"({bound.teller}, record {bound.record}); by success "
+            f"{float(bound.by_success(error)):.2f}, if k records allow no more right verdicts than "
+            f"the agents here reached. Both with the upper ends of 95 % intervals.{told}"
+        )
+    return "\n".join(parts)
+
+
+def _told(bound: RecordBound | None, error: float) -> str:
+    """Bound that also covers the oracle."""
+    if bound is None:
+        return ""
+    return (
+        f" With the oracle's records, of up to {bound.information:.2f} nat, it is "
+        f"{float(bound.records(error)):.2f}."
+    )
+
+
+def _prior(problem: Problem, level: str) -> Array:
+    difficulty = difficulty_named(problem.settings.difficulty if level == "own" else level)
+    return hypothesis_prior(problem.hypotheses, difficulty.probabilities(problem.settings.kinds))
+
+
+def information_limits(problem: Problem, rows: Sequence[Row]) -> list[float]:
+    """Upper 95 % limits of a player's mean gain in log score [nat], by record."""
+    prior = _prior(problem, str(rows[0].get("difficulty", "own")))
+    chance = dict(zip(problem.hypotheses, prior, strict=True))
+    trails: list[list[float]] = []
+    for row in rows:
+        told: Sequence[Any] = row.get("trail_truth")  # type: ignore[assignment]
+        if told is not None and len(told) and chance.get(row["truth"], 0.0) > 0:
+            trails.append([chance[row["truth"]], *told])
+    logs = [
+        np.log(np.maximum(np.asarray(trail, dtype=float), PROBABILITY_FLOOR)) for trail in trails
+    ]
+    found = []
+    for k in range(1, max(map(len, logs), default=0)):
+        gains = np.array([log[k] - log[k - 1] for log in logs if len(log) > k])
+        if len(gains) < FEWEST:  # fewer still go on after this
+            break
+        beyond = stats.norm.ppf(_LEVEL) * gains.std(ddof=1) / np.sqrt(len(gains))
+        found.append(float(gains.mean() + beyond))
+    return found
+
+
+def success_limits(rows: Sequence[Row]) -> list[float]:
+    """Upper 95 % limits of a player's best-guess accuracy after 1, 2, ... records.
+
+    Who has stopped keeps the last guess.
+    """
+    trails = [(row["truth"], list(best)) for row in rows if _has(best := row.get("trail_best"))]  # type: ignore[arg-type]
+    if len(trails) < FEWEST:
+        return []
+    longest = max(len(best) for _, best in trails)
+    return [
+        wilson(sum(best[min(k, len(best) - 1)] == truth for truth, best in trails), len(trails))[1]
+        for k in range(longest)
+    ]
+
+
+def _has(trail: Any) -> bool:
+    return trail is not None and len(trail) > 0

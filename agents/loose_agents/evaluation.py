@@ -1,0 +1,389 @@
+"""Evaluation shared by all agents: environments by name, the same hidden faults, rows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+import loose_env  # noqa: F401  (registers the ids)
+from loose_agents.base import Agent, Problem
+from loose_agents.belief import goes_on
+from loose_env.arms import Arm
+from loose_env.envs import (
+    BatchRig,
+    DiagnosisEnv,
+    DiagnosisSettings,
+    DiagnosisVectorEnv,
+    EpisodeBatch,
+    Outcome,
+)
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.evaluation import FaultParameters, fault_parameters
+from loose_env.registration import IDS, TIERS
+
+MOST_SHOWN = 300
+"""Letters of the arguments that an error repeats."""
+
+
+def arguments_of(text: str) -> dict[str, Any]:
+    """Parse the environment's arguments from the option ``--arguments``.
+
+    Examples
+    --------
+    >>> arguments_of('{"n_links": 3}')
+    {'n_links': 3}
+    """
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InvalidSetting(
+            f"--arguments must be JSON such as '{{\"n_links\": 3}}': {error}"
+        ) from error
+    if not isinstance(found, dict):
+        raise InvalidSetting(f"--arguments must be a JSON object, got {text!r:.100}")
+    return found
+
+
+def diagnosis_env(
+    env_id: str, arguments: Mapping[str, Any], *, render_mode: str | None = None
+) -> DiagnosisEnv:
+    """Make the environment without Gymnasium's checking wrappers.
+
+    Parameters
+    ----------
+    env_id : str
+        Its id.
+    arguments : mapping
+        Its arguments.
+    render_mode : str, optional
+        How it draws itself.
+
+    Raises
+    ------
+    UnknownName
+        If it is no diagnosis environment.
+    InvalidSetting
+        If it does not take the arguments.
+    gymnasium.error.Error
+        If there is no such id.
+
+    Examples
+    --------
+    >>> diagnosis_env("loose_env/Planar-v0", {"n_links": 3}).arm.n
+    3
+    """
+    drawn = {} if render_mode is None else {"render_mode": render_mode}
+    with refused_in_words(env_id, arguments):
+        env = gymnasium.make(env_id, **drawn, **arguments).unwrapped  # type: ignore[arg-type]
+    if not isinstance(env, DiagnosisEnv):
+        known = ", ".join((*IDS, *TIERS))
+        raise UnknownName(f"{env_id} is no diagnosis environment; those are {known}")
+    return env
+
+
+@contextmanager
+def refused_in_words(env_id: str, arguments: Mapping[str, Any]) -> Iterator[None]:
+    """Name the arguments that an environment does not accept, in a readable error.
+
+    Examples
+    --------
+    >>> with refused_in_words("loose_env/Vera-v0", {"durations": 0.2}):
+    ...     tuple(0.2)
+    Traceback (most recent call last):
+        ...
+    loose_env.errors.InvalidSetting: loose_env/Vera-v0 does not take {'durations': 0.2}: 'float'
+    object is not iterable
+    """
+    try:
+        yield
+    except (TypeError, OverflowError) as error:
+        # Gymnasium adds the arguments once more.
+        reason = " ".join(str(error).split()).partition(" was raised from the environment")[0]
+        shown = str(dict(arguments))
+        shown = shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
+        raise InvalidSetting(f"{env_id} does not take {shown}: {reason}") from error
+
+
+def problem_of(env_id: str, arguments: Mapping[str, Any]) -> Problem:
+    """Problem that an environment poses, by making it once."""
+    env = diagnosis_env(env_id, arguments)
+    return Problem.of(env.arm, env.settings)
+
+
+def make_environments(env_id: str, num_envs: int, arguments: dict[str, Any]) -> DiagnosisVectorEnv:
+    """Make the environments side by side."""
+    if env_id not in gymnasium.registry:
+        raise UnknownName(f"unknown environment {env_id!r}; environments are {', '.join(IDS)}")
+    with refused_in_words(env_id, arguments):
+        env = gymnasium.make_vec(env_id, num_envs=num_envs, **arguments)
+    if not isinstance(env, DiagnosisVectorEnv):
+        raise UnknownName(f"{env_id} is no diagnosis environment; those are {', '.join(IDS)}")
+    if env.settings.raw:
+        raise InvalidSetting("a policy learns on statistics, not on raw signals: leave raw out")
+    return env
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeRow:
+    """Outcome of one episode and its hidden fault.
+
+    The trails have an entry for each record after which the agent was asked again, the first
+    record first. Those of probabilities are empty for agents that keep none.
+    """
+
+    agent: str
+    """Name of the agent."""
+    seed: int
+    """Seed of the episodes."""
+    episode: int
+    """Number of the episode; with the seed it fixes all that is hidden."""
+    difficulty: str
+    """Name of the difficulty; "own" for ranges without a name."""
+    truth: str
+    """The hypothesis that was true."""
+    verdict: str | None
+    """The one that was named."""
+    success: bool
+    """True if the two are the same."""
+    link_success: bool
+    """True if the verdict names the right link or joint, whatever the kind."""
+    poses: int
+    """Poses measured in."""
+    records: int
+    """Records taken."""
+    seconds: float
+    """Time of excitation [s]."""
+    excited: int
+    """Joints excited, counted anew in each record."""
+    price: float
+    """Cost of the records."""
+    reward: float
+    """Return: the verdict's reward less the price."""
+    truncated: bool
+    """True if the simulation diverged."""
+    gap: float | None
+    """Travel of the hidden seat [m, or rad where it turns]."""
+    friction: float | None
+    """Its Coulomb friction [N, or N·m where it turns]."""
+    friction_ratio: float | None
+    """Rms seat drive of the top level over the friction [1]; None on a healthy arm."""
+    opening_ratio: float | None
+    """The same over friction and gravity's load, in the best pose [1]; None on a healthy arm."""
+    direction: tuple[float, float, float] | None
+    """Direction of a slide or axis of a rocking link, link frame."""
+    confidence: float | None
+    """Probability of what was named, as the agent saw it."""
+    truth_probability: float | None
+    """Probability that the agent gave to the truth at the end."""
+    actions: str = ""
+    """Actions, the last one the verdict, in the form of `loose_env.envs.ActionLayout.code`, with
+    spaces between."""
+    trail_best: tuple[str, ...] = ()
+    """Most probable hypothesis after each record."""
+    trail_confidence: tuple[float, ...] = ()
+    """Its probability."""
+    trail_truth: tuple[float, ...] = ()
+    """Probability of the truth after each record."""
+    trail_price: tuple[float, ...] = ()
+    """Cost of the records so far."""
+    trail_seconds: tuple[float, ...] = ()
+    """Time of excitation so far [s]."""
+
+
+@dataclass(kw_only=True, eq=False)
+class _Run:
+    """State of one episode in progress."""
+
+    number: int
+    state: Any = None
+    begun: bool = False
+    excited: int = 0
+    price: float = 0.0
+    probabilities: NDArray[np.float64] | None = None
+    trail: list[tuple[str, float, float]] = field(default_factory=list)
+    spent: list[tuple[float, float]] = field(default_factory=list)
+    actions: list[str] = field(default_factory=list)
+
+
+def evaluate(
+    agent: Agent,
+    name: str,
+    arm: Arm,
+    settings: DiagnosisSettings,
+    *,
+    episodes: int,
+    seed: int,
+    first: int = 0,
+    records: int | None = None,
+    width: int = 64,
+    threads: int = 0,
+    rig: BatchRig | None = None,
+    true_arm: Arm | None = None,
+    options: Mapping[str, Any] | None = None,
+    progress: Callable[[int], None] | None = None,
+    deterministic: bool = True,
+) -> list[EpisodeRow]:
+    """Play episodes ``first`` to ``first + episodes - 1`` of a seed.
+
+    Episode k hides the same fault in the same true arm for every agent, and goes the same way
+    at any ``width`` (number of arms side by side) and thread count, and in whatever range.
+
+    The agent is known by ``predict`` alone. A state that has ``probabilities`` of the hypotheses
+    (hypotheses,) is read for the trails. What has a method ``informed(fault, observation)`` is no
+    agent: it is told the hidden fault and returns its first state.
+
+    Parameters
+    ----------
+    agent : Agent
+        Who plays.
+    name : str
+        Its name in the rows.
+    arm, settings : Arm, DiagnosisSettings
+        The nominal arm and the rules.
+    episodes, seed, first : int
+        Which episodes.
+    records : int, optional
+        Make the agent take so many records, however sure it is: one run then tells by the trails
+        how often it is right after 1, 2, ... records. See `goes_on`.
+    width, threads : int
+        Arms side by side, and simulation threads (0: all processors).
+    rig : BatchRig, optional
+        Where measurements come from.
+    true_arm : Arm, optional
+        The arm that is measured, where it is not the nominal one
+        (`loose_env.envs.EpisodeBatch`). What is hidden in episode k then depends on it alone,
+        whatever the nominal arm.
+    options : mapping, optional
+        Options of every episode, as `loose_env.envs.episode.reset_options` has them.
+    progress : callable, optional
+        Called with the number of finished episodes.
+    deterministic : bool
+        Passed on to the agent.
+
+    Raises
+    ------
+    InvalidSetting
+        If there are no episodes, or the agent cannot be made to take ``records``.
+    """
+    if episodes < 1:
+        raise InvalidSetting(f"episodes must be 1 or more, got {episodes}")
+    if records is not None:
+        if not 1 <= records <= settings.max_records:
+            raise InvalidSetting(
+                f"records must be 1 to {settings.max_records} (the settings' max_records), "
+                f"got {records}"
+            )
+        agent = goes_on(agent, records)
+    width = min(width, episodes)
+    batch = EpisodeBatch(arm, settings, num=width, threads=threads, rig=rig, true_arm=true_arm)
+    rows: dict[int, EpisodeRow] = {}
+    running: dict[int, _Run] = {}  # by slot
+    waiting = iter(range(first, first + episodes))
+
+    def begin(slot: int) -> None:
+        number = next(waiting, None)
+        running.pop(slot, None)
+        if number is None:
+            return
+        batch.start(slot, seed=seed, number=number, options=options)
+        run = running[slot] = _Run(number=number)
+        if hasattr(agent, "informed"):
+            episode = batch.episode(slot)
+            run.state, run.begun = agent.informed(episode.fault, batch.observe(slot)), True
+
+    for slot in range(width):
+        begin(slot)
+    while running:
+        slots = sorted(running)
+        runs = [running[s] for s in slots]
+        observations = np.stack([batch.observe(s) for s in slots])
+        starts = np.array([not run.begun for run in runs])
+        states = None if starts.all() else [run.state for run in runs]
+        actions, after = agent.predict(observations, states, starts, deterministic=deterministic)
+        for k, run in enumerate(runs):
+            run.state, run.begun = (None if after is None else after[k]), True
+            _note(batch, slots[k], run)
+        for k, outcome in enumerate(batch.step(slots, list(actions))):
+            run = runs[k]
+            run.actions.append(batch.actions.code(actions[k]))
+            if not outcome.terminated:  # a record was taken
+                run.price -= outcome.reward
+                run.excited += int(np.count_nonzero(batch.actions.decode(actions[k]).levels))
+            if outcome.terminated or outcome.truncated:
+                rows[run.number] = _row(batch, slots[k], run, outcome, name, seed)
+                if progress is not None:
+                    progress(len(rows))
+                begin(slots[k])
+    return [rows[number] for number in range(first, first + episodes)]
+
+
+def _note(batch: EpisodeBatch, slot: int, run: _Run) -> None:
+    """Log the agent's posterior after the latest record, and the cost of the record."""
+    episode = batch.episode(slot)
+    found = getattr(run.state, "probabilities", None)
+    run.probabilities = None if found is None else np.array(found, dtype=float)
+    if episode.records == 0:
+        return
+    run.spent.append((run.price, episode.seconds))
+    p = run.probabilities
+    if p is not None:
+        best = int(np.argmax(p))
+        truth = _at(p, batch.hypotheses, episode.fault.hypothesis)
+        run.trail.append((batch.hypotheses[best], float(p[best]), truth or 0.0))
+
+
+def _row(
+    batch: EpisodeBatch, slot: int, run: _Run, outcome: Outcome, name: str, seed: int
+) -> EpisodeRow:
+    """Summarise an episode as a row."""
+    info, names = outcome.info, batch.hypotheses
+    episode = batch.episode(slot)
+    hidden: FaultParameters = fault_parameters(batch.sampler, episode.fault)
+    truth, verdict, p = info["fault"], info["verdict"], run.probabilities
+    level = batch.settings.difficulty
+    return EpisodeRow(
+        agent=name,
+        seed=seed,
+        episode=run.number,
+        difficulty=level if isinstance(level, str) else "own",
+        truth=truth,
+        verdict=verdict,
+        success=bool(info["is_success"]),
+        link_success=bool(info["link_success"]),
+        poses=info["poses"],
+        records=info["records"],
+        seconds=info["seconds"],
+        excited=run.excited,
+        price=run.price,
+        reward=(outcome.reward if outcome.terminated else 0.0) - run.price,
+        truncated=outcome.truncated,
+        gap=hidden.gap,
+        friction=hidden.friction,
+        friction_ratio=hidden.friction_ratio,
+        opening_ratio=hidden.opening_ratio,
+        direction=hidden.direction,
+        confidence=_at(p, names, verdict),
+        truth_probability=_at(p, names, truth),
+        actions=" ".join(run.actions),
+        trail_best=_column(run.trail, 0),
+        trail_confidence=_column(run.trail, 1),
+        trail_truth=_column(run.trail, 2),
+        trail_price=_column(run.spent, 0),
+        trail_seconds=_column(run.spent, 1),
+    )
+
+
+def _column(entries: Sequence[tuple[Any, ...]], k: int) -> tuple[Any, ...]:
+    return tuple(entry[k] for entry in entries)
+
+
+def _at(p: NDArray[np.float64] | None, names: Sequence[str], name: str | None) -> float | None:
+    """Probability of a hypothesis, if it exists."""
+    return float(p[names.index(name)]) if p is not None and name in names else None

@@ -1,4 +1,0 @@
-"""Evaluation of agents on hidden faults, and bounds on records.
-
-Data flow: env_arguments -> evaluate -> record_bounds.
-"""

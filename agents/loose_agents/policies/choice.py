@@ -1,0 +1,531 @@
+"""Policies, which choose the next record: random, fixed, by expected information."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_agents.base import Problem
+from loose_agents.belief import (
+    AfterRecords,
+    BeliefAgent,
+    Estimator,
+    Policy,
+    Situation,
+    belief_of,
+    tuned,
+)
+from loose_env.diagnosis import (
+    AmortisedPosterior,
+    Belief,
+    FaultPosterior,
+    ImaginedFaults,
+    InformationFactors,
+    RecordInformation,
+    SeatFeatures,
+)
+from loose_env.envs import EpisodeBatch, difficulty_named
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.excitation import at_levels
+from loose_env.typing import Array
+from loose_env.wrappers import record_from
+
+
+class RandomPolicy:
+    """Excites one random joint at a random level and duration, in random poses."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Sample an action from the episode's generator."""
+        problem, rng = self.problem, situation.rng
+        moves = random_moves(problem, situation)
+        levels = np.zeros(problem.arm.n, dtype=np.intp)
+        levels[rng.integers(problem.arm.n)] = rng.integers(1, 1 + len(problem.arm.levels))
+        duration = int(rng.integers(len(problem.settings.durations)))
+        return problem.actions.encode(moves=moves, levels=levels, duration=duration)
+
+
+def random_moves(problem: Problem, situation: Situation) -> NDArray[np.intp]:
+    """Sample an allowed move for every joint (n,)."""
+    allowed = problem.actions.allowed_moves(situation.pose)
+    drawn = np.array([situation.rng.choice(np.flatnonzero(row)) for row in allowed])
+    return problem.actions.few_moves(drawn, situation.rng)
+
+
+class ConstantPolicy:
+    """Applies a constant excitation in random poses."""
+
+    def __init__(
+        self, problem: Problem, levels: tuple[int, ...], *, duration: int | None = None
+    ) -> None:
+        if len(levels) != problem.arm.n or not any(levels):
+            raise InvalidSetting(
+                f"a constant policy needs a level for each of {problem.arm.n} joints, at least one "
+                f"of them above 0; got {levels}"
+            )
+        self.problem, self.levels, self.duration = problem, np.array(levels), duration
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Move at random and apply the constant excitation."""
+        return self.problem.actions.encode(
+            moves=random_moves(self.problem, situation), levels=self.levels, duration=self.duration
+        )
+
+
+def information_of(problem: Problem, estimator: Estimator) -> RecordInformation:
+    """Build the information criterion for the beliefs of an estimator."""
+    posterior = getattr(estimator, "posterior", None)
+    fitted = tuned(problem).get("information")
+    factors = None
+    if fitted is not None:
+        factors = InformationFactors(**fitted | {"joints": tuple(fitted["joints"])})
+    if isinstance(posterior, AmortisedPosterior):
+        return RecordInformation(posterior.features, posterior.frictions, factors=factors)
+    if isinstance(posterior, FaultPosterior):
+        difficulty = difficulty_named(problem.settings.difficulty)
+        features = SeatFeatures(
+            problem.linear,
+            problem.settings.sensors,
+            difficulty.mismatch,
+            directions=len(posterior.directions),
+            over=difficulty.friction_over,
+        )
+        return RecordInformation(features, posterior.frictions, factors=factors)
+    raise InvalidSetting(
+        "choosing records by information needs an estimator with a posterior over places and "
+        f"frictions, not {type(estimator).__name__}"
+    )
+
+
+def _random(problem: Problem, estimator: Estimator) -> Policy:
+    return RandomPolicy(problem)
+
+
+def _constant(problem: Problem, estimator: Estimator) -> Policy:
+    best = tuned(problem).get("constant")
+    levels = [0] * problem.arm.n
+    levels[0] = len(problem.arm.levels)  # joint 1 moves everything behind it
+    top = len(problem.arm.levels)
+    return ConstantPolicy(problem, tuple(levels if best is None else [min(b, top) for b in best]))
+
+
+def _together(problem: Problem, estimator: Estimator) -> Policy:
+    return ConstantPolicy(problem, (len(problem.arm.levels),) * problem.arm.n)
+
+
+def _greedy(problem: Problem, estimator: Estimator) -> Policy:
+    return GreedyPolicy(problem, information_of(problem, estimator))
+
+
+def _look_ahead(problem: Problem, estimator: Estimator) -> Policy:
+    return LookAheadPolicy(problem, information_of(problem, estimator))
+
+
+def _fixed(problem: Problem, estimator: Estimator) -> Policy:
+    return FixedPolicy(problem, tuned_sequence(problem))
+
+
+def _open_loop(problem: Problem, estimator: Estimator) -> Policy:
+    return OpenLoopPolicy(problem, information_of(problem, estimator), estimator)
+
+
+POLICIES: dict[str, tuple[Callable[[Problem, Estimator], Policy], str]] = {
+    "random": (_random, "random poses, joint, level and length"),
+    "constant": (_constant, "the best single joint and level, random poses"),
+    "together": (_together, "all joints at the top level, random poses"),
+    "fixed": (_fixed, "the same records on every arm, the best of many sequences"),
+    "open_loop": (_open_loop, "records that the model chooses without looking at any result"),
+    "greedy": (_greedy, "the record that is expected to say most"),
+    "look_ahead": (_look_ahead, "the record that is worth most with the next one in view"),
+}
+"""Constructor and short description of each policy."""
+
+
+def make_policy(name: str, problem: Problem, estimator: Estimator) -> Policy:
+    """Make a policy for a problem and its estimator.
+
+    Raises
+    ------
+    UnknownName
+        If there is no policy of that name.
+    """
+    if name not in POLICIES:
+        raise UnknownName(f"unknown policy {name!r}; policies are {list(POLICIES)}")
+    return POLICIES[name][0](problem, estimator)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """A record that could be taken next."""
+
+    action: NDArray[np.int64]
+    """The action that takes it."""
+    pose: NDArray[np.float64]
+    """Joint positions of the record (n,) [rad or m]."""
+    torque: NDArray[np.float64]
+    """Rms torque of every joint, within the drives' limits (n,) [N·m or N]."""
+    duration: float
+    """Its length [s]."""
+    price: float
+    """Cost of the record."""
+
+
+def poses(
+    problem: Problem, situation: Situation, count: int
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Sample moves uniformly from the allowed ranges, with the resulting poses."""
+    allowed = problem.actions.allowed_moves(situation.pose)
+    options = [np.flatnonzero(row) for row in allowed]
+    total = int(np.prod([len(o) for o in options], dtype=np.int64))
+    if total <= count and problem.actions.most_moved == problem.arm.n:
+        moves = np.stack(np.meshgrid(*options, indexing="ij"), -1).reshape(-1, len(options))
+    else:
+        drawn = [situation.rng.choice(o, 2 * count) for o in options]
+        moves = np.unique(problem.actions.few_moves(np.stack(drawn, 1), situation.rng), axis=0)
+        moves = situation.rng.permutation(moves)[:count]
+    steps = problem.actions.steps[np.arange(problem.arm.n), moves]
+    where = np.array([problem.arm.wrap(situation.pose + step) for step in steps])
+    return moves.astype(np.intp), np.round(where, 9)
+
+
+Excitations = list[tuple[NDArray[np.intp], int]]
+"""Levels of the joints (n,) and index of the duration."""
+
+
+def excitations(problem: Problem) -> tuple[Excitations, Excitations]:
+    """Enumerate excitations: those weighed in every pose, then those weighed in the best ones.
+
+    The first is all joints together at the top level for the longest time; the further ones are
+    lower levels, shorter times, and each joint alone at the two highest levels. Where not all
+    joints may be excited at once, the first are each joint alone at the top level.
+    """
+    n, top = problem.arm.n, len(problem.arm.levels)
+    durations = problem.settings.durations
+    longest = int(np.argmax(durations))
+    alone = list(np.eye(n, dtype=np.intp))
+    first = [np.ones(n, dtype=np.intp)] if problem.actions.most_excited == n else alone
+    found = [(level * one, longest) for level in range(top, 0, -1) for one in first]
+    found += [(top * one, k) for k in range(len(durations)) if k != longest for one in first]
+    if len(first) == 1:
+        for level in range(top, max(top - 2, 0), -1):
+            found += [(level * one, longest) for one in alone]
+    return found[: len(first)], found[len(first) :]
+
+
+def candidate_at(
+    problem: Problem,
+    moves: NDArray[np.intp],
+    pose: NDArray[np.float64],
+    levels: NDArray[np.intp],
+    duration: int,
+) -> Candidate:
+    """Build a candidate: the torque of the levels in a pose, and its cost."""
+    seconds = problem.settings.durations[duration]
+    wanted = np.array([0.0, *problem.arm.levels])[levels]
+    excitation, _ = at_levels(problem.linear.at(pose), wanted, duration=seconds)
+    prices = problem.settings.prices
+    moved = int(np.count_nonzero(moves != problem.settings.stay))
+    price = prices.record + prices.second * seconds + prices.level * int(levels.sum())
+    return Candidate(
+        action=problem.actions.encode(moves=moves, levels=levels, duration=duration),
+        pose=pose,
+        torque=np.array(excitation.torque_rms),
+        duration=seconds,
+        price=price + prices.move * moved,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GreedySettings:
+    """Number of candidate records and value of information."""
+
+    poses: int = 16
+    """Poses weighed with all joints shaken at the top level."""
+    single_poses: int = 6
+    """Poses weighed where joints are shaken one at a time, each joint in each."""
+    shortlist: int = 1
+    """The best of these, weighed with every other excitation too."""
+    worth: float = 0.5
+    """Value of a nat of information, in the environment's reward."""
+
+
+class GreedyPolicy:
+    """Maximises expected information over pose, joints, level and duration."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        information: RecordInformation,
+        settings: GreedySettings | None = None,
+    ) -> None:
+        self.problem, self.information = problem, information
+        self.settings = GreedySettings() if settings is None else settings
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Choose the best of the scored records."""
+        faults = self.information.imagine(belief_of(situation), situation.rng)
+        return ranked(self.problem, self.information, self.settings, situation, faults)[0].action
+
+
+def ranked(
+    problem: Problem,
+    information: RecordInformation,
+    settings: GreedySettings,
+    situation: Situation,
+    faults: ImaginedFaults,
+    planned: Array | None = None,
+) -> list[Candidate]:
+    """Score candidate records and sort them, best first.
+
+    After records with the likelihood ``planned`` where it is given, as
+    `loose_env.diagnosis.RecordInformation.of` takes it.
+    """
+
+    def value(candidate: Candidate) -> float:
+        if not candidate.torque.any():  # gravity leaves the drives nothing
+            return -np.inf
+        found = information.of(
+            faults, candidate.pose, candidate.torque, candidate.duration, planned
+        )
+        return settings.worth * found.information - candidate.price
+
+    first, further = excitations(problem)
+    together = len(first) == 1
+    moves, where = poses(problem, situation, settings.poses if together else settings.single_poses)
+    begun = [(k, how) for k in range(len(moves)) for how in first]
+    candidates = [candidate_at(problem, moves[k], where[k], *how) for k, how in begun]
+    found = [(value(candidate), candidate) for candidate in candidates]
+    order = np.argsort([-v for v, _ in found], kind="stable")
+    for k in (begun[i][0] for i in order[: settings.shortlist]):
+        for levels, duration in further:
+            candidate = candidate_at(problem, moves[k], where[k], levels, duration)
+            found.append((value(candidate), candidate))
+    found.sort(key=lambda pair: -pair[0])
+    return [candidate for _, candidate in found]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LookAheadSettings:
+    """Depth and width of the look-ahead."""
+
+    first: int = 4
+    """First records that are looked at, the best by information."""
+    outcomes: int = 24
+    """Outcomes of each that are imagined."""
+    second: int = 4
+    """Second records weighed after each outcome."""
+    greedy: GreedySettings = field(default_factory=GreedySettings)
+    """Search for first records."""
+
+
+class LookAheadPolicy:
+    """Scores records by the expected reward after them, or after one more.
+
+    Values are those of the environment's prices: the expected reward of the best name, less
+    what the records cost.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        information: RecordInformation,
+        settings: LookAheadSettings | None = None,
+    ) -> None:
+        self.problem, self.information = problem, information
+        self.settings = LookAheadSettings() if settings is None else settings
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Choose the record of the highest value."""
+        faults = self.information.imagine(belief_of(situation), situation.rng)
+        firsts = ranked(self.problem, self.information, self.settings.greedy, situation, faults)[
+            : self.settings.first
+        ]
+        values = [self._value(candidate, faults, situation) for candidate in firsts]
+        return firsts[int(np.argmax(values))].action
+
+    def _value(self, candidate: Candidate, faults: ImaginedFaults, situation: Situation) -> float:
+        """Expected reward after taking this record."""
+        if not candidate.torque.any():
+            return -np.inf
+        likely = self.information.likelihood(
+            faults, candidate.pose, candidate.torque, candidate.duration
+        )
+        after = Situation(**{**vars(situation), "pose": candidate.pose})
+        every, _ = excitations(self.problem)
+        moves, where = poses(self.problem, after, self.settings.second)
+        seconds = [
+            candidate_at(self.problem, m, p, *how)
+            for m, p in zip(moves, where, strict=True)
+            for how in every
+        ]
+        next_likely = [
+            (self.information.likelihood(faults, c.pose, c.torque, c.duration), c.price)
+            for c in seconds
+            if c.torque.any()
+        ]
+        prices = self.problem.settings.prices
+        stake = prices.correct - prices.wrong
+        ticks = (np.arange(self.settings.outcomes) + 0.5) / self.settings.outcomes
+        drawn = np.searchsorted(np.cumsum(faults.weight), ticks * faults.weight.sum())
+        total = 0.0
+        for k in np.minimum(drawn, len(faults.weight) - 1):
+            weight = faults.weight * likely[k]
+            weight = weight / weight.sum()
+            worth = float(self._sures(weight[None], faults)[0])  # of a verdict now
+            for more, price in next_likely:
+                after_both = weight[None] * more
+                after_both /= after_both.sum(1, keepdims=True)
+                then = float(weight @ self._sures(after_both, faults))
+                worth = max(worth, then - price / stake)
+            total += worth / len(drawn)
+        return prices.wrong + stake * total - candidate.price
+
+    def _sures(self, weights: Array, faults: ImaginedFaults) -> Array:
+        """Maximum posterior probability (K,) for weights (K, M)."""
+        labels = np.zeros((weights.shape[1], int(faults.hypothesis.max()) + 1))
+        labels[np.arange(len(labels)), faults.hypothesis] = 1.0
+        return np.asarray((weights @ labels).max(1))
+
+
+FIXED_RECORDS = 4
+"""Longest sequence of the agents without stopping, `fixed_1` to `fixed_4`."""
+
+Records = tuple[tuple[int, ...], ...]
+"""Records one after the other, each as an action of the environment."""
+
+
+class FixedPolicy:
+    """Takes the same records on every arm, then begins again.
+
+    The first pose is random and moves are relative, so a move may lead out of a joint's range: the
+    joint then makes the opposite move if it can, and stays if not.
+    """
+
+    def __init__(self, problem: Problem, sequence: Sequence[Sequence[int]]) -> None:
+        if not sequence:
+            raise InvalidSetting("a fixed sequence has one record or more")
+        self.problem = problem
+        self.records = [problem.actions.decode(action) for action in sequence]
+        moves = np.array(problem.settings.moves)
+        self._opposite = np.abs(moves[:, None] + moves).argmin(axis=1)
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Take the next record of the sequence."""
+        problem = self.problem
+        record = self.records[situation.records % len(self.records)]
+        allowed, joints = problem.actions.allowed_moves(situation.pose), np.arange(problem.arm.n)
+        other = self._opposite[record.moves]
+        moves = np.where(allowed[joints, other], other, problem.settings.stay)
+        moves = np.where(allowed[joints, record.moves], record.moves, moves)
+        return problem.actions.encode(
+            moves=moves,
+            levels=record.levels,
+            duration=problem.settings.durations.index(record.duration),
+        )
+
+
+def drawn_sequences(
+    problem: Problem, count: int, length: int, rng: np.random.Generator
+) -> list[Records]:
+    """Draw sequences of records to choose a fixed one from.
+
+    Moves are uniform. Joints are excited at the top level for the longest time: every other
+    sequence all of them in every record where the rules allow, else one at a time, each joint
+    once before one comes again.
+    """
+    n, actions = problem.arm.n, problem.actions
+    top, found = len(problem.arm.levels), []
+    for k in range(count):
+        order = np.concatenate([rng.permutation(n) for _ in range(-(-length // n))])
+        moves = rng.integers(len(problem.settings.moves), size=(length, n))
+        moves = actions.few_moves(moves.astype(np.intp), rng)
+        together = actions.most_excited == n and k % 2 == 0
+        found.append(
+            tuple(
+                tuple(
+                    actions.encode(
+                        moves=moves[r],
+                        levels=top * (np.ones(n) if together else np.eye(n)[order[r]]).astype(int),
+                    ).tolist()
+                )
+                for r in range(length)
+            )
+        )
+    return found
+
+
+def tuned_sequence(problem: Problem, records: int | None = None) -> Records:
+    """Best sequence of training episodes: of a number of records, or with its own stopping."""
+    chosen = tuned(problem).get("fixed", {}).get("stopping" if records is None else str(records))
+    if chosen is None:
+        raise InvalidSetting(
+            f"no fixed sequence was chosen for arm {problem.arm.name!r} under these rules: "
+            "python scripts/agents/tune_agents.py --agents amortised/fixed chooses one on "
+            "training episodes"
+        )
+    return tuple(tuple(int(entry) for entry in action) for action in chosen)
+
+
+class OpenLoopPolicy:
+    """Maximises expected information over records whose results it does not look at.
+
+    It knows where the arm is and which records were taken, and counts on what they will have
+    shown on average over the prior.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        information: RecordInformation,
+        estimator: Estimator,
+        settings: GreedySettings | None = None,
+    ) -> None:
+        self.problem, self.information = problem, information
+        self.settings = GreedySettings() if settings is None else settings
+        start = getattr(estimator.begin(), "belief", None)
+        prior = getattr(start, "belief", start)
+        if not isinstance(prior, Belief):
+            raise InvalidSetting(
+                "open_loop needs an estimator that keeps a posterior over places and frictions, "
+                f"not {type(estimator).__name__}"
+            )
+        self._prior = prior
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Choose the best of the scored records, given which ones were taken."""
+        faults = self.information.imagine(self._prior, situation.rng)
+        planned = np.ones((len(faults.weight), len(faults.weight)))
+        for slot in range(situation.records):
+            record = record_from(self.problem.layout, situation.observation, slot)
+            if record is not None:
+                planned *= self.information.likelihood(
+                    faults, record.pose, record.torque, record.duration
+                )
+        found = ranked(self.problem, self.information, self.settings, situation, faults, planned)
+        return found[0].action
+
+
+def designed_sequences(
+    policy: OpenLoopPolicy, estimator: Estimator, count: int, length: int, *, seed: int
+) -> list[Records]:
+    """Sequences that the model chooses in open loop, each from another first pose."""
+    problem, stopping = policy.problem, AfterRecords(records=length + 1)
+    agent = BeliefAgent(problem, estimator, policy, stopping, surprising=0.0)
+    batch = EpisodeBatch(problem.arm, problem.settings, threads=1)
+    found = []
+    for number in range(count):
+        batch.start(0, seed=seed, number=number, options={"fault": "healthy"})
+        state: Any = None
+        sequence: list[tuple[int, ...]] = []
+        for _ in range(length):
+            action, state = agent.predict(batch.observe(0), state)
+            sequence.append(tuple(action.tolist()))
+            batch.step([0], [action])
+        found.append(tuple(sequence))
+    return found

@@ -1,0 +1,363 @@
+"""Agents that play trained policies: exported ones, and model files of stable-baselines3.
+
+A policy on a posterior chooses a move and a level for every joint, the record length, and when to
+stop. What it names then is the verdict that is worth most under the posterior, or nothing where the
+records are unlike all that the posterior was made for.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from loose_agents.base import EpisodeAgent, Problem
+from loose_agents.belief import (
+    Estimator,
+    Situation,
+    StoppingRule,
+    best_verdict,
+    feature_size,
+    further_features,
+    make_estimator,
+    records_measured,
+    records_taken,
+    verdict_of,
+)
+from loose_agents.rl.model_files import (
+    TRAINED_ON,
+    StoredModel,
+    network_arguments,
+    read_model,
+)
+from loose_agents.rl.networks import (
+    FORMAT,
+    PolicyNetwork,
+    input_size,
+    load_network,
+    network_from_tensors,
+)
+from loose_env.errors import InvalidData
+from loose_env.wrappers import posterior_bounds, posterior_features
+
+CONFIGURATION = "configuration.json"
+"""File that says how a policy was trained, beside its weights."""
+
+FURTHER_BOUND = 5.0
+"""Bound of an estimator's features beside its probabilities, either sign."""
+
+
+class PolicyForm:
+    """Observation and action encoding of the learned policy.
+
+    It sees the `loose_env.wrappers.posterior_features`, then what else the estimator has to show.
+
+    It chooses moves, levels and a record length by the entries of the environment's action, and
+    in place of the verdict whether to stop.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> from loose_env.envs import DiagnosisSettings
+    >>> PolicyForm(Problem.of(planar(2), DiagnosisSettings())).nvec.tolist()
+    [5, 5, 4, 4, 3, 2]
+    >>> PolicyForm(Problem.of(planar(2), DiagnosisSettings(max_excited=1))).nvec.tolist()
+    [5, 5, 7, 3, 2]
+    """
+
+    def __init__(self, problem: Problem, further: int = 0) -> None:
+        self.problem, self.further = problem, further
+        self.nvec = np.append(problem.actions.nvec[:-1], 2)
+        kinds = len(problem.hypotheses)
+        start = problem.layout.global_elements
+        bounds = [
+            *posterior_bounds(kinds, start),
+            *[(-FURTHER_BOUND, FURTHER_BOUND)] * further,
+        ]
+        low, high = np.array(bounds, dtype=np.float32).T
+        self.observation_space = spaces.Box(low, high, dtype=np.float32)
+        self.action_space = spaces.MultiDiscrete(self.nvec)
+
+    def features(
+        self,
+        observation: NDArray[np.float32],
+        probabilities: NDArray[np.float64],
+        further: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """Observation of the policy (features,)."""
+        start = observation[: len(self.problem.layout.global_elements)]
+        shown = np.zeros(0) if further is None else np.asarray(further, dtype=float)
+        if shown.shape != (self.further,):
+            raise InvalidData(
+                f"the estimator said that it shows {self.further} numbers, it showed {shown.shape}"
+            )
+        shown = np.clip(shown, -FURTHER_BOUND, FURTHER_BOUND)
+        both = np.concatenate([posterior_features(probabilities, start), shown]).astype(np.float32)
+        space = self.observation_space
+        return np.asarray(np.clip(both, space.low, space.high))
+
+    def stops(self, choice: NDArray[np.int64], records: int, *, least: int = 1) -> bool:
+        """Return True if a choice ends the episode, within the record limits."""
+        most = self.problem.settings.max_records
+        return records >= most or (bool(choice[-1]) and records >= min(max(least, 1), most))
+
+    def action(
+        self,
+        choice: NDArray[np.int64],
+        probabilities: NDArray[np.float64],
+        records: int,
+        measured: int | None = None,
+        *,
+        least: int = 1,
+    ) -> NDArray[np.int64]:
+        """Convert a choice to an action of the environment.
+
+        Arguments as in `stops`; ``measured`` is the number of records that are not empty, by
+        default all.
+        """
+        if self.stops(choice, records, least=least):
+            unsure = self.problem.actions.allows_unsure(
+                records, records if measured is None else measured
+            )
+            return self.problem.verdict(best_verdict(self.problem, probabilities, unsure=unsure))
+        return self.measuring(choice)
+
+    def measuring(self, choice: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Convert a choice to a measurement action, ignoring its stop decision."""
+        return np.append(np.asarray(choice, dtype=np.int64)[:-1], 0)
+
+    def mask(
+        self,
+        pose: NDArray[np.float64],
+        records: int,
+        measured: int | None = None,
+        *,
+        least: int = 1,
+    ) -> NDArray[np.bool_]:
+        """Mask of valid options, choice by choice (options,).
+
+        No move past the range of a joint, no stop before ``least`` records, no going on after
+        the last. A pose read from an observation is known up to whole turns: of a joint that
+        turns more than once, a move may be masked that would be possible, or the other way round.
+        """
+        actions, most = self.problem.actions, self.problem.settings.max_records
+        last = records >= most
+        stop = last or records >= min(max(least, 1), most)
+        shown = records if measured is None else measured
+        measuring = actions.mask(pose, records, shown)[: int(self.nvec[:-1].sum())]
+        return np.concatenate([measuring, [not last, stop]])
+
+
+@dataclass
+class _Memory:
+    """State of one episode: generator and estimator state."""
+
+    rng: np.random.Generator
+    estimate: Any
+    probabilities: NDArray[np.float64] | None = None
+    """Of the hypotheses, after the latest record (hypotheses,); read by the evaluator."""
+
+
+class LearnedAgent(EpisodeAgent):
+    """Plays a trained policy."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        network: PolicyNetwork,
+        estimator: Estimator | None = None,
+        stopping: StoppingRule | None = None,
+        *,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(problem, seed=seed)
+        self.estimator = make_estimator("posterior", problem) if estimator is None else estimator
+        self.form = PolicyForm(problem, feature_size(self.estimator))
+        self.network, self.stopping = network, stopping
+
+    @classmethod
+    def load(cls, problem: Problem, folder: str | Path) -> LearnedAgent:
+        """Load the weights that `scripts/agents/train.py` wrote."""
+        where = Path(folder)
+        described = where / CONFIGURATION
+        if not described.is_file():
+            raise InvalidData(
+                f"no trained policy for arm {problem.arm.name!r} in {where}; train one with "
+                f"scripts/agents/train.py --export {where}"
+            )
+        try:
+            configuration = json.loads(described.read_text(encoding="utf-8"))
+            found, arm = configuration["format"], configuration["arm"]
+        except (ValueError, RecursionError, KeyError, TypeError, OSError) as error:
+            reason = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+            raise InvalidData(f"{described} describes no trained policy: {reason}") from error
+        if found != FORMAT:
+            raise InvalidData(
+                f"{where} holds a policy of format {found!r:.60}, this version reads {FORMAT!r}; "
+                f"train it anew with scripts/agents/train.py --export {where}"
+            )
+        if arm != problem.arm.name:
+            raise InvalidData(f"{where} was trained for arm {arm!r:.60}, not {problem.arm.name!r}")
+        estimator = make_estimator(configuration.get("estimator", "posterior"), problem)
+        form = PolicyForm(problem, feature_size(estimator))
+        return cls(problem, load_network(where, form), estimator)
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Start from the prior."""
+        return _Memory(rng=rng, estimate=self.estimator.begin())
+
+    def act(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.int64]:
+        """Evaluate the policy."""
+        problem, form = self.problem, self.form
+        probabilities = self.estimator.follow(observation, memory.estimate)
+        memory.probabilities = probabilities
+        further = further_features(self.estimator, observation, memory.estimate)
+        pose = problem.layout.pose_of(observation)
+        records = records_taken(problem, observation)
+        choice = self.network.choose(
+            form.features(observation, probabilities, further),
+            form.mask(pose, records, records_measured(problem, observation)),
+        )
+        situation = Situation(
+            observation=observation,
+            pose=pose,
+            records=records,
+            probabilities=probabilities,
+            memory=memory.estimate,
+            rng=memory.rng,
+        )
+        if self.stopping is None:
+            done = form.stops(choice, records)
+        else:
+            done = records > 0 and (
+                records >= problem.settings.max_records or self.stopping.stop(situation)
+            )
+        named = verdict_of(problem, situation) if done else None
+        return form.measuring(choice) if named is None else problem.verdict(named)
+
+
+class ModelAgent(EpisodeAgent):
+    """Plays a policy trained on the environment's own observation and action."""
+
+    def __init__(self, problem: Problem, network: PolicyNetwork, *, seed: int = 0) -> None:
+        super().__init__(problem, seed=seed)
+        self.network = network
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Return the initial state of an episode: none is kept."""
+
+    def act(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.int64]:
+        """Evaluate the policy."""
+        problem = self.problem
+        mask = problem.actions.mask(
+            problem.layout.pose_of(observation),
+            records_taken(problem, observation),
+            records_measured(problem, observation),
+        )
+        return self.network.choose(observation, mask)
+
+
+def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> EpisodeAgent:
+    """Make an agent of a model file: of the rl-zoo, of one's own training, or of train.py.
+
+    What it was trained on shows in the size of its input: the environment's observation, or that
+    of `PolicyForm` on a posterior. Which posterior says ``configuration.json`` beside the file.
+    The arm is told by the file itself where this package trained it, else by the file beside it;
+    of a model that has neither only the sizes are checked. No code of the file is run.
+
+    Parameters
+    ----------
+    path : str or Path
+        A ``.zip`` of PPO or MaskablePPO.
+    problem : Problem
+        The nominal arm and the rules; must be those of the training.
+
+    Raises
+    ------
+    InvalidData
+        If it is no such model, or was trained on something else.
+    """
+    stored = read_model(path)
+    beside = _beside(stored)
+    _require_same_problem(stored, beside, problem)
+    tensors = stored.parameters["policy"]
+    try:
+        seen = input_size(tensors)
+    except (KeyError, IndexError) as error:
+        raise InvalidData(f"{stored.path}: only MlpPolicy is read, on a set network too") from error
+    layout = problem.layout
+    if seen is None or seen == layout.size:
+        return ModelAgent(problem, _network(stored, problem, problem.actions.nvec), seed=seed)
+    estimator = make_estimator(str(beside.get("estimator", "posterior")), problem)
+    form = PolicyForm(problem, feature_size(estimator))
+    sees = form.observation_space.shape[0]
+    if seen != sees:
+        raise InvalidData(
+            f"{path} sees {seen} numbers; the observation of arm {problem.arm.name!r} has "
+            f"{layout.size}, and that on a posterior {sees}: it was trained on another arm, other "
+            "settings or through a wrapper"
+        )
+    return LearnedAgent(problem, _network(stored, problem, form.nvec), estimator, seed=seed)
+
+
+def _network(stored: StoredModel, problem: Problem, nvec: NDArray[np.int64]) -> PolicyNetwork:
+    """Actor of a model file."""
+    given = stored.described.get("policy_kwargs")
+    plain = given if isinstance(given, dict) else {}
+    # The set network's own arguments are in the tensors.
+    kept = {k: v for k, v in plain.items() if not k.startswith("features_extractor")}
+    rest = replace(stored, described={**stored.described, "policy_kwargs": kept})
+    activation = network_arguments(rest).get("activation_fn")
+    kind = stored.described.get("policy_class")
+    module = kind.get("__module__", "") if isinstance(kind, dict) else ""
+    try:
+        return network_from_tensors(
+            stored.parameters["policy"],
+            nvec,
+            activation="tanh" if activation is None else activation.__name__.lower(),
+            masked="maskable" in str(module),
+            layout=problem.layout,
+        )
+    except (KeyError, IndexError, ValueError, RuntimeError) as error:
+        raise InvalidData(
+            f"{stored.path} holds no policy of this kind for arm {problem.arm.name!r}: "
+            f"{type(error).__name__}: {error!s:.200}"
+        ) from error
+
+
+def _require_same_problem(stored: StoredModel, beside: dict[str, Any], problem: Problem) -> None:
+    """Refuse a model of another arm or other spaces, whose sizes may be the same."""
+    trained_on = stored.described.get(TRAINED_ON, problem.fingerprint)
+    arm = beside.get("arm", problem.arm.name)
+    if trained_on != problem.fingerprint or arm != problem.arm.name:
+        raise InvalidData(
+            f"{stored.path} was trained on {arm!r:.60}, fingerprint {trained_on!r:.20}, not on arm "
+            f"{problem.arm.name!r} under these rules, fingerprint {problem.fingerprint!r}; play it "
+            "with the environment and the arguments of its training"
+        )
+
+
+def _beside(stored: StoredModel) -> dict[str, Any]:
+    """Configuration of the run that a model file lies in; empty where there is none."""
+    try:
+        found = json.loads((stored.path.parent / CONFIGURATION).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def described_run(folder: Path) -> dict[str, Any]:
+    """Configuration of a run or of an exported policy."""
+    path = folder / CONFIGURATION
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InvalidData(f"no configuration of a run at {path}") from error
+    if not isinstance(found, dict):
+        raise InvalidData(f"{path} must hold a JSON object")
+    return found

@@ -1,0 +1,744 @@
+"""Resumable training by PPO, on a posterior or on the raw observation, with its learning curve.
+
+Everything is written beside its name and renamed. The checkpoint alone decides where a run goes
+on: it holds the model with its optimiser, the step count, the states of the random generators and
+the evaluations so far, in one file.
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import io
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+
+from loose_agents.base import CURVE_SEED, Problem
+from loose_agents.belief import (
+    Estimator,
+    feature_size,
+    make_estimator,
+)
+from loose_agents.evaluation import EpisodeRow, evaluate, make_environments
+from loose_agents.rl.agents import (
+    CONFIGURATION,
+    LearnedAgent,
+    ModelAgent,
+    described_run,
+)
+from loose_agents.rl.hyperparameters import (
+    LinearSchedule,
+    algorithm_named,
+    model_arguments,
+    whole,
+)
+from loose_agents.rl.model_files import (
+    TRAINED_ON,
+    network_arguments,
+    put_parameters,
+    read_model,
+    restore,
+    zipped,
+)
+from loose_agents.rl.networks import (
+    FORMAT,
+    WEIGHTS,
+    RecordSetExtractor,
+    network_of,
+    record_set_arguments,
+    save_network,
+)
+from loose_agents.rl.training_env import (
+    TrackedVecEnv,
+    evaluation_seed,
+    forced_records,
+    training_seed,
+)
+from loose_env.envs import DiagnosisVectorEnv
+from loose_env.envs.sb3 import Sb3VecEnv
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.faults import UNSURE
+from loose_env.io import write_bytes
+
+ROOT = Path(__file__).resolve().parents[3]
+STOP_BIAS = -1.5
+"""Added to the logit of stopping at the start: early verdicts are mostly wrong, teach little."""
+LEVEL_BIAS = 2.5
+"""Added at the start to the logits of each joint's top level and of the last record length."""
+NOT_COMPARED = ("n_timesteps", "versions", "git_commit", "command", "trained", "options")
+"""Entries of a configuration that may differ when a run is resumed."""
+_VERSIONS = ("loose_env", "gymnasium", "mujoco", "numpy", "stable_baselines3", "torch")
+"""Packages whose versions are written beside a result."""
+_STANDARDISING_STEPS = 8
+"""Random actions of each environment on whose records the set network's input is standardised."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """One training: what learns, on what, how long, and where it is kept."""
+
+    algorithm: str = "ppo"
+    """Algorithm by its rl-zoo name."""
+    estimator: str | None = "posterior"
+    """Estimator on whose posterior it learns; None: on the environment's own observation."""
+    network: Literal["flat", "set"] = "flat"
+    """Layers on the flat observation, or after a set network over its records."""
+    env: str
+    """Id of the environment."""
+    arguments: dict[str, Any]
+    """Its arguments."""
+    hyperparameters: dict[str, Any]
+    """Hyperparameters, those of the environment's arguments taken out."""
+    steps: int
+    """Steps in all."""
+    seconds: float | None = None
+    """Wall-clock time in all, resumptions added up [s]; None without limit."""
+    seed: int = 1
+    """Seed of network and episodes."""
+    evaluations: float = 0.0
+    """Evaluations over the whole budget; 0: none."""
+    eval_episodes: int = 200
+    """Episodes of an evaluation."""
+    last_episodes: int | None = None
+    """Episodes of the last evaluation; None: as many as the others, and none before the first
+    step."""
+    eval_width: int = 64
+    """Arms side by side in an evaluation."""
+    save_freq: int = 0
+    """Steps between checkpoints, at least one update of the policy; 0 for every update."""
+    shaping: float = 0.0
+    """Reward for a nat of log-posterior gained."""
+    forced_records: int = 1
+    """Records before which stopping is refused at the start."""
+    forced_share: float = 0.0
+    """Share of the steps after which it is refused no more."""
+    trained_agent: str = ""
+    """Model file to continue in a new run."""
+    device: str = "cpu"
+    """Device of torch."""
+    threads: int = 1
+    """Threads of torch."""
+    tensorboard: str = ""
+    """Folder of the tensorboard log."""
+    folder: Path
+    """Folder of the run."""
+    restart: bool = False
+    """Forget what the folder holds."""
+
+    @property
+    def eval_seed(self) -> int:
+        """Seed of the evaluations: of curves the same for all, else one of the run's own."""
+        return CURVE_SEED if self.estimator is None else evaluation_seed(self.seed)
+
+    def configuration(self, problem: Problem, **more: Any) -> dict[str, Any]:
+        """Everything that the result depends on, with versions and commit, as read back."""
+        own = {key: v for key, v in self.hyperparameters.items() if key != "n_timesteps"}
+        found = {
+            "format": FORMAT,
+            "algorithm": self.algorithm,
+            "network": self.network,
+            "env": self.env,
+            "env_kwargs": {key: v for key, v in self.arguments.items() if key != "threads"},
+            "arm": problem.arm.name,
+            "hypotheses": problem.hypotheses,
+            "estimator": self.estimator,
+            "seed": self.seed,
+            "n_timesteps": self.steps,
+            "hyperparameters": own,
+            "training": {
+                "shaping": self.shaping,
+                "forced_records": self.forced_records,
+                "forced_share": self.forced_share,
+                "eval_episodes": self.eval_episodes,
+                "trained_agent": self.trained_agent,
+            },
+            "settings": asdict(problem.settings),
+            **more,
+            "versions": {
+                "python": sys.version.split()[0],
+                **{name: importlib.import_module(name).__version__ for name in _VERSIONS},
+            },
+            "git_commit": git_commit(ROOT),  # None outside a repository of its own
+        }
+        plain: dict[str, Any] = json.loads(json.dumps(found, default=str))
+        return plain
+
+
+class RunFolder:
+    """File names of a run, following rl-zoo, and the curve beside them."""
+
+    def __init__(self, root: Path) -> None:
+        self.root, self.configuration, self.best = root, root / CONFIGURATION, root / "best"
+        self.checkpoint, self.best_model = root / "checkpoint.zip", root / "best_model.zip"
+        self.evaluations, self.curve = root / "evaluations.npz", root / "curve.csv"
+
+    def clear(self) -> None:
+        """Remove the files of an earlier run, the checkpoint first."""
+        for path in (self.checkpoint, self.evaluations, self.curve, self.best_model):
+            path.unlink(missing_ok=True)
+        (self.root / WEIGHTS).unlink(missing_ok=True)
+        shutil.rmtree(self.best, ignore_errors=True)
+
+    def export(self, target: Path) -> None:
+        """Copy the best policy, or the last if none was evaluated, weights last."""
+        source = self.best if (self.best / WEIGHTS).is_file() else self.root
+        target.mkdir(parents=True, exist_ok=True)
+        for name in (CONFIGURATION, WEIGHTS):
+            beside = target / (name + ".part")
+            shutil.copyfile(source / name, beside)
+            beside.replace(target / name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurvePoint:
+    """Evaluation of a policy in training on held-out episodes."""
+
+    steps: int
+    """Steps of the training: records and verdicts."""
+    records: int
+    """Records of the training."""
+    seconds: float
+    """Time of the training, its evaluations included [s]."""
+    episodes: int
+    """Episodes of the evaluation."""
+    mean_return: float
+    """Their mean return."""
+    return_error: float
+    """Standard error of that mean."""
+    right: float
+    """Share of the episodes with the right verdict."""
+    unsure: float
+    """Share of the episodes with the verdict "unsure"."""
+    records_per_episode: float
+    """Mean number of records of an episode."""
+
+
+def write_curve(path: Path, points: Sequence[CurvePoint]) -> None:
+    """Write the points of a curve as CSV, one a line."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, [each.name for each in fields(CurvePoint)], lineterminator="\n")
+    writer.writeheader()
+    for point in points:
+        writer.writerow(
+            {k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(point).items()}
+        )
+    write_bytes(path, text.getvalue().encode())
+
+
+def read_curve(path: Path) -> list[CurvePoint]:
+    """Read the points of a curve."""
+    whole = ("steps", "records", "episodes")
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return [
+                CurvePoint(**{k: int(v) if k in whole else float(v) for k, v in line.items()})  # type: ignore[arg-type]
+                for line in csv.DictReader(file)
+            ]
+    except (OSError, TypeError, ValueError) as error:
+        raise InvalidData(f"{path} is no learning curve: {error}") from error
+
+
+@dataclass
+class RunState:
+    """State of a run stored in its checkpoint beside the model."""
+
+    generators: dict[str, Any] = field(default_factory=dict)
+    """States of the generators of Python, numpy and torch."""
+    steps: list[int] = field(default_factory=list)
+    """When the evaluations took place."""
+    returns: list[list[float]] = field(default_factory=list)
+    """Unshaped returns of their episodes."""
+    lengths: list[list[int]] = field(default_factory=list)
+    """Steps of their episodes."""
+    successes: list[list[bool]] = field(default_factory=list)
+    """Correctness of their verdicts."""
+    points: list[dict[str, Any]] = field(default_factory=list)
+    """Points of the learning curve."""
+    best: float = -np.inf
+    """The best mean return."""
+    records: int = 0
+    """Records taken."""
+    seconds: float = 0.0
+    """Time spent [s]."""
+
+    def remember_generators(self) -> None:
+        """Store the states of the global random generators."""
+        self.generators = {
+            "python": random.getstate(),
+            "numpy": np.random.get_state(),
+            "torch": torch.get_rng_state().numpy().copy(),
+        }
+
+    def restore_generators(self) -> None:
+        """Restore the states of the global random generators."""
+        if self.generators:
+            try:
+                random.setstate(self.generators["python"])
+                np.random.set_state(self.generators["numpy"])
+                torch.set_rng_state(torch.from_numpy(self.generators["torch"]))
+            except (KeyError, TypeError, ValueError, RuntimeError) as error:
+                raise InvalidData(
+                    f"the generators of the run cannot be restored ({error}); --restart begins anew"
+                ) from error
+
+
+@dataclass
+class Budget:
+    """Steps and wall-clock time of a training; the one that runs out first ends it."""
+
+    steps: int
+    """Steps in all."""
+    seconds: float | None = None
+    """Time in all [s], over all resumptions; None without limit."""
+    spent: float = 0.0
+    """Time spent before this process took the run up [s]."""
+    begun: float | None = None
+    """Clock when it did."""
+
+    def begin(self, spent: float) -> None:
+        """Start the clock of a run that has taken some time already [s]."""
+        self.spent, self.begun = spent, time.perf_counter()
+
+    @property
+    def elapsed(self) -> float:
+        """Time of the run so far [s]."""
+        return self.spent + (0.0 if self.begun is None else time.perf_counter() - self.begun)
+
+    def timed_out(self) -> bool:
+        """Return whether the time is spent."""
+        return self.seconds is not None and self.elapsed >= self.seconds
+
+    def left(self, steps_left: float) -> float:
+        """Share of the budget that is left, 1 to 0, given the share of the steps that is."""
+        if self.seconds is None:
+            return steps_left
+        return max(0.0, min(steps_left, 1.0 - self.elapsed / self.seconds))
+
+
+class BudgetSchedule:
+    """Schedule over the budget that runs out first, in place of one over the steps."""
+
+    def __init__(self, schedule: Callable[[float], float], budget: Budget) -> None:
+        self.schedule, self.budget = schedule, budget
+
+    def __call__(self, left: float) -> float:
+        """Value at a remaining fraction of the steps."""
+        return self.schedule(self.budget.left(left))
+
+
+class RunCallback(BaseCallback):
+    """Saves checkpoints, evaluates, advances the curriculum and shows progress.
+
+    All of it happens between updates, where the model is whole: the steps that it counts are
+    those that it has learned from.
+    """
+
+    model: Any
+
+    def __init__(
+        self,
+        run: Training,
+        vec: Any,
+        budget: Budget,
+        configuration: dict[str, Any],
+        evaluate: Callable[[int], Sequence[EpisodeRow]],
+        show: Callable[[int, str], None],
+    ) -> None:
+        super().__init__()
+        self.run, self.vec, self.budget, self.configuration = run, vec, budget, configuration
+        self.evaluate, self.show, self.folder = evaluate, show, RunFolder(run.folder)
+        self._episodes = 0
+        self._successes: deque[bool] = deque(maxlen=500)
+        self._returns: deque[float] = deque(maxlen=500)
+
+    @property
+    def state(self) -> RunState:
+        """Run state stored in the checkpoint with the model."""
+        found: RunState = self.model.run_state
+        return found
+
+    def _on_training_start(self) -> None:
+        self._saved, self._due = self.model.num_timesteps, self._number()
+        if self.run.last_episodes is not None and not self.state.steps:
+            self._evaluate(self.run.eval_episodes)
+
+    def _on_rollout_start(self) -> None:
+        self._between_updates(last=False)
+
+    def _on_training_end(self) -> None:
+        self._between_updates(last=True)
+
+    def _on_step(self) -> bool:
+        # A step is a record or ends the episode with a verdict.
+        self.state.records += int(np.count_nonzero(~self.locals["dones"]))
+        for info in self.locals["infos"]:
+            if "is_success" in info:
+                self._episodes += 1
+                self._successes.append(bool(info["is_success"]))
+                self._returns.append(float(info["episode"]["r"]))
+        return not self.budget.timed_out()
+
+    def _number(self) -> int:
+        """Number of evaluations that are due."""
+        left = self.budget.left(1.0 - self.model.num_timesteps / self.budget.steps)
+        return int((1.0 - left) * self.run.evaluations + 1e-9)
+
+    def _between_updates(self, *, last: bool) -> None:
+        steps, run = self.model.num_timesteps, self.run
+        self.vec.least_records = forced_records(
+            steps / run.steps, first=run.forced_records, until=run.forced_share
+        )
+        if run.evaluations > 0:
+            due, self._due = self._number() > self._due, self._number()
+            if last and (run.last_episodes is not None or self.state.steps[-1:] != [steps]):
+                self._evaluate(run.last_episodes or run.eval_episodes)
+            elif due and not last:
+                self._evaluate(run.eval_episodes)
+        if last or steps - self._saved >= max(run.save_freq, 1):
+            self.save()
+        if self._successes:
+            self.show(
+                steps,
+                f"{self._episodes} episodes, success {np.mean(self._successes):.3f}, "
+                f"return {np.mean(self._returns):+.3f}",
+            )
+
+    def save(self) -> None:
+        """Write the policy with its configuration, then the checkpoint."""
+        steps = self.model.num_timesteps
+        self._write_policy(self.folder.root, {"steps": steps})
+        self.state.seconds = self.budget.elapsed
+        self.state.remember_generators()
+        write_model(self.folder.checkpoint, self.model)
+        self._saved = steps
+
+    def _evaluate(self, episodes: int) -> None:
+        rows, state, steps = self.evaluate(episodes), self.state, self.model.num_timesteps
+        if state.steps[-1:] == [steps]:  # the last one, of more episodes
+            for kept in (state.steps, state.returns, state.lengths, state.successes, state.points):
+                kept.pop()
+        state.steps.append(steps)
+        state.returns.append([row.reward for row in rows])
+        state.lengths.append([row.records + (not row.truncated) for row in rows])
+        state.successes.append([row.success for row in rows])
+        returns = np.array(state.returns[-1])
+        point = CurvePoint(
+            steps=steps,
+            records=state.records,
+            seconds=round(self.budget.elapsed, 1),
+            episodes=len(rows),
+            mean_return=float(returns.mean()),
+            return_error=float(returns.std() / np.sqrt(len(returns))),
+            right=float(np.mean(state.successes[-1])),
+            unsure=float(np.mean([row.verdict == UNSURE for row in rows])),
+            records_per_episode=float(np.mean([row.records for row in rows])),
+        )
+        state.points.append(asdict(point))
+        write_curve(self.folder.curve, [CurvePoint(**each) for each in state.points])
+        buffer = io.BytesIO()
+        if len({*map(len, state.returns)}) == 1:  # as the rl-zoo has it: a table
+            np.savez(
+                buffer,
+                timesteps=state.steps,
+                results=state.returns,
+                ep_lengths=state.lengths,
+                successes=state.successes,
+            )
+            write_bytes(self.folder.evaluations, buffer.getvalue())
+        found = {
+            "mean_reward": point.mean_return,
+            "mean_ep_length": float(np.mean(state.lengths[-1])),
+            "success_rate": point.right,
+        }
+        for name, value in found.items():
+            self.logger.record(f"eval/{name}", value)
+        self.logger.dump(steps)
+        if self.run.last_episodes is not None:
+            self.show(
+                steps,
+                f"{point.records} records, {point.seconds:.0f} s: return {point.mean_return:+.3f}, "
+                f"right {point.right:.3f}, unsure {point.unsure:.3f}, "
+                f"{point.records_per_episode:.2f} records an episode",
+            )
+        if point.mean_return > state.best:
+            state.best = point.mean_return
+            self.folder.best.mkdir(exist_ok=True)
+            self._write_policy(self.folder.best, {"steps": steps, **found})
+            write_model(self.folder.best_model, self.model)
+
+    def _write_policy(self, folder: Path, trained: dict[str, Any]) -> None:
+        if self.run.estimator is not None:
+            save_network(network_of(self.model), folder)
+        write_json(folder / CONFIGURATION, {**self.configuration, "trained": trained})
+
+
+def write_model(path: Path, model: Any) -> None:
+    """Write a stable-baselines3 model with the run state."""
+    write_bytes(path, zipped(model, model.run_state))
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write JSON."""
+    write_bytes(path, (json.dumps(content, indent=1) + "\n").encode())
+
+
+def train(
+    run: Training,
+    *,
+    say: Callable[[str], None] = print,
+    show: Callable[[int, str], None] | None = None,
+    **described: Any,
+) -> RunFolder:
+    """Train, or go on from the last checkpoint, until the budget is spent.
+
+    With a limit of steps alone and a CPU as device, same seed, same result; a limit of time depends
+    on the machine.
+
+    Parameters
+    ----------
+    run : Training
+        What is trained.
+    say : callable
+        Takes lines about the run.
+    show : callable, optional
+        Takes the steps so far and a line of words, after every update.
+    **described
+        Further entries of the configuration.
+
+    Raises
+    ------
+    InvalidSetting
+        If the folder holds a run with another configuration, or a setting is refused.
+    InvalidData
+        If the checkpoint cannot be read.
+    UnknownName
+        If there is no such environment, estimator or hyperparameter.
+    """
+    model_class = algorithm_named(run.algorithm)
+    given = model_arguments(run.hyperparameters, run.algorithm)  # refused before anything is made
+    torch.set_num_threads(max(run.threads, 1))
+    env = make_environments(
+        run.env, whole(run.hyperparameters.get("n_envs", 1), "n_envs"), run.arguments
+    )
+    problem = Problem.of(env.arm, env.settings)
+    estimator = None if run.estimator is None else make_estimator(run.estimator, problem)
+    further = 0 if estimator is None else feature_size(estimator)
+    configuration = run.configuration(problem, further_features=further, **described)
+    folder = RunFolder(run.folder)
+    vec: Any = (
+        Sb3VecEnv(env)
+        if estimator is None
+        else TrackedVecEnv(env, problem, estimator, shaping=run.shaping)
+    )
+    budget = Budget(steps=run.steps, seconds=run.seconds)
+    for name in ("learning_rate", "clip_range"):
+        if isinstance(given.get(name), LinearSchedule):
+            given[name] = BudgetSchedule(given[name], budget)
+    if run.network == "set":
+        own = dict(given.get("policy_kwargs") or {})
+        own["features_extractor_kwargs"] = {
+            **record_set_arguments(env.layout),
+            **own.pop("features_extractor_kwargs", {}),
+        }
+        given["policy_kwargs"] = {**own, "features_extractor_class": RecordSetExtractor}
+    given |= {
+        "tensorboard_log": run.tensorboard or None, "seed": run.seed, "device": run.device
+    }  # fmt: skip
+    resumed = folder.checkpoint.is_file() and not run.restart
+    try:
+        if resumed:
+            model = _checkpointed(run, folder, configuration, model_class, vec, given, problem)
+            say(f"resumed from {folder.checkpoint} at {model.num_timesteps} steps")
+        else:
+            if (
+                run.trained_agent
+                and folder.root.resolve() in Path(run.trained_agent).resolve().parents
+            ):
+                raise InvalidSetting(
+                    f"{run.trained_agent} lies in the folder of the run itself; choose another "
+                    "--log-folder or --seed for the run that continues it"
+                )
+            model = _new_model(run, model_class, vec, given, run.trained_agent, problem)
+            model.run_state = RunState()
+            folder.clear()  # only now: what was refused has taken nothing away
+        setattr(model, TRAINED_ON, problem.fingerprint)
+        state = model.run_state
+        if model.num_timesteps >= run.steps or (run.seconds and state.seconds >= run.seconds):
+            say(
+                f"{folder.root} is trained already, {model.num_timesteps} steps in "
+                f"{state.seconds:.0f} s"
+            )
+            return folder
+        folder.root.mkdir(parents=True, exist_ok=True)
+        write_json(folder.configuration, configuration)
+        budget.begin(state.seconds)
+        vec.seed(training_seed(run.seed, model.num_timesteps))
+        if run.network == "set" and not resumed:
+            state.records += _standardise(model, vec, run.seed, problem.settings.max_records)
+        state.restore_generators()
+        if not run.tensorboard:
+            model.set_logger(Logger(None, []))  # its own would leave an empty folder in /tmp
+        callback = RunCallback(
+            run,
+            vec,
+            budget,
+            configuration,
+            lambda episodes: evaluate_model(run, model, problem, estimator, env, episodes),
+            show or (lambda steps, words: None),
+        )
+        model.learn(
+            run.steps - model.num_timesteps,
+            callback=callback,
+            tb_log_name=f"{run.algorithm}_{run.seed}",
+            reset_num_timesteps=not resumed,
+        )
+    finally:
+        vec.close()
+    return folder
+
+
+def evaluate_model(
+    run: Training,
+    model: Any,
+    problem: Problem,
+    estimator: Estimator | None,
+    env: DiagnosisVectorEnv,
+    episodes: int,
+) -> list[EpisodeRow]:
+    """Play the first held-out episodes with the most probable actions, on the true arm."""
+    network = network_of(model, problem.layout)
+    agent: Any = (
+        ModelAgent(problem, network)
+        if estimator is None
+        else LearnedAgent(problem, network, estimator)
+    )
+    return evaluate(
+        agent,
+        "policy",
+        problem.arm,
+        problem.settings,
+        episodes=episodes,
+        seed=run.eval_seed,
+        width=run.eval_width,
+        threads=env.batch.threads,
+        true_arm=env.batch.true_arm,
+    )
+
+
+def _checkpointed(
+    run: Training,
+    folder: RunFolder,
+    configuration: dict[str, Any],
+    model_class: type[Any],
+    vec: Any,
+    given: dict[str, Any],
+    problem: Problem,
+) -> Any:
+    """Load the model that a run goes on with; nothing in the file is run."""
+    before = described_run(folder.root)
+    keys = (set(before) | set(configuration)) - set(NOT_COMPARED)
+    differ = sorted(key for key in keys if before.get(key) != configuration.get(key))
+    if differ:
+        raise InvalidSetting(
+            f"{folder.root} holds a run with other {', '.join(differ)}; choose another folder or "
+            "seed, or --restart to begin anew"
+        )
+    for name in ("versions", "git_commit"):
+        if before.get(name) != configuration[name]:
+            print(f"train: note: {name} differs from that of the run's start", file=sys.stderr)
+    try:
+        stored = read_model(folder.checkpoint, given["device"])
+        # Made with the options of the run, which are those of its start: only tensors, counts and
+        # the states of generators come from the file. A run that continued a model has its network.
+        if run.trained_agent:
+            given = given | {"policy_kwargs": network_arguments(stored)}
+        model = _new_model(run, model_class, vec, given, "", problem)
+        model.run_state = restore(stored, model, RunState)
+    except InvalidData as error:
+        raise InvalidData(
+            f"cannot go on from {folder.checkpoint}; --restart begins anew: {error}"
+        ) from error
+    return model
+
+
+def _new_model(
+    run: Training,
+    model_class: type[Any],
+    vec: Any,
+    given: dict[str, Any],
+    path: str,
+    problem: Problem,
+) -> Any:
+    """Make a model, or load the one that is to be continued."""
+    try:
+        if not path:
+            model = model_class(env=vec, **given)
+            if run.estimator is not None:
+                # Start from shaking the most joints at the top level for long, seldom stopping.
+                with torch.no_grad():
+                    bias = model.policy.action_net.bias
+                    bias[torch.as_tensor(problem.actions.strongest_options())] += LEVEL_BIAS
+                    bias[-1] += STOP_BIAS
+            return model
+        # The network stays as it is; what remains are the settings of the algorithm.
+        stored = read_model(path, given["device"])
+        model = model_class(env=vec, **given | {"policy_kwargs": network_arguments(stored)})
+        put_parameters(stored, model)
+        return model
+    except (AssertionError, TypeError, ValueError, KeyError, RuntimeError) as error:
+        what = f"cannot continue {path}" if path else "hyperparameters refused"
+        reason = " ".join(str(error).split())
+        raise InvalidSetting(f"{what} by {model_class.__name__}: {reason}") from error
+
+
+def _standardise(model: Any, vec: Any, seed: int, max_records: int) -> int:
+    """Standardise the set network's input on the records of random actions; return their number."""
+    rng = np.random.default_rng(seed)
+    choices = vec.action_space.nvec
+    observation = vec.reset()
+    taken = 0
+    for _ in range(min(_STANDARDISING_STEPS, max_records)):
+        actions = rng.integers(0, choices, size=(vec.num_envs, len(choices)))
+        actions[:, -1] = 0  # no verdict
+        observation, _, _, _ = vec.step(actions)
+        taken += vec.num_envs
+    model.policy.features_extractor.standardise(observation)
+    return taken
+
+
+def git_commit(folder: Path) -> str | None:
+    """Git commit of a folder, with "+" if dirty; None outside a repository."""
+
+    def ask(*words: str) -> str:
+        return subprocess.run(
+            ["git", "-C", str(folder), *words],
+            capture_output=True,
+            text=True,
+            check=True,
+            # It only looks: no lock that would stay behind if it were cut short.
+            env=os.environ | {"GIT_OPTIONAL_LOCKS": "0"},
+        ).stdout.strip()
+
+    try:
+        # The folder may lie in somebody else's repository.
+        if Path(ask("rev-parse", "--show-toplevel")).resolve() != folder.resolve():
+            return None
+        changed = ask("status", "--porcelain", "--untracked-files=no")
+        return ask("rev-parse", "HEAD") + ("+" if changed else "")
+    except (OSError, subprocess.CalledProcessError):
+        return None

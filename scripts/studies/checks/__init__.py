@@ -1,1 +1,0 @@
-"""Checks of what agents say of themselves, against simulation."""

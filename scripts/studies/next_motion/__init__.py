@@ -1,1 +1,0 @@
-"""Sessions with a stand-in for a real arm, moved by the files of `loose gap --next` alone."""

@@ -1,0 +1,125 @@
+"""Rows of a study, stored case by case; tables between the marks of a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from loose_agents.jobs import BackendSettings, ProgressLine, results_of
+
+import loose_env
+from loose_env.arms import Arm, planar, scara, six_axis, vera
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.io import write_text
+from loose_env.report import rounded, stored_rows, study_head, write_study
+
+ROOT = Path(__file__).resolve().parents[1]
+MARKS = ("<!-- {}: begin -->", "<!-- {}: end -->")
+"""Lines of a page between which generated text of a name goes."""
+HERE = BackendSettings(backend="threading", workers=1)
+"""Cases one after the other in this process."""
+
+Row = dict[str, Any]
+
+
+def study_rows(
+    path: Path,
+    cases: Sequence[Any],
+    work: Callable[..., Sequence[Row]],
+    case_of: Callable[[Row], Any],
+    *,
+    script: str,
+    settings: Any,
+    order: Callable[[Row], Any] | None = None,
+    digits: int = 4,
+    unit: str = "cases",
+    backend: BackendSettings = HERE,
+    afresh: bool = False,
+) -> list[Row]:
+    """Rows of all cases: those stored from the same settings and version, and the missing ones.
+
+    Rows are written after every case: the same command goes on where it was stopped.
+
+    Parameters
+    ----------
+    path : Path
+        File of the rows.
+    cases : sequence
+        Cases in order, hashable.
+    work : callable
+        Gives the rows of a case from the case and, by keyword, the settings. At the top of a module
+        where cases run in processes.
+    case_of : callable
+        Case to which a row belongs.
+    script : str
+        Path of the script from the root of the repository.
+    settings : dataclass
+        All that the rows depend on.
+    order : callable, optional
+        Key by which rows are sorted; the order of the cases by default.
+    digits : int
+        Significant digits of the rows.
+    unit : str
+        What the cases are called.
+    backend : BackendSettings
+        Where the cases run; no row depends on it.
+    afresh : bool
+        Work out again what is stored.
+    """
+    head = study_head(script, settings, version=loose_env.__version__)
+    rows = [] if afresh else stored_rows(path, head)
+    places = {case: k for k, case in enumerate(cases)}
+    done = set(map(case_of, rows))
+    missing = [case for case in places if case not in done]
+    path.parent.mkdir(parents=True, exist_ok=True)
+
+    def place(row: Row) -> Any:
+        return places.get(case_of(row), len(places))
+
+    with ProgressLine(len(places), done=len(places) - len(missing), unit=unit) as line:
+        for position, found in results_of(partial(work, settings=settings), missing, backend):
+            rows = sorted([*rows, *rounded(list(found), digits)], key=order or place)
+            write_study(path, head, rows, digits=digits)
+            line.advance(1, str(missing[position]))
+    return [row for row in rows if case_of(row) in places]
+
+
+def write_between(page: Path, text: str, *, name: str = "tables", new: str | None = None) -> None:
+    """Put tables between their marks on a page, ``new`` where there is none yet.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no page, or it lacks the marks.
+    """
+    if new is None and not page.is_file():
+        raise InvalidSetting(f"{page} does not exist; name a page that has marks for tables")
+    old = new if new is not None and not page.exists() else page.read_text(encoding="utf-8")
+    first, last = (mark.format(name) for mark in MARKS)
+    before, begin, rest = old.partition(first)
+    _, end, after = rest.partition(last)
+    if not (begin and end):
+        raise InvalidSetting(
+            f"{page} lacks the lines {first!r} and {last!r}, between which tables go"
+        )
+    write_text(page, f"{before}{first}\n\n{text}\n\n{last}{after}")
+
+
+def arm_named(name: str) -> Arm:
+    """Build an arm: by its function's name, or planar with its number of links and v if vertical.
+
+    Examples
+    --------
+    >>> arm_named("planar3v").n
+    3
+    """
+    known = {"vera": vera, "six_axis": six_axis, "scara": scara}
+    if name in known:
+        return known[name]()
+    links = name.replace("-vertical", "v").removeprefix("planar")
+    count = links.removesuffix("v") or "4"
+    if not (name.startswith("planar") and count.isdecimal()):
+        raise UnknownName(f"there is no arm {name!r}; there are {', '.join(known)} and planar4[v]")
+    return planar(int(count), vertical=links.endswith("v"))

@@ -1,0 +1,189 @@
+"""The classical method and the constant baselines."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from loose_agents.base import Problem
+from loose_agents.belief import links_from
+from loose_agents.evaluation import EpisodeRow, evaluate
+from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings
+from loose_agents.registry import make_agent
+
+from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar, scara, six_axis, vera
+from loose_env.envs import DiagnosisSettings, EpisodeBatch
+from loose_env.errors import InvalidSetting
+from loose_env.sensors import LinkAccelerometers, SensorSuite
+
+SETTINGS = DiagnosisSettings(engine="reduced")
+BLIND = ("always_healthy", "always_unsure")
+
+
+def rows(arm: Arm, name: str, episodes: int, *, width: int = 16) -> list[EpisodeRow]:
+    agent = make_agent(name, Problem.of(arm, SETTINGS))
+    return evaluate(agent, name, arm, SETTINGS, episodes=episodes, seed=5, width=width, threads=1)
+
+
+@pytest.mark.parametrize(
+    ("arm", "margin", "episodes"),
+    [
+        (planar(4), 0.5, 32),
+        (vera(), 0.35, 40),
+        (scara(), 0.15, 32),
+        (six_axis(), 0.3, 24),
+        (arm_from_file(DESK_ARM), 0.15, 20),
+    ],
+    ids=("planar4", "vera", "scara", "six_axis", "desk"),
+)
+def test_classical_beats_the_blind_rows_by_a_wide_margin(
+    arm: Arm, margin: float, episodes: int
+) -> None:
+    played = rows(arm, "classical", episodes)
+    for name in BLIND:
+        blind = rows(arm, name, episodes)
+        assert mean(played, "reward") > mean(blind, "reward") + margin
+        assert mean(played, "success") > mean(blind, "success") + 0.25
+
+
+def mean(played: list[EpisodeRow], name: str) -> float:
+    return float(np.mean([getattr(row, name) for row in played]))
+
+
+def test_blind_rows_take_the_cheapest_record_and_say_one_thing() -> None:
+    arm = vera()
+    # "unsure" counts from the third record on
+    for name, verdict, records in zip(BLIND, ("healthy", "unsure"), (1, 3), strict=True):
+        for row in rows(arm, name, 8):
+            assert (row.verdict, row.records) == (verdict, records)
+            assert row.seconds == pytest.approx(records * min(SETTINGS.durations))
+
+
+def test_rows_do_not_depend_on_how_many_arms_run_side_by_side() -> None:
+    assert rows(planar(3), "bisection", 5, width=1) == rows(planar(3), "bisection", 5, width=5)
+
+
+@pytest.mark.parametrize("order", ["outward", "inward", "bisection"])
+def test_once_something_is_seen_one_joint_moves_at_a_time(order: str) -> None:
+    arm = planar(4)
+    agent = ClassicalAgent(Problem.of(arm, SETTINGS), ClassicalSettings(order=order))  # type: ignore[arg-type]
+    batch = EpisodeBatch(arm, SETTINGS, num=1, threads=1)
+    batch.start(0, seed=1, number=3, options={"fault": "structural_looseness@link2"})
+    state, found = None, 0
+    while True:
+        action, state = agent.predict(batch.observe(0), state)
+        outcome = batch.step([0], [action])[0]
+        if outcome.terminated:
+            break
+        if state[0].left:
+            found += 1
+            moved = np.flatnonzero(action[: arm.n] != SETTINGS.stay)
+            assert moved.tolist() == [state[0].moved - 1]
+    assert found
+    assert outcome.info["is_success"]
+
+
+def test_a_slide_that_may_be_play_is_told_by_driving_that_joint_alone() -> None:
+    arm = planar(4)
+    agent = ClassicalAgent(Problem.of(arm, SETTINGS), ClassicalSettings(driven=1e6))
+    batch = EpisodeBatch(arm, SETTINGS, num=1, threads=1)
+    batch.start(0, seed=1, number=0, options={"fault": "backlash@joint3"})
+    state, driven = None, None
+    while True:
+        action, state = agent.predict(batch.observe(0), state)
+        if state[0].driven is not None and driven is None:
+            driven = action[arm.n : 2 * arm.n]
+        outcome = batch.step([0], [action])[0]
+        if outcome.terminated:
+            break
+    assert driven is not None
+    assert np.flatnonzero(driven).tolist() == [2]
+    assert outcome.info["is_success"]
+
+
+def test_the_proposed_level_follows_the_pose() -> None:
+    arm = planar(4)
+    agent = ClassicalAgent(Problem.of(arm, SETTINGS), ClassicalSettings(level="proposed"))
+    rng = np.random.default_rng(0)
+    levels = np.array([agent.proposed_levels(arm.random_pose(rng)) for _ in range(8)])
+    assert levels.min() >= 1
+    assert levels.max() <= len(arm.levels)
+    assert len(np.unique(levels, axis=0)) > 1
+
+
+def test_one_exciter_shakes_the_joint_that_opens_most_and_rarely_alarms() -> None:
+    arm, rules = planar(3), DiagnosisSettings(engine="reduced", max_excited=1, durations=(0.2,))
+    agent = ClassicalAgent(Problem.of(arm, rules))
+    row = evaluate(
+        agent, "", arm, rules, episodes=40, seed=5, width=40, threads=1,
+        options={"fault": "healthy"},
+    )  # fmt: skip
+    assert sum(r.verdict != "healthy" for r in row) <= 3
+    pose = np.array([0.0, 0.4, 0.8])
+    levels = np.full(3, len(arm.levels))
+    search = agent.search
+    chosen = search.excited(pose, levels, search.prior)
+    opened = [
+        np.sum(search.prior * search.shown(pose, np.where(np.arange(3) == j, levels, 0)))
+        for j in range(3)
+    ]
+    assert np.flatnonzero(chosen).tolist() == [int(np.argmax(opened))]
+
+
+def test_a_search_ends_once_a_record_would_cost_more_than_it_finds() -> None:
+    search = ClassicalAgent(Problem.of(planar(3), SETTINGS)).search
+    assert search.pays(search.prior, 0.3, 1.2)
+    assert not search.pays(0.01 * search.prior, 0.003, 1.2)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"order": "sideways"},
+        {"level": "highest"},
+        {"significance": 0.0},
+        {"significance": 1.0},
+        {"line": -1.0},
+        {"driven": -1.0},
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(InvalidSetting):
+        ClassicalSettings(**wrong)  # type: ignore[arg-type]
+
+
+ARM = planar(3)
+SENSED = DiagnosisSettings(engine="reduced", sensors=SensorSuite(link_accelerometers=True))
+
+
+def sensed(name: str) -> list[EpisodeRow]:
+    agent = make_agent(name, Problem.of(ARM, SENSED))
+    return evaluate(agent, name, ARM, SENSED, episodes=32, seed=5, width=16, threads=1)
+
+
+def test_it_needs_fewer_records_than_by_the_tool_alone_and_earns_more() -> None:
+    local, classical = sensed("local"), sensed("classical")
+    assert np.mean([row.success for row in local]) > 0.9
+    assert np.mean([row.reward for row in local]) > np.mean([row.reward for row in classical])
+    assert np.mean([row.records for row in local]) < 0.7 * np.mean(
+        [row.records for row in classical]
+    )
+
+
+@pytest.mark.parametrize(
+    ("links", "says"),
+    [
+        (False, "needs accelerometers on links and the sensors have none; set link_accelerometers"),
+        (LinkAccelerometers(tangential=True), "tangential ones measure one; set tangential=False"),
+    ],
+)
+def test_sensors_that_do_not_do_are_refused(links: bool | LinkAccelerometers, says: str) -> None:
+    suite = SensorSuite(link_accelerometers=links)
+    problem = Problem.of(ARM, DiagnosisSettings(engine="reduced", sensors=suite))
+    with pytest.raises(InvalidSetting, match=says):
+        make_agent("local", problem)
+
+
+def test_an_observation_without_them_holds_no_readings_of_links() -> None:
+    layout = Problem.of(ARM, DiagnosisSettings()).layout
+    with pytest.raises(InvalidSetting, match="no accelerometers on links"):
+        links_from(layout, np.zeros(layout.space.shape, dtype=np.float32), 0)

@@ -1,0 +1,256 @@
+"""Agents that see what their estimator was not made for say that they are unsure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from loose_agents.base import Problem
+from loose_agents.belief import BeliefAgent, Sure, surprise_of
+from loose_agents.benchmark.episodes import OFF, OtherArmRig
+from loose_agents.jobs import Store
+from loose_agents.policies.choice import RandomPolicy
+from loose_agents.posterior_training import NoveltySettings, fit_reference, with_reference
+from loose_agents.record_bank import BankPlan, BankSettings, play_episodes
+
+from loose_env.arms import Mismatch, MismatchDraw, planar
+from loose_env.diagnosis import (
+    LOCATION_FEATURES,
+    RECORD_FEATURES,
+    AmortisedPosterior,
+    NoveltyReference,
+    RecordStatistics,
+    SeatNetwork,
+    Seen,
+    read_network,
+    write_network,
+)
+from loose_env.diagnosis.features import TransmissionChange
+from loose_env.envs import DiagnosisSettings, EpisodeBatch
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.faults import UNSURE, Fault, Healthy
+from loose_env.sensors import SensorSuite
+from loose_env.statistics import axes_grid
+
+JOINTS, DIRECTIONS = 2, 6
+PLACES = JOINTS * DIRECTIONS + JOINTS
+SIZES = {"C": len(LOCATION_FEATURES), "Q": len(RECORD_FEATURES), "W": 8, "H": 2 * JOINTS}
+SIZES |= {"F": 3, "R": 4}
+
+
+@dataclass
+class _Belief:
+    surprise: float
+
+
+@dataclass
+class _Memory:
+    belief: _Belief = field(default_factory=lambda: _Belief(1.0))
+
+
+class _Estimator:
+    """Says what it is told to."""
+
+    def __init__(self, problem: Problem, probabilities: np.ndarray, surprise: float) -> None:
+        self.problem, self.probabilities, self.surprise = problem, probabilities, surprise
+
+    def begin(self) -> _Memory:
+        return _Memory()
+
+    def follow(self, observation: np.ndarray, memory: Any) -> np.ndarray:
+        memory.belief = _Belief(self.surprise)
+        return self.probabilities
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return Problem.of(planar(2), DiagnosisSettings(durations=(0.2,)))
+
+
+@pytest.fixture(scope="module")
+def tensors() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    made = {
+        name: rng.normal(0, 0.3, [SIZES[x] for x in letters])
+        for name, letters in SeatNetwork.shapes.items()
+    }
+    made |= {"place_scale": np.ones(SIZES["C"]), "record_scale": np.ones(SIZES["Q"])}
+    return made | {"temper": np.zeros(SIZES["R"])}
+
+
+def episodes(
+    rng: np.random.Generator, count: int, *, records: int = 3, size: float = 1.0
+) -> list[list[Seen]]:
+    """Episodes of records with a change that no place explains, of some size."""
+
+    def one() -> Seen:
+        return Seen(
+            rng.uniform(0.1, 1.0, (PLACES, SIZES["C"])),
+            rng.normal(size=SIZES["Q"]),
+            TransmissionChange(
+                measured=size * rng.normal(size=4),
+                open=rng.normal(size=(PLACES, 4)),
+                nominal=np.ones(4),
+                covariance=np.eye(4),
+            ),
+        )
+
+    return [[one() for _ in range(records)] for _ in range(count)]
+
+
+def verdict(problem: Problem, probabilities: np.ndarray, surprise: float, **options: float) -> str:
+    agent = BeliefAgent(
+        problem,
+        _Estimator(problem, probabilities, surprise),
+        RandomPolicy(problem),
+        Sure(probability=0.0),
+        **options,  # type: ignore[arg-type]
+    )
+    batch = EpisodeBatch(problem.arm, problem.settings, num=1, threads=1)
+    batch.start(0, seed=1, number=0)
+    for _ in range(problem.settings.unsure_after):  # "unsure" counts from then on
+        batch.step([0], [problem.actions.encode(levels=np.array([1, 0]))])
+    action, _ = agent.predict(batch.observe(0))
+    return str(batch.step([0], [action])[0].info["verdict"])
+
+
+def test_a_surprised_agent_names_nothing(problem: Problem) -> None:
+    certain = np.eye(len(problem.hypotheses))[2]
+    assert verdict(problem, certain, 0.0005) == UNSURE
+    assert verdict(problem, certain, 0.5) == problem.hypotheses[2]
+    assert verdict(problem, certain, 0.0005, surprising=0.0) == problem.hypotheses[2]
+
+
+def test_an_agent_that_knows_nothing_is_unsure_too(problem: Problem) -> None:
+    count = len(problem.hypotheses)
+    assert verdict(problem, np.full(count, 1 / count), 1.0) == UNSURE
+
+
+def test_an_estimator_that_says_nothing_of_it_is_never_surprised() -> None:
+    assert surprise_of(object()) == 1.0
+
+
+def test_episodes_of_the_trained_kind_do_not_surprise_and_others_do(
+    tensors: dict[str, np.ndarray],
+) -> None:
+    rng = np.random.default_rng(1)
+    reference = fit_reference(
+        tensors,
+        episodes(rng, 150),
+        episodes(rng, 200),
+        directions=axes_grid(DIRECTIONS, 2),
+        settings=NoveltySettings(components=1),
+    )
+    assert [len(scores) for scores in reference.scores] == [200, 200, 200]
+    stored = with_reference(tensors | {"reference.old": np.zeros(1)}, reference)
+    assert "reference.old" not in stored
+    assert all(stored[name] is values for name, values in tensors.items())
+    problem = Problem.of(planar(JOINTS), DiagnosisSettings())
+
+    def posterior(reference: NoveltyReference | None) -> AmortisedPosterior:
+        return AmortisedPosterior(
+            problem.linear,
+            SensorSuite(),
+            Mismatch(),
+            SeatNetwork(tensors),
+            directions=DIRECTIONS,
+            reference=reference,
+        )
+
+    def surprises(played: list[list[Seen]], one: AmortisedPosterior) -> np.ndarray:
+        found = []
+        rows = iter([(s.location, s.record, s.change) for seen in played for s in seen])
+        one.features.with_change = lambda record: next(rows)  # type: ignore[method-assign]
+        for seen in played:
+            belief = one.start()
+            assert belief.surprise == 1.0
+            for _ in seen:
+                belief = one.update(belief, RecordStatistics.__new__(RecordStatistics))
+            found.append(belief.surprise)
+        return np.array(found)
+
+    known = surprises(episodes(rng, 150), posterior(reference))
+    assert np.mean(known < 0.1) == pytest.approx(0.1, abs=0.1)
+    assert np.mean(known < 0.5) == pytest.approx(0.5, abs=0.18)
+    far = episodes(rng, 10, size=30.0)
+    assert (surprises(far, posterior(reference)) == 1 / 201).all()
+    assert (surprises(far, posterior(None)) == 1.0).all()
+
+
+def test_without_records_there_is_no_reference(tensors: dict[str, np.ndarray]) -> None:
+    some = episodes(np.random.default_rng(1), 5)
+    for trained, held in (([], some), (some, [])):
+        with pytest.raises(InvalidData, match="no episode has a record"):
+            fit_reference(tensors, trained, held, directions=axes_grid(DIRECTIONS, 2))
+
+
+def test_a_reference_is_added_to_weights_that_stay_as_they_are(
+    tensors: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    pytest.importorskip("safetensors")
+    pytest.importorskip("torch")
+    from scripts.agents.train_posterior import add_reference
+
+    plan = BankPlan(
+        env_id="loose_env/Planar-v0",
+        arguments={"engine": "reduced", "n_links": JOINTS},
+        episodes=501,
+        directions=DIRECTIONS,
+        records=BankSettings(records=1, long_every=0),
+    )
+    problem = plan.problem()
+    store = Store(tmp_path / "bank" / "records", plan.configuration, arrays=True)
+    for shard in plan.shards:  # a few episodes stand for each shard
+        bank = play_episodes(
+            problem, plan.records, seed=plan.seed, start=shard.start, stop=shard.start + 20
+        )
+        store.write(shard, vars(bank))
+    configuration = {"arm": "planar2", "directions": DIRECTIONS, "friction": [0.02, 1.0]}
+    weights = tmp_path / "weights"
+    write_network(weights, configuration, tensors)
+
+    def load() -> AmortisedPosterior:
+        return AmortisedPosterior.load(weights, problem.linear, SensorSuite(), Mismatch())
+
+    assert load().reference is None
+    add_reference(weights, plan, tmp_path / "bank")
+    after, stored = read_network(weights)
+    assert {name: after[name] for name in configuration} == configuration
+    assert all(np.array_equal(stored[name], values) for name, values in tensors.items())
+    reference = load().reference
+    assert reference is not None
+    assert len(reference.scores[0]) == 20
+    with pytest.raises(InvalidSetting, match="directions"):
+        add_reference(weights, replace(plan, directions=4), tmp_path / "bank")
+
+
+class _Mounted:
+    """A rig that only remembers what was put on it."""
+
+    arm = planar(2)
+
+    def __init__(self) -> None:
+        self.draws: list[MismatchDraw] = []
+
+    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
+        assert mismatch is not None
+        self.draws.append(mismatch)
+
+    def measure_many(self, jobs: Any) -> list[Any]:
+        return []
+
+
+def test_another_arm_is_off_in_every_length_and_mass_and_the_same_each_time() -> None:
+    rig, draw = _Mounted(), Mismatch().draw(planar(2), np.random.default_rng(3))
+    other = OtherArmRig(rig)
+    for _ in range(2):
+        other.mount(0, Healthy(), draw)
+    first, second = rig.draws
+    for name in ("length", "mass"):
+        factor = getattr(first, name) / getattr(draw, name)
+        assert np.abs(factor - 1) == pytest.approx(OFF)
+        assert np.array_equal(getattr(first, name), getattr(second, name))
+    assert np.array_equal(first.sensor, draw.sensor)

@@ -1,0 +1,210 @@
+"""Policies choose records they may take, by what these are expected to say."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from loose_agents.base import Problem
+from loose_agents.belief import Situation, Tracker, make_estimator, tuning_name
+from loose_agents.policies.choice import (
+    POLICIES,
+    ConstantPolicy,
+    FixedPolicy,
+    candidate_at,
+    drawn_sequences,
+    excitations,
+    information_of,
+    make_policy,
+    poses,
+)
+from loose_agents.registry import make_agent
+from loose_agents.tuning import Trails, best_sequences
+
+from loose_env.arms import planar
+from loose_env.envs import DiagnosisSettings, EpisodeBatch, Prices
+from loose_env.errors import InvalidSetting, UnknownName
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return Problem.of(planar(3), DiagnosisSettings())
+
+
+@pytest.fixture(scope="module")
+def estimator(problem):
+    return Tracker(problem)
+
+
+def situation(problem, estimator, seed=0):
+    rng = np.random.default_rng(seed)
+    memory = estimator.begin()
+    return Situation(
+        observation=np.zeros(problem.layout.size, dtype=np.float32),
+        pose=problem.arm.random_pose(rng),
+        records=0,
+        probabilities=memory.belief.probabilities,
+        memory=memory,
+        rng=rng,
+    )
+
+
+@pytest.mark.parametrize("name", sorted(set(POLICIES) - {"fixed"}))
+def test_every_policy_measures_and_stays_in_range(problem, estimator, name):
+    policy = make_policy(name, problem, estimator)
+    for seed in range(2):
+        now = situation(problem, estimator, seed)
+        action = problem.actions.decode(policy.choose(now))
+        assert action.verdict == 0
+        assert action.levels.any()
+        allowed = problem.actions.allowed_moves(now.pose)
+        assert allowed[np.arange(3), action.moves].all()
+        again = situation(problem, estimator, seed)
+        assert np.array_equal(problem.actions.decode(policy.choose(again)).moves, action.moves)
+
+
+def test_candidates_cost_what_the_environment_charges(problem):
+    rng = np.random.default_rng(0)
+    pose = problem.arm.random_pose(rng)
+    levels, duration = np.array([3, 0, 2]), 1
+    one = candidate_at(problem, np.full(3, 2), pose, levels, duration)
+    prices = Prices()
+    seconds = problem.settings.durations[1]
+    assert one.price == pytest.approx(prices.record + prices.second * seconds + prices.level * 5)
+    assert (one.torque > 0).tolist() == [True, False, True]
+    assert (one.torque <= problem.arm.torque_limits).all()
+
+
+def test_poses_are_distinct_and_within_range(problem, estimator):
+    now = situation(problem, estimator)
+    moves, where = poses(problem, now, 20)
+    assert len(np.unique(moves, axis=0)) == len(moves) == 20
+    assert all(problem.arm.within_ranges(p).all() for p in where)
+    assert any((levels > 0).all() for levels, _ in excitations(problem)[0])
+
+
+def test_a_record_that_drives_no_seat_says_nothing(problem, estimator):
+    information = information_of(problem, estimator)
+    now = situation(problem, estimator)
+    faults = information.imagine(now.memory.belief, now.rng)
+    assert faults.weight.sum() == pytest.approx(1.0)
+    torque = np.array(problem.arm.torque_limits) / 5
+    strong = information.of(faults, now.pose, torque, 1.2)
+    weak = information.of(faults, now.pose, torque / 1e4, 1.2)
+    assert strong.information > 0.5
+    assert weak.information < 0.2 * strong.information
+    assert 0 < strong.sure <= 1
+
+
+def test_information_falls_as_the_belief_grows_sure(problem, estimator):
+    information = information_of(problem, estimator)
+    now = situation(problem, estimator)
+    belief = now.memory.belief
+    sure = type(belief)(
+        healthy=belief.healthy + 6.0,
+        loose=belief.loose,
+        links=belief.links,
+        directions=belief.directions,
+    )
+    torque = np.array(problem.arm.torque_limits) / 5
+    values = [
+        information.of(information.imagine(b, np.random.default_rng(0)), now.pose, torque, 1.2)
+        for b in (belief, sure)
+    ]
+    assert values[1].information < 0.3 * values[0].information
+
+
+def test_wrong_settings_are_refused(problem, estimator):
+    with pytest.raises(InvalidSetting, match="level for each of 3 joints"):
+        ConstantPolicy(problem, (3, 0))
+    with pytest.raises(InvalidSetting, match="at least one"):
+        ConstantPolicy(problem, (0, 0, 0))
+    with pytest.raises(UnknownName, match="policies are"):
+        make_policy("best", problem, estimator)
+
+
+RULES = DiagnosisSettings(engine="reduced", durations=(0.2,), max_excited=1)
+
+
+def situation_in(problem: Problem, observation: Any, estimator: Any, records: int) -> Situation:
+    memory = estimator.begin()
+    probabilities = estimator.follow(observation, memory)
+    return Situation(
+        observation=observation,
+        pose=problem.layout.pose_of(observation),
+        records=records,
+        probabilities=probabilities,
+        memory=memory,
+        rng=np.random.default_rng(0),
+    )
+
+
+def test_a_fixed_sequence_turns_back_at_the_limit_of_a_joint() -> None:
+    problem = Problem.of(planar(2), RULES)
+    batch = EpisodeBatch(problem.arm, RULES)
+    batch.start(0, seed=1, number=0, options={"pose": [0.0, np.radians(149.0)]})
+    action = problem.actions.encode(moves=np.array([3, 4]), levels=np.array([0, 2]))
+    policy = FixedPolicy(problem, [action.tolist()])
+    estimator = make_estimator("posterior", problem)
+    chosen = problem.actions.decode(
+        policy.choose(situation_in(problem, batch.observe(0), estimator, 5))
+    )
+    assert chosen.moves.tolist() == [3, 0]  # joint 2 by -90 instead of 90 degrees
+    assert chosen.levels.tolist() == [0, 2]
+    with pytest.raises(InvalidSetting, match="one record"):
+        FixedPolicy(problem, [])
+
+
+def test_drawn_sequences_keep_to_the_rules_and_excite_each_joint_in_turn() -> None:
+    problem = Problem.of(planar(3), RULES)
+    for sequence in drawn_sequences(problem, 4, 6, np.random.default_rng(0)):
+        joints = [int(np.argmax(problem.actions.decode(a).levels)) for a in sequence]
+        assert sorted(joints[:3]) == sorted(joints[3:]) == [0, 1, 2]
+
+
+def test_the_open_loop_is_blind_to_results() -> None:
+    problem = Problem.of(planar(2), RULES)
+    estimator = make_estimator("posterior", problem)
+    policy = make_policy("open_loop", problem, estimator)
+    seen = []
+    for fault in ("healthy", "backlash@joint1", "structural_looseness@link2"):
+        batch = EpisodeBatch(problem.arm, RULES)
+        batch.start(0, seed=1, number=0, options={"pose": [0.3, 0.8], "fault": fault})
+        batch.step([0], [problem.actions.encode(levels=np.array([3, 0]), duration=0)])
+        seen.append(policy.choose(situation_in(problem, batch.observe(0), estimator, 1)).tolist())
+    assert seen[0] == seen[1] == seen[2]
+
+
+def test_fixed_agents_need_their_sequences_and_take_so_many_records(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from loose_agents.evaluation import evaluate
+
+    arm = planar(2)
+    problem = Problem.of(arm, RULES)
+    with pytest.raises(InvalidSetting, match="no fixed sequence"):
+        make_agent("fixed_2", problem)
+    sequence = drawn_sequences(problem, 1, 2, np.random.default_rng(0))[0]
+    path = tmp_path / f"{tuning_name(problem)}.json"
+    path.write_text(json.dumps({"fixed": {"2": sequence}}))
+    monkeypatch.setenv("LOOSE_ENV_WEIGHTS", str(tmp_path))
+    rows = evaluate(
+        make_agent("fixed_2", problem), "fixed_2", arm, RULES, episodes=3, seed=1, threads=1
+    )
+    assert [row.records for row in rows] == [2, 2, 2]
+
+
+def test_halving_finds_the_best_sequences() -> None:
+    worth = {((k,),) * 2: (0.1 * k, 1.0 - 0.1 * k) for k in range(8)}
+
+    def play(sequence: Any, episodes: int) -> Trails:
+        reward = np.tile(worth[sequence], (episodes, 1))
+        sure = np.full(reward.shape, 0.4)
+        return Trails(confidence=sure, reward=reward, right=reward > 0.5)
+
+    found = best_sequences(list(worth), play, episodes=8, lengths=2)
+    assert found["stopping"] == ((0,), (0,))  # the last record counts: no threshold is reached
+    assert found["2"] == found["stopping"]
+    assert found["1"] == ((1,),)  # the better of the two of the last round

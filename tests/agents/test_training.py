@@ -1,0 +1,357 @@
+"""The environment of the training: shaping, forced records, masks, what is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from loose_agents.base import EVALUATION_SEEDS, Problem
+from loose_agents.belief import Tracker, make_estimator
+from loose_agents.rl.hyperparameters import (
+    HYPERPARAMETERS,
+    LinearSchedule,
+    key_values,
+    model_arguments,
+    read_hyperparameters,
+)
+from loose_agents.rl.networks import RecordSetExtractor, record_set_arguments
+from loose_agents.rl.training import Budget, BudgetSchedule
+from loose_agents.rl.training_env import (
+    TrackedVecEnv,
+    evaluation_seed,
+    forced_records,
+    log_posterior,
+    training_seed,
+)
+from numpy.typing import NDArray
+
+from loose_env.arms import Arm, planar, scara
+from loose_env.envs import DiagnosisSettings, DiagnosisVectorEnv
+from loose_env.errors import InvalidSetting, LooseEnvError, UnknownName
+from loose_env.registration import IDS
+
+SETTINGS = DiagnosisSettings(durations=(0.2,), max_records=4)
+
+
+def make(arm: Arm | None = None, *, num: int = 3, **options: Any) -> TrackedVecEnv:
+    arm = planar(2) if arm is None else arm
+    env = DiagnosisVectorEnv(arm, SETTINGS, num_envs=num)
+    vec = TrackedVecEnv(env, Problem.of(arm, SETTINGS), **options)
+    vec.seed(5)
+    return vec
+
+
+def choices(vec: TrackedVecEnv, rng: np.random.Generator, stop: bool) -> NDArray[np.int64]:
+    drawn = rng.integers(0, vec.form.nvec, size=(vec.num_envs, len(vec.form.nvec)))
+    drawn[:, -1] = stop
+    return drawn
+
+
+def test_the_shaping_sums_to_what_the_episode_added_to_the_log_posterior() -> None:
+    weight = 0.3
+    vec = make(shaping=weight)
+    kinds = len(vec.problem.hypotheses)
+    seen = vec.reset()
+    rng = np.random.default_rng(0)
+    sums = np.zeros(3)
+    start = seen[:, :kinds].copy()
+    ended = 0
+    for step in range(12):
+        seen, rewards, dones, infos = vec.step(choices(vec, rng, stop=step % 4 == 3))
+        sums += rewards
+        for i in np.flatnonzero(dones):
+            truth = vec.problem.hypotheses.index(infos[i]["fault"])
+            last = infos[i]["terminal_observation"][truth]
+            gain = log_posterior(last) - log_posterior(start[i, truth])
+            unshaped = infos[i]["episode"]["r"]
+            assert sums[i] == pytest.approx(unshaped + weight * gain, abs=1e-5)
+            sums[i], start[i] = 0.0, seen[i, :kinds]
+            ended += 1
+    assert ended >= 6
+
+
+def test_without_weight_nothing_is_added() -> None:
+    plain, shaped = make(), make(shaping=0.5)
+    rng = np.random.default_rng(1)
+    plain.reset()
+    shaped.reset()
+    differ = False
+    for step in range(6):
+        drawn = choices(plain, rng, stop=step % 3 == 2)
+        (_, unshaped, dones, ours), (_, rewards, _, theirs) = plain.step(drawn), shaped.step(drawn)
+        differ |= bool(np.any(unshaped != rewards))
+        for i in np.flatnonzero(dones):
+            assert ours[i]["episode"]["r"] == theirs[i]["episode"]["r"]
+    assert differ
+
+
+def test_the_log_posterior_of_the_truth_is_cut_off() -> None:
+    assert log_posterior(0.0) == log_posterior(1e-9) == pytest.approx(-5.0)
+    assert log_posterior(0.5) == pytest.approx(np.log(0.5))
+
+
+@pytest.mark.parametrize("weight", [-0.1, float("nan")])
+def test_a_shaping_that_makes_no_sense_is_refused(weight: float) -> None:
+    with pytest.raises(InvalidSetting, match="0 or more"):
+        make(shaping=weight)
+
+
+def test_forced_records_forbid_early_stops() -> None:
+    vec = make()
+    vec.reset()
+    vec.least_records = 3
+    rng = np.random.default_rng(2)
+    lengths = []
+    for step in range(12):
+        # Later on any number of records will do.
+        vec.least_records = 3 if step < 8 else 1
+        masks = vec.action_masks()
+        _, _, dones, infos = vec.step(choices(vec, rng, stop=True))
+        assert np.array_equal(dones, masks[:, -1])
+        lengths += [infos[i]["records"] for i in np.flatnonzero(dones)]
+    assert lengths == [3] * 6 + [1] * 6
+
+
+def test_the_last_record_ends_the_forcing() -> None:
+    vec = make(num=1)
+    vec.reset()
+    vec.least_records = 99
+    rng = np.random.default_rng(3)
+    ended = [vec.step(choices(vec, rng, stop=False))[2][0] for _ in range(5)]
+    assert ended == [False] * 4 + [True]
+
+
+def test_forced_records_fall_to_one() -> None:
+    found = [forced_records(share, first=3, until=0.4) for share in np.linspace(0, 1, 101)]
+    assert found[0] == 3
+    assert found[40:] == [1] * 61
+    assert sorted(found, reverse=True) == found
+    assert set(found) == {1, 2, 3}
+    assert {forced_records(share, first=5, until=0.0) for share in (0.0, 0.5)} == {1}
+
+
+def test_masks_are_those_of_the_policys_choices() -> None:
+    vec = make(scara(), num=2)
+    vec.reset()
+    rng = np.random.default_rng(4)
+    n, moves = vec.problem.arm.n, len(SETTINGS.moves)
+    # The last joint turns more than once, and shows its place up to whole turns only.
+    known = np.ones(vec.form.nvec.sum(), dtype=bool)
+    known[(n - 1) * moves : n * moves] = False
+    ignored = 0
+    for _ in range(3):
+        masks = np.stack(vec.env_method("action_masks"))
+        assert masks.shape == (2, vec.form.nvec.sum())
+        for i in range(2):
+            episode = vec.diagnosis.batch.episode(i)
+            assert episode is not None
+            wanted = vec.form.mask(episode.pose, episode.records)
+            assert np.array_equal(masks[i][known], wanted[known])
+            assert np.array_equal(vec.env_method("action_masks", indices=i)[0], masks[i])
+        # A masked move is one that the joint would not make.
+        drawn = choices(vec, rng, stop=False)
+        _, _, dones, infos = vec.step(drawn)
+        for i in np.flatnonzero(~dones):
+            allowed = masks[i, : n * moves].reshape(n, moves)[np.arange(n), drawn[i, :n]]
+            assert np.array_equal(infos[i]["move_ignored"][:-1], ~allowed[:-1])
+            ignored += int((~allowed[:-1]).sum())
+    assert ignored > 0
+
+
+class Showing(Tracker):
+    """A tracker that shows how many records it took in, and how many were asked for."""
+
+    feature_size = 2
+
+    def features(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.float64]:
+        return np.array([memory.records / 4, 0.25])
+
+
+def test_what_an_estimator_shows_is_seen_at_the_end() -> None:
+    arm = planar(2)
+    problem = Problem.of(arm, SETTINGS)
+    plain, showing = make(arm), make(arm, estimator=Showing(problem))
+    first, more = plain.reset(), showing.reset()
+    own = Tracker(problem).feature_size
+    assert np.array_equal(more[:, :-2], first[:, :-own])
+    assert np.array_equal(more[:, -2:], [[0.0, 0.25]] * 3)
+    go = choices(plain, np.random.default_rng(6), stop=False)
+    assert np.array_equal(showing.step(go)[0][:, -2:], [[0.25, 0.25]] * 3)
+    stop = choices(plain, np.random.default_rng(6), stop=True)
+    seen, _, dones, infos = showing.step(stop)
+    assert dones.all()
+    assert np.array_equal(seen[:, -2:], [[0.0, 0.25]] * 3)
+    assert [info["terminal_observation"][-2] for info in infos] == [0.25] * 3
+
+
+def test_seeds_of_training_meet_neither_each_other_nor_those_of_evaluation() -> None:
+    seeds = [training_seed(seed, steps) for seed in range(20) for steps in range(0, 5120, 512)]
+    seeds += [evaluation_seed(seed) for seed in range(20)]
+    # Environments count up from a seed; compare's episodes have small seeds.
+    assert np.diff(np.sort(seeds)).min() > 10_000
+    assert min(seeds) > EVALUATION_SEEDS[-1]
+    assert training_seed(1, 512) == training_seed(1, 512)
+
+
+def test_an_unknown_estimator_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(UnknownName, match="posterior"):
+        make_estimator("oracle", Problem.of(planar(2), SETTINGS))
+
+
+def test_the_budget_that_runs_out_first_decides_the_schedule() -> None:
+    budget = Budget(steps=100, seconds=10.0)
+    budget.spent = 8.0
+    schedule = BudgetSchedule(LinearSchedule(1.0), budget)
+    assert schedule(0.9) == pytest.approx(0.2)
+    assert schedule(0.1) == pytest.approx(0.1)
+    assert not budget.timed_out()
+    budget.spent = 10.0
+    assert budget.timed_out()
+    assert BudgetSchedule(LinearSchedule(1.0), Budget(steps=100))(0.9) == 0.9
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[Any]:
+    made = gymnasium.make("loose_env/Vera-v0").unwrapped
+    yield made
+    made.close()
+
+
+def observations(layout: Any, records: int, *, seed: int = 0, batch: int = 5) -> Any:
+    """Observations with so many measured records, of random elements."""
+    rng = np.random.default_rng(seed)
+    found = rng.normal(size=(batch, layout.size)).astype(np.float32)
+    slots = found[:, len(layout.global_elements) :].reshape(batch, layout.slots, -1)
+    slots[:, :records, 0] = 1.0
+    slots[:, records:] = 0.0
+    return torch.from_numpy(found)
+
+
+def extractor(env: Any) -> RecordSetExtractor:
+    torch.manual_seed(0)
+    return RecordSetExtractor(env.observation_space, **record_set_arguments(env.layout))
+
+
+def test_order_of_records_and_empty_slots_do_not_matter(env: Any) -> None:
+    layout, start = env.layout, len(env.layout.global_elements)
+    seen = observations(layout, records=4)
+    slots = seen[:, start:].reshape(len(seen), layout.slots, -1)
+    order = torch.tensor([7, 2, 0, 9, 3, 1, 4, 5, 6, 8, 10, 11])
+    mixed = torch.cat([seen[:, :start], slots[:, order].flatten(1)], 1)
+    filled = slots.clone()
+    filled[:, 4:, 1:] = 3.0  # elements of slots that are marked empty
+    noise = torch.cat([seen[:, :start], filled.flatten(1)], 1)
+    network = extractor(env)
+    network.standardise(seen.numpy())
+    wanted = network(seen)
+    assert wanted.shape == (5, network.features_dim)
+    torch.testing.assert_close(network(mixed), wanted)
+    torch.testing.assert_close(network(noise), wanted)
+    fewer = observations(layout, records=3)
+    assert not torch.allclose(network(fewer), wanted)
+
+
+def test_without_records_only_the_global_elements_are_seen(env: Any) -> None:
+    seen = observations(env.layout, records=0)
+    network = extractor(env)
+    found = network(seen)
+    torch.testing.assert_close(found[:, : network.start], seen[:, : network.start])
+    assert not found[:, network.start :].any()
+
+
+def test_constant_elements_weigh_nothing_and_stay_finite(env: Any) -> None:
+    seen = observations(env.layout, records=2)
+    network = extractor(env)
+    network.standardise(seen.numpy())
+    assert network.gain[0] == 0.0  # the element that says that a record was measured
+    assert torch.isfinite(network.gain).all()
+    assert (network.gain[1:] > 0.0).all()
+
+
+def test_pairs_are_statistics_and_their_nominal_twins(env: Any) -> None:
+    names = [each.name for each in env.layout.slot_elements]
+    pairs = record_set_arguments(env.layout)["pairs"]
+    assert pairs
+    assert all(names[b] == f"nominal_{names[a]}" for a, b in pairs)
+
+
+def test_a_wrong_layout_is_refused_in_words(env: Any) -> None:
+    with pytest.raises(InvalidSetting, match="record_set_arguments"):
+        RecordSetExtractor(env.observation_space, slots=12, slot_size=1000)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "file"), [("ppo", "ppo"), ("maskable_ppo", "maskable_ppo"), ("ppo", "ppo_set")]
+)
+@pytest.mark.parametrize("env_id", [*IDS, "somebody/Else-v0"])
+def test_hyperparameters_ship_for_every_environment(algorithm: str, file: str, env_id: str) -> None:
+    given = read_hyperparameters(HYPERPARAMETERS / f"{file}.yml", env_id)
+    found = model_arguments(given, algorithm)
+    assert isinstance(found["learning_rate"], LinearSchedule)
+    assert "n_timesteps" not in found
+    assert isinstance(found["policy_kwargs"], dict)
+    assert found["gamma"] == 1.0 and given["n_timesteps"] >= 4e4
+    assert given["n_envs"] * found["n_steps"] % found["batch_size"] == 0
+
+
+def test_hyperparameter_files_are_read_as_the_zoo_writes_them(tmp_path: Path) -> None:
+    from torch import nn
+
+    path = tmp_path / "ppo.yml"
+    path.write_text(
+        """
+loose_env/Vera-v0:
+  normalize: False
+  n_timesteps: !!float 1e4
+  policy: 'MlpPolicy'
+  learning_rate: lin_3e-4
+  clip_range: 0.1
+  ent_coef: 1e-3
+  policy_kwargs: "dict(activation_fn=nn.ReLU,
+                       net_arch=dict(pi=[32], vf=[64]))"
+"""
+    )
+    given = read_hyperparameters(path, "loose_env/Vera-v0")
+    found = model_arguments(given, "ppo")
+    assert given["n_timesteps"] == 1e4
+    assert found["learning_rate"](0.5) == pytest.approx(1.5e-4)
+    assert found["clip_range"] == 0.1
+    assert found["ent_coef"] == 0.001
+    assert found["policy_kwargs"] == {
+        "activation_fn": nn.ReLU,
+        "net_arch": {"pi": [32], "vf": [64]},
+    }
+    with pytest.raises(UnknownName, match="no entry"):
+        read_hyperparameters(path, "loose_env/Planar-v0")
+
+
+@pytest.mark.parametrize("content", ["a: [1", "- 1", "default: 3"])
+def test_broken_hyperparameter_files_are_refused_in_one_line(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "ppo.yml"
+    path.write_text(content)
+    with pytest.raises(LooseEnvError) as caught:
+        read_hyperparameters(path, "loose_env/Vera-v0")
+    assert "\n" not in str(caught.value)
+
+
+def test_words_of_the_command_line_are_read_and_not_run(tmp_path: Path) -> None:
+    found = key_values(
+        ["a:1e-3", "b:[1, 2]", "c:dict(d='e:f')", 'engine:"reduced"', "hold:brake", "f:-1"], "-p"
+    )
+    assert found == {
+        "a": 1e-3,
+        "b": [1, 2],
+        "c": {"d": "e:f"},
+        "engine": "reduced",
+        "hold": "brake",
+        "f": -1,
+    }
+    mark = tmp_path / "mark"
+    with pytest.raises(InvalidSetting):
+        key_values([f"a:open({str(mark)!r}, 'w')"], "-p")
+    assert not mark.exists()

@@ -1,0 +1,234 @@
+"""Tuning from trails: what it says of a threshold is what playing with it gives."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import loose_agents.tuning as module
+import numpy as np
+import pytest
+from loose_agents.base import Problem
+from loose_agents.belief import BeliefAgent, Sure
+from loose_agents.evaluation import evaluate, problem_of
+from loose_agents.jobs import BackendSettings
+from loose_agents.policies.link_finding import LinkFindingAgent
+from loose_agents.policies.oracle import oracle_agent
+from loose_agents.registry import belief_agent
+from loose_agents.tuning import (
+    THRESHOLDS,
+    Player,
+    Trails,
+    best_constant,
+    best_threshold,
+    names_of,
+    play_player,
+    play_trails,
+    single_joints,
+    trained,
+    unseen_return,
+    write_tuned,
+)
+
+from loose_env.arms import planar
+from loose_env.diagnosis import LinkFindingSettings
+from loose_env.envs import DiagnosisSettings, Prices
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+
+RECORDS = 3
+HERE = BackendSettings(backend="threading", workers=1)
+SETTINGS = DiagnosisSettings(
+    durations=(0.2,),
+    max_records=RECORDS,
+    unsure_after=1,
+    engine="reduced",
+    prices=Prices(miss=-2.0, false_alarm=-0.5, unsure=0.2),  # so that "unsure" comes up
+)
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    pytest.importorskip("numba")
+    return Problem.of(planar(2), SETTINGS)
+
+
+def agents_of(problem: Problem) -> list[BeliefAgent]:
+    return [
+        belief_agent("posterior", "random", problem, seed=1),
+        oracle_agent(problem, estimator="posterior", policy="together", seed=1),
+    ]
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["random", "oracle"])
+def test_a_threshold_is_worth_what_playing_with_it_brings(problem: Problem, which: int) -> None:
+    agent = agents_of(problem)[which]
+    trails = play_trails(agent, problem, episodes=8, seed=9, records=RECORDS, width=5)
+    for threshold in (0.5, 0.95):
+        agent.stopping = Sure(probability=threshold)
+        rows = evaluate(agent, "a", problem.arm, SETTINGS, episodes=8, seed=9, threads=1)
+        assert [row.records for row in rows] == (1 + trails.ends(threshold)).tolist()
+        assert [row.success for row in rows] == trails.success(threshold).tolist()
+        assert [row.reward for row in rows] == pytest.approx(trails.returns(threshold))
+        if which == 0 and threshold == 0.5:
+            assert "unsure" in {row.verdict for row in rows}
+    assert len({tuple(trails.ends(t)) for t in THRESHOLDS}) > 1  # there was something to choose
+
+
+def test_trails_do_not_depend_on_width_or_range(problem: Problem) -> None:
+    agent = agents_of(problem)[0]
+    whole = play_trails(agent, problem, episodes=5, seed=9, records=2, width=5)
+    parts = [
+        vars(play_trails(agent, problem, episodes=n, first=k, seed=9, records=2, width=2))
+        for k, n in ((0, 3), (3, 2))
+    ]
+    for name, values in vars(Trails.joined(parts)).items():
+        np.testing.assert_array_equal(values, getattr(whole, name))
+
+
+def test_an_episode_that_diverged_ends_there(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from loose_env.envs import EpisodeBatch, Outcome
+
+    agent = agents_of(problem)[0]
+    real = EpisodeBatch.step
+
+    def step(self: EpisodeBatch, slots: list[int], actions: list[object]) -> list[Outcome]:
+        """Let the first episode fail in its second record."""
+        outcomes = real(self, slots, actions)
+        for k, slot in enumerate(slots):
+            episode = self.episode(slot)
+            assert episode is not None
+            if (episode.number, episode.records) == (0, 2) and not outcomes[k].terminated:
+                outcomes[k] = replace(
+                    outcomes[k], truncated=True, info=outcomes[k].info | self._truth(episode, None)
+                )
+        return outcomes
+
+    monkeypatch.setattr(EpisodeBatch, "step", step)
+    trails = play_trails(agent, problem, episodes=3, seed=9, records=RECORDS)
+    agent.stopping = Sure(probability=1.1)
+    rows = evaluate(agent, "a", problem.arm, SETTINGS, episodes=3, seed=9, threads=1)
+    assert rows[0].truncated and rows[0].records == 2
+    assert [row.reward for row in rows] == pytest.approx(trails.returns(1.1))
+    assert [row.records for row in rows] == (1 + trails.ends(1.1)).tolist()
+    assert not trails.success(1.1)[0]
+
+
+def made_trails(count: int, seed: int) -> Trails:
+    """A posterior that tells the truth about itself and gains one nat a record."""
+    rng = np.random.default_rng(seed)
+    truth = rng.random(count) < 0.5
+    step = np.where(truth, 1, -1)[:, None] + 1.4142 * rng.standard_normal((count, 12))
+    odds = np.cumsum(step, 1)
+    right = (odds > 0) == truth[:, None]
+    reward = np.where(right, 1.0, -1.0) - 0.05 * np.arange(1, 13)
+    return Trails(confidence=1 / (1 + np.exp(-np.abs(odds))), reward=reward, right=right)
+
+
+def test_the_threshold_is_near_the_best_on_other_episodes() -> None:
+    others = made_trails(20_000, 1)
+    worth = np.array([others.returns(t).mean() for t in THRESHOLDS])
+    found = [best_threshold(made_trails(400, k), np.random.default_rng(0)) for k in range(2, 10)]
+    lost = worth.max() - np.array([others.returns(t).mean() for t in found])
+    # The mean return of 400 episodes has a standard error of 0.03.
+    assert lost.mean() < 0.01 and lost.max() < 0.02
+    # Among thresholds of equal worth it takes a surer one than the highest point.
+    raw = [
+        THRESHOLDS[np.argmax([made_trails(400, k).returns(t).mean() for t in THRESHOLDS])]
+        for k in range(2, 10)
+    ]
+    right = [np.mean([others.success(t).mean() for t in each]) for each in (found, raw)]
+    assert right[0] > right[1]
+
+
+def test_unseen_returns_are_those_of_other_episodes() -> None:
+    trails, rng = made_trails(400, 3), np.random.default_rng(0)
+    tops = max(trails.returns(t).mean() for t in THRESHOLDS)
+    assert tops - 0.1 < unseen_return(trails, rng) <= tops
+    with pytest.raises(InvalidSetting, match="two episodes"):
+        unseen_return(trails.part(slice(0, 1)), rng)
+
+
+def test_the_best_constant_is_found_by_halving() -> None:
+    worth = {(1, 0): 0.2, (2, 0): 0.5, (0, 1): 0.3, (0, 2): 0.9, (0, 3): 0.1}
+    asked: list[tuple[tuple[int, ...], int]] = []
+
+    def play(candidate: tuple[int, ...], episodes: int) -> Trails:
+        asked.append((candidate, episodes))
+        flat = np.full((episodes, 1), worth[candidate])
+        return Trails(confidence=flat, reward=flat, right=flat > 0)
+
+    assert best_constant(list(worth), play, episodes=8) == (0, 2)
+    assert [n for _, n in asked] == [2] * 5 + [4] * 3 + [8] * 2
+    assert asked[-2:] == [((0, 2), 8), ((2, 0), 8)]
+    assert best_constant([(1, 0)], play, episodes=8) == (1, 0)
+
+
+def test_every_joint_is_tried_at_every_level(problem: Problem) -> None:
+    assert sorted(single_joints(problem)) == [(0, 1), (0, 2), (0, 3), (1, 0), (2, 0), (3, 0)]
+    with pytest.raises(InvalidSetting, match="1 to 3"):
+        single_joints(problem, [4])
+
+
+def test_settings_of_others_are_kept(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "arm.json"
+    write_tuned(path, {"a/x": 0.9}, constant=(0, 3))
+    path.write_text(json.dumps({**json.loads(path.read_text()), "further": 1}))
+    write_tuned(path, {"b/y": 0.8})
+    write_tuned(path, {"a/x": 0.7})
+    assert json.loads(path.read_text()) == {
+        "stop": {"a/x": 0.7, "b/y": 0.8},
+        "constant": [0, 3],
+        "further": 1,
+    }
+    assert os.listdir(path.parent) == ["arm.json"]
+
+
+def test_shards_go_on_and_grow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    arguments = {"n_links": 2, "durations": (0.2,), "max_records": 2, "engine": "reduced"}
+    problem = problem_of("loose_env/Planar-v0", arguments)
+    player = Player(
+        agent="posterior/constant",
+        levels=(3, 0),
+        env_id="loose_env/Planar-v0",
+        arguments=arguments,
+        seed=9,
+        records=2,
+        posterior=trained(problem),
+    )
+
+    def play(episodes: int, shard: int = 2, by: Player = player) -> Trails:
+        return play_player(
+            by, problem, episodes=episodes, folder=tmp_path, settings=HERE, shard=shard
+        )
+
+    first = play(2)
+    played: list[int] = []
+    real = module.play_trails
+
+    def counted(*given: object, **settings: int) -> Trails:
+        played.append(settings["first"])
+        return real(*given, **settings)
+
+    monkeypatch.setattr(module, "play_trails", counted)
+    more = play(4)
+    assert played == [2]  # the first shard was there
+    np.testing.assert_array_equal(more.confidence[:2], first.confidence)
+    np.testing.assert_array_equal(play(4, shard=3).reward, more.reward)
+    assert len(list(tmp_path.iterdir())) == 1
+    with pytest.raises(InvalidData, match="posterior of planar2-default has changed"):
+        play(2, by=replace(player, posterior="that of yesterday"))
+
+
+def test_what_cannot_be_tuned_is_told_so(problem: Problem) -> None:
+    with pytest.raises(UnknownName, match="amortised/greedy"):
+        names_of("thesis")
+    thesis = LinkFindingAgent(problem, LinkFindingSettings(joint=2))
+    with pytest.raises(InvalidSetting, match="no stopping rule"):
+        play_trails(thesis, problem, episodes=1, seed=1, records=1)
+    with pytest.raises(InvalidSetting, match="max_records"):
+        play_trails(agents_of(problem)[0], problem, episodes=1, seed=1, records=RECORDS + 1)

@@ -1,0 +1,171 @@
+"""The comparison from its command line: paired, the same for any worker count, taught errors."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from loose_agents.base import EVALUATION_SEED, Problem
+
+from loose_env.arms import planar, vera
+from loose_env.envs import DiagnosisSettings
+from loose_env.evaluation import read_rows
+from scripts.agents import compare
+
+ARGUMENTS = json.dumps({"durations": [0.2], "max_records": 3})
+FAST = [
+    "--arguments",
+    ARGUMENTS,
+    "--episodes",
+    "5",
+    "--shard",
+    "2",
+    "--seed",
+    "3",
+    "--rows",
+    "json",
+]
+
+
+def run(tmp_path: Path, *options: str, name: str = "out") -> list[dict[str, Any]]:
+    out = tmp_path / name
+    compare.main([*FAST, "--out", str(out), *options])
+    return read_rows(out / "rows.json")[0]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A comparison with all it makes."""
+    pytest.importorskip("jinja2")
+    pytest.importorskip("matplotlib")
+    out = tmp_path_factory.mktemp("compare")
+    options = ["--agents", "random", "classical", "--workers", "1", "--curve", "2", "--page"]
+    compare.main([*FAST, "--out", str(out), *options])
+    return out
+
+
+def test_agents_meet_the_same_arms(whole: Path) -> None:
+    rows, configuration = read_rows(whole / "rows.json")
+    hidden = ("seed", "episode", "truth", "gap", "friction", "friction_ratio", "direction")
+    by_agent = {
+        agent: [[row[name] for name in hidden] for row in rows if row["agent"] == agent]
+        for agent in ("random", "classical")
+    }
+    assert by_agent["random"] == by_agent["classical"]
+    assert [row[1] for row in by_agent["random"]] == list(range(5))
+    assert configuration["engine"] == "mujoco"
+    assert configuration["settings"][0]["durations"] == [0.2]
+
+
+def test_agents_that_may_not_stop_take_every_record(whole: Path) -> None:
+    rows, _ = read_rows(whole / "curve.json")
+    assert [row["agent"] for row in rows] == ["random"] * 5  # the other has no stopping rule
+    assert {row["records"] for row in rows} == {2}
+    assert all(len(row["trail_best"]) == 2 for row in rows)
+
+
+def test_the_page_says_how_to_make_it_again(whole: Path) -> None:
+    page = (whole / "index.html").read_text(encoding="utf-8")
+    assert "--agents random classical" in page
+    assert "Simulated by MuJoCo" in page
+    assert "Return against classical" in page
+    assert list((whole / "shards").iterdir()) == []
+
+
+def test_rows_are_the_same_for_any_worker_count_shard_and_width(
+    whole: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("joblib")
+    expected = [row for row in read_rows(whole / "rows.json")[0] if row["agent"] == "random"]
+    threads = run(tmp_path, "--agents", "random", "--backend", "threading", "--workers", "2")
+    assert threads == expected
+    narrow = run(
+        tmp_path, "--agents", "random", "--workers", "1", "--shard", "5", "--width", "2", name="b"
+    )
+    assert narrow == expected
+
+
+def test_rows_are_the_same_from_two_processes(whole: Path, tmp_path: Path) -> None:
+    pytest.importorskip("joblib")
+    expected = [row for row in read_rows(whole / "rows.json")[0] if row["agent"] == "classical"]
+    assert run(tmp_path, "--agents", "classical", "--workers", "2", "--shard", "3") == expected
+
+
+def test_each_difficulty_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = run(
+        tmp_path, "--agents", "classical", "--difficulties", "easy", "hard", "--workers", "1"
+    )
+    assert [row["difficulty"] for row in rows] == ["easy"] * 5 + ["hard"] * 5
+    assert "By difficulty" in capsys.readouterr().out
+
+
+def test_estimators_are_crossed_with_policies() -> None:
+    problem = Problem.of(vera(), DiagnosisSettings())
+    untrained = Problem.of(planar(3), DiagnosisSettings())
+    options = compare.Options(estimators=("a", "b"), policies=("x", "y"))
+    assert compare.names_of(options, problem) == ["a/x", "b/x", "a/y", "b/y"]
+    assert compare.reference_of(options, ["a/x", "b/x"]) == "a/x"
+    plain = compare.Options()
+    names = compare.names_of(plain, problem)
+    assert names == ["greedy", "constant", "random", *compare.CLASSICAL]
+    assert compare.reference_of(plain, names) == "classical"
+    assert compare.names_of(plain, untrained)[0] == "posterior/greedy"
+    assert plain.seed == EVALUATION_SEED and plain.episodes == 4000
+
+
+def test_what_is_no_agent_gets_a_star() -> None:
+    rows = [{"agent": "oracle"}, {"agent": "random"}]
+    assert [row["agent"] for row in compare.shown(rows)] == ["oracle*", "random"]
+    assert "no agent" in compare.words_of("oracle")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--agents", "nobody"], "unknown agent 'nobody'"),
+        (
+            ["--agents", "classical", "--episodes", "0"],
+            "--episodes must be a whole number, 1 or more; got 0",
+        ),
+        (["--agents", "classical", "--reference", "random"], "does not play"),
+        (["--estimators", "posterior"], "give both or neither"),
+        (["--agents", "classical", "--arguments", "["], "must be JSON"),
+        (["--agents", "classical", "--rows", "csv"], "parquet or json"),
+        (["--agents", "classical", "--curve", "4"], "--curve must be 1 to 3"),
+        (["--agents", "classical", "--difficulties", "grim"], "unknown difficulty 'grim'"),
+        (["--agents", "classical", "--backend", "carrier"], "carrier"),
+    ],
+)
+def test_errors_teach_before_anything_is_played(
+    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        compare.main([*FAST, "--out", str(tmp_path), *options])
+    assert words in f"{stopped.value}{capsys.readouterr().err}"
+    assert not (tmp_path / "rows.json").exists()
+
+
+def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from loose_agents import comparison as evaluation_shards
+
+    played: list[int] = []
+    real = evaluation_shards.evaluate_shard
+
+    def counted(task: Any, progress: Any = None) -> Any:
+        if len(played) == 1:
+            raise KeyboardInterrupt
+        played.append(task.first)
+        return real(task, progress)
+
+    monkeypatch.setattr(evaluation_shards, "evaluate_shard", counted)
+    with pytest.raises(SystemExit) as stopped:
+        run(tmp_path, "--agents", "classical", "--workers", "1")
+    assert stopped.value.code == 130
+    played.append(-1)  # no second interruption
+    rows = run(tmp_path, "--agents", "classical", "--workers", "1")
+    assert played == [0, -1, 2, 4]
+    assert [row["episode"] for row in rows] == list(range(5))
+    assert np.isfinite([row["reward"] for row in rows]).all()
