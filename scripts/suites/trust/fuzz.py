@@ -415,7 +415,7 @@ def _posterior(home: Path) -> Any:
 
 @functools.cache
 def _problem() -> Any:
-    from loose_agents.core.base import Problem
+    from loose_agents.base import Problem
 
     from loose_env.arms import vera
     from loose_env.envs import DiagnosisSettings
