@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from difflib import get_close_matches
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -23,7 +22,8 @@ from loose_env.doctor import Finding, examine
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap import GapResult, GapSettings, GapSolution
 from loose_env.instrument import DiagnoseSettings, Diagnosis, Fault
-from loose_env.recording import ModelColumns, Recording, read_recording
+from loose_env.io import nearest
+from loose_env.recording import ModelColumns, Recording, read_recording, table_of
 
 __all__ = ["DiagnosisReport", "GapReport", "diagnose", "explain_gap"]
 
@@ -308,14 +308,7 @@ def _recording(given: str | Path | Recording, model: str | Path | None) -> Recor
     found = replace(given, model_path=path.resolve())
     allowed = ModelColumns.of(found.model())
     for run in found.runs:
-        controls = [f"ctrl.{name}" for name in run.controls]
-        torques = [f"torque.{name}" for name in run.torques]
-        sensors = [
-            f"sensor.{name}{axis}"
-            for name, values in run.sensors.items()
-            for axis in ((".x", ".y", ".z") if values.ndim == 2 else ("",))
-        ]
-        allowed.check_header(run.name, ["time", *controls, *torques, *sensors])
+        allowed.check_header(run.name, list(table_of(run)))
     return found
 
 
@@ -324,8 +317,7 @@ def _checked(kind: type, settings: Mapping[str, Any]) -> dict[str, Any]:
     known = [each.name for each in fields(kind)]
     for name in settings:
         if name not in known:
-            near = get_close_matches(name, known, n=1)
-            meant = f"; did you mean {near[0]!r}?" if near else "."
+            meant = nearest(name, known) or "."
             raise UnknownName(
                 f"there is no setting {name!r}{meant} The settings are {', '.join(known)}"
             )

@@ -10,18 +10,27 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
-from typing import Any, NoReturn, TypeVar, get_type_hints
+from dataclasses import MISSING, field, fields, is_dataclass, make_dataclass
+from functools import cache
+from inspect import cleandoc
+from types import UnionType
+from typing import Annotated, Any, NoReturn, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import gymnasium
 import tyro
 from tyro import _errors as rejected  # no public name tells what a command line was refused for
-from tyro.constructors import PrimitiveConstructorSpec
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
 
 from loose_env.errors import InvalidSetting, LooseEnvError, words_of
-from loose_env.io import unmet
+from loose_env.io import field_words, unmet
 
 REFUSED, WRONG, INTERRUPTED = 1, 2, 130
 """Exit codes beside 0."""
@@ -31,9 +40,9 @@ ERRORS = (LooseEnvError, OSError, ImportError, ValueError, gymnasium.error.Error
 
 _CONFIG = (
     tyro.conf.DisallowNone,
-    tyro.conf.HelptextFromCommentsOff,
     tyro.conf.PositionalMetavarFromFieldName,
 )
+_REGISTRY = ConstructorRegistry()
 
 S = TypeVar("S")
 
@@ -153,8 +162,9 @@ def parsed(
             kind,
             args=arguments,
             prog=name,
-            description=about,
+            description=cleandoc(about or ""),
             config=_CONFIG,
+            registry=_REGISTRY,
             default=tyro.MISSING_NONPROP if default is None else default,
         )
     _check(found)
@@ -174,6 +184,69 @@ def one_of(names: Sequence[str]) -> Any:
         str_from_instance=lambda value: [value],
         choices=tuple(names),
     )
+
+
+@cache
+def kept(kind: type[Any], leave_out: Collection[str] = ()) -> Any:
+    """Annotation of a field whose options are None where they are not given; see `settled`.
+
+    ``choice: Annotated[NextSettings, kept(NextSettings)]`` offers the options of the fields of
+    `NextSettings`, but for those that are left out, and checks nothing yet.
+    """
+    hints, optional = get_type_hints(kind), []
+    for each in fields(kind):
+        usual = each.default
+        hidden = [tyro.conf.Suppress] if each.name in leave_out else []
+        hint = hints[each.name]
+        if get_origin(hint) in (Union, UnionType):
+            hint = get_args(hint)[0]
+        shown = " ".join(map(str, usual)) if isinstance(usual, tuple) else str(usual)
+        about = tyro.conf.arg(
+            help_behavior_hint="" if usual in (None, ()) else f"(default: {shown})",
+            metavar=f"{get_args(hint)[0].__name__.upper()} ..."
+            if get_origin(hint) is tuple
+            else None,
+        )
+        optional.append((each.name, Annotated[(hint | None, about, *hidden)], field(default=None)))
+    unchecked = {"__post_init__": lambda self: None}
+    made = make_dataclass(
+        kind.__name__, optional, bases=(kind,), namespace=unchecked, frozen=True, kw_only=True
+    )
+    return made
+
+
+def settled(
+    given: S, before: Any = None, whose: str = "", *, only: Collection[str] | None = None
+) -> S:
+    """Settings of a `kept` field: what was given, else as it was before, else the default.
+
+    Parameters
+    ----------
+    given : dataclass
+        What was parsed.
+    before : dataclass, optional
+        Settings that hold where nothing is given; a note says those that are not the defaults.
+    whose : str
+        Where they come from, for the note.
+    only : collection of str, optional
+        Fields that are kept; all by default.
+
+    Raises
+    ------
+    InvalidSetting
+        If the settings do not go together.
+    """
+    kind: Any = type(given).__mro__[1]
+    new = {n: v for n, v in _values(given) if v is not None}
+    old = {} if before is None else {n: v for n, v in _values(before) if n not in new}
+    old = {n: v for n, v in old.items() if only is None or n in only}
+    usual = kind()
+    if unusual := {n: v for n, v in old.items() if v != getattr(usual, n)}:
+        from loose_env.instrument import option_words  # loads what other commands do not need
+
+        print(f"note: as {whose} has it:{option_words(unusual)}", file=sys.stderr)
+    found: S = kind(**old, **new)
+    return found
 
 
 @contextmanager
@@ -225,6 +298,32 @@ def refuse(name: str, words: str) -> NoReturn:
     sys.exit(WRONG)
 
 
+@_REGISTRY.struct_rule
+def _options(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """Options of a dataclass, with the docstrings under its fields and those of its bases."""
+    kind: Any = info.type
+    if not hasattr(kind, "__dataclass_fields__"):
+        return None
+    hints, words = get_type_hints(kind, include_extras=True), {}
+    for base in reversed(kind.__mro__[:-1]):
+        words.update(field_words(base))
+    options = []
+    for each in filter(lambda one: one.init, fields(kind)):
+        default = MISSING if each.default_factory is MISSING else each.default_factory()
+        default = each.default if default is MISSING else default
+        if is_dataclass(info.default):
+            default = getattr(info.default, each.name)
+        given = hints[each.name]
+        about = getattr(given, "__metadata__", ())
+        made_by_kept = [one for one in about if isinstance(one, type)]
+        base = made_by_kept[0] if made_by_kept else given.__origin__ if about else given
+        says_default = tyro.conf.arg(help_behavior_hint="" if default in (None, ()) else None)
+        hint: Any = Annotated[(base, says_default, *about)]
+        default = tyro.MISSING_NONPROP if default is MISSING else default
+        options.append(StructFieldSpec(each.name, hint, default, words.get(each.name)))
+    return StructConstructorSpec(instantiate=kind, fields=tuple(options))
+
+
 def _refuse(name: str, event: Any) -> None:
     """Say in one line why tyro refuses a command line; an invalid setting is raised."""
     if isinstance(event, rejected.InstantiationFailure) and event.argument is None:
@@ -260,13 +359,15 @@ def _flag(argument: Any) -> str:
 def _check(settings: Any) -> None:
     """Refuse values that the annotations do not allow, by the name of their option."""
     hints = get_type_hints(type(settings), include_extras=True)
-    for each in fields(settings):
-        value = getattr(settings, each.name)
+    for name, value in _values(settings):
         if is_dataclass(value):
             _check(value)
-        elif words := unmet(hints[each.name], value):
-            flag = f"--{each.name.replace('_', '-')}"
-            raise InvalidSetting(f"{flag} must be {words}; got {value}")
+        elif words := unmet(hints[name], value):
+            raise InvalidSetting(f"--{name.replace('_', '-')} must be {words}; got {value}")
+
+
+def _values(settings: Any) -> list[tuple[str, Any]]:
+    return [(each.name, getattr(settings, each.name)) for each in fields(settings)]
 
 
 def _first_line(kind: type[Any]) -> str:

@@ -1,4 +1,4 @@
-"""Options and output that all commands share: verbosity, progress, text and JSON of the result.
+"""Options, output and output folder that all commands of ``loose`` share.
 
 A command returns an `Outcome`; `Console.show` prints it. Results go to the standard output,
 progress, notes and warnings to the error stream.
@@ -6,25 +6,36 @@ progress, notes and warnings to the error stream.
 
 from __future__ import annotations
 
-import argparse
 import io
+import json
 import platform
 import shlex
+import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Annotated, Any
 
-from loose_env.cli.output_folder import OutputFolder
-from loose_env.errors import InvalidSetting
+from tyro.conf import FlagCreatePairsOff, Positional, arg, create_mutex_group
+
+from loose_env.errors import InvalidSetting, LooseEnvError
 
 STDOUT = "-"
 """Value of ``--json`` that stands for the standard output."""
+KEPT = ".gap"
+"""Folder in an output for what is kept between runs."""
 
 _VERSIONS = ("mujoco", "numpy", "scipy")
 """Packages whose versions ``--verbose`` prints."""
+_LIST, _WHOSE = "written.json", "command"
+_FORMATS = {"loose-gap": "gap", "loose-diagnosis": "diagnose"}
+"""Whose a result is, by its format: folders of earlier versions note nothing."""
+_OWN = frozenset({KEPT, "model.xml", "result.json", "report.html"})
+_LEVEL = create_mutex_group(required=False, title="level of detail")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,56 +52,31 @@ class Outcome:
     """Exit code of the command; 0 where the work was done, whatever was found."""
 
 
-def add_output_options(parser: argparse.ArgumentParser) -> None:
-    """Add --json, --quiet and --verbose."""
-    group = parser.add_argument_group("output")
-    group.add_argument(
-        "--json",
-        metavar="FILE",
-        help="write the result as JSON to FILE; with '-' to the standard output, which then holds "
-        "nothing else (the text goes to the error stream)",
-    )
-    level = group.add_mutually_exclusive_group()
-    level.add_argument(
-        "--quiet", action="store_true", help="print results and warnings, without progress"
-    )
-    level.add_argument(
-        "--verbose",
-        action="store_true",
-        help="print versions, all settings and the time taken too, and the traceback of an error",
-    )
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    """Options of every command; a command adds its own and the method ``run``."""
+
+    json: Annotated[str | None, arg(metavar="FILE")] = None
+    """Write the result as JSON to FILE; with '-' to the standard output, which then holds
+    nothing else (the text goes to the error stream)."""
+    quiet: Annotated[bool, _LEVEL, FlagCreatePairsOff] = False
+    """Print results and warnings, without progress."""
+    verbose: Annotated[bool, _LEVEL, FlagCreatePairsOff] = False
+    """Print versions, all settings and the time taken too, and the traceback of an error."""
+
+    def run(self, console: Console) -> Outcome:
+        """Do the work of the command."""
+        raise NotImplementedError
 
 
-def add_recording_options(parser: argparse.ArgumentParser, *, out: bool = True) -> None:
-    """Add RECORDING, --model and, for commands that write a folder, --out."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING", help="folder of the recording")
-    if out:
-        parser.add_argument(
-            "--out", type=Path, required=True, metavar="DIR", help="folder for what is written"
-        )
-    parser.add_argument(
-        "--model",
-        type=Path,
-        metavar="OTHER.xml",
-        help="MJCF file that takes the place of the recording's model",
-    )
+@dataclass(frozen=True, kw_only=True)
+class OnRecording(Output):
+    """Options of a command that reads a recording."""
 
-
-def folder_of(options: argparse.Namespace) -> OutputFolder:
-    """Output folder, in which the other model must not lie.
-
-    Raises
-    ------
-    InvalidSetting
-        If it does, or the folder cannot be used.
-    """
-    folder = OutputFolder(options.out, options.command)
-    if options.model is not None and options.model.resolve().is_relative_to(folder.path):
-        raise InvalidSetting(
-            f"--model {options.model} lies in the output folder, where it would be overwritten; "
-            "give another --out"
-        )
-    return folder
+    recording: Positional[Path]
+    """Folder of the recording."""
+    model: Annotated[Path | None, arg(metavar="OTHER.xml")] = None
+    """MJCF file that takes the place of the recording's model."""
 
 
 class Console:
@@ -98,8 +84,8 @@ class Console:
 
     Parameters
     ----------
-    options : Namespace
-        Parsed options, those of `add_output_options` among them.
+    options : Output
+        Parsed options.
 
     Raises
     ------
@@ -108,15 +94,15 @@ class Console:
         line would be overwritten.
     """
 
-    def __init__(self, options: argparse.Namespace) -> None:
-        self.quiet, self.verbose = bool(options.quiet), bool(options.verbose)
+    def __init__(self, options: Output) -> None:
+        self.quiet, self.verbose, self.json = options.quiet, options.verbose, options.json
         self.start = time.monotonic()
-        self.json: str | None = options.json
         if self.json not in (None, STDOUT):
             _check_json(Path(str(self.json)), options)
         if self.verbose:
             self.say(_versions())
-            self.say(f"options: {_given(options)}")
+            words = [f"{n}={shlex.quote(v)}" for n, v in _given(options)]
+            self.say(f"options: {' '.join(words)}")
 
     def say(self, line: str) -> None:
         """Print a line of progress, unless asked to be quiet."""
@@ -146,27 +132,121 @@ class Console:
             self.say("done")
 
 
-def _check_json(file: Path, options: argparse.Namespace) -> None:
+class OutputFolder:
+    """A new folder, an empty one, or one that an earlier run wrote and nothing else lies in.
+
+    Commands write files of the same names, so the folder notes whose they are.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+    command : str
+        The command of ``loose`` that writes.
+    reads : Path, optional
+        File of the command line that must not lie in the folder, as ``option``.
+
+    Raises
+    ------
+    InvalidSetting
+        If it is a file, or holds other files, what another command wrote, or what is read.
+    """
+
+    def __init__(
+        self, path: Path, command: str, *, reads: Path | None = None, option: str = "--model"
+    ) -> None:
+        self.path, self.command = path.resolve(), command
+        if self.path.exists() and not self.path.is_dir():
+            raise InvalidSetting(f"--out {path} is a file; give a folder")
+        there = sorted(p.name for p in self.path.iterdir()) if self.path.is_dir() else []
+        known = _OWN | self._written() if KEPT in there else frozenset()
+        other = [name for name in there if name not in known and not _half_written(name)]
+        if other:
+            raise InvalidSetting(
+                f"--out {path} holds other files ({', '.join(other[:3])}"
+                f"{', ...' if len(other) > 3 else ''}); give a new or empty folder, or that of an "
+                "earlier run"
+            )
+        whose = self._whose() if there else command
+        if whose not in (command, ""):
+            raise InvalidSetting(
+                f"--out {path} holds what 'loose {whose}' wrote, and 'loose {command}' would "
+                "overwrite it; give another folder"
+            )
+        if reads is not None and reads.resolve().is_relative_to(self.path):
+            raise InvalidSetting(
+                f"{option} {reads} lies in the output folder, where it would be overwritten; give "
+                "another --out"
+            )
+
+    def prepared(self) -> Path:
+        """Make the folder, and return the one inside it for what is kept between runs."""
+        kept = self.path / KEPT
+        kept.mkdir(parents=True, exist_ok=True)
+        kept.joinpath(_WHOSE).write_text(self.command, encoding="utf-8")
+        return kept
+
+    @contextmanager
+    def worked_in(self) -> Iterator[Path]:
+        """Work with the folder prepared; what a user's mistake leaves empty is removed again."""
+        before = self.path.exists()
+        kept = self.prepared()
+        try:
+            yield kept
+        except LooseEnvError:
+            if not any(p.is_file() and p.name != _WHOSE for p in self.path.rglob("*")):
+                shutil.rmtree(kept)
+                if not before:
+                    self.path.rmdir()
+            raise
+
+    def note(self, written: Iterable[Path]) -> None:
+        """Note what was written, so that a later run knows it as its own."""
+        inside = (path.relative_to(self.path) for path in written)
+        names = sorted({path.parts[0] for path in inside} | self._written())
+        self.prepared().joinpath(_LIST).write_text(json.dumps(names) + "\n", encoding="utf-8")
+
+    def _written(self) -> frozenset[str]:
+        names = _read_json(self.path / KEPT / _LIST)
+        return frozenset(str(name) for name in names) if isinstance(names, list) else frozenset()
+
+    def _whose(self) -> str:
+        """Command that wrote here before; "" if that is not known."""
+        try:
+            return self.path.joinpath(KEPT, _WHOSE).read_text("utf-8").strip()
+        except (OSError, ValueError):
+            whole = _read_json(self.path / "result.json")
+            kind = str(whole.get("format", "")) if isinstance(whole, dict) else ""
+            return _FORMATS.get(kind.partition("/")[0], "")
+
+
+def _read_json(file: Path) -> Any:
+    """Content of a file; None where it is not there or no JSON."""
+    try:
+        return json.loads(file.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+
+
+def _half_written(name: str) -> bool:
+    """True if a file was left by an interrupted write."""
+    return name.startswith(".") and ".part" in name
+
+
+def _check_json(file: Path, options: Output) -> None:
     """Refuse a file of ``--json`` that would overwrite what the command reads or writes."""
     if file.is_dir():
         raise InvalidSetting(f"--json {file} is a folder; give a file, or '-' for standard output")
     place = file.resolve()
-    for name, path in _paths(options):
-        if place.is_relative_to(path.resolve()):
-            raise InvalidSetting(
-                f"--json {file} lies in {path} ({name}), which this command reads or writes "
-                "itself; give another file, or '-' for standard output"
-            )
-
-
-def _paths(options: argparse.Namespace) -> Iterator[tuple[str, Path]]:
-    """Files and folders that the command line names, beside that of ``--json``."""
     for name, value in vars(options).items():
-        for each in value if isinstance(value, list) else [value]:
-            if isinstance(each, Path):
-                yield name, each
-            elif name == "sources":  # NAME=PATH
-                yield name, Path(str(each).rpartition("=")[2])
+        for each in value if isinstance(value, tuple) else [value]:
+            if name == "sources":
+                each = Path(str(each).rpartition("=")[2])  # NAME=PATH
+            if isinstance(each, Path) and place.is_relative_to(each.resolve()):
+                raise InvalidSetting(
+                    f"--json {file} lies in {each} ({name}), which this command reads or writes "
+                    "itself; give another file, or '-' for standard output"
+                )
 
 
 def _versions() -> str:
@@ -182,12 +262,10 @@ def _versions() -> str:
     return ", ".join(found)
 
 
-def _given(options: argparse.Namespace) -> str:
+def _given(options: Any) -> Iterator[tuple[str, str]]:
     """All options with their values, defaults included."""
-    words = []
     for name, value in vars(options).items():
-        if callable(value) or value is None or name in ("command", "verbose", "quiet"):
-            continue
-        shown = value if isinstance(value, list | tuple) else [value]
-        words.append(f"{name}={','.join(shlex.quote(str(each)) for each in shown)}")
-    return " ".join(words)
+        if is_dataclass(value):
+            yield from _given(value)
+        elif value is not None and name not in ("verbose", "quiet"):
+            yield name, ",".join(map(str, value)) if isinstance(value, tuple) else str(value)

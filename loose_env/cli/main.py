@@ -1,4 +1,4 @@
-"""The command ``loose`` and what all its subcommands share.
+"""The command ``loose`` and its subcommands.
 
 Exit codes: 0 when the work was done, whatever it found; 1 when something that was given cannot be
 used, said in one line; 2 for a command line that cannot be understood; 130 when interrupted.
@@ -6,20 +6,18 @@ used, said in one line; 2 for a command line that cannot be understood; 130 when
 
 from __future__ import annotations
 
-import argparse
 import ctypes
-import os
 import sys
-import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
-from keyword import iskeyword
-from pathlib import Path
-from typing import Any
+from inspect import cleandoc
+from typing import TYPE_CHECKING, Annotated, Any, Union
 
-from loose_env.cli.console import Console, Outcome, add_output_options
-from loose_env.errors import LooseEnvError, words_of
 from loose_env.version import __version__
+
+if TYPE_CHECKING:
+    from loose_env.cli.console import Output
 
 COMMANDS = {
     "inspect": "joints, modes and detectable faults of an arm, from its model alone",
@@ -30,24 +28,33 @@ COMMANDS = {
     "export": "identified effects for mujoco.sysid, mjlab, Isaac Lab, URDF, BAM, randomisation",
     "import": "recording from files of loggers: MCAP, CSV, universal files (UFF 58)",
 }
-"""Subcommand -> what it finds or makes. The module beside this file has its name, with an
-underscore after a word that Python keeps for itself."""
+"""Subcommand -> what it finds or makes."""
+
+_MODULES = {
+    "inspect": "instrument",
+    "plan": "instrument",
+    "diagnose": "instrument",
+    "doctor": "recordings",
+    "import": "recordings",
+    "gap": "gap",
+    "export": "gap",
+}
+"""Subcommand -> module with its options, a class of its name."""
 
 _GOES_ON = frozenset({"gap"})
 """Subcommands that keep finished stages."""
-
-DONE, REFUSED, INTERRUPTED = 0, 1, 130
-"""Exit codes; argparse has 2."""
 
 _M_MMAP_THRESHOLD = -3
 """Number of this option of glibc's mallopt."""
 _BLOCK_BYTES = 256 * 1024
 """Blocks from this size on are the system's again when they are freed [byte]."""
 
-SHELLS = ("bash", "zsh", "tcsh")
+SHELLS = ("bash", "zsh", "tcsh", "fish")
 """Shells with completion."""
 
-_DESCRIPTION = """Diagnoses robot arms by measured data.
+_HELP = """usage: loose COMMAND [OPTIONS]
+
+Diagnoses robot arms by measured data.
 
 At a suspect machine, in this order; the last two in turn until the fault is identified:
   loose inspect arm.xml
@@ -58,79 +65,100 @@ At a suspect machine, in this order; the last two in turn until the fault is ide
 Where simulation and machine disagree:
   loose import log.mcap --mapping map.toml --out arm
   loose gap arm --out arm-gap
-  loose export arm-gap --to ranges --out exports"""
+  loose export arm-gap --to ranges --out exports
 
+commands:
+{commands}
+
+options:
+  -h, --help                 print this
+  --version                  print the version
+  --print-completion SHELL   print the completion script of a shell ({shells})
+
+'loose COMMAND --help' lists the options of a command.
+"""
 _EXIT_CODES = """Exit codes: 0 done, whatever was found; 1 something given cannot be used; 2 the
 command line is wrong; 130 interrupted."""
-_EPILOG = f"'loose COMMAND --help' lists the options of a command.\n{_EXIT_CODES}"
 
 
-class _PrintCompletion(argparse.Action):
-    """Prints the completion script of a shell, made of the options of all commands."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
-        """Print and leave."""
-        try:
-            import shtab
-        except ImportError:
-            parser.exit(
-                REFUSED,
-                "loose: completion needs the package shtab, which is not installed: "
-                "pip install 'loose-env[completion]'\n",
-            )
-        whole = _with_kinds_of_paths(globals()["parser"](), shtab.FILE, shtab.DIRECTORY)
-        print(shtab.complete(whole, shell=values))
-        parser.exit(DONE)
-
-
-def parser(arguments: Sequence[str] | None = None) -> argparse.ArgumentParser:
-    """Parser of the whole command line.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        The command line. Only the command that it names gets its options, for the modules of the
-        others take a second to load; by default all do.
-    """
-    found = argparse.ArgumentParser(
-        prog="loose",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    found.add_argument("--version", action="version", version=f"loose-env {__version__}")
-    found.add_argument(
-        "--print-completion",
-        action=_PrintCompletion,
-        choices=SHELLS,
-        metavar="SHELL",
-        help=f"print the completion script of a shell ({', '.join(SHELLS)})",
-    )
-    wanted = set(COMMANDS if arguments is None else arguments)
-    commands = found.add_subparsers(dest="command", metavar="COMMAND")
-    for name, summary in COMMANDS.items():
-        if name not in wanted:
-            commands.add_parser(name, help=summary)
-            continue
-        module = import_module(f"loose_env.cli.{name}{'_' if iskeyword(name) else ''}")
-        own = commands.add_parser(
-            name,
-            help=summary,
-            description=module.__doc__,
-            epilog=_EXIT_CODES,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        module.add_options(own)
-        add_output_options(own)
-        own.set_defaults(run=module.run)
-        own.usage = _usage(own)
+def options_class(command: str) -> type[Output]:
+    """Dataclass of a subcommand's options, with its work as the method ``run``."""
+    module = import_module(f"loose_env.cli.{_MODULES[command]}")
+    found: type[Output] = getattr(module, command.capitalize())
     return found
+
+
+def options_of(words: Sequence[str]) -> Output:
+    """Parse the command line of a subcommand, its name first.
+
+    Raises
+    ------
+    InvalidSetting
+        If a value is not allowed.
+    SystemExit
+        With exit code 2 after a line on what is wrong, or 0 after the help.
+    """
+    from loose_env.cli.command import parsed
+
+    kind = options_class(words[0])
+    about = f"{cleandoc(kind.__doc__ or '')}\n\n{_EXIT_CODES}"
+    return parsed(f"loose {words[0]}", about, kind, words[1:])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line; by default that of the process.
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    if words[:1] in ([], ["-h"], ["--help"]):
+        listed = "\n".join(f"  {name:<10}{about}" for name, about in COMMANDS.items())
+        print((_HELP + _EXIT_CODES).format(commands=listed, shells=", ".join(SHELLS)))
+        return 0
+    if words[0] == "--version":
+        print(f"loose-env {__version__}")
+        return 0
+    from loose_env.cli import command
+
+    if words[0] == "--print-completion":
+        if words[1:2] == [] or words[1] not in SHELLS:
+            command.refuse("loose", f"--print-completion takes one of {', '.join(SHELLS)}")
+        _print_completion(words[1])
+        return 0
+    if words[0] not in COMMANDS:
+        command.refuse("loose", f"{words[0]!r} is no command; there are {', '.join(COMMANDS)}")
+    return _run(words)
+
+
+def _run(words: Sequence[str]) -> int:
+    """Run a subcommand, and return its exit code."""
+    from loose_env.cli.command import WRONG, errors_in_one_line
+    from loose_env.cli.console import Console
+    from loose_env.errors import LooseEnvError
+
+    _return_freed_memory()
+    goes_on = "goes on from there" if words[0] in _GOES_ON else "begins anew"
+    try:
+        with errors_in_one_line(
+            f"loose {words[0]}",
+            interrupted=f"the same command {goes_on}",
+            errors=(LooseEnvError, OSError),
+            verbose="--verbose" in words,
+        ):
+            options = options_of(words)
+            console = Console(options)
+            outcome = options.run(console)
+            console.show(outcome)
+            return outcome.code
+    except SystemExit as end:
+        if end.code in (0, WRONG):
+            raise
+        if isinstance(end.code, str):
+            print(end.code, file=sys.stderr)
+        return end.code if isinstance(end.code, int) else 1
 
 
 def _return_freed_memory() -> None:
@@ -147,67 +175,24 @@ def _return_freed_memory() -> None:
         tune(_M_MMAP_THRESHOLD, _BLOCK_BYTES)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line; by default that of the process.
+def _print_completion(shell: str) -> None:
+    """Print the completion script of a shell, made of the options of all commands."""
+    import tyro
 
-    Returns
-    -------
-    int
-        The exit code.
-    """
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    _return_freed_memory()
-    made = parser(words)
-    options = made.parse_args(words)
-    if options.command is None:
-        made.print_help()
-        return DONE
-    run: Callable[[argparse.Namespace, Console], Outcome] = options.run
-    said = f"loose {options.command}"
-    try:
-        console = Console(options)
-        outcome = run(options, console)
-        console.show(outcome)
-    except KeyboardInterrupt:
-        how = "goes on from there" if options.command in _GOES_ON else "begins anew"
-        print(f"{said}: interrupted; the same command {how}", file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:  # whoever read the output has gone, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return REFUSED
-    except (LooseEnvError, OSError) as error:
-        # Anything else is a fault of the program and keeps its trace.
-        if options.verbose:
-            traceback.print_exc()
-        print(f"{said}: {words_of(error)}", file=sys.stderr)
-        return REFUSED
-    return outcome.code
-
-
-def _usage(own: argparse.ArgumentParser) -> str:
-    """Usage line with what has to be given; the help lists the rest, forty options and more."""
-    words = [own.prog]
-    for action in own._actions:
-        if action.required:
-            metavar = "|".join(action.choices) if action.choices else str(action.metavar)
-            given = f"{metavar} [{metavar} ...]" if action.nargs == "+" else metavar
-            words.append(" ".join([*action.option_strings[:1], given]))
-    return " ".join([*words, "[options]"])
-
-
-def _with_kinds_of_paths(
-    whole: argparse.ArgumentParser, file: Any, folder: Any
-) -> argparse.ArgumentParser:
-    """Mark options that take a path, so that a shell completes files or folders there."""
-    groups: list[argparse.ArgumentParser] = [whole]
-    while groups:
-        for action in groups.pop()._actions:
-            if isinstance(action, argparse._SubParsersAction):
-                groups += action.choices.values()
-            elif action.type is Path or action.dest in ("json", "sources"):
-                is_folder = action.metavar in ("DIR", "RECORDING")
-                action.complete = folder if is_folder else file  # type: ignore[attr-defined]
-    return whole
+    kinds: list[Any] = [
+        Annotated[
+            (options_class(name), tyro.conf.subcommand(name, description=about, prefix_name=False))
+        ]
+        for name, about in COMMANDS.items()
+    ]
+    with_all: Any = Union[tuple(kinds)]  # noqa: UP007 - made at run time
+    with suppress(SystemExit):  # tyro ends the process after the script
+        tyro.cli(
+            with_all,
+            prog="loose",
+            args=["--tyro-write-completion", shell, "-"],
+            config=(tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes),
+        )
 
 
 if __name__ == "__main__":

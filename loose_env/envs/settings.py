@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
+
+from annotated_types import MinLen, Predicate
 
 from loose_env.arms import Arm, Drift
 from loose_env.envs.faults.difficulty import Difficulty, difficulty_named
 from loose_env.errors import UnknownName
 from loose_env.faults import DEFAULT_KINDS, UNSURE, FaultKind
-from loose_env.io import Checked, Count, NonNegative, Rule, all_of, is_finite
+from loose_env.io import Checked, Count, NonNegative, Positive, Rule
 from loose_env.sensors import SensorSuite
 
 __all__ = ["DiagnosisSettings", "Engine", "Prices"]
@@ -73,16 +75,8 @@ class Prices(Checked):
         return self.wrong
 
 
-_MOVES = Rule(
-    "finite degrees, 0 among them", lambda moves: all_of(moves, is_finite) and 0.0 in moves
-)
-_DURATIONS = Rule(
-    "positive seconds, one or more", lambda times: all_of(times, _is_positive, least=1)
-)
-
-
-def _is_positive(value: Any) -> bool:
-    return is_finite(value) and value > 0
+_MOVES = Rule("finite degrees, 0 among them", (Predicate(lambda moves: 0.0 in moves),))
+_DURATIONS = Rule("positive seconds, one or more", (MinLen(1),))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +115,7 @@ class DiagnosisSettings(Checked):
 
     With fewer than the arm has joints, an action has an entry for each of the moves in place of
     one for each joint."""
-    durations: Annotated[tuple[float, ...], _DURATIONS] = (0.2, 0.4, 1.2)
+    durations: Annotated[tuple[Positive, ...], _DURATIONS] = (0.2, 0.4, 1.2)
     """Record lengths to choose from [s]."""
     sensors: SensorSuite = field(default_factory=SensorSuite)
     """Sensors of the arm."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, get_args
+from typing import Annotated, ClassVar, get_args
 
 import numpy as np
+from annotated_types import Predicate
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidSetting
 from loose_env.faults.kinds import SEVERAL_FAULTS, FaultKind
-from loose_env.io import Checked, NonNegative, Rule, is_finite
+from loose_env.io import Checked, NonNegative, Rule, unmet
 
 __all__ = [
     "Backlash",
@@ -30,28 +31,14 @@ _INDEPENDENT = 1e-3
 """Smallest singular value of unit vectors that still count as independent [1]."""
 
 
-def _points_somewhere(vector: object) -> bool:
-    given = _numbers(vector)
-    return given.shape == (3,) and bool(np.isfinite(given).all() and given.any())
-
-
-def _is_place(vector: object) -> bool:
-    given = _numbers(vector)
-    return given.shape == (3,) and bool(np.isfinite(given).all())
-
-
-def _is_two_sided(pair: Any) -> bool:
-    return np.shape(pair) == (2,) and all(is_finite(value) and value >= 0 for value in pair)
-
-
 Vector = tuple[float, float, float]
 Direction = Annotated[
-    Vector, Rule("three finite numbers, not all zero, in the link frame", _points_somewhere)
+    Vector, Rule("three finite numbers, not all zero, in the link frame", (Predicate(any),))
 ]
-Point = Annotated[Vector, Rule("three finite numbers [m] in the link frame", _is_place)]
+Point = Annotated[Vector, Rule("three finite numbers [m] in the link frame")]
 Sides = Annotated[
-    tuple[float, float],
-    Rule("two finite numbers, zero or more, for the lower and the upper stop", _is_two_sided),
+    tuple[NonNegative, NonNegative],
+    Rule("two finite numbers, zero or more, for the lower and the upper stop"),
 ]
 
 
@@ -263,20 +250,10 @@ def unit(what: str, vector: Vector) -> NDArray[np.float64]:
     InvalidSetting
         If it is not three finite numbers, or points nowhere.
     """
-    if not _points_somewhere(vector):
-        raise InvalidSetting(
-            f"{what} is three finite numbers, not all zero, in the link frame; got {vector!r}"
-        )
-    given = _numbers(vector)
+    if words := unmet(Direction, vector):
+        raise InvalidSetting(f"{what} is {words}; got {vector!r}")
+    given = np.asarray(vector, dtype=float)
     return np.asarray(given / np.linalg.norm(given))
-
-
-def _numbers(values: object) -> NDArray[np.float64]:
-    """Convert to an array of numbers; empty if not numeric."""
-    try:
-        return np.empty(0) if isinstance(values, str) else np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        return np.empty(0)
 
 
 def _independent(what: str, vectors: list[Vector]) -> None:

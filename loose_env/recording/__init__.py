@@ -1,13 +1,6 @@
-"""The recording format for measured data: description, tables, reading, writing.
+"""The recording format for measured data: description, tables, reading, writing."""
 
-Data flow: columns -> folder -> run -> corrupt_samples -> sensor_roles -> table -> parquet_file ->
-csv_file -> description -> recording -> writing.
-"""
-
-from loose_env.recording.columns import (
-    ModelColumns,
-    nearest,
-)
+from loose_env.io import nearest
 from loose_env.recording.corrupt_samples import (
     LARGEST_VALUE,
     Corrupt,
@@ -15,48 +8,34 @@ from loose_env.recording.corrupt_samples import (
     set_aside,
     without_corrupt,
 )
-from loose_env.recording.csv_file import (
-    write_csv,
-)
-from loose_env.recording.description import (
-    DESCRIPTION,
-    FORMAT,
-    RunEntry,
-    read_description,
-)
-from loose_env.recording.folder import (
-    existing_file,
-    read_text,
-)
-from loose_env.recording.parquet_file import (
-    write_parquet,
-)
-from loose_env.recording.recording import (
-    Recording,
-    load_model,
-    read_recording,
-)
-from loose_env.recording.run import (
-    Comparison,
-    Condition,
-    Run,
-)
-from loose_env.recording.sensor_roles import (
+from loose_env.recording.model_columns import (
     JointSensors,
+    ModelColumns,
     check_comparison,
     joint_sensors,
 )
-from loose_env.recording.table import (
+from loose_env.recording.recording import (
+    DESCRIPTION,
+    FORMAT,
+    Description,
+    Recording,
+    RunEntry,
+    load_model,
+    read_description,
+    read_recording,
+)
+from loose_env.recording.run import Comparison, Condition, Run, table_of
+from loose_env.recording.tables import (
     FEWEST_SAMPLES,
     MOST_MISSING,
     MOST_VALUES,
+    existing_file,
+    read_parquet,
+    read_text,
+    write_csv,
+    write_parquet,
 )
-from loose_env.recording.writing import (
-    FileFormat,
-    check_target,
-    table_of,
-    write_recording,
-)
+from loose_env.recording.writing import FileFormat, check_target, write_recording
 
 __all__ = [
     "DESCRIPTION",
@@ -68,6 +47,7 @@ __all__ = [
     "Comparison",
     "Condition",
     "Corrupt",
+    "Description",
     "FileFormat",
     "JointSensors",
     "ModelColumns",
@@ -82,6 +62,7 @@ __all__ = [
     "load_model",
     "nearest",
     "read_description",
+    "read_parquet",
     "read_recording",
     "read_text",
     "set_aside",

@@ -26,8 +26,6 @@ from loose_env.errors import InvalidData
 from loose_env.recording.run import Run
 from loose_env.typing import Array
 
-__all__ = ["LARGEST_VALUE", "Corrupt", "corrupt_mask", "set_aside", "without_corrupt"]
-
 LARGEST_VALUE = 1e9
 """Magnitude in any SI unit, above which a value is no measurement."""
 MULTIPLE = 20.0

@@ -2,34 +2,120 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from posixpath import normpath
+from typing import Annotated, Any, Literal
 
 import mujoco
 import numpy as np
+from annotated_types import MinLen
+from pydantic import AfterValidator, BeforeValidator, ConfigDict
 
 from loose_env.arms import compile_spec, load_spec, require_numbers
 from loose_env.errors import InvalidData
-from loose_env.recording.columns import ModelColumns
-from loose_env.recording.csv_file import read_csv
-from loose_env.recording.description import DESCRIPTION, RunEntry, read_description
-from loose_env.recording.folder import existing_file, inside
-from loose_env.recording.parquet_file import read_parquet
-from loose_env.recording.run import Run
-from loose_env.recording.sensor_roles import (
+from loose_env.io import restored, whole_of
+from loose_env.recording.model_columns import (
     JointSensors,
+    ModelColumns,
     add_joint_columns,
     check_comparison,
     joint_sensors,
 )
-from loose_env.recording.table import check_numbers
+from loose_env.recording.run import Condition, Run
+from loose_env.recording.tables import (
+    check_numbers,
+    existing_file,
+    inside,
+    read_csv,
+    read_parquet,
+    read_text,
+)
 
-__all__ = ["ENDINGS", "Recording", "load_model", "read_recording"]
-
+DESCRIPTION = "recording.json"
+"""File that makes a folder a recording."""
+FORMAT = "loose-recording/1"
+"""The format read and written here."""
 ENDINGS = {".parquet": read_parquet, ".csv": read_csv}
 """Endings of a run's file, and what reads it."""
+
+_MOST_BYTES = 2**24
+
+
+def _finite(value: float) -> float:
+    if not np.isfinite(value):
+        raise ValueError("a finite position in rad or m is needed")
+    return value
+
+
+def _each_once(names: tuple[str, ...]) -> tuple[str, ...]:
+    if len(set(names)) < len(names):
+        raise ValueError("a joint stands twice")
+    return names
+
+
+def _given(value: Any) -> Any:
+    if value is None:
+        raise ValueError("a mapping of joints and positions is needed; leave the key out")
+    return value
+
+
+_Name = Annotated[str, MinLen(1)]
+_Pose = Annotated[
+    Mapping[_Name, Annotated[float, AfterValidator(_finite)]] | None, BeforeValidator(_given)
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunEntry:
+    """What ``recording.json`` says of one run."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    file: _Name
+    """Table of the run, from the recording's folder."""
+    excited: Annotated[tuple[_Name, ...], AfterValidator(_each_once)] = ()
+    """Joints driven with random noise."""
+    pose: _Pose = None
+    """Positions that the joints are held at [rad or m]."""
+    condition: Condition = "suspect"
+    """"healthy" where the run is a reference taken before the fault."""
+    planned: bool = False
+    """True for a run that is left out as long as its file is not there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """The content of ``recording.json``."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    format: Literal["loose-recording/1"]
+    """Format of the file."""
+    model: _Name
+    """Model of the machine, from the recording's folder."""
+    runs: Annotated[tuple[RunEntry, ...], MinLen(1)]
+    """The runs, at least one."""
+
+
+def read_description(file: Path) -> Description:
+    """Read ``recording.json``; whether its names exist in the model is not looked at here.
+
+    Raises
+    ------
+    InvalidData
+        If it is not UTF-8, not JSON, or not this format: a key missing, unknown or twice, a
+        value of another type, a number that is not finite.
+    """
+    text = read_text(file, DESCRIPTION, _MOST_BYTES)
+    try:
+        whole = whole_of(text, format=FORMAT, noun="description")
+    except InvalidData as error:
+        raise InvalidData(f"{DESCRIPTION}: {error}") from None
+    return restored(Description, whole, f"{DESCRIPTION}:")
+
 
 _FINITE = (
     "actuator_gainprm actuator_biasprm actuator_dynprm actuator_gear actuator_ctrlrange "

@@ -11,9 +11,6 @@ import numpy as np
 from loose_env.errors import InvalidData
 from loose_env.typing import Array
 
-__all__ = ["Comparison", "Condition", "Run"]
-
-
 Condition = Literal["suspect", "healthy"]
 """Whether the arm was as it is judged, or is known to have been healthy."""
 
@@ -125,6 +122,25 @@ class Run:
         if self.controls:
             return "forward"
         return "inverse" if self.torques else "free"
+
+
+def table_of(run: Run) -> dict[str, Array]:
+    """Columns of a run by their names in a file, for `write_csv` and `write_parquet`.
+
+    Examples
+    --------
+    >>> run = Run(name="run", time=np.arange(3.0), sensors={"tip": np.zeros((3, 3))})
+    >>> list(table_of(run))
+    ['time', 'sensor.tip.x', 'sensor.tip.y', 'sensor.tip.z']
+    """
+    columns = {"time": run.time}
+    columns |= {f"ctrl.{name}": values for name, values in run.controls.items()}
+    for name, values in run.sensors.items():
+        if values.ndim == 1:
+            columns[f"sensor.{name}"] = values
+        else:
+            columns |= {f"sensor.{name}.{a}": values[:, i] for i, a in enumerate("xyz")}
+    return columns | {f"torque.{name}": values for name, values in run.torques.items()}
 
 
 def _taken(run: str, column: str, values: object) -> Array:

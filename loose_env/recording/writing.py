@@ -12,19 +12,19 @@ from pathlib import Path, PurePosixPath
 from posixpath import normpath
 from typing import Any, Literal, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
 from loose_env.arms import files_of
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.recording.csv_file import write_csv
-from loose_env.recording.description import DESCRIPTION, FORMAT, RunEntry, read_description
-from loose_env.recording.folder import inside
-from loose_env.recording.parquet_file import write_parquet
-from loose_env.recording.recording import ENDINGS, Recording, read_recording
-from loose_env.recording.run import Run
-
-__all__ = ["FileFormat", "check_target", "table_of", "write_recording"]
+from loose_env.recording.recording import (
+    DESCRIPTION,
+    ENDINGS,
+    FORMAT,
+    Recording,
+    RunEntry,
+    read_description,
+    read_recording,
+)
+from loose_env.recording.run import Run, table_of
+from loose_env.recording.tables import inside, write_csv, write_parquet
 
 FileFormat = Literal["parquet", "csv"]
 """How the tables of runs are kept."""
@@ -207,22 +207,3 @@ def _entry(file: str, run: Run | RunEntry) -> dict[str, Any]:
     if run.pose is not None:
         entry["pose"] = dict(run.pose)
     return entry | {"condition": run.condition}
-
-
-def table_of(run: Run) -> dict[str, NDArray[np.float64]]:
-    """Columns of a run by their names in a file, for `write_csv` and `write_parquet`.
-
-    Examples
-    --------
-    >>> run = Run(name="run", time=np.arange(3.0), sensors={"tip": np.zeros((3, 3))})
-    >>> list(table_of(run))
-    ['time', 'sensor.tip.x', 'sensor.tip.y', 'sensor.tip.z']
-    """
-    columns = {"time": run.time}
-    columns |= {f"ctrl.{name}": values for name, values in run.controls.items()}
-    for name, values in run.sensors.items():
-        if values.ndim == 1:
-            columns[f"sensor.{name}"] = values
-        else:
-            columns |= {f"sensor.{name}.{a}": values[:, i] for i, a in enumerate("xyz")}
-    return columns | {f"torque.{name}": values for name, values in run.torques.items()}

@@ -24,7 +24,6 @@ from loose_agents.benchmark.results import (
     check_results,
     play_results,
     read_results,
-    results_of,
     results_schema,
     write_results,
 )
@@ -181,25 +180,10 @@ def test_kinds_change_what_they_name_and_nothing_else() -> None:
     assert settings_for("noise_2x", problem) == problem.settings
 
 
-@pytest.mark.parametrize("kind", ["other", "preload", "friction", "noise_2x", "drift"])
-def test_sets_out_of_distribution_are_replayed_too(tmp_path: Path, kind: str) -> None:
-    found = play_results(TASK, kind, "always_healthy", told=TOLD, folder=tmp_path)
-    assert found.set == kind and "always" in check_results(found, episodes=4, rng=rng())
-
-
 def test_unknown_tasks_and_sets_are_refused(tmp_path: Path) -> None:
     for task, name in ((TASK, "none"), ("loose_env/Arm-v0", "test")):
         with pytest.raises(UnknownName, match="unknown"):
             play_results(task, name, "random", told=TOLD, folder=tmp_path)
-
-
-def test_episodes_without_trails_have_no_limits() -> None:
-    problem = tasks.task_problem(TASK, tasks.SETS["test"])
-    row = {"truth": "several_faults", "verdict": None, "reward": -1.0, "records": 0,
-           "confidence": None, "actions": "0"}  # fmt: skip
-    found = results_of([row] * 4, problem, task=TASK, set="test", agent=None, **TOLD)
-    assert found.truth == found.verdict == (-1,) * 4
-    assert found.information == found.guesses == ()
 
 
 def test_the_repository_holds_replayable_files(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from loose_agents.base import Problem
-from loose_agents.belief import links_from
 from loose_agents.evaluation import EpisodeRow, evaluate
 from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings
 from loose_agents.registry import make_agent
@@ -56,10 +55,6 @@ def test_blind_rows_take_the_cheapest_record_and_say_one_thing() -> None:
         for row in rows(arm, name, 8):
             assert (row.verdict, row.records) == (verdict, records)
             assert row.seconds == pytest.approx(records * min(SETTINGS.durations))
-
-
-def test_rows_do_not_depend_on_how_many_arms_run_side_by_side() -> None:
-    assert rows(planar(3), "bisection", 5, width=1) == rows(planar(3), "bisection", 5, width=5)
 
 
 @pytest.mark.parametrize("order", ["outward", "inward", "bisection"])
@@ -181,9 +176,3 @@ def test_sensors_that_do_not_do_are_refused(links: bool | LinkAccelerometers, sa
     problem = Problem.of(ARM, DiagnosisSettings(engine="reduced", sensors=suite))
     with pytest.raises(InvalidSetting, match=says):
         make_agent("local", problem)
-
-
-def test_an_observation_without_them_holds_no_readings_of_links() -> None:
-    layout = Problem.of(ARM, DiagnosisSettings()).layout
-    with pytest.raises(InvalidSetting, match="no accelerometers on links"):
-        links_from(layout, np.zeros(layout.space.shape, dtype=np.float32), 0)

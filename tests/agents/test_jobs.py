@@ -133,10 +133,6 @@ def test_workers_compute_with_one_thread() -> None:
     assert {found for _, found in results_of(threads_of_blas, SPANS, TWO)} == {"1"}
 
 
-def test_no_tasks_give_no_results_and_start_nothing() -> None:
-    assert list(results_of(rows_of, [], BackendSettings(backend="ray"))) == []
-
-
 def test_a_missing_package_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     def absent(name: str) -> Any:
         raise ModuleNotFoundError(name)

@@ -51,10 +51,6 @@ def test_the_registry_keeps_the_planar_method_for_planar_arms() -> None:
     assert agent.settings.policy == "turns"
 
 
-def test_rows_do_not_depend_on_how_many_arms_run_side_by_side() -> None:
-    assert rows(scara(), "images", 5, width=1) == rows(scara(), "images", 5, width=5)
-
-
 def test_turns_move_one_joint_and_images_move_several() -> None:
     arm = six_axis()
     problem = Problem.of(arm, EASY)

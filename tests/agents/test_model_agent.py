@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from loose_agents.base import EpisodeAgent, Problem
 from loose_agents.belief import OWN_WEIGHTS, WEIGHTS, tuned, weights_digest, weights_path
-from loose_agents.benchmark.results import training_of
 from loose_agents.comparison import EvaluationTask, evaluate_shard
 from loose_agents.evaluation import diagnosis_env
 from loose_agents.registry import content_of, describe, is_outside, make_agent
@@ -173,19 +172,6 @@ def test_rows_depend_on_what_the_agent_is_made_of(
     outside = content_of("an_agent_of_mine:Mine")
     module.write_text("class Mine: one = 1", encoding="utf-8")
     assert content_of("an_agent_of_mine:Mine") != outside
-
-
-def test_a_further_training_is_described_and_known_by_its_own_records() -> None:
-    problem = Problem.of(vera(), DiagnosisSettings())
-    assert describe("ppo#2") == describe("ppo") + "; training 2"
-    first, second = training_of("ppo", problem), training_of("ppo#2", problem)
-    assert first is not None
-    assert second is not None
-    assert min(first, second) > 62_000
-    assert [training_of(each, problem) for each in ("local", "outward", "posterior/greedy")] == [
-        0, 0, 0,
-    ]  # fmt: skip
-    assert training_of("somewhere:Mine", problem) is None
 
 
 def test_a_task_is_played_on_the_true_arm(monkeypatch: pytest.MonkeyPatch) -> None:

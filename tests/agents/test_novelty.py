@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loose_agents.base import Problem
-from loose_agents.belief import BeliefAgent, Sure, surprise_of
+from loose_agents.belief import BeliefAgent, Sure
 from loose_agents.benchmark.episodes import OFF, OtherArmRig
 from loose_agents.jobs import Store
 from loose_agents.policies.choice import RandomPolicy
@@ -30,7 +30,7 @@ from loose_env.diagnosis import (
 )
 from loose_env.diagnosis.features import TransmissionChange
 from loose_env.envs import DiagnosisSettings, EpisodeBatch
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidSetting
 from loose_env.faults import UNSURE, Fault, Healthy
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
@@ -129,10 +129,7 @@ def test_an_agent_that_knows_nothing_is_unsure_too(problem: Problem) -> None:
     assert verdict(problem, np.full(count, 1 / count), 1.0) == UNSURE
 
 
-def test_an_estimator_that_says_nothing_of_it_is_never_surprised() -> None:
-    assert surprise_of(object()) == 1.0
-
-
+@pytest.mark.slow
 def test_episodes_of_the_trained_kind_do_not_surprise_and_others_do(
     tensors: dict[str, np.ndarray],
 ) -> None:
@@ -178,13 +175,6 @@ def test_episodes_of_the_trained_kind_do_not_surprise_and_others_do(
     far = episodes(rng, 10, size=30.0)
     assert (surprises(far, posterior(reference)) == 1 / 201).all()
     assert (surprises(far, posterior(None)) == 1.0).all()
-
-
-def test_without_records_there_is_no_reference(tensors: dict[str, np.ndarray]) -> None:
-    some = episodes(np.random.default_rng(1), 5)
-    for trained, held in (([], some), (some, [])):
-        with pytest.raises(InvalidData, match="no episode has a record"):
-            fit_reference(tensors, trained, held, directions=axes_grid(DIRECTIONS, 2))
 
 
 def test_a_reference_is_added_to_weights_that_stay_as_they_are(

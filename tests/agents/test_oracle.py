@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from loose_agents.base import Problem
-from loose_agents.belief import ESTIMATORS, Tracker
+from loose_agents.belief import Tracker
 from loose_agents.evaluation import evaluate
 from loose_agents.policies.oracle import OracleAgent, Told, oracle_agent, restricted
-from loose_agents.registry import belief_agent, make_agent
+from loose_agents.registry import belief_agent
 from scipy import stats
 
 from loose_env.arms import Arm, planar, six_axis
 from loose_env.diagnosis import FaultPosterior, PosteriorSettings
 from loose_env.envs import DiagnosisSettings, FaultSampler
-from loose_env.errors import InvalidSetting
 from loose_env.faults import Backlash, Healthy, StructuralLooseness
 
 SETTINGS = DiagnosisSettings(durations=(0.2,), max_records=3, engine="reduced")
@@ -117,27 +114,3 @@ def test_the_evaluator_tells_it(problem: Problem, oracle: OracleAgent) -> None:
     # The same first record, of which it makes something else.
     assert [r.trail_price[0] for r in rows] == [r.trail_price[0] for r in others]
     assert [r.trail_truth[0] for r in rows] != [r.trail_truth[0] for r in others]
-
-
-def test_an_oracle_that_is_not_told_does_not_play(oracle: OracleAgent) -> None:
-    observation = np.zeros(oracle.problem.layout.space.shape, dtype=np.float32)
-    with pytest.raises(InvalidSetting, match="must be told"):
-        oracle.predict(observation)
-
-
-def test_it_needs_a_posterior_over_places(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Blind:
-        def __init__(self, problem: Problem) -> None:
-            self.problem = problem
-
-    monkeypatch.setitem(ESTIMATORS, "blind", (Blind, "sees nothing"))
-    with pytest.raises(InvalidSetting, match="posterior over places"):
-        oracle_agent(problem, estimator="blind")
-
-
-def test_it_is_known_by_name() -> None:
-    problem = Problem.of(planar(4), SETTINGS)
-    made: Any = make_agent("oracle", problem)
-    assert hasattr(made, "informed")

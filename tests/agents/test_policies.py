@@ -157,13 +157,6 @@ def test_a_fixed_sequence_turns_back_at_the_limit_of_a_joint() -> None:
         FixedPolicy(problem, [])
 
 
-def test_drawn_sequences_keep_to_the_rules_and_excite_each_joint_in_turn() -> None:
-    problem = Problem.of(planar(3), RULES)
-    for sequence in drawn_sequences(problem, 4, 6, np.random.default_rng(0)):
-        joints = [int(np.argmax(problem.actions.decode(a).levels)) for a in sequence]
-        assert sorted(joints[:3]) == sorted(joints[3:]) == [0, 1, 2]
-
-
 def test_the_open_loop_is_blind_to_results() -> None:
     problem = Problem.of(planar(2), RULES)
     estimator = make_estimator("posterior", problem)

@@ -19,10 +19,7 @@ from loose_agents.policies.pose_sets import (
     Task,
     directions_block,
     image_posterior,
-    informed_links,
-    levels_for,
     link_log_likelihoods,
-    nearest_moves,
     records_block,
 )
 from loose_agents.registry import make_agent
@@ -30,7 +27,6 @@ from loose_agents.registry import make_agent
 from loose_env.arms import Arm, planar, six_axis
 from loose_env.diagnosis import DirectionSighting, ToolFrames, link_posterior
 from loose_env.envs import DiagnosisSettings, EpisodeBatch
-from loose_env.errors import InvalidSetting
 
 RULES = DiagnosisSettings()
 
@@ -47,14 +43,6 @@ def situation(problem: Problem, pose: np.ndarray, records: int, memory: Any = No
     )
 
 
-def test_the_nearest_move_stays_within_the_range() -> None:
-    problem = Problem.of(planar(3), RULES)
-    pose = np.radians([0.0, 140.0, 10.0])
-    target = np.radians([-60.0, 190.0, 12.0])
-    moves = problem.actions.moves[nearest_moves(problem, pose, target)]
-    assert np.degrees(moves).round().tolist() == [-45, 0, 0]
-
-
 def test_a_set_is_played_one_pose_after_the_other() -> None:
     problem = Problem.of(planar(2), RULES)
     sets = np.radians([[0.0, 0.0], [0.0, 90.0], [45.0, 0.0]])
@@ -69,16 +57,6 @@ def test_a_set_is_played_one_pose_after_the_other() -> None:
         pose = pose + problem.actions.moves[action.moves]
         reached.append(np.degrees(pose).round().tolist())
     assert reached == [[0, 0], [0, 90], [45, 0], [0, 0]]
-
-
-def test_bad_sets_and_joints_are_refused_with_words() -> None:
-    problem = Problem.of(planar(2), RULES)
-    with pytest.raises(InvalidSetting, match="rows of 2 finite"):
-        PoseSetPolicy(problem, np.zeros((2, 3)))
-    with pytest.raises(InvalidSetting, match="'all' or 'first'"):
-        levels_for(problem, "second")  # type: ignore[arg-type]
-    with pytest.raises(InvalidSetting, match="no belief about directions"):
-        image_posterior(problem, situation(problem, np.zeros(2), 1))
 
 
 @pytest.mark.parametrize("arm", [planar(3), six_axis()])
@@ -174,26 +152,8 @@ def test_blocks_of_directions_do_not_depend_on_their_size() -> None:
         assert whole[0]["right"] == added.tolist()
 
 
-def test_blocks_of_records_do_not_depend_on_their_size() -> None:
-    settings = Records(arms=("planar2",), poses=2)
-    whole = records_block(Task(arm="planar2", strategy="one joint", first=0, cases=4), settings)
-    parts = [
-        records_block(Task(arm="planar2", strategy="one joint", first=k, cases=2), settings)
-        for k in (0, 2)
-    ]
-    for name in ("right", "informed"):
-        assert whole[0][name] == np.sum([part[0][name] for part in parts], axis=0).tolist()
-
-
+@pytest.mark.slow
 def test_knowing_direction_and_friction_names_the_link_more_often() -> None:
     settings = Records(arms=("planar4",), poses=2)
     row = records_block(Task(arm="planar4", strategy="random", first=0, cases=24), settings)[0]
     assert row["informed"][0] > row["right"][0]
-
-
-def test_knowing_what_the_prior_says_tells_no_link_apart() -> None:
-    tracker = Tracker(Problem.of(planar(3), RULES))
-    found = informed_links(
-        tracker.posterior, tracker.begin().belief, np.array([0.6, 0.8]), friction=0.2
-    )
-    np.testing.assert_allclose(found, found[0])

@@ -104,6 +104,7 @@ def test_the_pass_in_numpy_is_that_of_torch(problem, bank, features, figures):
             assert np.allclose(belief.probabilities, np.exp(log[0, k].numpy()), atol=0.01)
 
 
+@pytest.mark.slow
 def test_training_learns_and_resumes_to_the_same_weights(figures, tmp_path):
     whole = training(figures)
     before = whole.scores(figures, most=2)[1]["score"]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from loose_agents.base import EVALUATION_SEEDS, Problem
-from loose_agents.belief import Tracker, make_estimator
+from loose_agents.belief import Tracker
 from loose_agents.rl.hyperparameters import (
     HYPERPARAMETERS,
     LinearSchedule,
@@ -24,7 +24,6 @@ from loose_agents.rl.training import Budget, BudgetSchedule
 from loose_agents.rl.training_env import (
     TrackedVecEnv,
     evaluation_seed,
-    forced_records,
     log_posterior,
     training_seed,
 )
@@ -75,30 +74,9 @@ def test_the_shaping_sums_to_what_the_episode_added_to_the_log_posterior() -> No
     assert ended >= 6
 
 
-def test_without_weight_nothing_is_added() -> None:
-    plain, shaped = make(), make(shaping=0.5)
-    rng = np.random.default_rng(1)
-    plain.reset()
-    shaped.reset()
-    differ = False
-    for step in range(6):
-        drawn = choices(plain, rng, stop=step % 3 == 2)
-        (_, unshaped, dones, ours), (_, rewards, _, theirs) = plain.step(drawn), shaped.step(drawn)
-        differ |= bool(np.any(unshaped != rewards))
-        for i in np.flatnonzero(dones):
-            assert ours[i]["episode"]["r"] == theirs[i]["episode"]["r"]
-    assert differ
-
-
 def test_the_log_posterior_of_the_truth_is_cut_off() -> None:
     assert log_posterior(0.0) == log_posterior(1e-9) == pytest.approx(-5.0)
     assert log_posterior(0.5) == pytest.approx(np.log(0.5))
-
-
-@pytest.mark.parametrize("weight", [-0.1, float("nan")])
-def test_a_shaping_that_makes_no_sense_is_refused(weight: float) -> None:
-    with pytest.raises(InvalidSetting, match="0 or more"):
-        make(shaping=weight)
 
 
 def test_forced_records_forbid_early_stops() -> None:
@@ -115,24 +93,6 @@ def test_forced_records_forbid_early_stops() -> None:
         assert np.array_equal(dones, masks[:, -1])
         lengths += [infos[i]["records"] for i in np.flatnonzero(dones)]
     assert lengths == [3] * 6 + [1] * 6
-
-
-def test_the_last_record_ends_the_forcing() -> None:
-    vec = make(num=1)
-    vec.reset()
-    vec.least_records = 99
-    rng = np.random.default_rng(3)
-    ended = [vec.step(choices(vec, rng, stop=False))[2][0] for _ in range(5)]
-    assert ended == [False] * 4 + [True]
-
-
-def test_forced_records_fall_to_one() -> None:
-    found = [forced_records(share, first=3, until=0.4) for share in np.linspace(0, 1, 101)]
-    assert found[0] == 3
-    assert found[40:] == [1] * 61
-    assert sorted(found, reverse=True) == found
-    assert set(found) == {1, 2, 3}
-    assert {forced_records(share, first=5, until=0.0) for share in (0.0, 0.5)} == {1}
 
 
 def test_masks_are_those_of_the_policys_choices() -> None:
@@ -198,11 +158,6 @@ def test_seeds_of_training_meet_neither_each_other_nor_those_of_evaluation() -> 
     assert training_seed(1, 512) == training_seed(1, 512)
 
 
-def test_an_unknown_estimator_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(UnknownName, match="posterior"):
-        make_estimator("oracle", Problem.of(planar(2), SETTINGS))
-
-
 def test_the_budget_that_runs_out_first_decides_the_schedule() -> None:
     budget = Budget(steps=100, seconds=10.0)
     budget.spent = 8.0
@@ -256,33 +211,11 @@ def test_order_of_records_and_empty_slots_do_not_matter(env: Any) -> None:
     assert not torch.allclose(network(fewer), wanted)
 
 
-def test_without_records_only_the_global_elements_are_seen(env: Any) -> None:
-    seen = observations(env.layout, records=0)
-    network = extractor(env)
-    found = network(seen)
-    torch.testing.assert_close(found[:, : network.start], seen[:, : network.start])
-    assert not found[:, network.start :].any()
-
-
-def test_constant_elements_weigh_nothing_and_stay_finite(env: Any) -> None:
-    seen = observations(env.layout, records=2)
-    network = extractor(env)
-    network.standardise(seen.numpy())
-    assert network.gain[0] == 0.0  # the element that says that a record was measured
-    assert torch.isfinite(network.gain).all()
-    assert (network.gain[1:] > 0.0).all()
-
-
 def test_pairs_are_statistics_and_their_nominal_twins(env: Any) -> None:
     names = [each.name for each in env.layout.slot_elements]
     pairs = record_set_arguments(env.layout)["pairs"]
     assert pairs
     assert all(names[b] == f"nominal_{names[a]}" for a, b in pairs)
-
-
-def test_a_wrong_layout_is_refused_in_words(env: Any) -> None:
-    with pytest.raises(InvalidSetting, match="record_set_arguments"):
-        RecordSetExtractor(env.observation_space, slots=12, slot_size=1000)
 
 
 @pytest.mark.parametrize(

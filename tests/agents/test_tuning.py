@@ -26,9 +26,7 @@ from loose_agents.tuning import (
     names_of,
     play_player,
     play_trails,
-    single_joints,
     trained,
-    unseen_return,
     write_tuned,
 )
 
@@ -61,6 +59,7 @@ def agents_of(problem: Problem) -> list[BeliefAgent]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", [0, 1], ids=["random", "oracle"])
 def test_a_threshold_is_worth_what_playing_with_it_brings(problem: Problem, which: int) -> None:
     agent = agents_of(problem)[which]
@@ -144,14 +143,6 @@ def test_the_threshold_is_near_the_best_on_other_episodes() -> None:
     assert right[0] > right[1]
 
 
-def test_unseen_returns_are_those_of_other_episodes() -> None:
-    trails, rng = made_trails(400, 3), np.random.default_rng(0)
-    tops = max(trails.returns(t).mean() for t in THRESHOLDS)
-    assert tops - 0.1 < unseen_return(trails, rng) <= tops
-    with pytest.raises(InvalidSetting, match="two episodes"):
-        unseen_return(trails.part(slice(0, 1)), rng)
-
-
 def test_the_best_constant_is_found_by_halving() -> None:
     worth = {(1, 0): 0.2, (2, 0): 0.5, (0, 1): 0.3, (0, 2): 0.9, (0, 3): 0.1}
     asked: list[tuple[tuple[int, ...], int]] = []
@@ -165,12 +156,6 @@ def test_the_best_constant_is_found_by_halving() -> None:
     assert [n for _, n in asked] == [2] * 5 + [4] * 3 + [8] * 2
     assert asked[-2:] == [((0, 2), 8), ((2, 0), 8)]
     assert best_constant([(1, 0)], play, episodes=8) == (1, 0)
-
-
-def test_every_joint_is_tried_at_every_level(problem: Problem) -> None:
-    assert sorted(single_joints(problem)) == [(0, 1), (0, 2), (0, 3), (1, 0), (2, 0), (3, 0)]
-    with pytest.raises(InvalidSetting, match="1 to 3"):
-        single_joints(problem, [4])
 
 
 def test_settings_of_others_are_kept(tmp_path: Path) -> None:

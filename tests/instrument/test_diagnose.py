@@ -242,7 +242,7 @@ def test_an_interrupted_diagnosis_says_that_it_begins_anew(
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("loose_env.cli.diagnose.diagnose", stopped)
+    monkeypatch.setattr("loose_env.cli.instrument.diagnose", stopped)
     assert main(["diagnose", str(tmp_path / "r"), "--out", str(tmp_path / "found")]) == 130
     said = capsys.readouterr().err
     assert said == "loose diagnose: interrupted; the same command begins anew\n"

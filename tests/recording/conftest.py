@@ -1,4 +1,4 @@
-"""Runs and folders that the tests of recordings share."""
+"""Runs and folders that the tests of recordings share; tables written by hand."""
 
 from __future__ import annotations
 
@@ -11,7 +11,48 @@ import numpy as np
 import pytest
 
 from loose_env.recording import Run
-from tests.recording.hand_made import ARM, TIME
+
+Folder = Callable[..., Path]
+ARM = """<mujoco>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder" axis="0 1 0"/>
+      <inertial pos=".2 0 0" mass="2" diaginertia=".02 .02 .02"/>
+      <body name="lower" pos=".4 0 0">
+        <joint name="reach" type="slide" axis="1 0 0"/>
+        <inertial pos=".1 0 0" mass="1" diaginertia=".01 .01 .01"/>
+        <site name="tip" pos=".2 0 0"/>
+      </body>
+    </body>
+    <body name="stand" pos="0 1 0">
+      <joint name="aside"/>
+      <inertial pos="0 0 0" mass="1" diaginertia=".01 .01 .01"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="lift" joint="shoulder"/><position name="push" joint="reach" kp="100"/>
+  </actuator>
+  <sensor>
+    <jointpos name="angle" joint="shoulder"/><jointvel name="rate" joint="shoulder"/>
+    <jointpos name="stroke" joint="reach"/><jointpos name="aside_angle" joint="aside"/>
+    <accelerometer name="tool" site="tip"/><framequat name="turned" objtype="site" objname="tip"/>
+  </sensor>
+</mujoco>
+"""
+
+TIME = np.arange(20) / 100
+COS = [repr(float(v)) for v in np.cos(TIME)]
+
+
+def csv_text(**columns: Any) -> str:
+    """A CSV of `TIME` and columns: dots in names are two underscores, values are any words."""
+    given = {"time": [f"{t:g}" for t in TIME]} | {
+        name if name[0] == "_" else name.replace("__", "."): values
+        for name, values in columns.items()
+    }
+    length = len(next(iter(given.values())))
+    lines = [",".join(given)] + [",".join(str(v[i]) for v in given.values()) for i in range(length)]
+    return "\n".join(lines) + "\n"
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -18,11 +17,9 @@ from loose_env.recording import (
     joint_sensors,
     read_recording,
 )
-from tests.recording.hand_made import ARM, TIME, csv_text
+from tests.recording.conftest import ARM, COS, TIME, Folder, csv_text
 
 MEASURED = Path(__file__).parents[3] / "shared" / "measured" / "so101"
-COS = [repr(float(v)) for v in np.cos(TIME)]
-Folder = Callable[..., Path]
 
 
 def test_columns_become_arrays_of_the_elements_they_name(folder: Folder) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.recording import Run, read_recording, write_recording, writing
-from tests.recording.hand_made import ARM, TIME
+from tests.recording.conftest import ARM, TIME
 
 Swing = Callable[..., Run]
 
@@ -40,7 +40,7 @@ def assert_same(run: Run, other: Run) -> None:
 
 
 @pytest.mark.parametrize("file_format", ["parquet", "csv"])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_every_number_comes_back(
     tmp_path: Path, swing: Swing, file_format: writing.FileFormat, seed: int
 ) -> None:
@@ -128,7 +128,7 @@ def test_two_runs_of_one_name_are_refused(tmp_path: Path, swing: Swing) -> None:
     with pytest.raises(InvalidData, match=r"two files 'a\.csv'"):
         runs = [swing("a.csv"), swing("a.parquet")]
         write_recording(tmp_path / "made", model_xml=ARM, runs=runs, file_format="csv")
-    with pytest.raises(InvalidData, match="runs is a list of at least one run"):
+    with pytest.raises(InvalidData, match=r"runs: .*at least 1"):
         write_recording(tmp_path / "made", model_xml=ARM, runs=[])
     assert list(tmp_path.iterdir()) == []
 

@@ -88,18 +88,11 @@ def test_rows_are_the_same_for_any_worker_count_shard_and_width(
     assert narrow == expected
 
 
+@pytest.mark.slow
 def test_rows_are_the_same_from_two_processes(whole: Path, tmp_path: Path) -> None:
     pytest.importorskip("joblib")
     expected = [row for row in read_rows(whole / "rows.json")[0] if row["agent"] == "classical"]
     assert run(tmp_path, "--agents", "classical", "--workers", "2", "--shard", "3") == expected
-
-
-def test_each_difficulty_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rows = run(
-        tmp_path, "--agents", "classical", "--difficulties", "easy", "hard", "--workers", "1"
-    )
-    assert [row["difficulty"] for row in rows] == ["easy"] * 5 + ["hard"] * 5
-    assert "By difficulty" in capsys.readouterr().out
 
 
 def test_estimators_are_crossed_with_policies() -> None:

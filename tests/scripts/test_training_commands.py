@@ -234,24 +234,6 @@ def test_a_checkpoint_keeps_the_optimiser_and_the_generators(
 
 
 @pytest.mark.slow
-def test_checkpoints_keep_their_distance(
-    train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from loose_agents.rl import training
-
-    written = []
-    write = training.write_model
-
-    def spy(path: Path, model: Any) -> None:
-        written.append(model.num_timesteps)
-        write(path, model)
-
-    monkeypatch.setattr(training, "write_model", spy)
-    train.main(options(tmp_path, 80, "--save-freq", "32", "--verbose", "0"))
-    assert written == [32, 64, 80]
-
-
-@pytest.mark.slow
 def test_a_run_of_another_configuration_is_refused(
     train: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -266,15 +248,6 @@ def test_a_run_of_another_configuration_is_refused(
     train.main(options(tmp_path, 16, "--shaping", "0.2", "--restart"))
     assert "resumed" not in capsys.readouterr().out.splitlines()[-1]
     assert checkpoint.read_bytes() != before
-
-
-@pytest.mark.slow
-def test_a_broken_checkpoint_is_refused_with_the_way_out(train: ModuleType, tmp_path: Path) -> None:
-    train.main(options(tmp_path, 16, "--verbose", "0"))
-    checkpoint = tmp_path / "ppo" / NAME / "checkpoint.zip"
-    checkpoint.write_bytes(checkpoint.read_bytes()[:1000])
-    with pytest.raises(SystemExit, match="--restart begins anew"):
-        train.main(options(tmp_path, 32))
 
 
 @pytest.mark.slow
@@ -430,15 +403,6 @@ def test_env_kwargs_of_a_file_that_are_no_mapping_are_refused_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("words", [["--algo", "sac"], ["--n-timestep", "x"], ["--colour"]])
-def test_words_that_are_no_options_are_refused_in_one_line(
-    train: ModuleType, capsys: pytest.CaptureFixture[str], words: list[str]
-) -> None:
-    with pytest.raises(SystemExit):
-        train.main(words)
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 @pytest.mark.parametrize(
     ("words", "says"),
     [
@@ -457,10 +421,6 @@ def test_bad_options_of_playing_are_refused_in_one_line(
     assert message.startswith("enjoy: ")
     assert says in message
     assert "\n" not in message
-
-
-def test_no_commit_is_named_outside_a_repository(tmp_path: Path) -> None:
-    assert git_commit(tmp_path) is None
 
 
 @pytest.mark.slow

@@ -7,14 +7,11 @@ from typing import Annotated, Literal
 
 from loose_env.envs.model_gap.hidden_machine import MachineDraw
 from loose_env.gap import BeliefSettings
-from loose_env.io import Checked, Count, NonNegative, Positive, Probability, Rule, all_of
+from loose_env.io import Checked, Count, NonNegative, Positive, Probability, Rule
 
 __all__ = ["GapPrices", "ModelGapSettings"]
 
-_KINDS = Rule(
-    "kinds of the catalogue, none for all",
-    lambda kinds: all_of(kinds, lambda k: isinstance(k, str)),
-)
+_KINDS = Rule("kinds of the catalogue, none for all")
 
 
 @dataclass(frozen=True, kw_only=True)

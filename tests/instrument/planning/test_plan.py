@@ -18,8 +18,7 @@ from loose_env.instrument.planning.plan import Plan, next_for, plan
 from loose_env.instrument.result import Diagnosis, Fault, RecordSeen
 from loose_env.instrument.settings.arm_and_plan import ModelSettings, PlanSettings
 from loose_env.instrument.settings.motion import MotionSettings
-from loose_env.recording import read_recording, write_csv
-from loose_env.recording.parquet_file import read_parquet
+from loose_env.recording import read_parquet, read_recording, write_csv
 from loose_env.report import plan_commands
 from tests.instrument.arms.plan_arms import MOTORS, SERVOED, URDF, written
 from tests.instrument.arms.playing import play

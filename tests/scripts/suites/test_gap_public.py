@@ -183,7 +183,7 @@ EFFECT = {"kind": "coulomb_friction", "where": "joint1"}
         (None, "the answer cannot be read"),
         ("{", "is no JSON"),
         ('{"format": "gap-answer/2"}', "'gap-answer/1' is needed"),
-        ({"verdict": "nothing"}, "is none of ['no_gap', 'named', 'unexplained']"),
+        ({"verdict": "nothing"}, "is none of 'no_gap', 'named' or 'unexplained'"),
         ({"verdict": "named"}, "'named' has one or more"),
         ({"verdict": "no_gap", "effects": [EFFECT]}, "the others have none"),
         ({"verdict": "named", "effect": [EFFECT]}, "did you mean 'effects'?"),

@@ -1,0 +1,263 @@
+"""Commands that make and check recordings: ``loose import``, ``loose doctor``."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import mujoco
+from tyro.conf import OmitArgPrefixes, Positional, arg
+
+from loose_env.cli.command import refuse
+from loose_env.cli.console import Console, OnRecording, Outcome, Output
+from loose_env.doctor import DoctorSettings, Finding, examine, write_corrected
+from loose_env.errors import InvalidSetting
+from loose_env.importing import (
+    FileList,
+    ImportSettings,
+    Proposal,
+    describe_sources,
+    import_recording,
+    list_sources,
+    proposal_text,
+    propose,
+)
+from loose_env.io import json_text, write_text
+from loose_env.recording import Recording, load_model, read_recording
+
+IMPORTED, DESCRIBED, PROPOSAL = "loose-import/1", "loose-sources/1", "loose-proposal/1"
+"""Formats of the JSON documents of an import, of --describe, and of --guess."""
+PROPOSED = "mapping.toml"
+"""File that --guess writes where --mapping names none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doctor(OnRecording):
+    """Check a recording: units, ranges, signs, sampling, channels, clocks, entries.
+
+    Reads a recording (a folder with recording.json, the nominal model and measured runs), and
+    prints all findings at once: errors, which make a result wrong; warnings, which may; notes. Each
+    says what was found, with its number and unit, the consequence and the remedy. 'loose diagnose'
+    and 'loose gap' run the same checks first and stop at errors; --ignore-doctor goes on. The exit
+    code is 1 where there are errors.
+
+        loose doctor session/recording
+        loose doctor session/recording --fix session/corrected
+
+    Where a changed unit, sign, order of joints, clock or direction of gravity explains the torques,
+    the finding names it with the share of their variance that is left. --fix writes the corrected
+    recording beside; nothing is corrected without it.
+    """
+
+    fix: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Write the recording with the offered corrections of errors and warnings to a new folder; the
+    one that is read stays as it is."""
+    settings: OmitArgPrefixes[DoctorSettings]
+    """Tolerances."""
+
+    def run(self, console: Console) -> Outcome:
+        """Check the recording, and correct it where asked to."""
+        recording = read_recording(self.recording, model=self.model)
+        report = examine(recording, self.settings)
+        outcome = Outcome(text=report.text(), json=report.to_json, code=1 if report.errors else 0)
+        if self.fix is None:
+            return outcome
+        found = (*report.errors, *report.warnings)
+        fixes = list(dict.fromkeys(each.fix for each in found if each.fix is not None))
+        try:
+            made = write_corrected(recording, fixes, self.fix)
+        except BaseException:
+            console.show(outcome)  # the findings are worth their time without the copy, too
+            raise
+        written = f"written: {made.folder}, with {'; '.join(fix.words for fix in fixes)}"
+        return replace(outcome, text=f"{outcome.text}\n{written}")
+
+
+def check_first(recording: Recording, *, ignore_errors: bool) -> tuple[Finding, ...]:
+    """Check a recording that was read, and print errors and warnings on the error stream.
+
+    Returns
+    -------
+    tuple of Finding
+        All findings, for the result.
+
+    Raises
+    ------
+    InvalidData
+        If there are errors, and they are not to be ignored.
+    """
+    report = examine(recording)
+    for line in report.lines(least="warning"):
+        print(line, file=sys.stderr)
+    if not ignore_errors:
+        report.refuse_errors(listed="listed above", remedy="--ignore-doctor")
+    return report.findings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Import(Output):
+    """Make a recording from logs: ROS 2 bags, tables, LeRobot and robomimic datasets and others.
+
+    A mapping file says which channel of which file goes into which column of the recording, in
+    which unit, and by which clock. --guess proposes one by names, ranges and correlations, with the
+    reason for each line, and writes it for you to check. --describe lists the channels of files and
+    prints a mapping to fill in.
+
+        loose import --guess robot.mcap --model arm.xml --mapping mapping.toml
+        loose import robot.mcap --mapping mapping.toml --out recording
+        loose import --describe robot.mcap vibration.csv > mapping.toml
+
+    The recording is read back and checked before it takes its final name: a folder of that name is
+    always complete.
+    """
+
+    sources: Positional[
+        Annotated[tuple[str, ...], arg(metavar="SOURCE ...", help_behavior_hint="(required)")]
+    ] = ()
+    """File or folder of a log; NAME=PATH where the mapping calls it NAME."""
+    guess: bool = False
+    """Propose the mapping for --model, print it and write it to --mapping (mapping.toml by
+    default)."""
+    rate_hz: float | None = None
+    """With --guess: sampling rate of files without times [Hz]."""
+    describe: bool = False
+    """List the files' channels, as a mapping to fill in."""
+    mapping: Annotated[Path | None, arg(metavar="MAP")] = None
+    """Mapping file, .toml or .json."""
+    out: Annotated[Path | None, arg(metavar="RECORDING")] = None
+    """Folder of the recording."""
+    model: Annotated[Path | None, arg(metavar="MODEL.xml")] = None
+    """MJCF file in the place of the mapping's."""
+    package_path: Annotated[Path | None, arg(metavar="DIR")] = None
+    """With --describe or --guess: folder of the package, or packages, of a URDF's meshes."""
+    settings: OmitArgPrefixes[ImportSettings]
+    """The recording that is written."""
+
+    def run(self, console: Console) -> Outcome:
+        """Import, describe, or propose a mapping."""
+        if not self.sources:
+            _refuse("SOURCE must be given")
+        if self.describe and self.guess:
+            _refuse("give --describe or --guess, not both")
+        if self.describe:
+            return self._described()
+        if self.guess:
+            return self._guessed(console)
+        if self.rate_hz is not None:
+            _refuse("--rate-hz is for --guess; a mapping has time = { rate_hz = ... }")
+        if self.mapping is None or self.out is None:
+            _refuse("give --mapping MAP and --out RECORDING, or --describe or --guess")
+        recording = import_recording(
+            self.sources, self.mapping, self.out, self.settings, model=self.model, say=console.say
+        )
+        return Outcome(
+            text=f"written: {self.out} ({len(recording.runs)} runs)",
+            json=lambda: json_text({"format": IMPORTED, **contents(recording)}),
+        )
+
+    def _described(self) -> Outcome:
+        """Channels of the files, as a mapping to fill in and as JSON."""
+        if self.mapping is not None or self.out is not None:
+            _refuse("--describe takes files and --model only")
+        model = None if self.model is None else self._compiled(self.model)
+        sources = {name: listed(each) for name, each in list_sources(self.sources).items()}
+        return Outcome(
+            text=describe_sources(self.sources, model),
+            json=lambda: json_text({"format": DESCRIBED, "sources": sources}),
+        )
+
+    def _guessed(self, console: Console) -> Outcome:
+        """Proposed mapping, written to a file and as JSON."""
+        if self.model is None or self.out is not None:
+            _refuse("--guess takes files, --model and the --mapping to write, no --out")
+        if self.rate_hz is not None and not 1e-6 <= self.rate_hz <= 1e9:
+            raise InvalidSetting(f"--rate-hz is from 1e-6 to 1e9 Hz, got {self.rate_hz:g}")
+        target = self.mapping or Path(PROPOSED)
+        if target.suffix.lower() != ".toml":
+            raise InvalidSetting(f"--mapping {str(target)!r}: a proposal is written as .toml")
+        if target.exists() and not self.settings.overwrite:
+            raise InvalidSetting(
+                f"{str(target)!r} is there already; --overwrite replaces it, or name another file "
+                "by --mapping"
+            )
+        proposal = propose(self.sources, self._compiled(self.model), self.rate_hz)
+        model, home = self.model.resolve(), target.resolve().parent
+        beside = model.relative_to(home).as_posix() if model.is_relative_to(home) else ""
+        text = proposal_text(proposal, beside)
+        write_text(target, text)
+        taken = [each for each in proposal.columns if not each.open]
+        console.say(f"written: {target}, {len(taken)} columns; check each line before the import")
+        return Outcome(
+            text=text,
+            json=lambda: json_text({"format": PROPOSAL, **proposed(proposal, target)}),
+        )
+
+    def _compiled(self, model: Path) -> mujoco.MjModel:
+        if not model.is_file():
+            raise InvalidSetting(f"there is no model {str(model)!r}")
+        return load_model(model, package=self.package_path)[1]
+
+
+def _refuse(words: str) -> NoReturn:
+    refuse("loose import", words)
+
+
+def proposed(proposal: Proposal, target: Path) -> dict[str, Any]:
+    """Lines of a proposal, each with its reason."""
+    columns = [
+        {
+            "column": each.column or None,
+            "source": each.candidate.source,
+            "topic": each.candidate.key.topic or None,
+            "channel": each.candidate.key.channel,
+            "unit": each.scaling.unit or None,
+            "scale": each.scaling.scale,
+            "sign": each.sign,
+            "offset": each.scaling.offset,
+            "complete": not each.open,
+            "reason": each.reason,
+        }
+        for each in proposal.columns
+    ]
+    return {"mapping": target, "columns": columns, "notes": list(proposal.notes)}
+
+
+def listed(source: FileList) -> dict[str, Any]:
+    """Streams and channels of a file; what its kind does not say is null."""
+    streams = [
+        {
+            "topic": stream.topic,
+            "samples": stream.samples or None,
+            "seconds": stream.seconds,
+            "rate_hz": stream.rate_hz,
+            "channels": [
+                {"channel": each.key.channel, "unit": each.unit, "first_values": each.first}
+                for each in stream.channels
+            ],
+        }
+        for stream in source.streams
+    ]
+    return {"file": source.name, "kind": source.kind, "streams": streams}
+
+
+def contents(recording: Recording) -> dict[str, Any]:
+    """Contents of a recording: its model, and every run with its columns, length and rate."""
+    runs = []
+    for run in recording.runs:
+        seconds = float(run.time[-1] - run.time[0])
+        runs.append(
+            {
+                "file": run.name,
+                "samples": len(run.time),
+                "seconds": seconds,
+                "rate_hz": (len(run.time) - 1) / seconds if seconds > 0 else None,
+                "condition": run.condition,
+                "excited": list(run.excited),
+                "controls": list(run.controls),
+                "sensors": list(run.sensors),
+                "torques": list(run.torques),
+            }
+        )
+    return {"recording": recording.folder, "model": recording.model_path, "runs": runs}
