@@ -153,11 +153,8 @@ TUNING_SEED = 20_080_000
 """Seed of the episodes on which stopping thresholds are tuned."""
 BANK_SEED = 19_950_000
 """Seed of the episodes of record banks."""
-CHECK_SEED = 19_960_000
-"""Seed of the episodes on which fast posteriors are compared with particles."""
-
-BANK_ACTIONS, CHECK_ACTIONS, CHECK_PARTICLES = 16, 17, 18
-"""Streams of an episode for random actions and particles, beyond those the environment uses."""
+BANK_ACTIONS = 16
+"""Stream of an episode for random actions, beyond those the environment uses."""
 
 
 def check_training_seed(seed: int) -> int:

@@ -56,24 +56,7 @@ def arm_figure(
     fault: Fault | None = None,
     excited: Collection[str] | None = None,
 ) -> Figure:
-    """Draw an arm in a pose: links, numbered joints, tool frame, and what is suspected.
-
-    Parameters
-    ----------
-    arm : Arm
-        The nominal arm.
-    pose : mapping
-        Joint -> position [rad or m]; joints that are not named stand at zero.
-    fault : Fault, optional
-        Suspected fault; drawn in the colour of the fault.
-    excited : collection of str, optional
-        Joints that are shaken; the others are braked. Without it no joint is either.
-
-    Raises
-    ------
-    InvalidData
-        If the pose or the fault names what the arm does not have.
-    """
+    """Draw an arm in a pose: links, numbered joints, tool frame, and what is suspected."""
     link, joint = _place(arm, fault)
     data = _posed(arm, pose)
     see, upright = _camera(arm, data)
