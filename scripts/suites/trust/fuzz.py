@@ -398,7 +398,7 @@ def _hyperparameters(home: Path) -> Any:
 
 
 def _policy(home: Path) -> Any:
-    from loose_agents.rl.learned_policy import LearnedAgent
+    from loose_agents.rl.agents import LearnedAgent
 
     return LearnedAgent.load(_problem(), home).form.observation_space.shape
 

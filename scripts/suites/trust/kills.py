@@ -203,7 +203,7 @@ def _try(problems: list[str], file: Path, read: Callable[[], object]) -> None:
 
 
 def _broken_policies(out: Path) -> list[str]:
-    from loose_agents.rl.checkpoint import read_model
+    from loose_agents.rl.model_files import read_model
     from safetensors.numpy import load_file
 
     found: list[str] = []
@@ -231,7 +231,7 @@ def _evaluations(file: Path) -> list[int]:
 
 def _trained(out: Path) -> Any:
     """What does not depend on the faults that a resumed run meets: counts and names of files."""
-    from loose_agents.rl.checkpoint import read_model
+    from loose_agents.rl.model_files import read_model
 
     (checkpoint,) = out.rglob("checkpoint.zip")
     run = read_model(checkpoint).run
