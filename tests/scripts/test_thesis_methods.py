@@ -11,7 +11,6 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from tests.faults.thesis_equations import Figures, healthy_torques, thesis_arm
 
 from loose_env.arms import LinearArm, planar, vera
 from loose_env.errors import InvalidData
@@ -37,6 +36,7 @@ from scripts.thesis.planar_motion import (
 from scripts.thesis.pose_choice import axis_difference_deg, direction_deg, ellipsoid, rotation_line
 from scripts.thesis.rigs import cylindrical, slide_rig
 from scripts.thesis.sizing import TwoLinks, arm_loads, peak_force, two_link_loads, two_links
+from tests.faults.thesis_equations import Figures, healthy_torques, thesis_arm
 
 PLANE, POSE = [0, 1, 5], np.array([0.3, 0.9, -0.7])
 SLIDE = StructuralLooseness(
