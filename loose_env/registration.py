@@ -79,11 +79,6 @@ REWARD_THRESHOLDS = (0.80, 0.82, 0.65, None, None)
 (docs/agents.md); None where no agent is published."""
 
 _OF_ANY = ("hold", "levels", "gravity")
-_VERA = _OF_ANY
-_PLANAR = ("n_links", "vertical", *_OF_ANY)
-_SIX_AXIS = _OF_ANY
-_SCARA = _OF_ANY
-_FROM_FILE = ("model", "true_model", "tool", "tool_offset", "joints", *_OF_ANY)
 _SINGLE = ("render_mode", "rig", "threads", "true_arm")
 _VECTOR = ("render_mode", "threads", "true_arm", "autoreset_mode")
 _ON_LINKS = "link_accelerometers"
@@ -119,93 +114,45 @@ def make_gap(**arguments: Any) -> gymnasium.Env[Any, Any]:
     return make_model_gap(**arguments)
 
 
-def make_vera(**arguments: Any) -> gymnasium.Env[Any, Any]:
-    """Make the environment of VERA."""
-    return _single(_vera(arguments), arguments, _VERA)
+def _makers(arm: str, *own: str) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Entry points of an arm of the library, which has arguments of its own."""
+    of_arm = (*own, *_OF_ANY)
+
+    def make(**arguments: Any) -> gymnasium.Env[Any, Any]:
+        """Make the environment of the arm in the name."""
+        return _single(_nominal(arm, arguments, of_arm), arguments, of_arm)
+
+    def make_vector(num_envs: int = 1, **arguments: Any) -> Any:
+        """Make the vector environment of the arm in the name."""
+        return _vector(_nominal(arm, arguments, of_arm), num_envs, arguments, of_arm)
+
+    return make, make_vector
 
 
-def make_vera_vector(num_envs: int = 1, **arguments: Any) -> Any:
-    """Make the vector environment of VERA."""
-    return _vector(_vera(arguments), num_envs, arguments, _VERA)
+make_vera, make_vera_vector = _makers("vera")
+make_planar, make_planar_vector = _makers("planar", "n_links", "vertical")
+make_six_axis, make_six_axis_vector = _makers("six_axis")
+make_scara, make_scara_vector = _makers("scara")
+make_arm, make_arm_vector = _makers("arm", "model", "true_model", "tool", "tool_offset", "joints")
 
 
-def make_planar(**arguments: Any) -> gymnasium.Env[Any, Any]:
-    """Make the environment of the planar arm of n links."""
-    return _single(_planar(arguments), arguments, _PLANAR)
+def _nominal(arm: str, arguments: dict[str, Any], of_arm: tuple[str, ...]) -> Any:
+    """Take the arguments of an arm, and make it."""
+    from loose_env import arms
 
-
-def make_planar_vector(num_envs: int = 1, **arguments: Any) -> Any:
-    """Make the vector environment of the planar arm of n links."""
-    return _vector(_planar(arguments), num_envs, arguments, _PLANAR)
-
-
-def make_six_axis(**arguments: Any) -> gymnasium.Env[Any, Any]:
-    """Make the environment of the six-axis arm."""
-    return _single(_six_axis(arguments), arguments, _SIX_AXIS)
-
-
-def make_six_axis_vector(num_envs: int = 1, **arguments: Any) -> Any:
-    """Make the vector environment of the six-axis arm."""
-    return _vector(_six_axis(arguments), num_envs, arguments, _SIX_AXIS)
-
-
-def make_scara(**arguments: Any) -> gymnasium.Env[Any, Any]:
-    """Make the environment of the SCARA."""
-    return _single(_scara(arguments), arguments, _SCARA)
-
-
-def make_scara_vector(num_envs: int = 1, **arguments: Any) -> Any:
-    """Make the vector environment of the SCARA."""
-    return _vector(_scara(arguments), num_envs, arguments, _SCARA)
-
-
-def make_arm(**arguments: Any) -> gymnasium.Env[Any, Any]:
-    """Make the environment of the arm in a file."""
-    return _single(_from_file(arguments), arguments, _FROM_FILE)
-
-
-def make_arm_vector(num_envs: int = 1, **arguments: Any) -> Any:
-    """Make the vector environment of the arm in a file."""
-    return _vector(_from_file(arguments), num_envs, arguments, _FROM_FILE)
-
-
-def _vera(arguments: dict[str, Any]) -> Any:
-    from loose_env.arms import vera
-
-    return _varied(vera, _take(arguments, *_VERA))
-
-
-def _planar(arguments: dict[str, Any]) -> Any:
-    from loose_env.arms import planar
-
-    return _varied(planar, _take(arguments, *_PLANAR))
-
-
-def _six_axis(arguments: dict[str, Any]) -> Any:
-    from loose_env.arms import six_axis
-
-    return _varied(six_axis, _take(arguments, *_SIX_AXIS))
-
-
-def _scara(arguments: dict[str, Any]) -> Any:
-    from loose_env.arms import scara
-
-    return _varied(scara, _take(arguments, *_SCARA))
-
-
-def _from_file(arguments: dict[str, Any]) -> Any:
-    from loose_env.arms import DESK_ARM, arm_from_file
+    own = _take(arguments, *of_arm)
+    if arm != "arm":
+        return _varied(getattr(arms, arm), own)
 
     def made(*, path: Any, **how: Any) -> Any:
-        return arm_from_file(path, **how)
+        return arms.arm_from_file(path, **how)
 
-    own = _take(arguments, *_FROM_FILE)
     model, true_model = own.pop("model", None), own.pop("true_model", None)
     if true_model is not None:
         if arguments.get("true_arm") is not None:
             raise InvalidSetting("give the true arm as true_model or as true_arm, not as both")
         arguments["true_arm"] = _varied(made, {"path": true_model, **own})
-    return _varied(made, {"path": DESK_ARM if model is None else model, **own})
+    return _varied(made, {"path": arms.DESK_ARM if model is None else model, **own})
 
 
 def _varied(make: Callable[..., Any], own: dict[str, Any]) -> Any:

@@ -17,7 +17,7 @@ from loose_env.gap import read_result
 from loose_env.instrument import read_diagnosis
 from loose_env.recording import Recording, read_recording, write_recording
 from scripts.example_recording import loose_arm
-from scripts.suites.trust.kills.commands import make_recording
+from scripts.suites.golden import GAPS, write_gap_recording
 from tests.doctor.machine import record, with_sensors, xml
 
 FEW = {"poses": 2, "seconds": 1.2}
@@ -37,7 +37,7 @@ def diagnosed(shaken: Recording) -> DiagnosisReport:
 @pytest.fixture(scope="module")
 def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("api") / "arm"
-    make_recording(folder)
+    write_gap_recording(folder, **GAPS["forward, damping"])
     return folder
 
 
@@ -114,13 +114,13 @@ def test_a_recording_in_memory_is_diagnosed_as_it_is(shaken: Recording, tmp_path
 
 
 def test_a_gap_shows_headline_parameters_and_residual(explained: GapReport) -> None:
-    assert explained.headline.startswith("The model lacks viscous friction (turn)")
+    assert explained.headline.startswith("The model lacks viscous friction (j1)")
     (effect,) = explained.effects
     assert effect.parameters["damping"] == pytest.approx(2.0, abs=0.2)
     assert "N·m·s/rad" in repr(explained) and "sensor noise alone" in repr(explained)
     shown = explained._repr_html_()
     assert f"<strong>{explained.headline}</strong>" in shown
-    assert "viscous friction (turn)" in shown and shown.count("<svg") == 3
+    assert "viscous friction (j1)" in shown and shown.count("<svg") == 3
 
 
 def test_a_gap_is_written_with_its_corrected_model(

@@ -261,7 +261,7 @@ def evaluate(
         (`loose_env.envs.EpisodeBatch`). What is hidden in episode k then depends on it alone,
         whatever the nominal arm.
     options : mapping, optional
-        Options of every episode, as `loose_env.envs.episode.reset_options` has them.
+        Options of every episode, as `loose_env.envs.batch` has them.
     progress : callable, optional
         Called with the number of finished episodes.
     deterministic : bool

@@ -200,7 +200,9 @@ class ToolFrames:
     def axes(self, poses: ArrayLike) -> Array:
         """Axis of each joint in the tool frame (P, n, 3), unit vectors (4.30)."""
         # A joint does not turn its own axis.
-        return np.einsum("pkji,kj->pki", self._beyond(self._turns(self._poses(poses))), self._axis)
+        return np.asarray(
+            np.einsum("pkji,kj->pki", self._beyond(self._turns(self._poses(poses))), self._axis)
+        )
 
     def lines(self, poses: ArrayLike) -> Array:
         """Tool motion per motion of each joint, tool frame (P, n, d) [m, or 1 where it slides]."""
@@ -218,7 +220,9 @@ class ToolFrames:
             else:
                 columns[:, k] = np.cross(axis, point - anchor)
                 point = np.einsum("pij,pj->pi", turns[:, k], point - anchor) + anchor
-        return np.einsum("pkji,pkj->pki", self._beyond(turns), columns)[:, :, self._seen]
+        return np.asarray(
+            np.einsum("pkji,pkj->pki", self._beyond(turns), columns)[:, :, self._seen]
+        )
 
     def unit_lines(self, poses: ArrayLike) -> Array:
         """Direction of each joint's line (P, n, d); zero where the joint cannot move the tool."""

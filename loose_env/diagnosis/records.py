@@ -221,7 +221,7 @@ def link_readings_of_all(measurements: Sequence[Measurement]) -> LinkReadings:
     Raises
     ------
     InvalidData
-        As `link_readings_of`, for one of them.
+        If one has none, failed, or nothing moves.
     """
     count, n = len(measurements), len(measurements[0].pose)
     signals = []

@@ -11,12 +11,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
-from loose_env.envs.diagnosis_env import new_seed
-from loose_env.envs.vector_env import DiagnosisVectorEnv
-from loose_env.envs.vector_inputs import batch_seeds
+from loose_env.envs.env import new_seed
+from loose_env.envs.vector_env import DiagnosisVectorEnv, batch_seeds
 from loose_env.errors import InvalidSetting, UnknownName
-
-__all__ = ["Sb3VecEnv"]
 
 
 class Sb3VecEnv(VecEnv):

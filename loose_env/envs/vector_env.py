@@ -13,15 +13,94 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
-from loose_env.envs.diagnosis_env import new_seed
-from loose_env.envs.episode.batch import EpisodeBatch
-from loose_env.envs.episode.state import Episode
+from loose_env.envs.batch import Episode, EpisodeBatch
+from loose_env.envs.env import new_seed
+from loose_env.envs.rendering import Picture
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.envs.vector_inputs import checked_mask, checked_seeds, mode_named, own_options
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.io import is_whole
 
-__all__ = ["DiagnosisVectorEnv", "VectorState"]
+
+def batch_seeds(seed: int, count: int) -> list[int]:
+    """Root seeds of the environments of a batch; two batches share no episode.
+
+    The first is ``seed`` itself, the others are numbers of 128 bits made from it. Seeds that count
+    up would do worse: of 16 environments each, batches seeded 0 and 1 would share 15.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the batch.
+    count : int
+        Number of environments.
+
+    Examples
+    --------
+    >>> batch_seeds(7, 1)
+    [7]
+    >>> len({*batch_seeds(7, 64), *batch_seeds(8, 64)})
+    128
+    """
+    further = (np.random.SeedSequence(seed, spawn_key=(i,)) for i in range(1, count))
+    states = (each.generate_state(2, np.uint64) for each in further)
+    return [seed, *(int(high) << 64 | int(low) for high, low in states)]
+
+
+def checked_seeds(given: Any, count: int) -> list[int | None]:
+    """One seed for each environment; a single one is spread by `batch_seeds`."""
+    several = isinstance(given, (Sequence, np.ndarray)) and not isinstance(given, str)
+    seeds = list(given) if several else [given]
+    for seed in seeds:
+        if seed is not None and (not is_whole(seed) or seed < 0):
+            raise InvalidSetting(f"a seed is a whole number, zero or more; got {seed!r}")
+    if not several:
+        first = seeds[0]
+        return [None] * count if first is None else [*batch_seeds(int(first), count)]
+    if len(seeds) != count:
+        raise InvalidSetting(f"{count} seeds are needed, got {len(seeds)}")
+    return [None if seed is None else int(seed) for seed in seeds]
+
+
+def own_options(given: Any, count: int) -> list[Mapping[str, Any]]:
+    """Options of each environment alone."""
+    if given is None:
+        return [{}] * count
+    fits = isinstance(given, Sequence) and not isinstance(given, str)
+    if not fits or len(given) != count:
+        raise InvalidSetting(
+            f"env_options are {count} mappings, one for each environment, None where "
+            f"there are none; got {given!r:.60}"
+        )
+    for each in given:
+        if each is not None and not isinstance(each, Mapping):
+            raise InvalidSetting(
+                f"each of env_options is a mapping such as {{'fault': 'healthy'}}, or None; "
+                f"got {each!r:.60}"
+            )
+    return [{} if each is None else each for each in given]
+
+
+def checked_mask(given: Any, count: int) -> NDArray[np.bool_]:
+    """Environments to reset, all by default (count,)."""
+    if given is None:
+        return np.ones(count, dtype=bool)
+    mask = np.asarray(given)
+    if mask.shape != (count,) or mask.dtype != bool or not mask.any():
+        raise InvalidSetting(
+            f"reset_mask must be {count} booleans, at least one of them true; got {given!r}"
+        )
+    return mask
+
+
+def mode_named(given: AutoresetMode | str) -> AutoresetMode:
+    """Mode of that name or value."""
+    for mode in AutoresetMode:
+        if given is mode or given in (mode.value, mode.name):
+            return mode
+    raise InvalidSetting(
+        f"autoreset_mode is one of {[mode.value for mode in AutoresetMode]}, got {given!r}"
+    )
+
 
 _SHARED = (
     *("actions", "arm", "hypotheses", "layout", "metadata", "render_mode", "settings", "spec"),
@@ -275,13 +354,13 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
             raise UnknownName("no render_mode was given; make the batch with 'rgb_array'")
         episodes = [self.batch.episode(i) for i in range(self.num_envs)]
         if self._picture is None:
-            from loose_env.envs.rendering.picture import Picture
-
-            self._picture = Picture(self.batch.nominal, show=False, sensors=self.settings.sensors)
+            self._picture = Picture(self.batch.nominal, sensors=self.settings.sensors)
         return tuple(self._picture.draw(each, verdict=each.verdict) for each in episodes)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Let go of the picture."""
+        if self._picture is not None:
+            self._picture.close()
         self._picture = None
 
     def get_state(self) -> VectorState:
@@ -346,8 +425,9 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _begin(self, i: int, episode: Episode) -> dict[str, Any]:
         """Begin a drawn episode in an environment."""
+        info = self.batch.begin(i, episode)
         self._seeds[i], self._numbers[i] = episode.seed, episode.number
-        return self.batch.begin(i, episode)
+        return info
 
     def _observe(self) -> Any:
         singles = [self.batch.shown(i) for i in range(self.num_envs)]

@@ -1,45 +1,44 @@
 """Faults of an arm, and their seats in a MuJoCo spec.
 
-Data flow: kinds -> faults -> seat -> preload -> seating.
+Data flow: faults -> seats -> seating.
 """
 
 from loose_env.faults.faults import (
+    DEFAULT_KINDS,
+    KINDS,
+    SEVERAL_FAULTS,
+    UNSURE,
     Backlash,
     CompoundLooseness,
     Fault,
+    FaultKind,
     Healthy,
     LooseFault,
     Preload,
     RotationalLooseness,
     SeveralFaults,
     StructuralLooseness,
-    is_fault,
-)
-from loose_env.faults.kinds import (
-    DEFAULT_KINDS,
-    KINDS,
-    SEVERAL_FAULTS,
-    UNSURE,
-    FaultKind,
     checked_kinds,
     hypotheses,
+    is_fault,
     place_of,
     places_of_kind,
 )
-from loose_env.faults.preload import preloaded, seat_weight
-from loose_env.faults.seat import (
+from loose_env.faults.seating import SeatIndices, seat_indices, seated_spec, set_seat
+from loose_env.faults.seats import (
     SEAT,
     SeatKind,
     SinglePart,
     gaps_of,
     part_seats,
     parts_of,
+    preloaded,
     seat_names,
     seat_of,
+    seat_weight,
     seats_of,
     twist_of,
 )
-from loose_env.faults.seating import SeatIndices, seat_indices, seated_spec, set_seat
 
 __all__ = [
     "DEFAULT_KINDS",

@@ -1,31 +1,134 @@
-"""Fault models of an arm, each with its parameters."""
+"""Fault models of an arm, each with its parameters, and the hypotheses that they define."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, get_args
+from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
 from annotated_types import Predicate
 from numpy.typing import NDArray
 
-from loose_env.errors import InvalidSetting
-from loose_env.faults.kinds import SEVERAL_FAULTS, FaultKind
-from loose_env.io import Checked, NonNegative, Rule, unmet
+from loose_env.arms import Arm
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.io import Checked, NonNegative, Rule
 
-__all__ = [
-    "Backlash",
-    "CompoundLooseness",
-    "Fault",
-    "Healthy",
-    "LooseFault",
-    "Preload",
-    "RotationalLooseness",
-    "SeveralFaults",
-    "StructuralLooseness",
-    "is_fault",
-    "unit",
+FaultKind = Literal[
+    "healthy", "structural_looseness", "backlash", "rotational_looseness", "compound_looseness"
 ]
+
+KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
+"""All kinds, in the order in which their hypotheses are counted."""
+
+DEFAULT_KINDS: tuple[FaultKind, ...] = ("healthy", "structural_looseness", "backlash")
+"""The kinds of the thesis."""
+
+SEVERAL_FAULTS = "several_faults"
+"""Label of an arm with more than one fault; no verdict can name it."""
+
+UNSURE = "unsure"
+"""The verdict that names nothing: what was seen fits none of the hypotheses well enough."""
+
+
+def checked_kinds(kinds: Sequence[str]) -> tuple[FaultKind, ...]:
+    """Validate the kinds of the hypotheses; return them in the order of `KINDS`.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such kind.
+    InvalidSetting
+        If a kind is named twice, or "healthy" is missing.
+
+    Examples
+    --------
+    >>> checked_kinds(["backlash", "healthy"])
+    ('healthy', 'backlash')
+    """
+    if isinstance(kinds, str) or not isinstance(kinds, Sequence):
+        raise InvalidSetting(f"kinds are several names out of {list(KINDS)}, got {kinds!r}")
+    unknown = [kind for kind in kinds if kind not in KINDS]
+    if unknown:
+        raise UnknownName(f"unknown fault kind {unknown}; kinds are {list(KINDS)}")
+    if len(set(kinds)) != len(kinds):
+        raise InvalidSetting(f"each fault kind is named once, got {list(kinds)}")
+    if "healthy" not in kinds:
+        raise InvalidSetting(
+            f'"healthy" is always a hypothesis: add it to the kinds, got {list(kinds)}'
+        )
+    return tuple(kind for kind in KINDS if kind in kinds)
+
+
+def hypotheses(
+    arm: Arm, kinds: Sequence[str] = DEFAULT_KINDS, *, everywhere: bool = False
+) -> tuple[str, ...]:
+    """All hypotheses of an arm: healthy, then every kind at every location, base first.
+
+    Play in a joint on whose axis the tool lies is none: nothing that the tool feels tells it from
+    a healthy arm (`Arm.unfelt_joints`).
+
+    Parameters
+    ----------
+    arm : Arm
+        The arm.
+    kinds : sequence of str
+        Which kinds are hypotheses; their order does not matter.
+    everywhere : bool
+        True to name every location, whether the tool feels it or not.
+
+    Raises
+    ------
+    UnknownName, InvalidSetting
+        As `checked_kinds`.
+
+    Examples
+    --------
+    >>> from loose_env.arms import vera
+    >>> hypotheses(vera())[:3]
+    ('healthy', 'structural_looseness@link1', 'structural_looseness@link2')
+    >>> hypotheses(vera(), ("healthy", "rotational_looseness"))[1:]
+    ('rotational_looseness@link1', 'rotational_looseness@link2')
+    """
+    names = []
+    for kind in checked_kinds(kinds):
+        if kind == "healthy":
+            names.append("healthy")
+            continue
+        places = places_of_kind(arm, kind) if not everywhere else tuple(range(1, arm.n + 1))
+        names += [f"{kind}@{_part(kind)}{i}" for i in places]
+    return tuple(names)
+
+
+def _part(kind: str) -> str:
+    """Where a kind of fault sits: on a link or in a joint."""
+    return "joint" if kind == "backlash" else "link"
+
+
+def places_of_kind(arm: Arm, kind: str) -> tuple[int, ...]:
+    """Numbers of the links or joints where a kind of fault can be found out.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> places_of_kind(planar(3), "backlash")
+    (1, 2, 3)
+    """
+    numbers = range(1, arm.n + 1)
+    return tuple(i for i in numbers if kind != "backlash" or i not in arm.unfelt_joints)
+
+
+def place_of(hypothesis: str) -> int | None:
+    """Link or joint number of a hypothesis; None if it has no single location.
+
+    Examples
+    --------
+    >>> place_of("backlash@joint2"), place_of("healthy")
+    (2, None)
+    """
+    _, _, place = hypothesis.partition("@")
+    return int(place.removeprefix("link").removeprefix("joint")) if place else None
+
 
 _INDEPENDENT = 1e-3
 """Smallest singular value of unit vectors that still count as independent [1]."""
@@ -42,16 +145,20 @@ Sides = Annotated[
 ]
 
 
-class _OfLink(Checked):
-    """Fault at the seat of one link."""
+class _Placed(Checked):
+    """Fault at one link or joint."""
 
     kind: ClassVar[str]
-    link: int
+
+    @property
+    def place(self) -> int:
+        """Number of the link or joint, from 1 at the base."""
+        return int(getattr(self, _part(self.kind)))
 
     @property
     def hypothesis(self) -> str:
         """Name of the hypothesis that this arm belongs to."""
-        return f"{self.kind}@link{self.link}"
+        return f"{self.kind}@{_part(self.kind)}{self.place}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +186,27 @@ class Preload(Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StructuralLooseness(_OfLink):
+class LooseSeat(_Placed):
+    """One loose degree of freedom between two stops.
+
+    Lengths in m and forces in N where it slides, angles in rad and torques in N·m where it turns.
+    """
+
+    gap: NonNegative
+    """Travel from stop to stop [m or rad]."""
+    stiffness: Sides
+    """Stiffness of the lower and the upper stop [N/m or N·m/rad]."""
+    damping: Sides = (0.0, 0.0)
+    """Damping of the lower and the upper stop [N·s/m or N·m·s/rad]."""
+    friction: NonNegative = 0.0
+    """Coulomb friction of the seat [N or N·m]."""
+    preload: float = 0.0
+    """Constant load that presses the seat on its upper stop; below zero on the lower
+    [N or N·m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StructuralLooseness(LooseSeat):
     """A link that slides on its flange between two stops."""
 
     kind: ClassVar[FaultKind] = "structural_looseness"
@@ -87,49 +214,22 @@ class StructuralLooseness(_OfLink):
     """Loose link, from 1 at the base."""
     direction: Direction
     """Direction of the slide in the link frame; its length does not matter."""
-    gap: NonNegative
-    """Travel from stop to stop [m]."""
-    stiffness: Sides
-    """Stiffness of the lower and the upper stop [N/m]."""
-    damping: Sides = (0.0, 0.0)
-    """Damping of the lower and the upper stop [N·s/m]."""
-    friction: NonNegative = 0.0
-    """Coulomb friction of the guide [N]."""
-    preload: float = 0.0
-    """Constant force that presses the seat on its upper stop; below zero on the lower [N]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Backlash(Checked):
+class Backlash(LooseSeat):
     """A joint with play between its motor side and its link side.
 
-    The play is the joint's own motion: about its axis, or along it where the joint slides. There,
-    every parameter is per metre and in newtons.
+    The play is the joint's own motion: about its axis, or along it where the joint slides.
     """
 
     kind: ClassVar[FaultKind] = "backlash"
     joint: int
     """Joint with play, from 1 at the base."""
-    gap: NonNegative
-    """Travel from stop to stop [rad, or m where the joint slides]."""
-    stiffness: Sides
-    """Stiffness of the lower and the upper flank [N·m/rad, or N/m]."""
-    damping: Sides = (0.0, 0.0)
-    """Damping of the lower and the upper flank [N·m·s/rad, or N·s/m]."""
-    friction: NonNegative = 0.0
-    """Coulomb friction between the two sides [N·m, or N]."""
-    preload: float = 0.0
-    """Constant torque or force that presses the seat on its upper stop, below zero on the lower
-    [N·m, or N]."""
-
-    @property
-    def hypothesis(self) -> str:
-        """Name of the hypothesis that this arm belongs to."""
-        return f"{self.kind}@joint{self.joint}"
 
 
 @dataclass(frozen=True, kw_only=True)
-class RotationalLooseness(_OfLink):
+class RotationalLooseness(LooseSeat):
     """A link that rocks on its flange about an axis, between two stops (3.2.2).
 
     About the axis of its joint this would be `Backlash`.
@@ -140,22 +240,12 @@ class RotationalLooseness(_OfLink):
     """Loose link, from 1 at the base."""
     axis: Direction
     """Axis of the rocking in the link frame; its length does not matter."""
-    gap: NonNegative
-    """Angle from stop to stop [rad]."""
-    stiffness: Sides
-    """Stiffness of the lower and the upper stop [N·m/rad]."""
-    damping: Sides = (0.0, 0.0)
-    """Damping of the lower and the upper stop [N·m·s/rad]."""
-    friction: NonNegative = 0.0
-    """Coulomb friction of the seat [N·m]."""
-    preload: float = 0.0
-    """Constant torque that presses the seat on its upper stop; below zero on the lower [N·m]."""
     pivot: Point = (0.0, 0.0, 0.0)
     """A point of the axis in the link frame [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class CompoundLooseness(_OfLink):
+class CompoundLooseness(_Placed):
     """Link loose on its flange in two or more directions (3.2.2, 8.3.2).
 
     An undersized pin lets the link slide both ways across it: two parts. A seat loose in all
@@ -226,7 +316,7 @@ class SeveralFaults:
                     "each of several faults is StructuralLooseness, Backlash, "
                     f"RotationalLooseness or CompoundLooseness; got {fault!r}"
                 )
-        places = [f.joint if isinstance(f, Backlash) else f.link for f in faults]
+        places = [fault.place for fault in faults]
         if len(set(places)) != len(places):
             raise InvalidSetting(
                 "several faults lie on links and joints of different numbers, for one link loose "
@@ -242,16 +332,8 @@ def is_fault(value: object) -> bool:
     return isinstance(value, get_args(Fault))
 
 
-def unit(what: str, vector: Vector) -> NDArray[np.float64]:
-    """Normalise a vector of the link frame (3,).
-
-    Raises
-    ------
-    InvalidSetting
-        If it is not three finite numbers, or points nowhere.
-    """
-    if words := unmet(Direction, vector):
-        raise InvalidSetting(f"{what} is {words}; got {vector!r}")
+def unit(vector: Vector) -> NDArray[np.float64]:
+    """Normalise a vector (3,)."""
     given = np.asarray(vector, dtype=float)
     return np.asarray(given / np.linalg.norm(given))
 
@@ -259,7 +341,7 @@ def unit(what: str, vector: Vector) -> NDArray[np.float64]:
 def _independent(what: str, vectors: list[Vector]) -> None:
     if not vectors:
         return
-    units = np.array([unit("a direction", v) for v in vectors])
+    units = np.array([unit(v) for v in vectors])
     if len(vectors) > 3 or np.linalg.svd(units, compute_uv=False).min() < _INDEPENDENT:
         raise InvalidSetting(
             f"the {what} must be independent, three at most: leave out those that the others "

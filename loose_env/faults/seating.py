@@ -30,15 +30,13 @@ from loose_env.faults.faults import (
     Backlash,
     Fault,
     Healthy,
+    LooseSeat,
     Preload,
     RotationalLooseness,
-    StructuralLooseness,
     unit,
 )
-from loose_env.faults.seat import SeatKind, SinglePart, parts_of, seat_name, seat_names
+from loose_env.faults.seats import SeatKind, SinglePart, parts_of, seat_name, seat_names
 from loose_env.typing import Array
-
-__all__ = ["SeatIndices", "seat_indices", "seated_spec", "set_seat"]
 
 _SOFT, _STIFF = 1e-4, 0.9999  # MuJoCo's smallest and largest constraint impedance
 _FAR = 1.0  # a stop that is never reached [m or rad]
@@ -247,10 +245,10 @@ def _place(model: mujoco.MjModel, at: SeatIndices, part: SinglePart) -> bool:
             "model is not; take the seat that seats_of names"
         )
     if isinstance(part, RotationalLooseness):
-        model.jnt_axis[seat] = unit("an axis", part.axis)
+        model.jnt_axis[seat] = unit(part.axis)
         model.jnt_pos[seat] = part.pivot
     else:
-        model.jnt_axis[seat] = unit("a direction", part.direction)
+        model.jnt_axis[seat] = unit(part.direction)
     return True
 
 
@@ -262,7 +260,7 @@ def _set_part(model: mujoco.MjModel, at: SeatIndices, part: SinglePart) -> None:
     model.dof_solref[dof] = (2 * step, 1.0)
     friction, reach = 0.0, _FAR
     stops = ((1.0, 0.0), (1.0, 0.0))
-    if isinstance(part, (StructuralLooseness, Backlash, RotationalLooseness)):
+    if isinstance(part, LooseSeat):
         friction, reach = part.friction, part.gap / 2
         if reach > _FAR:
             raise InvalidSetting(
@@ -281,11 +279,9 @@ def _set_part(model: mujoco.MjModel, at: SeatIndices, part: SinglePart) -> None:
             -max(damping * weight, 1e-12),
         )
     closed, rest = (0.0, 0.0), 0.0
-    if isinstance(part, (StructuralLooseness, Backlash, RotationalLooseness)) and part.preload:
-        closed, rest = (
-            (abs(part.preload) / _PULLED_FROM, 0.0),
-            np.copysign(_PULLED_FROM, part.preload),
-        )
+    if isinstance(part, LooseSeat) and part.preload:
+        closed = (abs(part.preload) / _PULLED_FROM, 0.0)
+        rest = float(np.copysign(_PULLED_FROM, part.preload))
     if isinstance(part, Preload):
         closed = (part.stiffness, part.damping)
         _require_slow("a preloaded seat", *closed, model.dof_invweight0[dof], step)
@@ -326,7 +322,7 @@ def _require_slow_together(
     mujoco.mj_solveM(model, scratch, inverse, np.eye(model.nv)[dofs])
     mobility = inverse[:, dofs]
     step = model.opt.timestep
-    loose = [p for p in parts_of(fault) if not isinstance(p, (Healthy, Preload))]
+    loose = [part for part in parts_of(fault) if isinstance(part, LooseSeat)]
     stiffness = np.array([max(p.stiffness) for p in loose])
     damping = np.array([max(p.damping) for p in loose])
 

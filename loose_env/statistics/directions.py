@@ -75,15 +75,13 @@ def axial_difference(a: float | Angles, b: float | Angles) -> float | Array:
     return turn - np.pi / 2
 
 
-def axial_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
+def axial_mean(angles: ArrayLike) -> float:
     """Average axes: half the direction of the mean of the doubled angles.
 
     Parameters
     ----------
     angles : array, shape (K,)
         Angles of the axes, rad.
-    weights : array, shape (K,), optional
-        Weight of each axis, none negative. Equal by default.
 
     Returns
     -------
@@ -93,8 +91,7 @@ def axial_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
     Raises
     ------
     InvalidData
-        If there is no angle, a value is not finite, the weights do not fit, or the axes cancel
-        and have no mean.
+        If there is no angle, a value is not finite, or the axes cancel and have no mean.
 
     References
     ----------
@@ -106,18 +103,11 @@ def axial_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
     179.0
     """
     axes = np.atleast_1d(as_floats(angles, "angles"))
-    share = np.ones(axes.shape) if weights is None else as_floats(weights, "weights")
-    if axes.ndim != 1 or axes.size == 0 or share.shape != axes.shape:
-        raise InvalidData(
-            f"angles has shape {axes.shape} and weights {share.shape}; both must be (K,), K > 0"
-        )
+    if axes.ndim != 1 or axes.size == 0:
+        raise InvalidData(f"angles has shape {axes.shape}; it must be (K,), K > 0")
     require_finite(axes, "angles")
-    require_finite(share, "weights")
-    if share.min() < 0.0 or share.sum() == 0.0:
-        raise InvalidData(f"weights are {share}; none may be negative and one must be positive")
-    cosine = float(np.sum(share * np.cos(2 * axes)))
-    sine = float(np.sum(share * np.sin(2 * axes)))
-    if math.hypot(cosine, sine) <= 1e-12 * float(share.sum()):
+    cosine, sine = float(np.sum(np.cos(2 * axes))), float(np.sum(np.sin(2 * axes)))
+    if math.hypot(cosine, sine) <= 1e-12 * len(axes):
         raise InvalidData("the axes cancel: they have no mean direction")
     return wrap_axial(0.5 * math.atan2(sine, cosine))
 

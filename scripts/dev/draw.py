@@ -46,14 +46,14 @@ from loose_env.envs import (
     MUTED,
     TRUTH,
     ArmDrawing,
+    CorrelationByDirection,
     DiagnosisEnv,
     DiagnosisSettings,
     EpisodeBatch,
-    Loop,
-    PlanarView,
-    arrow,
-    measured_loop,
-    predicted_loop,
+    draw_arrow,
+    draw_section,
+    measured_correlation,
+    predicted_correlation,
 )
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
@@ -169,16 +169,17 @@ def loops(arm: Arm) -> Figure:
     sketch = panel(figure, 0.0, 0.36)
     draw_arm(sketch, arm, POSE, loose(), shaken=SHAKEN)
     title(figure, 0.18, "link 2 is loose, joint 1 is excited")
-    expected = predicted_loop(
+    expected = predicted_correlation(
         predict(LinearArm(arm).at(POSE), excitation(arm), SensorFloor.of(SensorSuite(), BAND))
     )
     for left, words, fault in ((0.36, "healthy arm", Healthy()), (0.68, "loose link", loose())):
         axes = panel(figure, left, 0.32)
         found = measured(arm, fault)
-        dial(axes, expected.facing(found), found)
+        healthy = expected.facing(found).sections[0]
+        draw_section(axes, found.sections[0], healthy, ("x", "y"))
         if isinstance(fault, StructuralLooseness):
             lost = in_tool(arm, POSE, fault)
-            arrow(axes, -lost, lost, color=TRUTH, width=1.8, zorder=5, both=True, halo=True)
+            draw_arrow(axes, -lost, lost, color=TRUTH, both=True)
         title(figure, left + 0.16, words)
     key(
         figure,
@@ -195,11 +196,11 @@ def excitation(arm: Arm) -> Excitation:
     return Excitation(torque_rms=tuple(torque), duration=SECONDS, band=BAND)
 
 
-def measured(arm: Arm, fault: Fault) -> Loop:
+def measured(arm: Arm, fault: Fault) -> CorrelationByDirection:
     """The loop of a simulated record."""
     rig = SimulatedRig(arm)
     rig.mount(0, fault)
-    return measured_loop(rig.measure(POSE, excitation(arm), rng=np.random.default_rng(3)))
+    return measured_correlation(rig.measure(POSE, excitation(arm), rng=np.random.default_rng(3)))
 
 
 def turning(arm: Arm) -> Figure:
@@ -216,11 +217,11 @@ def turning(arm: Arm) -> Figure:
         axes = panel(figure, left, wide, bottom=0.46, height=0.42)
         draw_arm(axes, arm, pose, loose())
         below = panel(figure, left, wide, bottom=0.02, height=0.4)
-        circle(below)
+        draw_section(below, None, None, ("x", "y"))
         if k:
             below.plot(*np.outer([-1, 1], first).T, color=MUTED, linewidth=1.3, dashes=(4, 2.5))
         now = in_tool(arm, pose, loose())
-        arrow(below, -now, now, color=TRUTH, width=2.0, zorder=5, both=True, halo=True)
+        draw_arrow(below, -now, now, color=TRUTH, both=True)
         title(figure, left + 0.5 * wide, words)
     figure.text(0.02, 0.435, "seen from the tool:", color=MUTED, fontsize=9.5, va="center")
     return figure
@@ -284,8 +285,12 @@ def passed_on(drive: NDArray[np.float64], time: NDArray[np.float64]) -> NDArray[
 
 def in_tool(arm: Arm, pose: NDArray[np.float64], fault: StructuralLooseness) -> Any:
     """Direction of a slide along the two measured axes of the tool frame (2,)."""
-    at = PlanarView(arm).at(pose)
-    seen = at.frame.T @ at.seats[fault.link - 1] @ np.asarray(fault.direction)
+    data = mujoco.MjData(arm.model)
+    data.qpos[arm.pose_addresses] = pose
+    mujoco.mj_forward(arm.model, data)
+    frame = data.site(arm.tool).xmat.reshape(3, 3)
+    link = data.body(arm.seat_bodies[fault.link - 1]).xmat.reshape(3, 3)
+    seen = (frame.T @ link @ np.asarray(fault.direction))[list(arm.axes)]
     return seen / np.linalg.norm(seen)
 
 
@@ -316,38 +321,9 @@ def draw_arm(
     shaken: int | None = None,
 ) -> None:
     """The arm with its loose link and the way it slides."""
-    view = PlanarView(arm)
-    drawing, at = ArmDrawing(arm.reach, arm.n, vertical=False), view.at(pose)
-    room = drawing.room(at)
-    low, high = room.min(axis=0), room.max(axis=0)
-    half, middle = 0.57 * arm.reach, 0.5 * (low + high)
-    axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
-    drawing.links(axes, at, loose=(fault.link,))
+    drawing = ArmDrawing(arm)
     excited = None if shaken is None else np.arange(arm.n) == shaken
-    drawing.joints(axes, at, excited)
-    drawing.tool(axes, at)
-    drawing.fault(axes, at, fault)
-
-
-def circle(axes: Axes) -> None:
-    """The circle on which the correlation is 1, with the axes of the tool frame."""
-    from matplotlib.patches import Circle
-
-    axes.add_patch(Circle((0, 0), 1.0, facecolor="none", edgecolor=FAINT, linewidth=1.2))
-    for end, name in (((1.08, 0.0), "x"), ((0.0, 1.08), "y")):
-        axes.plot([-end[0], end[0]], [-end[1], end[1]], color=FAINT, linewidth=0.9, zorder=1)
-        axes.text(1.1 * end[0], 1.1 * end[1], name, color=INK, fontsize=9.5, fontstyle="italic",
-                  ha="center", va="center")  # fmt: skip
-
-
-def dial(axes: Axes, expected: Loop, found: Loop) -> None:
-    """Two loops, the expected one dashed."""
-    from matplotlib.patches import Polygon
-
-    circle(axes)
-    axes.add_patch(Polygon(found.points, facecolor=MEASURED, alpha=0.22, linewidth=0, zorder=2))
-    axes.plot(*found.points.T, color=MEASURED, linewidth=2.0, zorder=3)
-    axes.plot(*expected.points.T, color=MUTED, linewidth=1.4, dashes=(4, 2.5), zorder=4)
+    drawing.draw(axes, drawing.marks(pose, excited=excited, fault=fault))
 
 
 def title(figure: Figure, x: float, words: str) -> None:

@@ -12,19 +12,16 @@ import numpy as np
 import pytest
 
 from loose_env.arms import Arm, LinearArm, arm_from_file, planar, scara, six_axis, vera
-from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.excitation import Excitation, SeatDrive, at_levels
+from loose_env.errors import InvalidSetting
+from loose_env.excitation import at_levels
 from loose_env.faults import (
     Backlash,
     CompoundLooseness,
     Fault,
     Healthy,
-    Preload,
     RotationalLooseness,
     StructuralLooseness,
-    gaps_of,
     seat_names,
-    seat_of,
     seated_spec,
     seats_of,
     set_seat,
@@ -72,9 +69,6 @@ def sliding(arm: Arm, link: int, **changes: Any) -> StructuralLooseness:
 
 def pose_of(arm: Arm) -> Array:
     return arm.random_pose(np.random.default_rng(7))
-
-
-# --- rigid bodies: written here from the bare arm alone
 
 
 def unit(v: Any) -> Array:
@@ -304,45 +298,6 @@ def test_twists_and_linear_seats_are_those_of_rigid_bodies(arm: Arm) -> None:
             np.testing.assert_allclose(own, coupling[:, 0], rtol=1e-8, atol=1e-10 * size)
 
 
-@pytest.mark.parametrize("name", [*NAMES, "cylindrical"])
-def test_rotations_change_no_other_answer_of_the_linear_arm(name: str) -> None:
-    arm = cylindrical() if name == "cylindrical" else arm_of(name)
-    pose, excited = pose_of(arm), np.arange(arm.n) != 1
-    one, other = (LinearArm(arm, points=6, rotations=r).at(pose) for r in (False, True))
-    for answer in ("response", "open_response"):
-        plain, full = getattr(one, answer)(excited), getattr(other, answer)(excited)
-        fields = ("joint", "tool", "slide", "hinge") if answer == "response" else vars(plain)
-        for field in fields:
-            value = getattr(plain, field)
-            if value is not None:
-                size = np.abs(value).max()
-                np.testing.assert_allclose(
-                    getattr(full, field), value, rtol=0, atol=1e-8 * size, err_msg=field
-                )
-    assert full.mass_twist is not None
-    slides = slice(0, one.linear.slide_dofs.shape[1])
-    np.testing.assert_allclose(full.mass_twist[:, :, slides, slides], full.mass_slide)
-
-
-def test_the_drive_of_a_twist_is_that_of_the_slide_or_the_play_it_is(arm: Arm) -> None:
-    drive = SeatDrive(LinearArm(arm, points=4, rotations=True), poses=4)
-    for link in range(1, arm.n + 1):
-        slide = sliding(arm, link)
-        by_twist = drive.twist(link, twist_of(arm, slide))
-        assert by_twist == pytest.approx(drive.slide(link, slide.direction), rel=1e-9)
-        play = Backlash(joint=link, gap=1e-3, stiffness=(1.0, 1.0))
-        assert drive.twist(link, twist_of(arm, play)) == pytest.approx(drive.hinge(link), rel=1e-9)
-
-
-def test_the_drive_of_a_twist_needs_rotations() -> None:
-    drive = SeatDrive(LinearArm(planar(2), points=4), poses=2)
-    with pytest.raises(InvalidSetting, match="rotations=True"):
-        drive.twist(1, np.ones(3))
-
-
-# --- records
-
-
 def record(
     arm: Arm,
     fault: Fault,
@@ -390,6 +345,7 @@ def stiff(arm: Arm, part: Any, factor: float, *, gap: float) -> Any:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", ["rotation", "compound"])
 def test_as_its_gaps_shut_a_further_seat_fades_into_the_healthy_arm(arm: Arm, make: str) -> None:
     link = 1 + arm.n // 2
@@ -461,140 +417,6 @@ def test_play_of_a_sliding_joint_is_along_it(name: str, joints: list[int]) -> No
         np.testing.assert_allclose(column, linear.kinematic[:, joint - 1], atol=1e-12)
 
 
-def test_play_of_the_quill_shows_when_the_quill_is_shaken() -> None:
-    arm = arm_of("scara")
-    # The weight of 2.6 kg rests on the lower flank until it is shaken off.
-    play = Backlash(joint=3, gap=2e-4, stiffness=(3e6, 3e6), damping=(200.0, 200.0))
-    healthy = record(arm, Healthy(), joint=2, level=30.0)
-    assert apart(record(arm, play, joint=2, level=30.0), healthy) > 0.1
-    # The plane of the arms shows nothing of it.
-    flat = [record(arm, fault, joint=0)[:2] for fault in (play, Healthy())]
-    assert apart(*flat) < 1e-3
-
-
-@pytest.mark.parametrize("count", [2, 3, 6])
-def test_records_do_not_depend_on_the_seats_of_other_slots(count: int) -> None:
-    arm = arm_of("six_axis")
-    shake = Excitation(torque_rms=(60.0, 0, 0, 4.0, 0, 0), duration=0.1, band=(30.0, 150.0))
-    parts = tuple(stiff(arm, p, 4.0, gap=5e-5) for p in box(arm, 3, count).parts)
-    tested = CompoundLooseness(link=3, parts=parts)
-
-    def job(slot: int, seed: int) -> Job:
-        rng = np.random.default_rng(seed)
-        return Job(slot=slot, pose=pose_of(arm), excitation=shake, rng=rng)
-
-    alone = SimulatedRig(arm, threads=1)
-    alone.mount(0, tested)
-    expected = alone.measure_many([job(0, 1)])[0]
-    assert expected.failure is None
-    rig = SimulatedRig(arm, slots=5, threads=2)
-    neighbours = [
-        Healthy(),
-        stiff(arm, rocking(arm, 2), 4.0, gap=1e-4),
-        CompoundLooseness(link=3, parts=parts[:2]),
-        Backlash(joint=1, gap=1e-4, stiffness=(1e4, 1e4)),
-        Healthy(),
-    ]
-    for slot in (0, 2, 4):
-        for k, fault in enumerate(neighbours):
-            rig.mount(k, fault)
-        rig.mount(slot, tested)
-        seeds = [1 if k == slot else 10 + k for k in range(5)]
-        found = rig.measure_many([job(k, seeds[k]) for k in (3, 1, 4, 0, 2)])
-        at = [3, 1, 4, 0, 2].index(slot)
-        np.testing.assert_array_equal(found[at].tool, expected.tool)
-        np.testing.assert_array_equal(found[at].encoder, expected.encoder)
-        # The healthy neighbour reads as it does on a rig without compound seats.
-        if slot != 0:
-            lone = SimulatedRig(arm, threads=1).measure_many([job(0, seeds[0])])[0]
-            np.testing.assert_array_equal(found[3].tool, lone.tool)
-
-
-# --- what is refused
-
-
-def two(**changes: Any) -> dict[str, Any]:
-    arm = arm_of("six_axis")
-    return {"link": 2, "parts": (sliding(arm, 2), rocking(arm, 2))} | changes
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"parts": ()}, "two to six parts"),
-        ({"parts": (sliding(planar(2), 2),)}, "for one use StructuralLooseness"),
-        ({"parts": [sliding(planar(2), 2), rocking(planar(2), 2)]}, "a tuple of two to six"),
-        ({"parts": (Healthy(), rocking(planar(2), 2))}, r"parts .* are StructuralLooseness or"),
-        ({"link": 1}, "lie on its link 1; got one on link 2"),
-        (
-            {
-                "parts": (
-                    sliding(planar(2), 2),
-                    sliding(planar(2), 2, direction=(1.0, 0, 0)),
-                    sliding(planar(2), 2, direction=(1.0, 1e-6, 0)),
-                )
-            },
-            "directions of the slides must be independent, three at most",
-        ),
-        (
-            {"parts": (rocking(planar(2), 2), rocking(planar(2), 2, pivot=(1.0, 0.0, 0.0)))},
-            "axes of the rotations must be independent",
-        ),
-    ],
-)
-def test_a_compound_seat_that_is_none_is_refused(changes: dict[str, Any], message: str) -> None:
-    CompoundLooseness(**two())
-    with pytest.raises(InvalidSetting, match=message):
-        CompoundLooseness(**two(**changes))
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"axis": (0.0, 0.0, 0.0)}, "axis must be three finite numbers, not all zero"),
-        ({"pivot": (0.0, float("nan"), 0.0)}, "pivot must be three finite numbers"),
-        ({"pivot": (0.0, 1.0)}, "pivot must be three finite numbers"),
-        ({"gap": -1.0}, "gap must be a finite number, zero or more"),
-        ({"stiffness": 3.0}, "stiffness must be two finite numbers"),
-        ({"gap": "wide"}, "gap must be a finite number, zero or more; got 'wide'"),
-        ({"stiffness": ("1", "2")}, r"stiffness must be two finite numbers.*got \('1'"),
-        ({"axis": "x"}, "axis must be three finite numbers.*got 'x'"),
-        ({"pivot": None}, "pivot must be three finite numbers.*got None"),
-    ],
-)
-def test_a_rotation_that_is_none_is_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(InvalidSetting, match=message):
-        rocking(planar(2), 1, **changes)
-
-
-def test_a_fault_in_the_wrong_seat_is_refused() -> None:
-    arm = planar(2)
-    slide = seated_spec(arm, 1, "slide").compile()
-    with pytest.raises(InvalidSetting, match="gap of 5 is wider than a seat has room for, 2 m"):
-        set_seat(slide, replace(sliding(arm, 1), gap=5.0))
-    with pytest.raises(InvalidSetting, match="needs a hinge, which 'seat' of the model is not"):
-        set_seat(slide, rocking(arm, 1))
-    with pytest.raises(InvalidSetting, match="2 loose degrees of freedom, the model's seat has 1"):
-        set_seat(slide, box(arm, 1, 2))
-    double = seated_spec(arm, 1, ("slide", "hinge")).compile()
-    with pytest.raises(InvalidSetting, match="has 1 loose"):
-        set_seat(double, sliding(arm, 1))
-    with pytest.raises(InvalidSetting, match="1 to 6 degrees of freedom, got 0"):
-        seated_spec(arm, 1, ())
-    with pytest.raises(InvalidSetting, match="three slides and three hinges at most"):
-        seated_spec(arm, 1, ("slide",) * 4)
-    with pytest.raises(UnknownName, match="got 'ball'"):
-        seated_spec(arm, 1, ("slide", "ball"))  # type: ignore[arg-type]
-
-
-def test_a_healthy_arm_may_stand_in_any_seat() -> None:
-    arm = planar(2)
-    model = seated_spec(arm, 1, ("slide", "hinge")).compile()
-    set_seat(model, Healthy())
-    locks = [model.equality(f"{name}_lock").id for name in seat_names(model)]
-    assert model.eq_active0[locks].all()
-
-
 def test_stops_that_are_too_stiff_together_are_refused_with_what_would_do() -> None:
     # A slide across the link and a rotation about its end share the link's mass.
     arm = planar(2)
@@ -611,14 +433,3 @@ def test_stops_that_are_too_stiff_together_are_refused_with_what_would_do() -> N
         replace(p, stiffness=(0.99 * share * k,) * 2) for p, k in zip(parts, each, strict=True)
     ]
     seated(arm, CompoundLooseness(link=2, parts=tuple(softer)))
-
-
-def test_figures_by_part() -> None:
-    arm = planar(2)
-    assert gaps_of(box(arm, 1, 3)) == (1e-3, 1e-3, 1e-3)
-    assert gaps_of(Preload(link=1, direction=(1, 0, 0), stiffness=1e5)) == (0.0,)
-    assert seats_of(box(arm, 2, 3)) == (2, ("slide", "hinge", "slide"))
-    with pytest.raises(InvalidSetting, match="is not dealt with here"):
-        seat_of(box(arm, 2, 2))
-    with pytest.raises(InvalidSetting, match="one loose degree of freedom"):
-        twist_of(arm, Healthy())

@@ -23,6 +23,8 @@ from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
 
+pytestmark = pytest.mark.slow
+
 Loose = StructuralLooseness | Backlash
 
 ARMS: dict[str, Callable[[], Arm]] = {"planar4": planar, "vera": vera}

@@ -1,4 +1,4 @@
-"""Seats on several links at once, and seats that a constant load presses on a stop."""
+"""Seats on several links at once, seats that a load presses on a stop, and what is refused."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, LinearArm, Mismatch, MismatchDraw, planar, scara, six_axis, vera
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.arms import Arm, LinearArm, MismatchDraw, planar, scara, six_axis, vera
+from loose_env.errors import InvalidSetting
 from loose_env.excitation import at_levels
 from loose_env.faults import (
     SEVERAL_FAULTS,
@@ -30,9 +30,6 @@ from loose_env.faults import (
     preloaded,
     seat_names,
     seat_weight,
-    seated_spec,
-    seats_of,
-    set_seat,
     twist_of,
 )
 from loose_env.rig import Job, Plant, PlantShop, SimulatedRig
@@ -82,9 +79,6 @@ def at_pose(plant: Plant, pose: Array) -> mujoco.MjData:
 
 def pose_of(arm: Arm) -> Array:
     return arm.random_pose(np.random.default_rng(7))
-
-
-# ---- several faults
 
 
 def inertia_of(plant: Plant, pose: Array, names: tuple[str, ...]) -> Array:
@@ -170,44 +164,6 @@ def test_records_do_not_depend_on_what_stands_in_other_slots(arm: Arm) -> None:
     np.testing.assert_array_equal(mixed[1], alone)
 
 
-def test_more_seats_than_one_link_can_carry_stand_on_several() -> None:
-    arm = six_axis()
-    axes = np.eye(3)
-    faults = []
-    for link in (2, 4):
-        parts = tuple(slide(link, direction=tuple(axis), stiffness=(2e3, 2e3)) for axis in axes)
-        faults.append(CompoundLooseness(link=link, parts=parts))
-    both = SeveralFaults(faults=tuple(faults))
-    assert len(parts_of(both)) == 6
-    found, alone = records(arm, [both, faults[0]])
-    assert np.isfinite(found).all() and size(found - alone) > 0.05 * size(alone)
-
-
-@pytest.mark.parametrize(
-    ("faults", "words"),
-    [
-        ((slide(1),), "two or more"),
-        ([slide(1), play(2)], "tuple"),
-        ((slide(1), Healthy()), "each of several faults"),
-        ((slide(1), Preload(link=2, direction=(1, 0, 0), stiffness=1e5)), "each of several faults"),
-        ((slide(2), play(2)), "different numbers"),
-        ((slide(1), slide(1)), "different numbers"),
-    ],
-)
-def test_what_are_no_several_faults_is_refused(faults: Any, words: str) -> None:
-    with pytest.raises(InvalidSetting, match=words):
-        SeveralFaults(faults=faults)
-
-
-def test_several_faults_have_no_one_link_and_fit_the_arm() -> None:
-    with pytest.raises(InvalidSetting, match="part_seats"):
-        seats_of(SeveralFaults(faults=(slide(1), play(2))))
-    with pytest.raises(UnknownName, match="got 5"):
-        plant_of(planar(3), SeveralFaults(faults=(slide(1), play(5))))
-    with pytest.raises(InvalidSetting, match="one link"):
-        seated_spec(planar(3), (1, 2), ("slide",))
-
-
 def test_stops_that_are_slow_enough_alone_may_be_refused_together() -> None:
     arm = planar(3)
     alone = [slide(k, direction=(0, 1, 0), stiffness=(1.0, 1.0)) for k in (1, 2, 3)]
@@ -220,9 +176,6 @@ def test_stops_that_are_slow_enough_alone_may_be_refused_together() -> None:
         plant_of(arm, firm[-1])
     with pytest.raises(InvalidSetting, match=r"too fast for a step|too stiff together"):
         plant_of(arm, SeveralFaults(faults=tuple(firm)))
-
-
-# ---- preload
 
 
 @pytest.mark.parametrize("load", [20.0, -3.5])
@@ -268,17 +221,6 @@ def test_a_pressed_seat_rests_on_its_stop_until_the_drive_exceeds_the_load(
     assert settled(plant, pose, -1.5 * load) == pytest.approx(wanted, rel=1e-3)
 
 
-def test_a_seat_without_preload_is_what_it_always_was() -> None:
-    arm = planar(3)
-    model = plant_of(arm, slide(2)).model
-    seat = model.joint("seat")
-    assert model.jnt_stiffness[seat.id] == model.qpos_spring[seat.qposadr[0]] == 0.0
-    set_seat(model, slide(2, preload=5.0))
-    assert model.jnt_stiffness[seat.id] > 0
-    set_seat(model, slide(2))
-    assert model.jnt_stiffness[seat.id] == model.qpos_spring[seat.qposadr[0]] == 0.0
-
-
 def test_the_weight_on_a_seat_is_the_most_that_gravity_can_do(arm: Arm) -> None:
     parts: list[Any] = []
     for link in range(1, arm.n + 1):
@@ -304,23 +246,3 @@ def test_every_loose_seat_of_a_fault_is_pressed() -> None:
             assert after == replace(before, preload=0.5 * seat_weight(arm, before))  # type: ignore[type-var,call-arg]
     tight = Preload(link=1, direction=(1, 0, 0), stiffness=1e6)
     assert preloaded(arm, tight, 1.0) is tight and preloaded(arm, Healthy(), 1.0) == Healthy()
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, "1", None])
-def test_a_preload_is_a_finite_number(value: Any) -> None:
-    for make in (slide, play, rocking):
-        with pytest.raises(InvalidSetting, match="preload must be a finite number"):
-            make(1, preload=value)
-    if isinstance(value, float):
-        with pytest.raises(InvalidSetting, match="finite"):
-            preloaded(planar(2), slide(1), value)
-
-
-def test_masses_that_differ_change_no_load() -> None:
-    arm = planar(3)
-    shop = PlantShop(arm, timestep=arm.timestep, link_accelerometers=False)
-    draw = Mismatch().draw(arm, np.random.default_rng(0))
-    plant = shop.build(slide(2, preload=20.0), draw)
-    data = at_pose(plant, pose_of(arm))
-    mujoco.mj_forward(plant.model, data)
-    assert data.qfrc_passive[int(plant.model.joint("seat").dofadr[0])] == pytest.approx(20.0)

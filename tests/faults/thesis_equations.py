@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from loose_env.arms import Arm, Holding
@@ -133,54 +132,6 @@ def backlash(f: Figures, q: Array, v: Array) -> tuple[Array, Array]:
     rate = to_absolute @ v
     force = couple * np.sin(angle) * np.array([-(rate[2] ** 2), 0, rate[0] ** 2])
     return to_absolute.T @ absolute @ to_absolute, to_absolute.T @ force
-
-
-def kinetic_energy(f: Figures, hinge: bool, q: NDArray[np.complex128], v: Array) -> complex:
-    """Kinetic energy, from the velocity of each centre of mass and nothing else."""
-    turn2 = q[0] + q[1]
-    turn3 = turn2 + q[2] if hinge else turn2
-    rate2 = v[0] + v[1]
-    rate3 = rate2 + v[2] if hinge else rate2
-
-    def along(angle: complex) -> NDArray[np.complex128]:
-        return np.array([np.cos(angle), np.sin(angle)])
-
-    def across(angle: complex) -> NDArray[np.complex128]:
-        return np.array([-np.sin(angle), np.cos(angle)])
-
-    joint2 = f.l1 * v[0] * across(q[0])
-    centre3 = joint2 + f.lg3 * rate3 * across(turn3)
-    if not hinge:
-        centre3 = centre3 + v[2] * along(turn2 + f.beta) + q[2] * rate2 * across(turn2 + f.beta)
-    parts = (
-        (f.m1, f.lg1 * v[0] * across(q[0]), f.i1, v[0]),
-        (f.m2, joint2, f.i2, rate2),
-        (f.m3, centre3, f.i3, rate3),
-    )
-    # Squares, not moduli: the energy must stay analytic for the complex step.
-    return complex(sum(m * np.sum(u * u) + i * w * w for m, u, i, w in parts) / 2)
-
-
-def from_energy(f: Figures, hinge: bool, q: Array, v: Array) -> tuple[Array, Array]:
-    """Inertia matrix and velocity-dependent forces by Lagrange's equations, numerically."""
-    unit = np.eye(3)
-
-    def inertia(at: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        alone = [kinetic_energy(f, hinge, at, e) for e in unit]
-        return np.array(
-            [
-                [
-                    kinetic_energy(f, hinge, at, unit[i] + unit[j]) - alone[i] - alone[j]
-                    for j in range(3)
-                ]
-                for i in range(3)
-            ]
-        )
-
-    tiny = 1e-30  # a complex step has no rounding error, however small
-    slope = np.array([inertia(q + 1j * tiny * e).imag / tiny for e in unit])
-    force = np.einsum("kij,j,k->i", slope, v, v) - np.einsum("ijk,j,k->i", slope, v, v) / 2
-    return inertia(q.astype(complex)).real, force
 
 
 def accelerations(

@@ -13,7 +13,7 @@ from loose_env.instrument.session import Session, find_fault
 from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import read_recording, write_recording
 from loose_env.rig import RecordedRig
-from scripts.suites.diagnosis.measuring import BlindArm
+from scripts.suites.diagnosis.cases import BlindArm
 from tests.instrument.arms.blind_arm import case, runs, write_model
 
 QUICK = DiagnoseSettings(poses=3, seconds=1.5)

@@ -19,7 +19,14 @@ pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
 from loose_env.cli.main import main as loose
-from scripts.suites.trust.kills.commands import make_recording, make_shaken_recording
+from scripts.suites.golden import (
+    DIAGNOSES,
+    GAPS,
+    write_gap_recording,
+    write_shaken_recording,
+)
+
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOM = 96
@@ -31,8 +38,8 @@ model = "recording/model.xml"
 kind = "csv"
 time = { column = "time", unit = "s" }
 [columns]
-"sensor.angle" = { source = "t", channel = "sensor.angle" }
-"ctrl.m" = { source = "t", channel = "ctrl.m" }
+"sensor.q1" = { source = "t", channel = "sensor.q1" }
+"ctrl.m1" = { source = "t", channel = "ctrl.m1" }
 [[runs]]
 file = "run-0"
 """
@@ -42,8 +49,8 @@ TINY = ["--env", "loose_env/Planar-v0"]
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("disk") / "recording"
-    make_recording(folder)
-    make_shaken_recording(shaken_beside(folder))
+    write_gap_recording(folder, **GAPS["forward, damping"])
+    write_shaken_recording(shaken_beside(folder), **DIAGNOSES["healthy, flat"])
     mapping_beside(folder).write_text(MAPPING)
     return folder
 

@@ -33,6 +33,8 @@ from loose_env.instrument.model.instrumented_arm import read_arm
 from loose_env.recording import Run, read_recording, write_recording
 from tests.trust.test_properties import chains
 
+pytestmark = pytest.mark.slow
+
 HANGS = 120
 """Time after which an example hangs [s]; it takes a second or two."""
 few = settings(

@@ -17,7 +17,9 @@ from loose_env.arms import Arm, arm_from_file, describe_file, planar, scara, ver
 from loose_env.envs import DiagnosisEnv, DiagnosisSettings
 from loose_env.errors import InvalidData, LooseEnvError
 from loose_env.recording import Run, read_recording, write_recording
-from scripts.suites.trust.fuzz.documents import MODEL
+from scripts.suites.trust.fuzz import MODEL
+
+pytestmark = pytest.mark.slow
 
 HANGS = 120
 """Time after which an example hangs [s]; it takes less than one."""

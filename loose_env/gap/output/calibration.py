@@ -2,8 +2,8 @@
 
 No model is exact to the noise: differences of log-likelihood are thousands of nats, and intervals
 from the noise and the scatter of runs alone miss what the law of an effect leaves out. Both are
-therefore calibrated on recordings whose truth is known, and judged on others
-(`python -m scripts.suites.gap.studies.calibrate`): the probability as a logistic map of what the
+therefore calibrated on blind recordings whose truth is known (docs/gap_evidence.jsonl), and judged
+on others: the probability as a logistic map of what the
 tests measured, the intervals by split-conformal prediction (Lei et al., J. Am. Stat. Assoc. 113,
 2018).
 """

@@ -34,14 +34,11 @@ from loose_env.instrument import (
 )
 from loose_env.recording import Run, read_recording, write_recording
 from loose_env.report import write_trend_page
-from scripts.suites.diagnosis.cases import Case
-from scripts.suites.diagnosis.measuring import motion, taken
-from scripts.suites.gap.cases.sensing import Noise
-from scripts.suites.gap.cases.true_arm import TrueArm
-from scripts.suites.gap.effects.types import Effect, Place
-from scripts.suites.gap.simulator.arms import planar3
-from scripts.suites.gap.simulator.build import Factors
-from scripts.suites.gap.simulator.model_xml import model_xml
+from scripts.suites.diagnosis.cases import Case, motion, taken
+from scripts.suites.gap.arms import model_xml, planar3
+from scripts.suites.gap.effects import Effect, Place
+from scripts.suites.gap.machine import Noise, TrueArm
+from scripts.suites.gap.simulate import Factors
 
 SEED = 81_247
 """Of the printed numbers; nothing was developed on it."""

@@ -1,340 +1,379 @@
 """Grade the gap tool on blind recordings: the table of targets and the confusion matrix.
 
 Each case is made by an arm that is integrated without MuJoCo, given to the tool as a recording and
-nothing else, and graded against its sealed truth once the result is written. A case that is done is
-stored: the same command goes on where it was stopped. No mark depends on the backend or the number
-of workers. Only rows of the same code are put together (comments aside).
+nothing else, and graded against its sealed truth once the result is written. Rows of finished cases
+are kept: the same command goes on where it was stopped.
 
-Usage: python -m scripts.suites.gap.run [--quick | --numbers 0-9 1004 2001] [--out FOLDER]
-           [--tool NAME] [--docs] [--backend loky|threading|ray|dask] [--workers N]
-       python -m scripts.suites.gap.run --show     (prints what is stored)
+    python -m scripts.suites.gap.run --quick                    # 20 cases, a quarter of an hour
+    python -m scripts.suites.gap.run --numbers 0-9 1004 2001
+    python -m scripts.suites.gap.run --tool stepwise_bic        # another method, the same cases
+    python -m scripts.suites.gap.run --show                     # print the kept rows
+    python -m scripts.suites.gap.run --methods                  # table of all methods
 """
 
 from __future__ import annotations
 
 import functools
-import importlib.metadata
+import json
+import math
 import shutil
-import sys
+import tempfile
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Literal
 
-from loose_agents.jobs import BackendSettings, ProgressLine, Store, WorkerDied, results_of
+import mujoco
 
 import loose_env
-from loose_env.cli.command import command, one_of
+from loose_env.cli.command import command
 from loose_env.errors import InvalidSetting
-from scripts.study import write_between
-from scripts.suites.gap import rivals
-from scripts.suites.gap.cases.cases import SEED, full_list, quick_list
-from scripts.suites.gap.cases.numbers import mixed, numbers_of
-from scripts.suites.gap.grading.code_hash import code_hash
-from scripts.suites.gap.grading.one_case import (
-    Folders,
-    Row,
-    grade_of,
-    line_of,
-    lost,
-    run_case,
-    shard_for,
+from loose_env.gap import (
+    GapSettings,
+    GapSolution,
+    compared,
+    exported,
+    find_gap,
+    read_result,
+    resting_runs,
+    result_of,
+    write_model,
 )
-from scripts.suites.gap.grading.rows import take_rows, write_rows
-from scripts.suites.gap.grading.tables import lines_of_cases, markdown, text
-from scripts.suites.gap.grading.tool import Tool, run_tool
+from loose_env.recording import read_recording
+from scripts.study import write_between
+from scripts.suites.gap.cases import (
+    LAST,
+    draw_case,
+    full_list,
+    is_written,
+    mixed,
+    name_of,
+    numbers_of,
+    quick_list,
+    role_of,
+    tolerance_of,
+    write_case,
+)
+from scripts.suites.gap.grading import Grade, failed, grade, separable_by_data
+from scripts.suites.gap.tables import METHODS, lines_of_cases, markdown, methods_table, text
+from scripts.suites.rows import Row, add, check_code, code_hash, kept, run_cases
 
 ROOT = Path(__file__).resolve().parents[3]
 OUT = ROOT / "out" / "gap_suite"
 DOCS = ROOT / "docs" / "gap_suite.md"
 TOOL = "loose_gap"
 """Name of the tool under test."""
-TOOLS = (TOOL, *rivals.METHODS)
-"""Names of all tools."""
-ROWS = "gap_suite_rows.jsonl"
-"""File of the rows, beside the page."""
-NEW = "# Identification accuracy of `loose gap`\n\n<!-- tables: begin -->\n<!-- tables: end -->\n"
-"""Page that is made where there is none."""
+TOOLS = (TOOL, "sysid", "stepwise_bic")
+Tool = Callable[[Path, Path, float], None]
+"""Reads the recording in the first folder and leaves ``result.json`` in the second, told how well
+the nominal parameters are known."""
+EXPORTED = "exported.json"
+"""Residual of the written model in plain MuJoCo, beside that of the fit."""
 
 
-def configuration(tool: str = TOOL) -> dict[str, Any]:
-    """Everything that the rows of a tool depend on."""
-    package = Path(loose_env.__file__).parent
-    if tool == TOOL:
-        made = code_hash([package / "gap", package / "recording", package / "statistics"])
-    else:
-        # methods read recordings and write results by the package, and use nothing else of it
-        own = code_hash(
-            [package / "recording", Path(rivals.__file__).parent],
-            without=("__init__.py", "__main__.py"),
+# ----------------------------------------------------------------------------------- tools
+
+
+def run_tool(recording: Path, folder: Path, tolerance: float) -> None:
+    """Run the tool on one thread and write its result; the only place here that imports it."""
+    settings = GapSettings(threads=1, tolerance=tolerance)
+    with (folder / "log.txt").open("w", encoding="utf-8", buffering=1) as log:
+        found = find_gap(
+            read_recording(recording), settings, say=functools.partial(print, file=log)
         )
-        made = f"{tool} {own}"
-    return {
-        "study": "gap suite",
-        "seed": SEED,
-        "tool": made,
-        "suite": code_hash(
-            [ROOT / "scripts" / "suites" / "gap"],
-            without=(
-                "__init__.py",
-                "__main__.py",
-                "tables.py",
-                "rows.py",
-                "code_hash.py",
-                "run.py",
-                "rivals",
-                "public",
-                "studies",
-            ),
-        ),
-        "versions": {
-            name: importlib.metadata.version(name) for name in ("mujoco", "numpy", "scipy")
-        },
-    }
+    residuals = exported_gap(found, folder)
+    if residuals is not None:
+        (folder / EXPORTED).write_text(json.dumps(residuals), encoding="utf-8")
+    read_result(result_of(found).write(folder / "result.json"))
 
 
-def folder_of(tool: str) -> Path:
-    """Default folder of the rows and results of a tool."""
-    return OUT if tool == TOOL else OUT.with_name(f"{OUT.name}_{tool}")
+def exported_gap(found: GapSolution, folder: Path) -> tuple[float, float] | None:
+    """Residual of the written model, stepped by MuJoCo alone, and of the fit [noise sd].
+
+    None where MJCF cannot carry an effect, or no held-out run begins at rest and has commands.
+    """
+    corrected, held = found.corrected, found.problem.held_out_whole
+    if not found.effects or not all(effect.in_model for effect in corrected.effects):
+        return None
+    runs, machine = resting_runs(held), found.problem.machine
+    if not runs:
+        return None
+    step = exported(held, corrected, found.best.held_out_residual).step
+    file, *_ = write_model(folder / "model.xml", machine, corrected, step=step)
+    model = mujoco.MjModel.from_xml_path(str(file))
+    tried = compared(held, found.best.held_out_residual, model, runs)
+    return None if tried is None else (tried[1].left, tried[1].fitted)
 
 
 def tool_named(name: str) -> Tool:
-    """The tool under test, or another method by its name.
+    """The tool under test, or another method by its name."""
+    if name == "sysid":
+        from scripts.suites.gap.rival_sysid import run_sysid
 
-    Raises
-    ------
-    InvalidSetting
-        If there is none of the name.
+        return run_sysid
+    if name == "stepwise_bic":
+        from scripts.suites.gap.rival_stepwise import run_stepwise_bic
+
+        return run_stepwise_bic
+    return run_tool
+
+
+# ------------------------------------------------------------------------------- one case
+
+
+@dataclass(frozen=True, kw_only=True)
+class Folders:
+    """Where things lie."""
+
+    out: Path
+    """Rows, and results in one folder a case."""
+    blind: Path
+    """``recordings``, which the tool may see, and ``truth``, which only grading may see."""
+    keep: bool = False
+    """Whether recordings stay after they were graded."""
+
+
+def run_case(number: int, *, folders: Folders, tool: Tool, code: str = "") -> Row:
+    """Make the recording of a case, run the tool on it and grade its result.
+
+    The truth is opened only after the tool has left its whole result. Whatever goes wrong becomes
+    the row, with the message.
     """
-    if name == TOOL:
-        return run_tool
-    if name not in rivals.METHODS:
-        raise InvalidSetting(f"{name!r} is no tool; there are {', '.join(TOOLS)}")
-    return functools.partial(rivals.run_method, name=name)
-
-
-def store_in(out: Path, *, tool: str = TOOL, afresh: bool = False) -> Store:
-    """The rows of a tool in a folder.
-
-    Raises
-    ------
-    InvalidSetting
-        If other code made them.
-    """
-    folder = out / "rows"
-    if afresh:
-        shutil.rmtree(folder, ignore_errors=True)
+    name = name_of(number)
+    recordings, truths = folders.blind / "recordings", folders.blind / "truth"
+    folder = folders.out / "results" / name
+    spent: dict[str, float] = {}
+    error, stage = "", "making"
+    began = time.perf_counter()
     try:
-        return Store(folder, configuration(tool))
-    except InvalidSetting as error:
-        raise InvalidSetting(f"{error} (--afresh removes the rows)") from error
+        if not is_written(number, name, recordings=recordings, truth=truths):
+            write_case(draw_case(number), recordings=recordings, truth=truths)
+        spent[stage], stage, began = time.perf_counter() - began, "tool", time.perf_counter()
+        shutil.rmtree(folder, ignore_errors=True)  # nothing of an earlier run may be graded
+        folder.mkdir(parents=True)
+        tool(recordings / name, folder, tolerance_of(number))
+        spent[stage], stage, began = time.perf_counter() - began, "grading", time.perf_counter()
+        marks = grade(
+            json.loads((folder / "result.json").read_text(encoding="utf-8")),
+            json.loads((truths / f"{name}.json").read_text(encoding="utf-8")),
+            separable=separable_by_data(number),
+            exported=_exported(folder),
+            seconds=spent["tool"],
+        )
+    except Exception as wrong:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "error.txt").write_text(traceback.format_exc(), encoding="utf-8")
+        error = " ".join(f"{stage}: {type(wrong).__name__}: {wrong}".split())
+        truth = {"case": name, "role": role_of(number), "form": "", "effects": []}
+        if (truths / f"{name}.json").is_file():
+            truth = json.loads((truths / f"{name}.json").read_text(encoding="utf-8"))
+        marks = failed(truth)
+    spent[stage] = time.perf_counter() - began
+    if not folders.keep and not error:
+        shutil.rmtree(recordings / name, ignore_errors=True)
+    return {
+        "number": number,
+        "case": marks.case,
+        "role": marks.role,
+        "error": error,
+        "grade": asdict(marks),
+        "times": {stage: round(seconds, 3) for stage, seconds in spent.items()},
+        "code": code,
+    }
 
 
-def run_suite(
-    numbers: Sequence[int],
-    folders: Folders,
-    store: Store,
-    *,
-    tool: Tool = run_tool,
-    backend: BackendSettings | None = None,
-) -> list[Row]:
-    """Run the cases that the store lacks, and say how each went.
-
-    Parameters
-    ----------
-    numbers : sequence of int
-        Cases.
-    folders : Folders
-        Where recordings and results lie.
-    store : Store
-        Where rows go as they come.
-    tool : callable
-        The tool; it travels to the workers.
-    backend : BackendSettings, optional
-        Where the work runs; no row depends on it, but for its times.
-
-    Returns
-    -------
-    list of Row
-        One for each case, in the order of their numbers.
-    """
-    work = functools.partial(run_case, folders=folders, tool=tool)
-    shards = [shard_for(number) for number in mixed(numbers)]
-    missing = store.missing(shards)
-    with ProgressLine(len(shards), done=len(shards) - len(missing), unit="cases") as line:
-
-        def keep(shard: range, rows: list[Row]) -> None:
-            store.write(shard, rows)
-            _say(line_of(rows[0]))
-            line.advance(1)
-
-        while missing:
-            try:
-                for position, rows in results_of(work, missing, backend):
-                    keep(missing[position], rows)
-                break
-            except WorkerDied as failure:
-                # one case that ends its process every time must not end the suite
-                dead = missing[failure.position]
-                keep(dead, [lost(dead.start, str(failure), folders)])
-                missing = store.missing(shards)
-    return stored(numbers, store)
+def _exported(folder: Path) -> float:
+    """Residual of the written model over that of the fit; NaN where it was not checked."""
+    if not (folder / EXPORTED).exists():
+        return math.nan
+    written, fit = json.loads((folder / EXPORTED).read_text(encoding="utf-8"))
+    return float(written) / max(float(fit), 1e-12)
 
 
-def stored(numbers: Sequence[int], store: Store) -> list[Row]:
-    """Rows that the store has, in the order of their numbers."""
-    shards = [shard_for(number) for number in sorted(set(numbers))]
-    lacking = {shard.start for shard in store.missing(shards)}
-    return [row for s in shards if s.start not in lacking for row in store.read(s)]
+def grade_of(row: Row) -> Grade:
+    """Marks of a row, as they were before it was stored."""
+    marks = dict(row["grade"])
+    for name in ("truth", "said"):
+        marks[name] = tuple((str(kind), str(where)) for kind, where in marks[name])
+    for name in ("parameter_error", "covered", "covered_others"):
+        marks[name] = tuple(marks[name])
+    return Grade(**marks)
 
 
-def _say(line: str) -> None:
-    # on a terminal the progress line stands there already: write over it
-    over = sys.stderr.isatty() and sys.stdout.isatty()
-    print(f"\r{line:<78}" if over else line, flush=True)
+def line_of(row: Row) -> str:
+    """One line about a case: whether it is right, what is true, what was said, times."""
+    marks = grade_of(row)
+    parts = [f"{marks.case} {row['number']:5d} {marks.role:<7} {marks.form:<7}"]
+    if row["error"]:
+        parts += ["FAILED", row["error"]]
+    else:
+        size = "" if math.isnan(marks.ratio) else f" ({marks.ratio:.1f} x just visible)"
+        parts += [
+            "right" if marks.right else "WRONG",
+            f"true {_list(marks.truth)}{size}",
+            f"said {_list(marks.said, marks.verdict)}",
+            f"residual {marks.gap_before:.2f} to {marks.gap_after:.2f}",
+        ]
+    times = ", ".join(f"{stage} {spent:.0f} s" for stage, spent in row["times"].items())
+    return "  ".join([*parts, f"[{times}]"])
 
 
-# Showing
+def _list(effects: Sequence[tuple[str, str]], otherwise: str = "nothing") -> str:
+    return " + ".join(f"{kind}@{where}" for kind, where in effects) or otherwise
+
+
+# ------------------------------------------------------------------------------ the command
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """Which cases, which tool, where."""
+
+    quick: bool = False
+    """20 cases in a quarter of an hour."""
+    numbers: tuple[str, ...] = ()
+    """Chosen cases, as in 7 or 1000-1022; the whole list by default."""
+    tool: Literal["loose_gap", "sysid", "stepwise_bic"] = "loose_gap"
+    """Tool that is graded: loose gap, or another method on the same cases."""
+    out: Path | None = None
+    """Folder of rows and results; out/gap_suite by default, of other methods with their name."""
+    blind: Path | None = None
+    """Folder of recordings and truth, made where they lack; by default in --out."""
+    keep_recordings: bool = False
+    """Keep recordings after their case is graded (about 3 MB each)."""
+    show: bool = False
+    """Run nothing, print the kept rows."""
+    recording: Path | None = None
+    """Print what the tool says of one recording instead."""
+    methods: bool = False
+    """Run nothing, print the table of all methods on the cases that all of them have."""
+    afresh: bool = False
+    """Remove kept rows first."""
+    workers: int = 1
+    """Processes side by side."""
+    docs: bool = False
+    """Write the tables to docs/gap_suite.md, as a whole run does by itself."""
+
+
+def rows_file(tool: str, out: Path | None = None) -> Path:
+    """File of the rows of a tool."""
+    folder = out or (OUT if tool == TOOL else OUT.with_name(f"{OUT.name}_{tool}"))
+    return folder.resolve() / "rows.jsonl"
+
+
+def code_of(tool: str) -> str:
+    """Hash of the code that the rows of a tool depend on."""
+    own = [Path(loose_env.__file__).parent / part for part in ("gap", "recording", "statistics")]
+    here = Path(__file__).parent
+    if tool != TOOL:
+        own = [here / name for name in ("rival_data.py", f"rival_{tool.split('_')[0]}.py")]
+    suite = ("arms", "dynamics", "simulate", "machine", "effects", "drive_effects", "cases",
+             "grading")  # fmt: skip
+    return code_hash(*own, *(here / f"{name}.py" for name in suite))
 
 
 def head_of(rows: Sequence[Row], asked: int) -> str:
-    """How many cases there are, and what they took.
-
-    Examples
-    --------
-    >>> head_of([{"times": {"making": 1800.0, "tool": 5400.0}}], 2)
-    '1 case of 2; 120 min of work: making 30, tool 90'
-    """
+    """How many cases there are, and what they took."""
     spent: dict[str, float] = {}
     for row in rows:
         for stage, seconds in row["times"].items():
             spent[stage] = spent.get(stage, 0.0) + seconds / 60.0
     parts = ", ".join(f"{stage} {minutes:.0f}" for stage, minutes in spent.items())
-    cases = "1 case" if len(rows) == 1 else f"{len(rows)} cases"
     whole = "" if len(rows) == asked else f" of {asked}"
-    return f"{cases}{whole}; {sum(spent.values()):.0f} min of work: {parts}"
-
-
-def report(rows: Sequence[Row], asked: int) -> str:
-    """What is printed at the end."""
-    failures = [line_of(row) for row in rows if row["error"]]
-    parts = [head_of(rows, asked), "", text([grade_of(row) for row in rows])]
-    if failures:
-        parts += ["failed:", *(f"  {line}" for line in failures)]
-    return "\n".join(parts)
+    return f"{len(rows)} cases{whole}; {sum(spent.values()):.0f} min of work: {parts}"
 
 
 def tables(rows: Sequence[Row], asked: int) -> str:
-    """The same as markdown, with a line for every case that is not right."""
-    marks = [grade_of(row) for row in rows]
-    wrong = [(r["number"], g, r["error"]) for r, g in zip(rows, marks, strict=True) if not g.right]
-    parts = [head_of(rows, asked) + ".", "", markdown(marks)]
-    if wrong:
+    """The tables as markdown, with a line for every case that is not right."""
+    marks = [(r["number"], grade_of(r), r["error"]) for r in rows]
+    parts = [head_of(rows, asked) + ".", "", markdown([g for _, g, _ in marks])]
+    if wrong := [each for each in marks if not each[1].right]:
         parts += [
-            "Cases that are not right, with the gap on held-out runs before and after [noise sd]:",
+            "Cases that are not right, with the residual on held-out runs before and after "
+            "[noise sd]:",
             "",
             lines_of_cases(wrong),
         ]
     return "\n".join(parts).rstrip() + "\n"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Options(BackendSettings):
-    """Options of the suite."""
-
-    quick: bool = False
-    """20 cases in a quarter of an hour."""
-    numbers: tuple[str, ...] = ()
-    """Chosen cases, as in 7 or 1000-1022."""
-    tool: Annotated[str, one_of(TOOLS)] = TOOL
-    """Tool that is graded: loose gap, or another method on the same cases."""
-    out: Path | None = None
-    """Folder of rows and results; out/gap_suite by default, of other methods with their name."""
-    blind: Path | None = None
-    """Folder of recordings and truth, made where they lack, never removed; blind in --out by
-    default."""
-    keep_recordings: bool = False
-    """Keep recordings after their case is graded (about 3 MB each)."""
-    show: bool = False
-    """Run nothing, print what is stored."""
-    take: tuple[Path, ...] = ()
-    """Files of rows of the same code to take over, as in docs/gap_suite_rows.jsonl."""
-    afresh: bool = False
-    """Remove stored rows first."""
-    retry_failed: bool = False
-    """Run cases again that failed, not the wrong ones."""
-    docs: tuple[Path, ...] | None = None
-    """Write the tables to a page (docs/gap_suite.md if none is named), as a whole run does by
-    itself."""
-    docs_cases: tuple[Path, ...] | None = None
-    """Write a line for every case asked for to a page, between its marks `cases`."""
-
-    def __post_init__(self) -> None:
-        if self.quick and self.numbers:
-            raise InvalidSetting("--quick and --numbers exclude each other")
+def said_of(recording: Path, tool: str, tolerance: float = 0.03) -> str:
+    """What a tool says of one recording, a line for each effect."""
+    with tempfile.TemporaryDirectory() as place:
+        tool_named(tool)(recording, Path(place), tolerance)
+        result = read_result(place)
+    lines = [
+        f"{METHODS[tool]}: {result.verdict}; residual on the held-out run "
+        f"{result.gap.before:.2f} noise sd before, {result.gap.after:.2f} after"
+    ]
+    for effect in (*result.effects, *result.doubtful):
+        values = []
+        for key, value in effect.parameters.items():
+            low, high = effect.interval_95.get(key, (math.nan, math.nan))
+            values.append(f"{key} {value:.4g} ({low:.4g} to {high:.4g})")
+        lines.append(f"  {effect.kind} at {effect.where}: {', '.join(values)}")
+    return "\n".join(lines)
 
 
-def _page(given: tuple[Path, ...] | None) -> Path | None:
-    """Page of an option that may stand alone."""
-    return None if given is None else (given or (DOCS,))[0]
-
-
-def grade_suite(chosen: Options) -> None:
+def run(settings: RunSettings) -> None:
     """Run the cases asked for and print how the tool did."""
-    if chosen.numbers:
-        numbers = numbers_of(chosen.numbers)
-    else:
-        numbers = quick_list() if chosen.quick else full_list()
-    out = (chosen.out or folder_of(chosen.tool)).resolve()
+    if settings.methods:
+        found = {tool: kept(rows_file(tool)) for tool in TOOLS}
+        if not any(found.values()):
+            raise InvalidSetting("no tool has rows; run with --tool NAME first")
+        graded = {
+            tool: {r["number"]: grade_of(r) for r in rows if r["number"] <= LAST}
+            for tool, rows in found.items()
+        }
+        content = methods_table(graded)
+        print(content)
+        if settings.docs:
+            write_between(DOCS, content, name="methods")
+        return
+    if settings.recording is not None:
+        print(said_of(settings.recording, settings.tool))
+        return
+    if settings.docs and settings.tool != TOOL:
+        raise InvalidSetting("--docs writes the tables of loose gap; see --methods")
+    numbers = numbers_of(settings.numbers) if settings.numbers else full_list()
+    numbers = quick_list() if settings.quick else numbers
+    file = rows_file(settings.tool, settings.out)
+    if settings.afresh:
+        file.unlink(missing_ok=True)
+    code = code_of(settings.tool)
+    check_code(kept(file), code, file)
     folders = Folders(
-        out=out,
-        blind=(chosen.blind or out / "blind").resolve(),
-        keep=chosen.keep_recordings or chosen.blind is not None,
+        out=file.parent,
+        blind=(settings.blind or file.parent / "blind").resolve(),
+        keep=settings.keep_recordings or settings.blind is not None,
     )
-    store = store_in(out, tool=chosen.tool, afresh=chosen.afresh)
-    for file in chosen.take:
-        print(f"{take_rows(file, store)} rows taken from {file}", file=sys.stderr)
-    if chosen.retry_failed:
-        for row in stored(numbers, store):
-            if row["error"]:
-                store.path(shard_for(row["number"])).unlink()
-    began = time.monotonic()
-    if chosen.show:
-        rows = stored(numbers, store)
+    if settings.show:
+        rows = [row for row in kept(file) if row["number"] in set(numbers)]
     else:
-        rows = run_suite(
-            numbers,
-            folders,
-            store,
-            tool=tool_named(chosen.tool),
-            backend=chosen,
+        work = functools.partial(
+            run_case, folders=folders, tool=tool_named(settings.tool), code=code
         )
-    print("\n" + report(rows, len(numbers)))
+        rows = run_cases(mixed(numbers), work, file, workers=settings.workers, say=line_of)
+    rows.sort(key=lambda row: int(row["number"]))
+    print(f"\n{head_of(rows, len(numbers))}\n\n{text([grade_of(row) for row in rows])}")
     content = tables(rows, len(numbers))
-    (out / "summary.md").write_text(content, encoding="utf-8")
-    (out / "cases.txt").write_text("".join(line_of(r) + "\n" for r in rows), encoding="utf-8")
-    page = _page(chosen.docs)
-    own = chosen.tool == TOOL
-    if page is not None and not own:
-        raise InvalidSetting("--docs writes the tables of loose gap; see scripts.suites.gap.rivals")
-    whole = not (chosen.quick or chosen.numbers) and len(rows) == len(numbers)
-    if page is None and own and whole:
-        page = DOCS  # a whole run goes to the docs by itself
-    cases_page = _page(chosen.docs_cases)
-    if cases_page is not None:
-        every = lines_of_cases([(row["number"], grade_of(row), row["error"]) for row in rows])
-        write_between(cases_page, every.rstrip(), name="cases")
-    if page is not None:
-        write_between(page, content, new=NEW)
-        write_rows(page.with_name(ROWS), store.configuration, rows)
-    print(f"{time.monotonic() - began:.0f} s; tables: {out / 'summary.md'}", file=sys.stderr)
+    file.with_name("summary.md").write_text(content, encoding="utf-8")
+    whole = not (settings.quick or settings.numbers) and len(rows) == len(numbers)
+    if settings.tool == TOOL and (settings.docs or whole):
+        write_between(DOCS, content)
+        page_rows = DOCS.with_name("gap_suite_rows.jsonl")
+        page_rows.unlink(missing_ok=True)
+        for row in rows:
+            add(page_rows, row)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the cases asked for and print how the tool did."""
-    going_on = "the same command goes on"
-    command("gap suite", __doc__, Options, grade_suite, arguments, interrupted=going_on)
+    """Run the command."""
+    command(
+        "gap suite", __doc__, RunSettings, run, arguments, interrupted="the same command goes on"
+    )
 
 
 if __name__ == "__main__":

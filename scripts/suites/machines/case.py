@@ -1,32 +1,219 @@
-"""Random draw of a case and its recorded runs, and what is true of them."""
+"""A case: poses and noise that are played, the recorder, and its runs."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
+import mujoco
 import numpy as np
 from scipy import signal
+from scipy.spatial.transform import Rotation
 
-from scripts.suites.machines.arms import (
+from scripts.suites.machines.machine import (
+    GRAVITY,
     STEP,
     Arm,
     Array,
+    Disturbances,
     Fault,
+    Machine,
+    Played,
+    Unstable,
     draw_arm,
     nominal_xml,
     with_gains,
 )
-from scripts.suites.machines.disturbances import Disturbances
-from scripts.suites.machines.machine import Machine, Played, Unstable
-from scripts.suites.machines.plans import (
-    RISE,
-    SETTLE,
-    CaseSettings,
-    RunPlan,
-    draw_plans,
-    weight_of,
-)
-from scripts.suites.machines.recorder import Recorder
+
+SHARES = (0.08, 0.3)
+"""Rms torque of the excitation over the limit, log-uniform."""
+MOST_TOOL = 15.0
+"""Rms acceleration of the tool that a plan would ask for at most [m/s²]."""
+CHOSEN, CANDIDATES = 0.6, 30
+"""Probability of a pose chosen among random ones, and their number: a plan chooses poses in which
+gravity leaves seats open. Healthy cases have the poses of a fault that is not there."""
+PEAK, CREST = 0.9, 3.5
+"""Peak torque over the limit, and over its rms, that a plan would allow."""
+SETTLE, RISE = 0.4, 0.15
+"""Time at rest, and of the rising noise, before the record begins [s]."""
+AFTER = 0.02
+"""Time simulated after the record [s]."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CaseSettings:
+    """Size of a recording."""
+
+    runs: int = 6
+    """Suspect runs, and healthy ones where there are any."""
+    poses: int = 3
+    """Poses among them."""
+    seconds: float = 1.2
+    """Length of a run [s]."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RunPlan:
+    """A run to play."""
+
+    pose: Array
+    """Pose [rad] (n,)."""
+    joint: int
+    """Joint that is shaken."""
+    noise: Array
+    """Noise of rms one by integration step (T,)."""
+    level: float
+    """Rms of the excitation [rad, N m of torque motors]."""
+
+
+def draw_plans(
+    arm: Arm, fault: Fault, disturbances: Disturbances, rate: float, settings: CaseSettings,
+    rng: np.random.Generator, quiet: float,
+) -> tuple[RunPlan, ...]:  # fmt: skip
+    """Draw poses, joints, noise and level of the runs of a case."""
+    servo = disturbances.size("sampled_servo", "rate", 1 / STEP)
+    n = arm.joints
+    high = min(float(rng.uniform(60.0, 90.0)), 0.35 * rate, 0.2 * servo)
+    band = (float(rng.uniform(6.0, 12.0)), high)
+    share = float(np.exp(rng.uniform(*np.log(SHARES))))
+    joints = rng.permutation(n)[: max(1, settings.runs // settings.poses)]
+    count = round((SETTLE + RISE + settings.seconds + AFTER) / STEP)
+    plans: list[RunPlan] = []
+    load = _load(arm, fault)
+    pose = np.zeros(n)
+    for i in range(settings.runs):
+        if i % len(joints) == 0:
+            tried = CANDIDATES if rng.random() < CHOSEN else 1
+            pose = min(rng.uniform(-1.3, 1.3, (tried, n)), key=load)
+        joint = int(joints[i % len(joints)])
+        noise = _noise(band, count, rng)
+        torque = share * arm.limit[joint]
+        torque *= min(1.0, MOST_TOOL / max(_moved(arm, pose, joint) * torque, 1e-9))
+        spare = PEAK * arm.limit[joint] - abs(weight_of(arm, pose)[joint])
+        torque = max(min(torque, spare / CREST), 0.02 * arm.limit[joint])
+        level = quiet * torque / (arm.kp[joint] if arm.servoed else 1.0)
+        plans.append(RunPlan(pose=pose, joint=joint, noise=noise, level=level))
+    return tuple(plans)
+
+
+def _load(arm: Arm, fault: Fault) -> Callable[[Array], float]:
+    """Weight that keeps a fault shut, as a function of the pose; only its order counts."""
+    model = mujoco.MjModel.from_xml_string(nominal_xml(arm))
+    data = mujoco.MjData(model)
+    body = model.body(f"link{fault.link + 1}").id
+
+    def load(pose: Array) -> float:
+        data.qpos[:] = pose
+        mujoco.mj_forward(model, data)
+        if fault.kind == "backlash":
+            return float(abs(data.qfrc_bias[fault.link]))
+        return float(abs(data.xmat[body].reshape(3, 3)[2] @ fault.direction))
+
+    return load
+
+
+def _noise(band: tuple[float, float], count: int, rng: np.random.Generator) -> Array:
+    """Band-limited Gaussian noise of rms one that rises after the time at rest."""
+    spectrum = np.fft.rfft(rng.normal(size=2 * count))
+    frequency = np.fft.rfftfreq(2 * count, STEP)
+    spectrum[(frequency < band[0]) | (frequency > band[1])] = 0
+    noise = np.fft.irfft(spectrum)[:count]
+    time = np.arange(count) * STEP
+    swell = np.clip((time - SETTLE) / (0.7 * RISE), 0, 1)
+    return np.asarray(swell * noise / noise.std())
+
+
+def _moved(arm: Arm, pose: Array, joint: int) -> float:
+    """Acceleration of the tool per torque of a joint, the others held [m/s²/(N m)]."""
+    model = mujoco.MjModel.from_xml_string(nominal_xml(arm))
+    data = mujoco.MjData(model)
+    data.qpos[:] = pose
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    jacobian = np.zeros((3, model.nv))
+    mujoco.mj_jacSite(model, data, jacobian, None, model.site("tool").id)
+    return float(np.linalg.norm(jacobian[:, joint]) / full[joint, joint])
+
+
+def weight_of(arm: Arm, pose: Array) -> Array:
+    """Torques that hold the arm's weight by its model [N m]."""
+    model = mujoco.MjModel.from_xml_string(nominal_xml(arm))
+    data = mujoco.MjData(model)
+    data.qpos[:] = pose
+    mujoco.mj_forward(model, data)
+    return np.array(data.qfrc_bias)
+
+
+USUAL_NOISE = 20.0
+"""Noise density of an accelerometer where it is not drawn [µg/√Hz]."""
+
+
+class Recorder:
+    """Recorder and sensors of a machine."""
+
+    def __init__(
+        self, rate: float, disturbances: Disturbances, *, speeds: bool, seed: list[int]
+    ) -> None:
+        rng = np.random.default_rng(np.random.SeedSequence(seed))
+        self.rate, self.speeds, self.disturbances = rate, speeds, disturbances
+        size = disturbances.size
+        axis = rng.normal(size=3)
+        angle = np.radians(size("accelerometer_rotation", "angle"))
+        turned = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+        leaks = size("cross_axis", "share") * rng.uniform(-1, 1, (3, 3)) * (1 - np.eye(3))
+        self.mixing: Array = (np.eye(3) + leaks) @ turned
+        self.offset = float(rng.choice([-1, 1])) * size("clock_offset", "offset")
+        self.drift = float(rng.choice([-1, 1])) * size("clock_drift", "drift") * 1e-6
+        self.bits = round(size("encoder_quantisation", "bits"))
+
+    def columns(
+        self, played: Played, commands: Array, begin: float, seconds: float,
+        rng: np.random.Generator,
+    ) -> dict[str, Array]:  # fmt: skip
+        """Columns of the recording format."""
+        count = round(seconds * self.rate)
+        time: Array = np.arange(count, dtype=np.float64) / self.rate
+        steps: Array = np.arange(len(played.position), dtype=np.float64) * STEP
+        size = self.disturbances.size
+        late = float(size("accelerometer_delay", "delay") + self.offset)
+        asked: Array = begin + time * (1 + self.drift) - late
+        analogue = self._filtered(played.acceleration)
+        density = size("accelerometer_noise", "density", USUAL_NOISE) * 1e-6 * GRAVITY
+        noise = density * np.sqrt(self.rate / 2) * rng.normal(size=(count, 3))
+        reading = _at(asked, steps, analogue) @ self.mixing.T + noise
+        now = np.minimum(np.round((begin + time) / STEP).astype(int), len(steps) - 1)
+        angles, speeds = played.position[now], played.velocity[now]
+        if self.bits:
+            step = 2 * np.pi / 2**self.bits
+            angles = np.round(angles / step) * step
+        columns: dict[str, Array] = {"time": time}
+        for j in range(angles.shape[1]):
+            columns[f"ctrl.servo{j + 1}"] = commands[now, j]
+            columns[f"sensor.joint{j + 1}_pos"] = angles[:, j]
+            if self.speeds:
+                columns[f"sensor.joint{j + 1}_vel"] = speeds[:, j]
+        for k, axis in enumerate("xyz"):
+            columns[f"sensor.tool_acc.{axis}"] = reading[:, k]
+        return columns
+
+    def _filtered(self, acceleration: Array) -> Array:
+        """Analogue low-pass of the sensor, then decimation of linear phase."""
+        bandwidth = self.disturbances.size("accelerometer_filter", "bandwidth")
+        found: Array = acceleration
+        if bandwidth:
+            sos = signal.butter(2, bandwidth, fs=1 / STEP, output="sos")
+            start = signal.sosfilt_zi(sos)[:, :, None] * found[0]
+            found, _ = signal.sosfilt(sos, found, axis=0, zi=start)
+        if 0.4 * self.rate < 0.45 / STEP:
+            sos = signal.butter(4, 0.4 * self.rate, fs=1 / STEP, output="sos")
+            found = signal.sosfiltfilt(sos, found, axis=0)
+        return np.asarray(found, dtype=np.float64)
+
+
+def _at(asked: Array, time: Array, values: Array) -> Array:
+    return np.stack([np.interp(asked, time, column) for column in values.T], axis=1)
+
 
 OPENS = 0.05
 """Change of the tool's motion by a fault over the motion, from which the fault opens."""
@@ -125,21 +312,7 @@ def draw(
     healthy: bool | None = None,
     attempt: int = 0,
 ) -> Case:
-    """Draw a case by its number.
-
-    Parameters
-    ----------
-    number, seed : int
-        Of the case and of the suite.
-    settings : CaseSettings, optional
-        Size of the recording.
-    disturbances : Disturbances, optional
-        These in the place of drawn ones.
-    healthy : bool, optional
-        This in the place of every other one.
-    attempt : int
-        Later attempts have softer servos and lower levels.
-    """
+    """Draw a case by its number."""
     settings = CaseSettings() if settings is None else settings
     rng = np.random.default_rng(np.random.SeedSequence([seed, number, 0]))
     arm = draw_arm(rng)
@@ -164,13 +337,7 @@ def draw(
 
 
 def play(case: Case) -> CaseMade:
-    """Play and record the runs of a case; loops that do not hold are played with softer servos.
-
-    Raises
-    ------
-    Unstable
-        If no attempt holds the pose.
-    """
+    """Play and record the runs of a case; loops that do not hold are played with softer servos."""
     healthy = case.fault is None
     for attempt in range(ATTEMPTS):
         try:

@@ -1,4 +1,1 @@
-"""Robustness of the commands on generated arms and recordings.
-
-Data flow: arms -> runs -> cases -> trial -> __main__.
-"""
+"""Robustness of the commands on generated arms and recordings."""

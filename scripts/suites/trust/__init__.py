@@ -1,1 +1,1 @@
-"""What is tried to break the package: malformed files, kills, long runs."""
+"""Files, kills and long runs that the package withstands."""

@@ -23,14 +23,11 @@ from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Run
 from loose_env.typing import Array
-from scripts.suites.gap.cases.motions import Motion
-from scripts.suites.gap.cases.sensing import Signals
-from scripts.suites.gap.cases.true_arm import TrueArm
-from scripts.suites.gap.effects.catalogue import kinds
-from scripts.suites.gap.effects.types import Effect as TrueEffect
-from scripts.suites.gap.simulator.arms import ARMS, Figures
-from scripts.suites.gap.simulator.build import Factors
-from scripts.suites.gap.simulator.model_xml import model_xml
+from scripts.suites.gap.arms import ARMS, Figures, model_xml
+from scripts.suites.gap.effects import Effect as TrueEffect
+from scripts.suites.gap.effects import kinds
+from scripts.suites.gap.machine import Motion, Signals, TrueArm
+from scripts.suites.gap.simulate import Factors
 
 STEP = 5e-4
 COUNT = 1500

@@ -9,6 +9,8 @@ from loose_env.instrument import TrendSettings, change_since
 from scripts.suites.diagnosis.months import PLAY, alarms_of, as_found, machine, table
 from tests.instrument.trend.sessions_of_an_arm import named, session
 
+pytestmark = pytest.mark.slow
+
 
 def test_months_scatter_and_wear_grows_from_its_onset() -> None:
     case = machine(0, 1)

@@ -3,14 +3,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from loose_env.recording import read_recording, write_recording
-from scripts.suites.diagnosis.blind import marks
-from scripts.suites.diagnosis.cases import KINDS, draw
-from scripts.suites.diagnosis.grade import table
-from scripts.suites.diagnosis.measuring import random_motion, taken
-from scripts.suites.gap.simulator.model_xml import model_xml
-from scripts.suites.row_files import kept
+from scripts.suites.diagnosis.__main__ import marks, table
+from scripts.suites.diagnosis.cases import KINDS, draw, random_motion, taken
+from scripts.suites.gap.arms import model_xml
+from scripts.suites.rows import kept
 from tests.instrument.test_result import diagnosis
 
 
@@ -20,6 +19,7 @@ def test_a_case_is_drawn_by_its_number_and_seed_alone() -> None:
     assert not np.array_equal(draw(0, 1).sensor, draw(0, 2).sensor)
 
 
+@pytest.mark.slow
 def test_recordings_hold_pose_and_joint_and_nothing_of_the_truth(tmp_path: Path) -> None:
     case = draw(1, 1)
     run = taken(case, random_motion(case, 0, 3), "run-1", case.rng(4, 0), sound=False)

@@ -10,11 +10,17 @@ import numpy as np
 import pytest
 
 import scripts.suites.machines as machines
-from scripts.suites.machines.arms import nominal_xml
-from scripts.suites.machines.case import CaseMade, draw, play
-from scripts.suites.machines.disturbances import KINDS, Disturbances, ranges_table
-from scripts.suites.machines.machine import Machine, Unstable
-from scripts.suites.machines.plans import CaseSettings
+from scripts.suites.machines.case import CaseMade, CaseSettings, draw, play
+from scripts.suites.machines.machine import (
+    KINDS,
+    Disturbances,
+    Machine,
+    Unstable,
+    nominal_xml,
+    ranges_table,
+)
+
+pytestmark = pytest.mark.slow
 
 SHORT = CaseSettings(runs=1, poses=1, seconds=0.1)
 OPENS = 5  # a case whose fault opens

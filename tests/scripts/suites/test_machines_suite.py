@@ -7,15 +7,18 @@ from typing import Any
 import pytest
 
 from loose_env.recording import read_recording
-from scripts.suites.machines import __main__ as suite
-from scripts.suites.machines.__main__ import main
-from scripts.suites.machines.case import draw, play
-from scripts.suites.machines.disturbances_shown import table as shown_table
-from scripts.suites.machines.grade import calibration, tables
+from scripts.suites.machines.__main__ import (
+    line_of,
+    main,
+    result_of,
+    row_of,
+    tables,
+    truth_of,
+    write,
+)
+from scripts.suites.machines.case import CaseSettings, draw, play
 from scripts.suites.machines.machine import Unstable
-from scripts.suites.machines.plans import CaseSettings
-from scripts.suites.machines.run import line_of, result_of, row_of, truth_of, write
-from scripts.suites.row_files import add, kept
+from scripts.suites.rows import kept
 from tests.instrument.test_result import diagnosis
 
 SHORT = CaseSettings(runs=2, poses=1, seconds=0.3)
@@ -55,6 +58,7 @@ def test_a_result_is_kept_with_its_verdict_and_errors() -> None:
     json.dumps(found)
 
 
+@pytest.mark.slow
 def test_a_case_is_diagnosed_and_a_finished_one_is_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -77,7 +81,7 @@ def test_a_machine_that_holds_no_pose_is_counted_apart(monkeypatch: pytest.Monke
     def falls(*_: Any) -> None:
         raise Unstable("a joint left its pose by more than 0.1 rad")
 
-    monkeypatch.setattr("scripts.suites.machines.run.play", falls)
+    monkeypatch.setattr("scripts.suites.machines.__main__.play", falls)
     found = row_of(3, 1, SHORT)
     assert "left its pose" in line_of(found)
     assert tables([found, row(**HEALTHY)]).startswith("1 cases, seed 1. 1 more machines")
@@ -107,39 +111,3 @@ def test_tables_count_false_alarms_links_and_what_was_refused() -> None:
     assert "| `cables` | 1 of 3 = 33.3%" in said
     assert "no run can be used" in line_of(refused)
     assert tables([])
-
-
-def test_calibration_error_is_the_mean_distance_of_probability_and_accuracy() -> None:
-    rows = [row(probability=0.8), row(probability=0.8, named="healthy")]
-    error, lines = calibration(rows)
-    assert error == pytest.approx(0.3)
-    assert lines == [("0.7 to 0.9", "2", "0.800", "0.500")]
-
-
-def test_the_page_takes_tables_between_its_marks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    page, out = tmp_path / "page.md", tmp_path / "rows.jsonl"
-    marks = [(f"<!-- {n}: begin -->", f"<!-- {n}: end -->") for n in ("tables", "disturbances")]
-    text = "Before\n" + "\nbetween\n".join(f"{a}\nold\n{b}" for a, b in marks) + "\nAfter"
-    page.write_text(text, encoding="utf-8")
-    add(out, row())
-    monkeypatch.setattr(suite, "DOCS", page)
-    for _ in range(2):
-        main(["--table", "--docs", "--out", str(out)])
-    written = page.read_text("utf-8")
-    assert written.startswith("Before") and written.endswith("After") and "between" in written
-    assert "old" not in written and written.count("`clock_drift`") == 1
-
-
-def test_verdicts_by_disturbance_stand_in_a_line_each() -> None:
-    rows = [row(only="cables"), row(only="cables", **HEALTHY), row(only="none", error="refused")]
-    said = shown_table(rows)
-    assert "| `cables` | faulty: structural_looseness@link2 0.990, wrong |" in said
-    assert "| `none` |" in said and "refused" in said
-
-
-def test_an_unknown_disturbance_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit):
-        main(["--only", "gremlins", "--out", str(tmp_path / "rows")])
-    assert row_of  # the worker's entry is importable by its name

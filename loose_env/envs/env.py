@@ -1,0 +1,302 @@
+"""The Gymnasium environment: one arm with a hidden fault."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from loose_env.arms import Arm, MismatchDraw
+from loose_env.envs.batch import BatchRig, Episode, EpisodeBatch
+from loose_env.envs.rendering import Picture, checked_render_mode, render_modes
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.excitation import Excitation
+from loose_env.faults import Fault
+from loose_env.rig import Measurement
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EnvState:
+    """All that the future of an environment depends on, beside its arguments."""
+
+    seed: int | None
+    """Root seed of the run of episodes."""
+    number: int
+    """Number of the episode under it."""
+    episode: Episode | None
+    """The latest episode: hidden fault, true arm, pose, records."""
+    fingerprint: str
+    """Of the arm and the settings that it is a state of."""
+
+
+class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
+    """Find the fault hidden in a robot arm.
+
+    ## Description
+    An arm may have a link that slides on its flange, a joint with play, or nothing wrong; where
+    `kinds` says so, also a link that rocks on its flange or is loose in several ways.
+    The agent moves joints, shakes some of them with band-limited Gaussian torque while the
+    others are held, and sees how the tool's acceleration correlates with the excitation. It
+    names the fault when it is sure; every record has its price. What fits no hypothesis it may
+    leave unnamed: the verdict is then "unsure". `verdicts` lists what can be said, in order.
+
+    ## Action Space
+    `MultiDiscrete`, in this order:
+
+    | entries | choices | meaning |
+    |---|---|---|
+    | one a joint | 5 | relative move: -90, -45, 0, 45, 90 degrees |
+    | one a joint | 4 | excitation: 0 off, levels 1 to 3 (rms acceleration of the nominal tool) |
+    | 1 | 3 | record length: 0.2, 0.4, 1.2 s |
+    | 1 | 2 + hypotheses | verdict: 0 go on, k name the k-th hypothesis, the last one unsure |
+
+    Where `max_moved` or `max_excited` is less than the number of joints n, the moves or levels have
+    an entry for each joint that may be moved or excited at once, in place of one for each joint: 0
+    for none, else 1 + j (choices - 1) + k for the k-th move (0 degrees left out) or level of joint
+    j, both from 0. `actions.encode` and `actions.decode` translate.
+
+    A joint that slides goes in proportion through its range: 90 degrees are half of it. With a
+    verdict nothing is measured and the rest is ignored. Levels beyond a joint's torque limit
+    are clipped; the share that remains is in the observation and in `info["level_share"]`. With
+    all levels off the last joint is excited at its top level, for a record without excitation shows
+    nothing. With no torque left beside gravity the arm moves, a record is spent and its slot stays
+    empty. `action_masks()` and `info["action_mask"]` say what makes sense: no move past a joint
+    limit (such a joint stays), no verdict before the first measured record (it is ignored, and the
+    rest of the action is done), no "unsure" before the third one (ignored too; `unsure_after`), no
+    going on after the last record (it ends the episode as a wrong verdict).
+
+    Why "unsure" waits: a policy that learns from scratch cannot tell faults apart yet. Said after
+    one cheap record, "unsure" would pay -0.31 and the best blind name, "healthy", -0.39: giving up
+    would be a local optimum, and exploration ends there. After three records it pays -0.42.
+
+    ## Observation Space
+    A flat float32 `Box` with finite bounds: the pose and what has been spent, then a slot for
+    each record: pose, excitation, the record's statistics, and the same statistics as the
+    nominal healthy arm would show them. A hinge's place is its sine and cosine, a slide's
+    runs from -1 at the low end of its range to 1; `layout.pose_of` reads it back. `layout`
+    lists every element with name, unit and scaling; `print(env.unwrapped.layout.table())` shows
+    them. With `raw=True` a `Dict` of the same vector as `"statistics"` and the signals of the
+    latest record. With
+    `SensorSuite(link_accelerometers=...)` each slot also holds the transmission to the sensors on
+    links, the nominal one and their rms, and `raw` has their signals as `"links"`; the agent
+    `local` reads them. `loose_env.wrappers.JointSideObservation(env)` keeps what a robot without
+    accelerometers has: pose, excitation, joint motion and apparent inertia. That a fault is
+    there shows in them ([by how much](method.md#torque-and-encoder-alone)), its direction does not.
+
+    ## Rewards
+    +1 for the right hypothesis, -1 for a wrong one or for running out of records, -0.25 for being
+    unsure; less the prices of each record (0.05), second of excitation (0.02) and level (0.002). A
+    joint that is moved costs nothing unless `prices.move` says so.
+
+    ## Starting State
+    A fault drawn from the difficulty's ranges, a true arm that differs from the nominal one, a
+    random pose. Nothing is measured.
+
+    ## Episode End
+    A verdict terminates, and so does going on after the last record. A simulation that
+    diverges truncates; `info["failure"]` says why, `divergences` counts by fault kind.
+
+    ## Arguments
+    `difficulty`, `max_records`, `prices` and all other fields of `DiagnosisSettings`. `kinds` are
+    the kinds of fault that are hypotheses: "healthy", "structural_looseness" and "backlash" by
+    default, "rotational_looseness" and "compound_looseness" besides. `hold` says how joints that
+    are not excited are held: "brake", "servo", or "compliant", by brakes behind elastic gears.
+    `levels` replaces the arm's excitation levels [m/s²]; the friction that is drawn stays relative
+    to the arm's own top level, so that weaker levels open fewer seats. `gravity` is a vector in the
+    world's axes [m/s²], such as (9.81, 0, 0) for an arm on a wall.
+    For the planar arm also `n_links` and `vertical`; for `loose_env/Arm-v0` `model`, the path of
+    an MJCF or URDF file, `tool`, `tool_offset` and `joints`. Where the tool lies on a joint's axis
+    it does not feel play there, which is no hypothesis then; `tool_offset`, three lengths in metres
+    in the tool's frame, moves the accelerometer off it. `true_arm` is the arm that is measured,
+    where the nominal model is wrong about more than `difficulty` says, an effect that it lacks
+    above all; for `loose_env/Arm-v0` `true_model`, the path of its file. Without it the nominal arm
+    is measured, with the difficulty's mismatch.
+
+    Options of `reset` hold for one episode. `{"fault": ...}` seats a given fault, or one drawn
+    under a given hypothesis. It may lie outside the hypotheses, as "several_faults" does, two
+    faults drawn at once: then no name is right. `{"mismatch_scale": 3.0}` multiplies the
+    deviations of the true arm from the nominal one, `{"preload_g": 1.0}` presses the loose seat
+    towards its upper stop with so many times the weight it carries (`loose_env.faults.preloaded`),
+    `{"pose": ...}` sets the first pose.
+
+    ## Version History
+    * v0: first version
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> env = DiagnosisEnv(planar(2), DiagnosisSettings(max_records=2))
+    >>> observation, info = env.reset(seed=0)
+    >>> observation in env.observation_space
+    True
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "render_fps": 2,
+    }
+
+    def __init__(
+        self,
+        arm: Arm,
+        settings: DiagnosisSettings | None = None,
+        *,
+        render_mode: str | None = None,
+        rig: BatchRig | None = None,
+        threads: int = 0,
+        true_arm: Arm | None = None,
+    ) -> None:
+        self._rig = rig
+        # "human" only where a display can be opened: Gymnasium's checker tries every mode.
+        self.metadata = {**self.metadata, "render_modes": render_modes()}
+        self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
+        self.settings = DiagnosisSettings() if settings is None else settings
+        self.batch = EpisodeBatch(arm, self.settings, threads=threads, rig=rig, true_arm=true_arm)
+        self.arm = arm
+        self.hypotheses, self.verdicts = self.batch.hypotheses, self.batch.verdicts
+        self.layout = self.batch.observations
+        self.actions = self.batch.actions
+        self.action_space = self.actions.space
+        self.observation_space = self.batch.space
+        self._picture: Any = None
+        self._seed: int | None = None
+        self._number = -1
+
+    @property
+    def divergences(self) -> dict[str, int]:
+        """Number of diverged simulations by fault kind."""
+        return dict(self.batch.divergences)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Hide a fault and take a random pose; measures nothing."""
+        super().reset(seed=seed)
+        root, number = self._seed, self._number + 1
+        if seed is not None:
+            root, number = seed, 0
+        elif root is None:
+            root = new_seed()
+        info = self.batch.start(0, seed=root, number=number, options=options)
+        # Only now: a reset that was refused leaves the sequence of episodes as it was.
+        self._seed, self._number = root, number
+        if self.render_mode == "human":
+            self.render()
+        return self.batch.shown(0), info
+
+    def step(self, action: NDArray[np.int64]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Move, excite and measure; or give a verdict."""
+        if not self.batch.has_episode(0) or self.batch.episode(0).ended:
+            raise ResetNeeded("no episode is running: call reset() before step()")
+        outcome = self.batch.step([0], [action])[0]
+        if self.render_mode == "human":
+            self.render()
+        return (
+            self.batch.shown(0),
+            outcome.reward,
+            outcome.terminated,
+            outcome.truncated,
+            outcome.info,
+        )
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Allowed choices of the next action, in the form MaskablePPO takes."""
+        if not self.batch.has_episode(0):
+            raise ResetNeeded("no episode is running: call reset() before action_masks()")
+        return self.batch.mask(0)
+
+    def simulate(
+        self,
+        fault: Fault,
+        pose: NDArray[np.float64],
+        excitation: Excitation,
+        rng: np.random.Generator,
+        *,
+        mismatch: MismatchDraw | None = None,
+    ) -> Measurement:
+        """Measure an arm with a given fault outside any episode.
+
+        The mismatch is drawn from ``rng`` unless it is given.
+        """
+        return self.batch.simulate(fault, pose, excitation, rng, mismatch=mismatch)
+
+    def render(self) -> Any:
+        """Draw the arm in its pose with the latest record."""
+        if self.render_mode is None:
+            raise UnknownName(
+                "no render_mode was given; make the environment with render_mode='rgb_array' "
+                "or 'human'"
+            )
+        if not self.batch.has_episode(0):
+            raise ResetNeeded("no episode is running: call reset() before render()")
+        if self._picture is None:
+            self._picture = Picture(
+                self.batch.nominal, show=self.render_mode == "human", sensors=self.settings.sensors
+            )
+        episode = self.batch.episode(0)
+        return self._picture.draw(episode, verdict=episode.verdict)
+
+    def get_state(self) -> EnvState:
+        """Copy of the state: `set_state` goes on from it, in this environment or one like it."""
+        return EnvState(
+            seed=self._seed,
+            number=self._number,
+            episode=self.batch.episode_copy(0),
+            fingerprint=self.batch.fingerprint,
+        )
+
+    def set_state(self, state: EnvState) -> None:
+        """Go on from a state that `get_state` gave.
+
+        Raises
+        ------
+        InvalidSetting
+            If it is none, or was taken from an environment of another arm or other settings.
+        """
+        if not isinstance(state, EnvState):
+            raise InvalidSetting(f"a state is what get_state() gives, got {state!r:.60}")
+        self.batch.check_fits(state.fingerprint)
+        self.batch.restore(0, state.episode)
+        self._seed, self._number = state.seed, state.number
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Arguments and state: a copy is built anew, so that no engine is copied."""
+        return {
+            "arguments": {
+                "arm": self.arm,
+                "settings": self.settings,
+                "render_mode": self.render_mode,
+                "rig": self._rig,
+                "threads": self.batch.threads,
+                "true_arm": None if self.batch.true_arm is self.arm else self.batch.true_arm,
+            },
+            "state": self.get_state(),
+            "attributes": {
+                name: getattr(self, name)
+                for name in ("spec", "action_space", "_np_random", "_np_random_seed")
+            },
+        }
+
+    def __setstate__(self, stored: dict[str, Any]) -> None:
+        """Build the environment from its arguments and take up the state."""
+        self.__init__(**stored["arguments"])  # type: ignore[misc]
+        self.set_state(stored["state"])
+        self.__dict__.update(stored["attributes"])
+
+    def close(self) -> None:
+        """Close the picture."""
+        if self._picture is not None:
+            self._picture.close()
+            self._picture = None
+
+
+def new_seed() -> int:
+    """Draw a seed from the system, where the user gives none."""
+    entropy = np.random.SeedSequence().entropy
+    assert isinstance(entropy, int)
+    return entropy

@@ -1,4 +1,0 @@
-"""Hidden faults: difficulty, seats and their sampling.
-
-Data flow: difficulty -> seats -> sampler.
-"""

@@ -1,0 +1,576 @@
+"""The model-gap environment: choose the motion that tells missing effects apart."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from loose_env.arms import SERVO_ARM
+from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
+from loose_env.gap import (
+    BankSettings,
+    Belief,
+    BeliefSettings,
+    Hypothesis,
+    HypothesisSet,
+    LocalModels,
+    Outlook,
+    Ray,
+    SignatureBank,
+    battery,
+    brief_library,
+    motion_library,
+    outlook,
+    read_servo_arm,
+    signature_bank,
+)
+from loose_env.io import Checked, Count, NonNegative, Positive, Probability, Rule
+from loose_env.typing import Array
+
+_SHAPE_LIMIT = 1.5
+"""Largest deviation of a drawn shape parameter [standard deviations]."""
+_LARGEST = 0.7
+"""Largest size that is drawn, over the largest in the bank."""
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenEffect:
+    """An effect of the machine, with its values."""
+
+    ray: Ray
+    values: Array
+
+    @property
+    def name(self) -> str:
+        """Kind and location."""
+        return self.ray.name
+
+    @property
+    def value(self) -> float:
+        """Parameter by which its size is stated."""
+        return float(self.values[self.ray.main])
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenMachine:
+    """A machine: hidden effects, and nominal parameters that are off."""
+
+    bank: SignatureBank
+    effects: tuple[HiddenEffect, ...]
+    factors: Array
+    """Factors on the nominal parameters."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Hidden effects, sorted."""
+        return tuple(sorted(effect.name for effect in self.effects))
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """The machine as a hypothesis."""
+        return Hypothesis(
+            effects=tuple(e.ray.effect for e in self.effects),
+            values=tuple(e.values for e in self.effects),
+            nominal=self.bank.arm.nominal,
+            factors=self.factors,
+        )
+
+    def run(self, motion: int, rng: np.random.Generator) -> Array:
+        """Measure a motion of the library: readings with noise (n, C); NaN if it diverged."""
+        arm = self.bank.arm
+        commands = self.bank.library[motion].commands(arm)
+        return arm.measured(arm.simulate([self.hypothesis], commands)[0], rng)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MachineDraw:
+    """Distribution of hidden machines.
+
+    Sizes are uniform in the logarithm from that seen at `least_visible` up to a share of the
+    largest in the bank, so that the belief's prior, which is wider at both ends, does not tell
+    where they end. Locations and kinds are uniform.
+    """
+
+    probabilities: tuple[float, float, float] = (0.2, 0.5, 0.3)
+    """Probabilities of none, one and two effects."""
+    least_visible: float = 15.0
+    """Least visibility on the fixed battery [noise standard deviations]."""
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        p = self.probabilities
+        if len(p) != 3 or min(p) < 0 or abs(sum(p) - 1) > 1e-9:
+            raise InvalidSetting(f"probabilities of none, one and two effects sum to 1, got {p!r}")
+        if not self.least_visible > 0:
+            raise InvalidSetting(f"least_visible is above 0, got {self.least_visible!r}")
+
+    def draw(
+        self, bank: SignatureBank, rng: np.random.Generator, *, count: int | None = None,
+        names: tuple[str, ...] = (),
+    ) -> HiddenMachine:  # fmt: skip
+        """Draw a machine, with a number of effects or with given ones where asked.
+
+        Raises
+        ------
+        InvalidSetting
+            If a name is no candidate of the bank.
+        """
+        unknown = [name for name in names if name not in bank.names]
+        if unknown:
+            raise InvalidSetting(f"no candidate {unknown[0]!r}; candidates are {list(bank.names)}")
+        if count is None:
+            count = int(rng.choice(3, p=self.probabilities))
+        count = min(count, len(bank.names))
+        chosen = names or tuple(
+            bank.names[k] for k in rng.choice(len(bank.names), count, replace=False)
+        )
+        tolerance = bank.arm.tolerance
+        factors = 1 + rng.uniform(-tolerance, tolerance, len(bank.arm.nominal.entries))
+        return HiddenMachine(bank, tuple(self._effect(bank, n, rng) for n in chosen), factors)
+
+    def _effect(self, bank: SignatureBank, name: str, rng: np.random.Generator) -> HiddenEffect:
+        rays = [k for k, ray in enumerate(bank.rays) if ray.name == name]
+        k = int(rng.choice(rays))
+        ray, sizes, seen = bank.rays[k], np.log(bank.sizes[k]), np.log(bank.visibilities[k])
+        order = np.maximum.accumulate(seen)
+        least = np.interp(np.log(self.least_visible), order, sizes)
+        most = sizes[-1] + np.log(_LARGEST)
+        size = float(np.exp(rng.uniform(min(least, most - 0.1), most)))
+        shape = np.clip(rng.normal(size=len(ray.shape_parameters)), -_SHAPE_LIMIT, _SHAPE_LIMIT)
+        return HiddenEffect(ray, ray.values(size, shape))
+
+
+_KINDS = Rule("kinds of the catalogue, none for all")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GapPrices(Checked):
+    """Rewards of verdicts and prices of machine time.
+
+    Examples
+    --------
+    >>> GapPrices().verdict(("payload@tool",), ("payload@tool",), parameter_error=0.1)
+    0.98
+    >>> GapPrices().verdict(("payload@tool",), ("base_tilt@base",), parameter_error=1.0)
+    -1.0
+    """
+
+    correct: float = 1.0
+    """Reward for naming every missing effect at its location and nothing else."""
+    partly: float = 0.0
+    """Reward for naming one of two and nothing false."""
+    wrong: float = -1.0
+    """Reward for anything else."""
+    parameter: NonNegative = 0.2
+    """Price of the mean relative error of the parameters, at most 1, of a correct verdict."""
+    second: NonNegative = 0.01
+    """Price of one second of machine time."""
+    wear: NonNegative = 0.1
+    """Price of one second at the torque limit of one joint: wear is the integral of the squared
+    shares of the torque limits."""
+
+    def verdict(
+        self, named: tuple[str, ...], truth: tuple[str, ...], *, parameter_error: float
+    ) -> float:
+        """Reward of a verdict."""
+        reward = self.named(named, truth)
+        if set(named) == set(truth):
+            return reward - self.parameter * min(parameter_error, 1.0) * bool(truth)
+        return reward
+
+    def named(self, named: tuple[str, ...], truth: tuple[str, ...]) -> float:
+        """Reward of the names alone."""
+        if set(named) == set(truth):
+            return self.correct
+        if named and set(named) < set(truth):
+            return self.partly
+        return self.wrong
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelGapSettings(Checked):
+    """Everything about the environment but the arm.
+
+    Examples
+    --------
+    >>> ModelGapSettings(max_motions=6).max_motions
+    6
+    """
+
+    draw: MachineDraw = field(default_factory=MachineDraw)
+    """Distribution of the hidden machines."""
+    prices: GapPrices = field(default_factory=GapPrices)
+    """Rewards and prices."""
+    belief: BeliefSettings = field(default_factory=BeliefSettings)
+    """Priors and errors of the belief."""
+    kinds: Annotated[tuple[str, ...], _KINDS] = ()
+    """Kinds of effect that are hidden and considered; none for the whole catalogue but those that
+    the sensors cannot show."""
+    library: Literal["whole", "brief", "battery"] = "whole"
+    """Motions: the whole library; the brief ones and the fixed battery; the battery alone."""
+    max_motions: Count = 12
+    """Motions an episode may take; after the last one only a verdict is left."""
+    ranks: Count = 5
+    """Sets of effects that a verdict can name: the most probable ones."""
+    tolerance: Probability = 0.03
+    """Relative error within which masses, inertias, dampings and gains are known [1]."""
+    max_speed: Positive = 2.0
+    """Largest joint speed of motions [rad/s]; of slides a fifth of it [m/s]."""
+
+
+_FLOOR = 1e-6
+"""Probabilities below count as this in logarithms."""
+_MOST = 20.0
+"""Bound of every element."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GapObservation:
+    """Layout of the observation; each slice is an attribute.
+
+    Examples
+    --------
+    >>> layout = GapObservation(candidates=3, motions=2, ranks=5)
+    >>> layout.size, layout.information
+    (34, slice(26, 28, None))
+    """
+
+    candidates: int
+    """Candidate effects, kind and location (N)."""
+    motions: int
+    """Motions of the library (M)."""
+    ranks: int
+    """Sets that a verdict can name (R)."""
+
+    probability: slice = field(init=False)
+    """Log10 of the probability that each candidate is missing, at least 10⁻⁶ (N)."""
+    evidence: slice = field(init=False)
+    """Log evidence x [nats] of each candidate alone, as sign(x) ln(1 + |x|) (N)."""
+    parameter: slice = field(init=False)
+    """Log10 of each candidate's visibility on the battery, were it alone (N)."""
+    interval: slice = field(init=False)
+    """Standard deviation of that (N)."""
+    sets: slice = field(init=False)
+    """Log10 of the probabilities of the R most probable sets (R)."""
+    members: slice = field(init=False)
+    """Number of effects in each of them (R)."""
+    taken: slice = field(init=False)
+    """Repetitions of each motion so far (M)."""
+    rest: slice = field(init=False)
+    """Rms of each motion's latest residual that no candidate spans, less 1 [noise sd] (M)."""
+    information: slice = field(init=False)
+    """Expected information of each motion about the missing set [nats] (M)."""
+    gain: slice = field(init=False)
+    """Expected gain in the reward of the best verdict by each motion (M)."""
+    spent: slice = field(init=False)
+    """Minutes of machine time, wear [s], motions over the most, log10 of the misfit (4)."""
+
+    def __post_init__(self) -> None:
+        """Lay the groups one after the other."""
+        n, m, r = self.candidates, self.motions, self.ranks
+        start = 0
+        for each, count in zip(fields(self)[3:], (n, n, n, n, r, r, m, m, m, m, 4), strict=True):
+            object.__setattr__(self, each.name, slice(start, start + count))
+            start += count
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return int(self.spent.stop)
+
+    @property
+    def space(self) -> spaces.Box:
+        """The space."""
+        return spaces.Box(-_MOST, _MOST, (self.size,), np.float32)
+
+    def of(
+        self, belief: Belief, ahead: Outlook, spent: tuple[float, float, float]
+    ) -> NDArray[np.float32]:
+        """Observation of a belief, the outlook of the motions, and what was spent."""
+        found = np.zeros(self.size)
+        posterior = belief.posterior
+        found[self.probability] = np.log10(np.maximum(posterior.marginal, _FLOOR))
+        evidence = posterior.log_evidence
+        found[self.evidence] = np.sign(evidence) * np.log1p(np.abs(evidence))
+        found[self.parameter], found[self.interval] = posterior.size, posterior.size_sd
+        shares = np.full(self.ranks, _FLOOR)
+        members = np.zeros(self.ranks)
+        for k, each in enumerate(posterior.sets[: self.ranks]):
+            shares[k], members[k] = max(each.probability, _FLOOR), len(each.names)
+        found[self.sets], found[self.members] = np.log10(shares), members
+        for motion, count in belief.counts.items():
+            found[self.taken.start + motion] = count
+            found[self.rest.start + motion] = belief.rest[motion] - 1.0
+        found[self.information], found[self.gain] = ahead.information, ahead.gain
+        found[self.spent] = (*spent, np.log10(posterior.misfit))
+        return np.clip(found, -_MOST, _MOST).astype(np.float32)
+
+
+class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
+    """Find the physical effects that a robot's model lacks, in little machine time.
+
+    ## Description
+    A machine differs from its nominal model by none, one or two effects of the catalogue of
+    `loose gap` (friction, compliance, play, delays, wrong inertias, sensor errors), at a random
+    location and with a random size, and by nominal parameters within a tolerance. The agent
+    chooses motions; each is simulated with the hidden effects in MuJoCo, measured by encoders and
+    torque sensors with noise, and updates a belief: a posterior over all sets of at most two
+    effects, from signatures about the nominal model. It names a set when it is sure.
+
+    ## Action Space
+    `Discrete(M + R)`: a motion of the library, `motions[k]`, or M + r: name the set of rank r in
+    the posterior, 0 the most probable. `action_masks()` and `info["action_mask"]` say what makes
+    sense: no verdict before the first motion, no motion after the last one.
+
+    ## Observation Space
+    A flat float32 `Box`; `layout` has a slice for each row.
+
+    | elements | name | meaning |
+    |---|---|---|
+    | N | `probability` | log10 of the probability that each candidate is missing |
+    | N | `evidence` | log evidence x of each alone against none, as sign(x) ln(1 + abs(x)) |
+    | N | `parameter` | log10 of its size, as visibility on the fixed battery |
+    | N | `interval` | standard deviation of that |
+    | R | `sets` | log10 of the probabilities of the R most probable sets |
+    | R | `members` | effects in each of them |
+    | M | `taken` | repetitions of each motion |
+    | M | `rest` | rms of the residual that no candidate spans, less 1 [noise sd] |
+    | M | `information` | expected information of each motion about the set [nats] |
+    | M | `gain` | expected gain of each motion in the reward of the best verdict |
+    | 4 | `spent` | machine time [min], wear [s], motions over the most, log10 of the misfit |
+
+    ## Rewards
+    +1 for every missing effect at its location and nothing else, less 0.2 times the mean relative
+    error of the parameters; 0 for one of two and nothing false; -1 for anything else and for going
+    on after the last motion. Each second of machine time costs 0.01, and wear, the integral of the
+    squared shares of the torque limits, 0.1 a second.
+
+    ## Starting State
+    A machine drawn by `settings.draw`: no, one or two effects with probabilities 0.2, 0.5 and 0.3;
+    sizes uniform in the logarithm, from a visibility of 15 noise standard deviations on the fixed
+    battery; nominal parameters uniform within the tolerance. Nothing is measured.
+
+    ## Episode End
+    A verdict terminates, and so does going on after the last motion; one that names no set of the
+    belief, as before the first motion, is wrong. A simulation that diverges
+    truncates.
+
+    ## Arguments
+    `model`, the path of an MJCF file with position servos (by default a waist, shoulder and
+    elbow), and all fields of `ModelGapSettings`. The signatures of the arm are computed once,
+    within minutes, and stored in the user's cache folder. Options of `reset`: ``{"names": [...]}``
+    hides given effects, ``{"count": n}`` a number of random ones.
+
+    ## Version History
+    v0: first version.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+
+    def __init__(
+        self, bank: SignatureBank, settings: ModelGapSettings | None = None, *,
+        models: LocalModels | None = None,
+    ) -> None:  # fmt: skip
+        self.bank, self.settings = bank, settings or ModelGapSettings()
+        self.models = models or LocalModels(bank)
+        self.motions = bank.library
+        self.layout = GapObservation(
+            candidates=len(bank.names), motions=len(bank.library), ranks=self.settings.ranks
+        )
+        self.observation_space: Any = self.layout.space
+        self.action_space = spaces.Discrete(len(bank.library) + self.settings.ranks)
+        self.machine: HiddenMachine | None = None
+        """The hidden machine of the episode."""
+        self.belief = Belief(self.models, self.settings.belief)
+        """Belief about it."""
+        self.seconds, self.wear = 0.0, 0.0
+        self._over = True
+        self._at_first: Outlook | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Draw a machine.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such option.
+        InvalidSetting
+            If a name is no candidate.
+        """
+        super().reset(seed=seed)
+        given = dict(options or {})
+        unknown = sorted(set(given) - {"names", "count"})
+        if unknown:
+            raise UnknownName(f"unknown options {unknown}; known are ['names', 'count']")
+        self.machine = self.settings.draw.draw(
+            self.bank, self.np_random, count=given.get("count"),
+            names=tuple(given.get("names", ())),
+        )  # fmt: skip
+        self.belief = Belief(self.models, self.settings.belief)
+        self.seconds, self.wear, self._over = 0.0, 0.0, False
+        return self._observed(), self._info()
+
+    def step(
+        self, action: np.int64 | int
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Run a motion, or name a set.
+
+        Raises
+        ------
+        InvalidAction
+            If the action lies outside the space.
+        ResetNeeded
+            If the episode is over.
+        """
+        if self.machine is None or self._over:
+            raise ResetNeeded("the episode is over: call reset() first")
+        if not self.action_space.contains(action):
+            raise InvalidAction(
+                f"an action is 0 to {len(self.motions) + self.settings.ranks - 1}, got {action!r}"
+            )
+        action, prices = int(action), self.settings.prices
+        if action >= len(self.motions):
+            return self._verdict(action - len(self.motions))
+        if self.taken >= self.settings.max_motions:
+            self._over = True
+            return self._observed(), prices.wrong, True, False, self._info()
+        readings = self.machine.run(action, self.np_random)
+        self.seconds += float(self.bank.seconds[action])
+        self.wear += float(self.bank.wear[action])
+        reward = -float(self.motion_prices[action])
+        if not np.isfinite(readings).all():
+            self._over = True
+            info = {**self._info(), "failure": "the simulation of the machine diverged"}
+            return self._observed(), reward, False, True, info
+        self.belief.add(action, readings)
+        return self._observed(), reward, False, False, self._info()
+
+    def _verdict(self, rank: int) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        assert self.machine is not None
+        if not self.action_masks()[len(self.motions) + rank]:  # it names nothing
+            self._over = True
+            missed = {**self._info(), "truth": self.machine.names, "is_success": False}
+            return self._observed(), self.settings.prices.wrong, True, False, missed
+        named = self.belief.posterior.sets[rank]
+        truth, error = self.machine.names, self.parameter_error(named)
+        reward = self.settings.prices.verdict(named.names, truth, parameter_error=error)
+        self._over = True
+        info = {
+            **self._info(),
+            "verdict": named.names,
+            "truth": truth,
+            "is_success": named.names == truth,
+            "parameter_error": error,
+            "probability": named.probability,
+        }
+        return self._observed(), reward, True, False, info
+
+    def parameter_error(self, named: HypothesisSet) -> float:
+        """Mean relative error of the parameters of the effects that are rightly named; else 1.
+
+        Relative to the distance from no effect: a gain of 1.2 estimated as 1.1 is half off.
+        """
+        assert self.machine is not None
+        hidden = {effect.name: effect for effect in self.machine.effects}
+        errors = []
+        for estimate in named.effects:
+            if estimate.name in hidden:
+                effect = hidden[estimate.name]
+                null_values = effect.ray.effect.null_values
+                none = 0.0 if null_values is None else null_values[effect.ray.main]
+                off = abs(estimate.value - effect.value) / max(abs(effect.value - none), 1e-12)
+                errors.append(min(off, 1.0))
+        return float(np.mean(errors)) if errors else float(bool(hidden))
+
+    @property
+    def motion_prices(self) -> Array:
+        """Price of each motion, for its machine time and its wear (M,)."""
+        prices = self.settings.prices
+        return np.asarray(prices.second * self.bank.seconds + prices.wear * self.bank.wear)
+
+    @property
+    def taken(self) -> int:
+        """Motions taken so far."""
+        return sum(self.belief.counts.values())
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Actions that make sense (M + R,), as sb3-contrib's MaskablePPO asks for them."""
+        mask = np.zeros(len(self.motions) + self.settings.ranks, dtype=np.bool_)
+        mask[: len(self.motions)] = self.taken < self.settings.max_motions
+        if self.taken:
+            known = min(len(self.belief.posterior.sets), self.settings.ranks)
+            mask[len(self.motions) : len(self.motions) + known] = True
+        return mask
+
+    def _observed(self) -> NDArray[np.float32]:
+        spent = (self.seconds / 60, self.wear, self.taken / self.settings.max_motions)
+        return self.layout.of(self.belief, self._outlook(), spent)
+
+    def _outlook(self) -> Outlook:
+        """Expected information and gain of the motions."""
+        if self.belief.counts:
+            return outlook(self.belief, self.settings.prices.named)
+        if self._at_first is None:  # the same for every machine: nothing is known yet
+            self._at_first = outlook(self.belief, self.settings.prices.named)
+        return self._at_first
+
+    def _info(self) -> dict[str, Any]:
+        return {
+            "seconds": self.seconds,
+            "wear": self.wear,
+            "motions": self.taken,
+            "action_mask": self.action_masks(),
+        }
+
+
+_OTHERS = ("model", "render_mode")
+
+
+def make_model_gap(*, model: str | Path | None = None, **arguments: Any) -> ModelGapEnv:
+    """Make the environment of an arm in an MJCF file, by default `loose_env.arms.SERVO_ARM`.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such argument.
+    InvalidData
+        If the file is no model with position servos.
+    """
+    known = [f.name for f in fields(ModelGapSettings)]
+    arguments.pop("render_mode", None)
+    unknown = sorted(set(arguments) - set(known))
+    if unknown:
+        raise UnknownName(f"unknown arguments {unknown}; known are {[*_OTHERS, *known]}")
+    settings = ModelGapSettings(**arguments)
+    path = SERVO_ARM if model is None else Path(model)
+    models = _models(
+        str(path), settings.tolerance, settings.max_speed, tuple(settings.kinds), settings.library
+    )
+    return ModelGapEnv(models.bank, settings, models=models)
+
+
+@lru_cache(maxsize=4)
+def _models(
+    path: str, tolerance: float, max_speed: float, kinds: tuple[str, ...], library: str
+) -> LocalModels:
+    """Local models of an arm, shared by the environments of a process."""
+    arm = read_servo_arm(path, tolerance=tolerance, max_speed=max_speed)
+    motions = {"whole": motion_library, "brief": brief_library, "battery": battery}[library](arm)
+    settings = BankSettings(kinds=kinds or None)
+    bank = signature_bank(arm, motions, settings, say=_say)
+    return LocalModels(bank)
+
+
+def _say(words: str) -> None:
+    print(f"loose_env/Gap-v0: {words}", file=sys.stderr, flush=True)

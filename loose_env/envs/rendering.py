@@ -1,0 +1,643 @@
+"""Pictures of an episode: the arm by MuJoCo's renderer, its correlation by direction below."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import sys
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
+from itertools import combinations
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from loose_env.arms import Arm, LinearArm, LinearPose
+from loose_env.diagnosis import Prediction, SensorFloor, predict
+from loose_env.envs.batch import Episode
+from loose_env.envs.faults import fault_words, hypothesis_words
+from loose_env.envs.palette import BODY, EDGE, FAINT, INK, MEASURED, MUTED, PAPER, SHAKEN, TRUTH
+from loose_env.errors import InvalidSetting, MissingExtra, UnknownName
+from loose_env.excitation import Excitation
+from loose_env.faults import (
+    UNSURE,
+    Backlash,
+    Fault,
+    RotationalLooseness,
+    StructuralLooseness,
+    parts_of,
+)
+from loose_env.rig import Measurement
+from loose_env.sensors import SensorSuite
+from loose_env.statistics import Covariances, acceleration_from_angle, bandpass, covariances
+from loose_env.typing import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_STILL = 1e-12
+"""Share of the largest variance below which the tool counts as still along a direction."""
+_FAINT_SECTION = 0.05
+"""Correlation below which a section shows no direction of its own."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Section:
+    """Correlation along the directions of one plane of the tool frame."""
+
+    axes: tuple[int, int]
+    """Measured axes that span the plane."""
+    points: Array
+    """r(u) u for directions u in the plane [1] (K, 2)."""
+    lowest: Array | None
+    """Direction in the plane without correlation, unit vector (2,); None where all of it is
+    all but zero."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CorrelationByDirection:
+    """Correlation of the tool with the excitation: r(u) = u.c / (sigma_x sqrt(u.S u)).
+
+    Of several excited joints, the sum that correlates highest with the tool counts: the first
+    canonical variate.
+
+    Examples
+    --------
+    >>> x = [[1.0, -1.0, 1.0, -1.0]]
+    >>> a = [[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0], [0.0, 0.0, 0.0, 0.0]]
+    >>> found = CorrelationByDirection.of(covariances(x, a))
+    >>> found.along(np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])).round(3).tolist()
+    [1.0, 0.707, 0.0]
+    """
+
+    peak: Array
+    """c / sigma_x: covariance of the tool with the excitation of unit power [m/s²] (d,)."""
+    tool: Array
+    """S: covariance of the tool acceleration [m²/s⁴] (d, d)."""
+
+    @classmethod
+    def of(cls, cov: Covariances) -> CorrelationByDirection:
+        """Take it from covariances of the excited joints and the tool."""
+        weights = np.ones(1)
+        if len(cov.xx) > 1:
+            by_joint = np.linalg.solve(cov.xx, cov.xa)
+            _, vectors = eigh(cov.xa.T @ by_joint, _invertible(cov.aa))
+            weights = by_joint @ vectors[:, -1]
+            if np.sum(weights * np.sqrt(np.diag(cov.xx))) < 0:  # most of its power is positive
+                weights = -weights
+        return cls(peak=weights @ cov.xa / np.sqrt(weights @ cov.xx @ weights), tool=cov.aa)
+
+    @property
+    def maximum(self) -> float:
+        """Highest correlation over directions [1]."""
+        best = np.linalg.solve(_invertible(self.tool), self.peak)
+        return float(np.sqrt(np.clip(self.peak @ best, 0.0, 1.0)))
+
+    def along(self, directions: Array) -> Array:
+        """Correlation along directions (K, d) of any length [1] (K,); zero where all is still."""
+        power = np.einsum("ki,ij,kj->k", directions, self.tool, directions)
+        length = np.einsum("ki,ki->k", directions, directions)
+        moving = power > _STILL * float(np.trace(self.tool)) * length
+        spread = np.sqrt(np.where(moving, power, 1.0))
+        return np.where(moving, directions @ self.peak / spread, 0.0)
+
+    @property
+    def sections(self) -> tuple[Section, ...]:
+        """The planes of two measured axes: one of two axes, x-y, x-z and y-z of three."""
+        return tuple(self._section(i, j) for i, j in combinations(range(len(self.peak)), 2))
+
+    def _section(self, first: int, second: int) -> Section:
+        across = np.array([-self.peak[second], self.peak[first]])
+        start = float(np.arctan2(across[1], across[0])) if across.any() else 0.0
+        near = np.geomspace(1e-5, 0.1, 60)  # dense where the correlation passes zero
+        angles = start + np.unique([*np.linspace(0.0, np.pi, 361), *near, *(np.pi - near)])
+        flat = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        directions = np.zeros((len(flat), len(self.peak)))
+        directions[:, [first, second]] = flat
+        radius = self.along(directions)
+        clear = np.abs(radius).max() > _FAINT_SECTION
+        return Section(
+            axes=(first, second), points=radius[:, None] * flat, lowest=flat[0] if clear else None
+        )
+
+    def facing(self, other: CorrelationByDirection) -> CorrelationByDirection:
+        """Turn it to the same side as another one."""
+        return self if self.peak @ other.peak >= 0 else replace(self, peak=-self.peak)
+
+
+def _invertible(tool: Array) -> Array:
+    """Covariance of a tool that may be still along some direction, made invertible."""
+    return np.asarray(tool + _STILL * float(np.trace(tool)) * np.eye(len(tool)))
+
+
+def measured_correlation(measurement: Measurement) -> CorrelationByDirection:
+    """Take the correlation that a measurement shows in the band of its excitation."""
+    on = np.flatnonzero(measurement.excited)
+    rate, band = measurement.rate, measurement.excitation.band
+    joint = acceleration_from_angle(measurement.encoder[on], rate, band)
+    return CorrelationByDirection.of(covariances(joint, bandpass(measurement.tool, rate, band)))
+
+
+def predicted_correlation(prediction: Prediction) -> CorrelationByDirection:
+    """Take the correlation that the nominal, healthy arm would show."""
+    p = prediction
+    return CorrelationByDirection.of(Covariances(xx=p.joint, xa=p.joint_tool, aa=p.tool, count=0))
+
+
+def draw_section(
+    axes: Axes, measured: Section | None, healthy: Section | None, names: tuple[str, str]
+) -> None:
+    """Draw the correlation along the directions of a plane; the circle is a correlation of 1."""
+    from matplotlib.patches import Circle, Polygon
+
+    axes.set_axis_off()
+    axes.set(aspect="equal", xlim=(-1.35, 1.35), ylim=(-1.35, 1.35))
+    axes.add_patch(Circle((0, 0), 1.0, facecolor="none", edgecolor=FAINT, linewidth=1.2))
+    for end, name in zip(((1.08, 0.0), (0.0, 1.08)), names, strict=True):
+        axes.plot([-end[0], end[0]], [-end[1], end[1]], color=FAINT, linewidth=0.9, zorder=1)
+        look: dict[str, Any] = {"fontsize": 9.5, "fontstyle": "italic", "ha": "center"}
+        axes.text(1.12 * end[0], 1.12 * end[1], name, color=INK, va="center", **look)
+    if healthy is not None:
+        axes.plot(*healthy.points.T, color=MUTED, linewidth=1.4, dashes=(4, 2.5), zorder=4)
+    if measured is not None:
+        loop = Polygon(measured.points, facecolor=MEASURED, alpha=0.22, linewidth=0, zorder=2)
+        axes.add_patch(loop)
+        axes.plot(*measured.points.T, color=MEASURED, linewidth=2.0, zorder=3)
+        if measured.lowest is not None:
+            line = np.outer([-1.0, 1.0], measured.lowest)
+            axes.plot(*line.T, color=MEASURED, linewidth=2.4, zorder=3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Mark:
+    """One stroke of the drawing of an arm, in coordinates where gravity points down."""
+
+    kind: str
+    start: Array
+    end: Array
+    color: str
+    label: str = ""
+
+
+class ArmDrawing:
+    """An arm in any pose, seen from one side: lit by MuJoCo, or of lines and dots.
+
+    An arm whose joint axes are parallel and whose tool measures two axes is seen along its joint
+    axes, any other one from aside and a little above. Gravity points down.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar, scara
+    >>> ArmDrawing(planar(2)).planar, ArmDrawing(scara()).planar
+    (True, False)
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm, self._data = arm, mujoco.MjData(arm.model)
+        gravity = np.asarray(arm.model.opt.gravity, dtype=float)
+        self.gravity = float(np.linalg.norm(gravity))
+        """Strength of gravity [m/s²]."""
+        up = -gravity / self.gravity if self.gravity else np.eye(3)[2]
+        ahead = np.eye(3)[0] if abs(up[0]) < 0.9 else np.eye(3)[1]
+        ahead = ahead - (ahead @ up) * up
+        ahead = ahead / np.linalg.norm(ahead)
+        self.turn = np.stack([ahead, np.cross(up, ahead), up])
+        """From the world to coordinates in which gravity points down (3, 3)."""
+        mujoco.mj_forward(arm.model, self._data)
+        axes = np.array([self._data.joint(name).xaxis for name in arm.joints]) @ self.turn.T
+        parallel = np.linalg.norm(np.cross(axes, axes[0]), axis=1).max() < 1e-6
+        self.planar = len(arm.axes) == 2 and bool(parallel)
+        """Whether the arm moves in a plane."""
+        self.azimuth, self.elevation = 122.0, -20.0
+        if self.planar:
+            normal = axes[0]
+            self.elevation = -float(np.degrees(np.arcsin(np.clip(abs(normal[2]), 0.0, 1.0))))
+            flat = abs(normal[2]) > 0.99
+            self.azimuth = 90.0 if flat else float(np.degrees(np.arctan2(-normal[1], -normal[0])))
+        self.thickness = min(0.045 * arm.reach, 0.21 * arm.reach / arm.n)
+        """Half the width of a link [m]."""
+
+    @property
+    def camera(self) -> Array:
+        """Rows: right, up and towards the eye, where gravity points down (3, 3)."""
+        a, e = np.radians([self.azimuth, self.elevation])
+        right = np.array([np.sin(a), -np.cos(a), 0.0])
+        eye = -np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+        return np.stack([right, np.cross(eye, right), eye])
+
+    @property
+    def seen(self) -> str:
+        """Whence the arm is seen, or which way gravity pulls, in words."""
+        if self.planar and self.elevation < -45.0:
+            return "seen from above"
+        return "gravity ↓" if self.gravity else "no gravity"
+
+    def marks(
+        self,
+        pose: Array,
+        *,
+        excited: NDArray[np.bool_] | None = None,
+        loose: Collection[int] = (),
+        fault: Fault | None = None,
+    ) -> list[_Mark]:
+        """Strokes of an arm in a pose [rad or m] (n,).
+
+        Excited joints are marked, the others as held; without ``excited`` joints are neither.
+        Loose links and the play of a fault are in the colour of the truth; its directions and
+        axes are pointed at.
+        """
+        arm, data, turn, r = self.arm, self._data, self.turn, self.thickness
+        mujoco.mj_resetData(arm.model, data)
+        data.qpos[arm.pose_addresses] = pose
+        mujoco.mj_forward(arm.model, data)
+        site = data.site(arm.tool)
+        tool, frame = turn @ site.xpos, turn @ site.xmat.reshape(3, 3)
+        axes = np.array([turn @ data.joint(name).xaxis for name in arm.joints])
+        anchors = np.array([turn @ data.joint(name).xanchor for name in arm.joints])
+        points = np.vstack([_apart(anchors, axes, tool, 0.06 * arm.reach), tool])
+        parts = () if fault is None else parts_of(fault)
+        play = {part.joint for part in parts if isinstance(part, Backlash)}
+        flanged = [p for p in parts if isinstance(p, (StructuralLooseness, RotationalLooseness))]
+        loose = {*loose, *(part.link for part in flanged)}
+        found = []
+        for k in range(arm.n):
+            color = TRUTH if k + 1 in loose else BODY
+            found.append(_Mark(kind="link", start=points[k], end=points[k + 1], color=color))
+        for k, (at, axis) in enumerate(zip(points, axes, strict=False)):
+            color = BODY if excited is None else SHAKEN if excited[k] else EDGE
+            color = TRUTH if k + 1 in play else color
+            kind, half = ("slide", 2.0 * r) if arm.sliding[k] else ("hinge", 1.3 * r)
+            start, end = at - half * axis, at + half * axis
+            found.append(_Mark(kind=kind, start=start, end=end, color=color, label=str(k + 1)))
+        for k in arm.axes:
+            end = tool + 0.16 * arm.reach * frame[:, k]
+            found.append(_Mark(kind="axis", start=tool, end=end, color=INK, label="xyz"[k]))
+        for part in flanged:
+            k, body = part.link - 1, data.body(arm.seat_bodies[part.link - 1])
+            seat, middle = turn @ body.xmat.reshape(3, 3), 0.55 * points[k] + 0.45 * points[k + 1]
+            if isinstance(part, RotationalLooseness):
+                middle = turn @ body.xpos + seat @ np.asarray(part.pivot, dtype=float)
+            given = part.direction if isinstance(part, StructuralLooseness) else part.axis
+            along = seat @ (np.asarray(given, dtype=float) / np.linalg.norm(given))
+            half = 0.14 * arm.reach * along
+            found.append(_Mark(kind="arrow", start=middle - half, end=middle + half, color=INK))
+        return found
+
+    def draw(
+        self, axes: Axes, marks: Collection[_Mark], renderer: mujoco.Renderer | None = None
+    ) -> None:
+        """Draw marks: links and joints lit by a renderer, or as lines and dots without one."""
+        figure = axes.get_figure(root=True)
+        assert figure is not None
+        inches = axes.get_position().size * figure.get_size_inches()
+        wide = float(inches[0] / inches[1])
+        ends = np.array([self.camera @ at for mark in marks for at in (mark.start, mark.end)])
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        across, tall = (high - low)[:2] + 6 * self.thickness
+        height = max(tall, across / min(wide, _WIDE), 0.8 * self.arm.reach)
+        middle = 0.5 * (low + high)
+        x, y = middle[:2]
+        half = 0.5 * height
+        axes.set_axis_off()
+        if renderer is not None:
+            lit = self._lit(renderer, marks, self.camera.T @ middle, height)
+            axes.imshow(lit, extent=(x - _WIDE * half, x + _WIDE * half, y - half, y + half))
+        axes.set(xlim=(x - wide * half, x + wide * half), ylim=(y - half, y + half), aspect="auto")
+        r = 72 * self.thickness * inches[1] / height  # points
+        for mark in marks:
+            start, end = (self.camera[:2] @ at for at in (mark.start, mark.end))
+            text: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6}
+            if mark.kind in ("axis", "arrow"):
+                draw_arrow(axes, start, end, color=mark.color, both=mark.kind == "arrow")
+                beyond = end + 0.25 * (end - start)
+                axes.text(beyond[0], beyond[1], mark.label, color=INK, **text)
+                continue
+            if mark.kind == "link" and renderer is None:
+                for color, width in ((EDGE, 1.5 * r + 2.0), (mark.color, 1.5 * r)):
+                    line = axes.plot(*np.array([start, end]).T, color=color, linewidth=width)
+                    line[0].set(solid_capstyle="round", zorder=3)
+            elif mark.kind != "link":
+                at = 0.5 * (start + end)
+                if renderer is None:
+                    dot = axes.plot(*at, "s" if mark.kind == "slide" else "o", color=mark.color)
+                    dot[0].set(markersize=2.7 * r, markeredgecolor=EDGE, zorder=5)
+                ink = PAPER if mark.color in (EDGE, TRUTH) else INK
+                text["fontsize"] = float(np.clip(2 * r, 5.5, 11))
+                axes.text(at[0], at[1], mark.label, color=ink, **text)
+
+    def _lit(
+        self, renderer: mujoco.Renderer, marks: Collection[_Mark], middle: Array, height: float
+    ) -> NDArray[np.uint8]:
+        """Render links and joints as solids, in a view ``height`` [m] high."""
+        shapes, r = mujoco.mjtGeom, self.thickness
+        solids = {"link": (shapes.mjGEOM_CAPSULE, 0.8), "hinge": (shapes.mjGEOM_CYLINDER, 1.3)}
+        solids["slide"] = (shapes.mjGEOM_CAPSULE, 1.2)
+        camera = mujoco.MjvCamera()
+        camera.type, camera.orthographic = mujoco.mjtCamera.mjCAMERA_FREE, 1
+        camera.azimuth, camera.elevation, camera.distance = self.azimuth, self.elevation, 10.0
+        camera.lookat, renderer.model.vis.global_.fovy = middle, height
+        renderer.update_scene(mujoco.MjData(renderer.model), camera)
+        scene = renderer.scene
+        for mark in marks:
+            if mark.kind not in solids:
+                continue
+            solid, (shape, width) = scene.geoms[scene.ngeom], solids[mark.kind]
+            rgba = np.array([*(int(mark.color[k : k + 2], 16) / 255 for k in (1, 3, 5)), 1.0])
+            zeros, eye = np.zeros(3), np.eye(3).ravel()
+            mujoco.mjv_initGeom(solid, shape, zeros, zeros, eye, rgba.astype(np.float32))
+            mujoco.mjv_connector(solid, shape, width * r, mark.start, mark.end)
+            scene.ngeom += 1
+        return np.asarray(renderer.render())
+
+
+def _apart(anchors: Array, axes: Array, tool: Array, near: float) -> Array:
+    """Choose a point on every joint's axis so that joints of a wrist are seen apart (n, 3)."""
+    points = anchors.copy()
+    for j in range(1, len(points)):
+        before, axis = points[j - 1], axes[j]
+        foot = points[j] + ((before - points[j]) @ axis) * axis
+        apart = float(np.linalg.norm(points[j] - before))
+        if apart > 3 * near and float(np.linalg.norm(before - foot)) < near:
+            points[j] = foot + 0.55 * (points[j] - foot)  # it turns about the link before it
+        elif apart < near:
+            after = points[j + 1] if j + 1 < len(points) else tool
+            ahead = float((after - points[j]) @ axis)
+            points[j] = points[j] + 0.6 * (abs(ahead) > 0.3 * near) * ahead * axis
+    return points
+
+
+def draw_arrow(
+    axes: Axes, start: Array, end: Array, *, color: str, both: bool = False, width: float = 1.7
+) -> None:
+    """Draw a straight arrow with a head at its end, or at both, and with a light rim."""
+    from matplotlib.patheffects import withStroke
+
+    style = {"arrowstyle": "<|-|>" if both else "-|>", "color": color, "linewidth": width}
+    style |= {"shrinkA": 0, "shrinkB": 0}
+    note = axes.annotate("", xy=tuple(end), xytext=tuple(start), arrowprops=style, zorder=7)
+    if note.arrow_patch is not None:
+        note.arrow_patch.set_path_effects([withStroke(linewidth=width + 2.2, foreground=PAPER)])
+
+
+_PIXELS = (1120, 640)
+"""Width and height of the lit arm [pixels]."""
+_WIDE = _PIXELS[0] / _PIXELS[1]
+_STAGE = """<mujoco>
+  <visual>
+    <global offwidth="2048" offheight="2048" orthographic="true"/>
+    <quality shadowsize="0"/>
+    <headlight ambient=".5 .5 .5" diffuse=".5 .5 .5" specular="0 0 0"/>
+  </visual>
+  <asset>
+    <texture type="skybox" builtin="flat" rgb1="1 1 1" rgb2="1 1 1" width="8" height="8"/>
+  </asset>
+</mujoco>"""
+"""Empty white room in which the strokes of an arm are lit."""
+
+
+def stage() -> mujoco.Renderer | None:
+    """Make MuJoCo's renderer of an empty room; None where there is no OpenGL."""
+    headless = sys.platform.startswith("linux") and not os.environ.get("DISPLAY")
+    with contextlib.suppress(AttributeError, ImportError, OSError, RuntimeError, mujoco.FatalError):
+        if headless and not os.environ.get("MUJOCO_GL"):
+            # MuJoCo chooses its platform when it is imported, GLFW by default: that needs a screen.
+            context: Any = importlib.import_module("mujoco.rendering.classic.gl_context")
+            context.GLContext = vars(importlib.import_module("mujoco.egl"))["GLContext"]
+        return mujoco.Renderer(mujoco.MjModel.from_xml_string(_STAGE), *_PIXELS[::-1])
+    return None
+
+
+def render_modes() -> list[str]:
+    """Modes in which pictures can be shown here; "human" needs a display and a window toolkit."""
+    display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    shows = display or sys.platform in ("darwin", "win32")
+    toolkit = any(
+        importlib.util.find_spec(name) for name in ("tkinter", "PyQt6", "PySide6", "PyQt5")
+    )
+    return ["rgb_array", "human"] if shows and toolkit else ["rgb_array"]
+
+
+def checked_render_mode(mode: str | None, modes: list[str]) -> str | None:
+    """Return a render mode that is offered, or None."""
+    if mode == "human" and mode not in modes:
+        raise InvalidSetting(
+            "render_mode='human' opens a window, which needs a display and a window toolkit "
+            "(tkinter or PyQt6); without them use render_mode='rgb_array' and save the pictures"
+        )
+    if mode is not None and mode not in modes:
+        raise UnknownName(f"unknown render_mode {mode!r}; modes are {modes}")
+    return mode
+
+
+class Picture:
+    """Pictures of the episodes of one arm, as arrays of pixels, in a window, or for saving.
+
+    Above, the arm in its pose; below, the correlation of its latest record along the directions
+    of each plane of the tool frame, measured and as the healthy arm would show it. The true fault
+    shows once the episode has ended, never before. Without OpenGL the arm is a sketch.
+
+    Parameters
+    ----------
+    linear : LinearArm
+        The nominal arm.
+    show : bool
+        Whether to draw in a window; else `draw` returns the pixels.
+    sensors : SensorSuite, optional
+        What reads the motion: the noise that the healthy arm's correlation would show.
+
+    Raises
+    ------
+    MissingExtra
+        If matplotlib is not installed.
+    """
+
+    size = (5.6, 6.6)
+    """Width and height [inches]."""
+
+    def __init__(
+        self, linear: LinearArm, *, show: bool = False, sensors: SensorSuite | None = None
+    ) -> None:
+        if importlib.util.find_spec("matplotlib") is None:
+            raise MissingExtra(
+                "pictures need matplotlib: install it with pip install 'loose-env[report]'"
+            )
+        self.linear, self.show = linear, show
+        self._floor = SensorFloor.of(sensors or SensorSuite(), linear.arm.band)
+        self._drawing = ArmDrawing(linear.arm)
+        self._stage: mujoco.Renderer | None = None
+        self._window: Any = None
+
+    def draw(self, episode: Episode, *, verdict: str | None = None) -> NDArray[np.uint8] | None:
+        """Draw an episode as it stands; the verdict shows once it has ended.
+
+        Returns
+        -------
+        ndarray (1056, 896, 3) of uint8, or None
+            The picture in red, green and blue; None where it is shown in a window.
+        """
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        if self._stage is None:
+            self._stage = stage()
+        if self.show:
+            self._update_window(episode, verdict)
+            return None
+        figure = self.figure(episode, verdict=verdict, lit=True)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()  # type: ignore[no-untyped-call]
+        pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+        return np.array(pixels[..., :3], dtype=np.uint8)
+
+    def figure(self, episode: Episode, *, verdict: str | None = None, lit: bool = False) -> Figure:
+        """Return the picture as a figure of matplotlib, by default of lines alone."""
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=self.size, dpi=160)
+        self._compose(figure, episode, verdict, lit)
+        return figure
+
+    def close(self) -> None:
+        """Close the window and the renderer, if there are any."""
+        if self._window is not None:
+            from matplotlib import pyplot
+
+            pyplot.close(self._window)
+        if self._stage is not None:
+            self._stage.close()
+        self._window = self._stage = None
+
+    def _update_window(self, episode: Episode, verdict: str | None) -> None:
+        from matplotlib import pyplot
+
+        if self._window is None or not pyplot.fignum_exists(self._window.number):
+            name = f"loose-env: {self.linear.arm.name}"
+            self._window = pyplot.figure(num=name, figsize=self.size, clear=True)
+            self._window.show()
+        self._window.clear()
+        self._compose(self._window, episode, verdict, True)
+        self._window.canvas.draw()
+        self._window.canvas.start_event_loop(0.5)
+
+    def _compose(self, figure: Figure, episode: Episode, verdict: str | None, lit: bool) -> None:
+        """Draw an episode into an empty figure."""
+        drawing, height = self._drawing, self.size[1]
+        valid = episode.records > 0 and episode.slots[episode.records - 1, 0] > 0.5
+        record = episode.last if valid else None
+        truth = episode.fault if episode.ended else None
+        figure.set_facecolor(PAPER)
+        both = None if record is None else self._correlations(record)
+        title, lines = self._words(episode, record, verdict)
+        if both is not None:
+            measured, healthy = (each.maximum for each in both)
+            lines.append(f"Highest correlation {measured:.3f}, {healthy:.3f} on a healthy arm")
+        head, body = fill(title, 44), "\n".join(fill(line, 70) for line in lines)
+        look: dict[str, Any] = {"ha": "left", "va": "top"}
+        color = TRUTH if truth is not None else INK
+        figure.text(0.04, 1 - 0.14 / height, head, color=color, fontsize=13, **look)
+        below = 0.14 + 0.25 * (1 + head.count("\n"))
+        figure.text(0.04, 1 - below / height, body, color=MUTED, fontsize=9.5, **look)
+        top = below + 0.19 * (1 + body.count("\n"))
+        bottom = 2.25 if both is not None else 0.4
+        axes = figure.add_axes((0.0, bottom / height, 1.0, 1 - (top + bottom) / height))
+        excited = None if record is None else record.excited
+        marks = drawing.marks(episode.pose, excited=excited, fault=truth)
+        drawing.draw(axes, marks, self._stage if lit else None)
+        figure.text(
+            0.96, bottom / height, drawing.seen, color=MUTED, fontsize=9, ha="right", va="bottom"
+        )
+        if both is not None and record is not None:
+            names = ["xyz"[a] for a in self.linear.arm.axes]
+            pairs = list(zip(both[0].sections, both[1].sections, strict=True))
+            left = 0.5 - len(pairs) / 6
+            for k, (found, expected) in enumerate(pairs):
+                panel = figure.add_axes((left + k / 3, 0.36 / height, 1 / 3, 1.86 / height))
+                draw_section(panel, found, expected, (names[found.axes[0]], names[found.axes[1]]))
+            self._legend(figure, record, truth)
+
+    def _correlations(
+        self, record: Measurement
+    ) -> tuple[CorrelationByDirection, CorrelationByDirection]:
+        """Correlation by direction, as measured and as the healthy arm would show it."""
+        measured = measured_correlation(record)
+        at = self.linear.at(record.pose)
+        healthy = predicted_correlation(predict(at, record.excitation, self._floor))
+        return measured, healthy.facing(measured)
+
+    def _words(
+        self, episode: Episode, record: Measurement | None, verdict: str | None
+    ) -> tuple[str, list[str]]:
+        """Title, and lines below it; the truth first, once it is out."""
+        if record is not None:
+            said = shaking_words(self.linear.at(record.pose), record.excitation)
+        elif episode.records == 0:
+            said = "The arm takes its first pose."
+        elif episode.last is not None and episode.last.failure is not None:
+            said = "The measurement failed: this record says nothing."
+        else:
+            said = "Nothing was shaken, so there is nothing to see on the tool."
+        pose = f"ose {pose_words(episode.pose, self.linear.arm.sliding)}"
+        if not episode.ended:
+            title = f"Record {episode.records}" if episode.records else "Not measured yet"
+            return title, [said, f"P{pose}"]
+        truth = fault_words(episode.fault, self.linear.arm)
+        lines = [said, f"Record {episode.records}, p{pose}"]
+        if verdict is not None:
+            mark = " – right" if verdict == episode.fault.hypothesis else " – wrong"
+            mark = "" if verdict == UNSURE else mark
+            lines.insert(0, f"Verdict: {hypothesis_words(verdict)}{mark}")
+        return truth[0].upper() + truth[1:], lines
+
+    def _legend(self, figure: Figure, record: Measurement, truth: Fault | None) -> None:
+        """Name the colours at the bottom."""
+        entries = [("■", MEASURED, "measured"), ("- -", MUTED, "healthy arm")]
+        entries.append(("●", SHAKEN, "shaken"))
+        if not record.excited.all():
+            entries.append(("●", EDGE, "held"))
+        if truth is not None and truth.kind != "healthy":
+            entries.append(("■", TRUTH, "loose"))
+        x, y = 0.04, 0.18 / self.size[1]
+        for mark, color, words in entries:
+            figure.text(x, y, mark, color=color, fontsize=11, ha="left", va="center")
+            figure.text(x + 0.035, y, words, color=INK, fontsize=9, ha="left", va="center")
+            x += 0.075 + 0.016 * len(words)
+
+
+def pose_words(pose: Array, sliding: NDArray[np.bool_]) -> str:
+    """Write a pose in whole degrees, and whole millimetres where a joint slides."""
+    words = (
+        f"{round(1e3 * float(q))} mm" if slides else f"{round(float(np.degrees(q)))}°"
+        for q, slides in zip(pose, sliding, strict=True)
+    )
+    return ", ".join(words).replace("-", "−")
+
+
+def shaking_words(at: LinearPose, excitation: Excitation) -> str:
+    """Say which joints are shaken, how hard and for how long."""
+    arm = at.linear.arm
+    joints = np.flatnonzero(excitation.excited)
+    tool = at.response(excitation.excited).tool
+    rms = np.array(excitation.torque_rms)[joints]
+    rms = rms * np.sqrt(np.mean(np.sum(np.abs(tool) ** 2, axis=1), axis=0))
+    near = np.isclose(rms[:, None], np.array(arm.levels), rtol=0.01)
+    alike = bool(np.ptp(rms) < 0.01 * rms.max())
+    top = int(near[0].argmax())
+    if not near.any(axis=1).all():  # the torque limits left less
+        hard = " and ".join(f"{a:.2g}" for a in (rms[:1] if alike else rms)) + " m/s²"
+    elif alike:
+        hard = f"level {top + 1} ({arm.levels[top]:g} m/s²)"
+    else:
+        hard = _list("level", near.argmax(axis=1) + 1)
+    who = "All joints" if len(joints) == arm.n else _list("Joint", joints + 1)
+    return f"{who} shaken at {hard} for {excitation.duration:g} s"
+
+
+def _list(noun: str, items: Iterable[object]) -> str:
+    """Join items with commas and "and" behind their noun."""
+    *first, last = map(str, items)
+    return f"{noun}s {', '.join(first)} and {last}" if first else f"{noun} {last}"

@@ -1,4 +1,0 @@
-"""Drawing of planar arms.
-
-Data flow: view -> arm -> scene.
-"""

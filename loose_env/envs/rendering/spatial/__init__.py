@@ -1,4 +1,0 @@
-"""Drawing of arms in space.
-
-Data flow: view -> shapes -> arm -> scene.
-"""

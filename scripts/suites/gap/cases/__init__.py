@@ -1,1 +1,0 @@
-"""Cases: arms, motions, sensors, effect sizes, recordings."""

@@ -1,1 +1,0 @@
-"""Effects hidden in the recordings, and their catalogue."""

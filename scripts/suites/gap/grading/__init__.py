@@ -1,1 +1,0 @@
-"""Grading of the tool on one case, rows and tables."""

@@ -1,0 +1,410 @@
+"""A true arm: its motions, its sensors, and running it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy import signal
+
+from loose_env.typing import Array
+from scripts.suites.gap.arms import GRAVITY, Figures
+from scripts.suites.gap.drive_effects import ACCELEROMETER
+from scripts.suites.gap.dynamics import (
+    BUMP,
+    CROSSLEY,
+    DAMPING,
+    EXTRA,
+    FRICTION,
+    HERTZ,
+    LOADED,
+    LOADED_BUMP,
+    LOADED_SMOOTH,
+    SMOOTH_SPEED,
+    STIFFNESS,
+)
+from scripts.suites.gap.effects import Effect, Readings, apply_effect
+from scripts.suites.gap.simulate import (
+    SAMPLE,
+    Factors,
+    System,
+    Trace,
+    build,
+    felt_inertia,
+    mass_matrix,
+    simulate,
+)
+
+FADE = 0.6
+"""Time over which a motion grows from rest [s]."""
+EFFORT = 0.55
+"""Share of a drive's limit that the largest acceleration commanded may take."""
+FAMILIES = ("multisine", "reversals", "steps", "chirp")
+"""Families of motion, one a run."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Motion:
+    """One run's commands."""
+
+    commands: Array
+    """Positions commanded, of shape (T, n) [rad or m]."""
+    release: int | None = None
+    """Sample at which the drives go off and the recording starts; with drives if not given."""
+    excited: int | None = None
+    """Joint that is shaken, counted from 0."""
+    pose: Array | None = None
+    """Pose held, of shape (n,)."""
+    straight: bool = False
+    """Whether the drives go in straight lines from command to command; they hold each if not."""
+    family: str = ""
+    """A word for the motion."""
+
+
+def _multisine(rng: np.random.Generator, time: Array, joints: int) -> Array:
+    out = np.zeros((len(time), joints))
+    for j in range(joints):
+        frequencies = np.exp(rng.uniform(np.log(0.1), np.log(4.0), 9))
+        sizes = frequencies**-0.8
+        phases = rng.uniform(-np.pi, np.pi, 9)
+        out[:, j] = np.sin(2 * np.pi * time[:, None] * frequencies + phases) @ sizes
+        out[:, j] /= np.abs(out[:, j]).max()
+    return out
+
+
+def _minimum_jerk(x: Array) -> Array:
+    x = np.clip(x, 0.0, 1.0)
+    return x**3 * (10 - 15 * x + 6 * x * x)
+
+
+def _walk(rng: np.random.Generator, time: Array, times: tuple[float, float], hold: float) -> Array:
+    """Moves between random targets with minimum jerk, with holds between them."""
+    out = np.zeros(len(time))
+    now, at = 0.0, rng.uniform(0.0, hold)
+    here = 0.0
+    while now < time[-1]:
+        target = rng.uniform(-1.0, 1.0)
+        if abs(target - here) < 0.3:
+            target = here - np.sign(here + 1e-9) * rng.uniform(0.4, 1.0)
+        lasting = float(np.exp(rng.uniform(*np.log(times)))) * (0.5 + abs(target - here) / 2)
+        out += (target - here) * _minimum_jerk((time - at) / lasting)
+        here, now = target, at + lasting
+        at = now + rng.uniform(0.0, hold)
+    return out
+
+
+def _reversals(rng: np.random.Generator, time: Array, joints: int) -> Array:
+    # slow ramps to and fro, with a small fast part on top in the second half
+    out = np.zeros((len(time), joints))
+    for j in range(joints):
+        period = float(np.exp(rng.uniform(np.log(1.5), np.log(6.0))))
+        triangle = signal.sawtooth(2 * np.pi * (time / period + rng.random()), 0.5)
+        window = np.hanning(round(rng.uniform(0.12, 0.4) / SAMPLE))
+        smooth = np.convolve(np.pad(triangle, len(window), mode="edge"), window / window.sum())
+        smooth = smooth[len(window) + len(window) // 2 :][: len(time)]
+        quick = np.sin(2 * np.pi * rng.uniform(1.0, 3.0) * time) * (time > time[-1] / 2)
+        out[:, j] = 0.8 * smooth + 0.2 * quick * _minimum_jerk(2 * time - time[-1])
+    return out
+
+
+def _steps(rng: np.random.Generator, time: Array, joints: int) -> Array:
+    return np.stack([_walk(rng, time, (0.2, 1.2), 0.8) for _ in range(joints)], axis=1)
+
+
+def _chirp(rng: np.random.Generator, time: Array, joints: int) -> Array:
+    out = np.zeros((len(time), joints))
+    for j in range(joints):
+        low, high = rng.uniform(0.15, 0.4), rng.uniform(6.0, 12.0)
+        if rng.random() < 0.5:
+            low, high = high, low
+        sweep = np.log(high / low) / time[-1]
+        phase = 2 * np.pi * low * (np.exp(sweep * time) - 1) / sweep
+        frequency = low * np.exp(sweep * time)
+        # an even sweep of accelerations would hardly move; one of positions would hit the limits
+        out[:, j] = np.sin(phase + rng.uniform(-np.pi, np.pi)) / (1 + (frequency / 0.8) ** 1.5)
+        out[:, j] += 0.35 * np.sin(2 * np.pi * rng.uniform(0.1, 0.25) * time + rng.uniform(0, 6))
+    return out
+
+
+def rich_motion(
+    rng: np.random.Generator, figures: Figures, *, family: str, seconds: float
+) -> Motion:
+    """Commands that move all joints at once, growing from rest."""
+    time = np.arange(round(seconds / SAMPLE)) * SAMPLE
+    make = {
+        "multisine": _multisine, "reversals": _reversals, "steps": _steps, "chirp": _chirp,
+    }[family]  # fmt: skip
+    shape = make(rng, time, figures.joints)  # type: ignore[arg-type]
+    shape = (shape - shape[0]) * _minimum_jerk(time / FADE)[:, None]  # type: ignore[arg-type]
+    shape /= np.maximum(np.abs(shape).max(axis=0), 1e-9)
+    start = figures.home + figures.reach * rng.uniform(-0.2, 0.2, figures.joints)
+    sizes = figures.reach * rng.uniform(0.55, 0.9, figures.joints)
+    system = build(figures, Factors.ones(figures.joints))
+    strength = [link.limit for link in figures.links] * np.array(EFFORT)
+    inertia = np.diag(mass_matrix(system, figures.home))
+    sharpest = np.abs(np.gradient(np.gradient(shape, SAMPLE, axis=0), SAMPLE, axis=0)).max(axis=0)
+    sizes = np.minimum(sizes, strength / inertia / np.maximum(sharpest, 1e-9))
+    return Motion(commands=start + shape * sizes, family=family)
+
+
+def shaken_motion(
+    rng: np.random.Generator, figures: Figures, *, joint: int, seconds: float
+) -> Motion:
+    """A held pose with band-limited Gaussian noise on one joint's command."""
+    samples = round(seconds / SAMPLE)
+    pose = figures.home + figures.reach * rng.uniform(-0.8, 0.8, figures.joints)
+    low, high = 4.0, rng.uniform(60.0, 120.0)
+    band = signal.butter(4, (low, high), "bandpass", fs=1 / SAMPLE, output="sos")
+    noise = signal.sosfilt(band, rng.normal(size=samples + 1000))[1000:]
+    link = figures.links[joint]
+    level = float(np.exp(rng.uniform(np.log(0.06), np.log(0.2)))) * link.limit / link.kp
+    time = np.arange(samples) * SAMPLE
+    commands = np.tile(pose, (samples, 1))
+    commands[:, joint] += level * noise / noise.std() * _minimum_jerk(time / 0.3)  # type: ignore[arg-type]
+    return Motion(commands=commands, excited=joint, pose=pose, family="shaken")
+
+
+def free_motion(rng: np.random.Generator, figures: Figures, *, seconds: float) -> Motion:
+    """An arm that hangs, is swung by its drives and let go while it moves."""
+    assert figures.hanging is not None, f"{figures.name} cannot hang"
+    swing = 1.5
+    time = np.arange(round((swing + seconds) / SAMPLE)) * SAMPLE
+    phases = rng.uniform(-np.pi, np.pi, figures.joints)
+    rates = rng.uniform(0.5, 1.2, figures.joints)
+    sizes = rng.uniform(0.3, 0.7, figures.joints)
+    wave = np.sin(2 * np.pi * rates * time[:, None] + phases) - np.sin(phases)
+    commands = np.array(figures.hanging) + sizes * wave * _minimum_jerk(time / 1.0)[:, None]  # type: ignore[arg-type]
+    return Motion(commands=commands, release=round(swing / SAMPLE), family="free")
+
+
+def motions(
+    rng: np.random.Generator, figures: Figures, *, form: str, runs: int, seconds: float
+) -> list[Motion]:
+    """The runs of one recording."""
+    if form == "free":
+        return [free_motion(rng, figures, seconds=seconds) for _ in range(runs)]
+    if form == "random":
+        # the joint stays the same over runs of other poses, then the next one is shaken
+        first = int(rng.integers(figures.joints))
+        return [
+            shaken_motion(rng, figures, joint=(first + i % 2) % figures.joints, seconds=seconds)
+            for i in range(runs)
+        ]
+    order = rng.permutation(len(FAMILIES))
+    rich = [
+        rich_motion(rng, figures, family=FAMILIES[order[i % len(order)]], seconds=seconds)
+        for i in range(runs)
+    ]
+    # torques sampled right after the step of a held command would not be those of the motion
+    straight = {"inverse": (True,), "mixed": (False, True)}.get(form, (False,))
+    return [
+        dataclasses.replace(motion, straight=straight[i % len(straight)])
+        for i, motion in enumerate(rich)
+    ]
+
+
+SLIDE_SCALE = 0.05
+"""Metres of a slide that count like a radian of a hinge for the steps of its encoder."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Noise:
+    """Noise of a recording's sensors; it is white."""
+
+    step: Array
+    """Steps of the encoders, of shape (n,) [rad or m]."""
+    position: Array
+    """Noise of the encoders before their steps, of shape (n,), standard deviation."""
+    velocity: Array
+    """Noise of the tachometers, of shape (n,) [rad/s or m/s]."""
+    acceleration: float
+    """Noise of the accelerometer, standard deviation of an axis [m/s²]."""
+    torque: Array
+    """Noise of the measured torques, of shape (n,) [N m or N]."""
+
+    @classmethod
+    def draw(cls, figures: Figures, rng: np.random.Generator) -> Noise:
+        """Encoders of 14 to 17 bits, accelerometers of 150 to 300 µg/√Hz."""
+        scale = np.array([SLIDE_SCALE if x.kind == "slide" else 1.0 for x in figures.links])
+        step = 2 * np.pi / 2.0 ** rng.integers(14, 18) * scale
+        density = rng.uniform(150e-6, 300e-6) * GRAVITY
+        limits = np.array([link.limit for link in figures.links])
+        return cls(
+            step=step,
+            position=step * rng.uniform(0.4, 0.8),
+            velocity=rng.uniform(1e-3, 4e-3) * scale,
+            acceleration=float(density * np.sqrt(0.5 / SAMPLE)),
+            torque=rng.uniform(0.002, 0.006) * limits,
+        )
+
+    @property
+    def reading(self) -> Array:
+        """Standard deviation of a position as read, noise and steps, of shape (n,)."""
+        return np.sqrt(self.position**2 + self.step**2 / 12)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Signals:
+    """Readings at every sample, with or without noise."""
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+
+    def normalised(self, noise: Noise) -> Array:
+        """Positions, velocities and accelerations in standard deviations, of shape (T, 2n + 3)."""
+        return np.hstack(
+            (
+                self.position / noise.reading,
+                self.velocity / noise.velocity,
+                self.acceleration / noise.acceleration,
+            )
+        )
+
+
+def needs_fine(readings: Readings) -> bool:
+    """Whether a sensor reads between the samples of the trace."""
+    return bool(readings.delay)
+
+
+def _late(values: Array, delay: float, inside: int) -> Array:
+    """Values at every step inside the samples, as they were `delay` before every sample."""
+    at = np.arange(0, len(values), inside) - delay / SAMPLE * inside
+    grid = np.arange(len(values))
+    return np.stack([np.interp(at, grid, column) for column in values.T], axis=1)
+
+
+def read(trace: Trace, readings: Readings, *, inside: int = 1) -> Signals:
+    """Readings without noise."""
+    joints = trace.position.shape[1]
+    position = trace.position[::inside].copy()
+    velocity = trace.velocity[::inside].copy()
+    acceleration = trace.acceleration[::inside].copy()
+    for sensor, delay in readings.delay.items():
+        if sensor == ACCELEROMETER:
+            acceleration = _late(trace.acceleration, delay, inside)
+            continue
+        j = int(sensor.removeprefix("joint").split("_")[0]) - 1
+        if sensor.endswith("_pos"):
+            position[:, j : j + 1] = _late(trace.position[:, j : j + 1], delay, inside)
+        else:
+            velocity[:, j : j + 1] = _late(trace.velocity[:, j : j + 1], delay, inside)
+    acceleration = acceleration @ readings.rotation.T
+    columns = {ACCELEROMETER: acceleration}
+    for j in range(joints):
+        columns[f"joint{j + 1}_pos"] = position[:, j : j + 1]
+        columns[f"joint{j + 1}_vel"] = velocity[:, j : j + 1]
+    for sensor, gain in readings.gain.items():
+        columns[sensor] *= gain
+    for sensor, bias in readings.bias.items():
+        columns[sensor] += bias
+    torque = trace.torque[::inside].copy()
+    for j, factor in readings.torque.items():
+        torque[:, j] *= factor
+    return rounded(
+        Signals(
+            position=position,
+            velocity=velocity,
+            acceleration=columns[ACCELEROMETER],
+            torque=torque,
+        ),
+        readings,
+    )
+
+
+def rounded(signals: Signals, readings: Readings) -> Signals:
+    """Readings of coarse sensors at whole steps."""
+    position, velocity = signals.position.copy(), signals.velocity.copy()
+    for sensor, step in readings.step.items():
+        j = int(sensor.removeprefix("joint").split("_")[0]) - 1
+        column = position[:, j] if sensor.endswith("_pos") else velocity[:, j]
+        column[:] = step * np.round(column / step)
+    return dataclasses.replace(signals, position=position, velocity=velocity)
+
+
+def add_noise(signals: Signals, noise: Noise, rng: np.random.Generator) -> Signals:
+    """Readings with noise and steps."""
+    draw = rng.normal
+    position = signals.position + noise.position * draw(size=signals.position.shape)
+    return Signals(
+        position=noise.step * np.round(position / noise.step),
+        velocity=signals.velocity + noise.velocity * draw(size=signals.velocity.shape),
+        acceleration=signals.acceleration
+        + noise.acceleration * draw(size=signals.acceleration.shape),
+        torque=signals.torque + noise.torque * draw(size=signals.torque.shape),
+    )
+
+
+STOP_FORCE = 100.0
+"""Force of a blow on the stops of a slide by which the steps are chosen [N]."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrueArm:
+    """An arm as it is: nominal figures times factors, with effects."""
+
+    figures: Figures
+    factors: Factors
+    effects: tuple[Effect, ...] = ()
+
+    def assemble(self) -> tuple[System, Readings]:
+        """The arrays to integrate and what is wrong with the sensors."""
+        system, readings = build(self.figures, self.factors), Readings()
+        for effect in self.effects:
+            apply_effect(effect, system, readings, self.figures)
+        return system, readings
+
+    def without(self) -> TrueArm:
+        """The same arm with nothing missing."""
+        return dataclasses.replace(self, effects=())
+
+    def run(self, motion: Motion, *, inside: int = 10, settle: float = 1.2) -> Signals:
+        """Readings of one run without noise."""
+        system, readings = self.assemble()
+        inside = steps_inside(system, self.figures, inside)
+        fine = needs_fine(readings)
+        trace = simulate(
+            system,
+            motion.commands,
+            inside=inside,
+            release=motion.release,
+            settle=settle,
+            fine=fine,
+            straight=motion.straight,
+        )
+        signals = read(trace, readings, inside=inside if fine else 1)
+        if motion.release is None:
+            return signals
+        return Signals(
+            **{
+                field.name: getattr(signals, field.name)[motion.release :]
+                for field in dataclasses.fields(Signals)
+            }
+        )
+
+
+def steps_inside(system: System, figures: Figures, least: int) -> int:
+    """Steps in a sample that the stiffest law of an arm needs."""
+    step = SAMPLE / least
+    needed = 1.0
+    limits = np.array([link.limit for link in figures.links])
+    for dof, law in enumerate(system.laws):
+        joint = int(np.sum(system.joint_dofs <= dof)) - 1
+        slide = system.bodies[dof, 0] > 0.5 and dof not in system.joint_dofs
+        load = STOP_FORCE if slide else 0.6 * limits[max(joint, 0)]
+        felt = felt_inertia(system, dof, figures.home)
+        rate = law[DAMPING] + law[EXTRA]
+        if law[FRICTION] > 0:
+            rate += law[FRICTION] * (1 + law[BUMP]) / law[SMOOTH_SPEED]
+        if dof in system.joint_dofs:
+            drive = system.drives[joint]
+            if drive[LOADED] > 0:
+                slope = drive[LOADED] * (1 + drive[LOADED_BUMP]) / drive[LOADED_SMOOTH]
+                rate += 0.6 * limits[joint] * slope
+        stiffness = law[STIFFNESS]
+        if law[HERTZ] > 0:
+            stiffness += 1.5 * law[HERTZ] * (load / law[HERTZ]) ** (1 / 3)
+            rate += load * law[CROSSLEY]
+        needed = max(needed, rate / felt * step / 1.2, np.sqrt(stiffness / felt) * step / 0.6)
+    return least * int(np.ceil(needed - 1e-9))

@@ -1,0 +1,141 @@
+"""`loose gap` on measured recordings: what is named, and the held-out error before and after.
+
+python -m scripts.suites.gap.measured RECORDING [RECORDING ...] --out FILE.jsonl [--each]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import loose_env
+from loose_env.cli.command import errors_in_one_line
+from loose_env.errors import LooseEnvError
+from loose_env.gap import GapResult
+from loose_env.recording import read_recording
+from scripts.study import write_between
+from scripts.suites.rows import add, kept
+
+Row = dict[str, Any]
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "gap.md"
+_NAMED = 3
+"""Held-out runs that are named; more are counted."""
+QUANTITY = "joint position [rad]"
+"""Error that the table shows; that of held-out runs, simulated from their commands alone."""
+
+
+def row_of(folder: Path, settings: dict[str, Any]) -> Row:
+    """Result of a recording under some `GapSettings`, and the time it took [s]."""
+    begun = time.perf_counter()
+    try:
+        found = loose_env.explain_gap(folder, ignore_doctor=True, say=_progress, **settings).result
+    except LooseEnvError as error:
+        return {"recording": folder.name, "error": str(error), "held_out": []}
+    seconds = time.perf_counter() - begun
+    return {"recording": folder.name, "seconds": seconds} | _of_result(found)
+
+
+def _progress(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _of_result(found: GapResult) -> Row:
+    return {
+        "verdict": found.verdict,
+        "held_out": list(found.held_out_runs),
+        "error": None,
+        "rmse": found.gap.by_quantity.get(QUANTITY),
+        "effects": [
+            {
+                "kind": effect.kind,
+                "where": effect.where,
+                "parameters": dict(effect.parameters),
+                "interval_95": {k: list(v) for k, v in effect.interval_95.items()},
+                "units": dict(effect.units),
+            }
+            for effect in found.effects
+        ],
+        "remaining": list(found.remaining),
+    }
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Rows in Markdown."""
+    lines = [
+        "| recording | held out | named | error before [rad] | after [rad] | ratio | time [s] |",
+        "|---|---|---|---:|---:|---:|---:|",
+    ]
+    for row in rows:
+        if row["error"] is not None:
+            lines.append(f"| {row['recording']} | | refused: {row['error']} | | | | |")
+            continue
+        named = "; ".join(_effect_words(effect) for effect in row["effects"]) or row["verdict"]
+        numbers = "| | | "
+        if row["rmse"] is not None:
+            before, after = row["rmse"]
+            numbers = f"| {before:.4f} | {after:.4f} | {after / before:.2f} "
+        names = [f"`{Path(name).stem}`" for name in row["held_out"]]
+        held = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} runs"
+        lines.append(f"| {row['recording']} | {held} | {named} {numbers}| {row['seconds']:.0f} |")
+    return "\n".join(lines)
+
+
+def _effect_words(effect: Row) -> str:
+    figures = []
+    for name, value in effect["parameters"].items():
+        low, high = effect["interval_95"].get(name, (None, None))
+        span = "" if low is None or high is None else f" ({low:.3g} to {high:.3g})"
+        unit = effect["units"].get(name, "")
+        figures.append(f"{name} {value:.3g}{span}{' ' if unit else ''}{unit}")
+    return f"`{effect['kind']}` at {effect['where']}: {', '.join(figures)}"
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Take the command line."""
+    parser = argparse.ArgumentParser(prog="measured", description=__doc__)
+    parser.add_argument("recordings", type=Path, nargs="*", help="folders of recordings")
+    parser.add_argument("--out", type=Path, required=True, help="file of rows (JSON lines)")
+    parser.add_argument("--threads", type=int, default=1, help="threads of each comparison")
+    parser.add_argument(
+        "--each", action="store_true", help="hold out every run in turn, not what the names say"
+    )
+    parser.add_argument("--table", action="store_true", help="print the table of the rows alone")
+    parser.add_argument("--docs", action="store_true", help="write the table into docs/gap.md")
+    given = parser.parse_args(words)
+    if given.table and not kept(given.out):
+        parser.error(
+            f"{given.out} has no rows to make a table of; run some recordings into it first"
+        )
+    with errors_in_one_line("measured", interrupted="the same command goes on"):
+        _run(given)
+
+
+def _run(given: argparse.Namespace) -> None:
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    rows = kept(given.out)
+    done = {(row["recording"], tuple(row.get("asked", ()))) for row in rows if row["error"] is None}
+    for folder in () if given.table else given.recordings:
+        for held in _splits(folder, each=given.each):
+            if (folder.name, held) in done:
+                continue
+            row = row_of(folder, {"threads": given.threads, "held_out": held}) | {"asked": held}
+            rows.append(row)
+            add(given.out, row)
+            print(table([row]).splitlines()[-1], flush=True)
+    rows.sort(key=lambda row: (row["recording"], row["held_out"]))
+    print(table(rows))
+    if given.docs:
+        write_between(DOCS, table(rows), name="measured")
+
+
+def _splits(folder: Path, *, each: bool) -> list[tuple[str, ...]]:
+    """Runs to hold out: every one in turn, or () for those that the names say."""
+    return [(run.name,) for run in read_recording(folder).runs] if each else [()]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,1 +1,0 @@
-"""An arm integrated without MuJoCo."""

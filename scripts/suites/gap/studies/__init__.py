@@ -1,1 +1,0 @@
-"""Studies of `loose gap` beside its suite: edit test, calibration, cost, measured recordings."""

@@ -1,1 +1,0 @@
-"""Malformed and hostile input."""

@@ -1,0 +1,320 @@
+"""Kill commands at random moments, let them go on, and look at what they left.
+
+    python -m scripts.suites.trust.kills --kills 20
+
+Nothing half-written may count, no row may be lost or doubled, and a command that was killed and run
+again ends with the result of one that was let through.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loose_env.cli.command import command
+from scripts.suites.golden import DIAGNOSES, GAPS, write_gap_recording, write_shaken_recording
+
+ROOT = Path(__file__).resolve().parents[3]
+POLL = 0.004
+"""Time between two looks at the folder [s]."""
+LONGEST = 900.0
+"""Longest that a run may take [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """A command that writes to a folder and goes on when it is run again."""
+
+    words: Callable[[Path], Sequence[str]]
+    """Words after ``python``, for an output folder."""
+    result: Callable[[Path], Any]
+    """What the finished command wrote, to be compared with another run's."""
+    problems: Callable[[Path], list[str]] = lambda out: []
+    """What is wrong with what lies in the folder, whatever moment it is."""
+
+
+@dataclass
+class Killed:
+    """What came of killing a command."""
+
+    kills: int = 0
+    runs: int = 0
+    """Runs that ended by themselves."""
+    moments: list[int] = field(default_factory=list)
+    """Changes of the folder that each kill waited for."""
+    problems: list[str] = field(default_factory=list)
+    """Everything that was wrong."""
+
+
+def kill_often(made: Command, place: Path, *, kills: int, rng: np.random.Generator) -> Killed:
+    """Kill a command again and again until it was killed so often; let the last one through."""
+    found = Killed()
+    pauses = _let_through(made, place / "whole")
+    wanted = made.result(place / "whole")
+    found.problems += [f"unkilled: {p}" for p in made.problems(place / "whole")]
+    while found.kills < kills or not found.runs:
+        out = place / f"chain-{found.runs}"
+        moment = int(rng.integers(len(pauses)))
+        if found.kills < kills and _killed(made, out, moment, rng.random() * pauses[moment]):
+            found.kills += 1
+            found.moments.append(moment)
+            found.problems += [f"kill {found.kills}: {p}" for p in made.problems(out)]
+            if found.kills < kills:
+                continue
+        if found.kills >= kills:
+            _let_through(made, out)
+        found.problems += [f"end of chain {found.runs}: {p}" for p in made.problems(out)]
+        if repr(made.result(out)) != repr(wanted):
+            found.problems.append(f"end of chain {found.runs}: another result than unkilled")
+        found.runs += 1
+    return found
+
+
+def _let_through(made: Command, out: Path) -> list[float]:
+    """Let it through; return the time to each change of its folder, and to its end [s]."""
+    process, times, before = _started(made, out), [time.monotonic()], _listing(out)
+    while process.poll() is None:
+        now = _listing(out)
+        times += [time.monotonic()] if now != before else []
+        before = now
+        if time.monotonic() - times[0] > LONGEST:
+            _end(process)
+        time.sleep(POLL)
+    if process.returncode:
+        raise RuntimeError(f"it ended with {process.returncode}: {_said(out)}")
+    return list(np.diff([*times, time.monotonic()]))
+
+
+def _killed(made: Command, out: Path, moment: int, delay: float) -> bool:
+    """Run a command and kill it some time after a change; False if it was done before."""
+    process, changes, before = _started(made, out), 0, _listing(out)
+    while process.poll() is None and changes < moment:
+        now = _listing(out)
+        changes, before = changes + (now != before), now
+        time.sleep(POLL)
+    if process.poll() is None:
+        time.sleep(delay)
+    _end(process)
+    if process.returncode not in (0, -signal.SIGKILL):
+        raise RuntimeError(f"it does not go on, code {process.returncode}: {_said(out)}")
+    return process.returncode != 0
+
+
+def _started(made: Command, out: Path) -> subprocess.Popen[bytes]:
+    out.parent.mkdir(parents=True, exist_ok=True)
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "agents")])
+    with out.with_name(f"{out.name}.said").open("wb") as said:
+        return subprocess.Popen(
+            [sys.executable, *made.words(out)],
+            cwd=ROOT,
+            env=os.environ | {"PYTHONPATH": paths, "OMP_NUM_THREADS": "1"},
+            stdout=subprocess.DEVNULL,
+            stderr=said,
+            start_new_session=True,
+        )
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Kill it with all that it started."""
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def _said(out: Path) -> str:
+    return out.with_name(f"{out.name}.said").read_text(errors="replace")[-600:]
+
+
+def _listing(folder: Path) -> frozenset[tuple[str, int, int, int]]:
+    """Files with what changes when they are written anew or in place."""
+    found = set()
+    for path in folder.rglob("*"):
+        try:
+            state = path.stat()
+        except OSError:  # renamed while it was looked at
+            continue
+        found.add((str(path), state.st_ino, state.st_size, state.st_mtime_ns))
+    return frozenset(found)
+
+
+# ------------------------------------------------------------------------------ commands
+
+EPISODES = 24
+
+
+def commands(place: Path) -> dict[str, Command]:
+    """Commands by name; what they read is made below a folder."""
+    recording, measured = place / "recording", place / "measured"
+    if not recording.exists():
+        write_gap_recording(recording, **GAPS["forward, damping"])
+        write_shaken_recording(measured, **DIAGNOSES["healthy, flat"])
+    kinds = ("--kinds", "viscous_friction", "link_mass", "--threads", "1")
+    return {
+        "training": Command(words=_training, result=_trained, problems=_broken_policies),
+        "comparison": Command(words=_compare, result=_compared, problems=_broken_rows),
+        "gap": Command(
+            words=lambda out: ("-m", "loose_env", "gap", str(recording), "--out", str(out), *kinds),
+            result=lambda out: [(out / n).read_text("utf-8") for n in ("result.json", "model.xml")],
+            problems=_broken_gap,
+        ),
+        "diagnosis": Command(
+            words=lambda out: ("-m", "loose_env", "diagnose", str(measured), "--out", str(out)),
+            result=lambda out: (out / "result.json").read_text("utf-8"),
+            problems=_broken_diagnosis,
+        ),
+    }
+
+
+def _training(out: Path) -> Sequence[str]:
+    return (
+        *("scripts/agents/train.py", "--env", "loose_env/Planar-v0", "-n", "96", "-f", str(out)),
+        *("--env-kwargs", "n_links:2", "durations:[0.2]", "max_records:4", "threads:1"),
+        *("-params", "n_envs:4", "n_steps:4", "batch_size:8", "n_epochs:1"),
+        *("policy_kwargs:dict()", "--eval-freq", "32", "--eval-episodes", "3", "--export"),
+        str(out / "export"),
+    )
+
+
+def _compare(out: Path) -> Sequence[str]:
+    return (
+        *("scripts/agents/compare.py", "--env", "loose_env/Planar-v0", "--out", str(out)),
+        *("--arguments", '{"n_links": 2}', "--agents", "random", "posterior/random"),
+        *("--episodes", str(EPISODES), "--shard", "4", "--threads", "1", "--workers", "1"),
+    )
+
+
+def _try(problems: list[str], file: Path, read: Callable[[], object]) -> None:
+    if file.exists():
+        try:
+            read()
+        except Exception as error:  # whatever it is, the file is not whole
+            problems.append(f"{file.name}: {type(error).__name__}: {error}")
+
+
+def _broken_policies(out: Path) -> list[str]:
+    from loose_agents.rl.model_files import read_model
+    from safetensors.numpy import load_file
+
+    found: list[str] = []
+    for file in out.rglob("*.json"):
+        _try(found, file, lambda f=file: json.loads(f.read_text()))  # type: ignore[misc]
+    for file in out.rglob("*.safetensors"):
+        _try(found, file, lambda f=file: load_file(f))  # type: ignore[misc]
+        if not file.with_name("configuration.json").exists():
+            found.append(f"{file}: no configuration beside it")
+    # What is being written has a name that begins with a dot until it is whole.
+    for file in (f for f in out.rglob("*.zip") if not f.name.startswith(".")):
+        _try(found, file, lambda f=file: read_model(f))  # type: ignore[misc]
+    for file in out.rglob("evaluations.npz"):
+        _try(found, file, lambda f=file: _evaluations(f))  # type: ignore[misc]
+    return found
+
+
+def _evaluations(file: Path) -> list[int]:
+    with np.load(file, allow_pickle=False) as stored:
+        steps: list[int] = stored["timesteps"].tolist()
+        if stored["results"].shape != (len(steps), 3) or sorted(set(steps)) != steps:
+            raise ValueError(f"evaluations at {steps} of shape {stored['results'].shape}")
+        return steps
+
+
+def _trained(out: Path) -> Any:
+    """What does not depend on the faults that a resumed run meets: counts and names of files."""
+    from loose_agents.rl.model_files import read_model
+
+    (checkpoint,) = out.rglob("checkpoint.zip")
+    run = read_model(checkpoint).run
+    assert run is not None
+    names = sorted(str(p.relative_to(out)) for p in out.rglob("*") if ".part" not in p.name)
+    return run["counters"], _evaluations(next(out.rglob("evaluations.npz"))), names
+
+
+def _broken_rows(out: Path) -> list[str]:
+    from loose_env.evaluation import read_rows
+
+    found: list[str] = []
+    file = out / "rows.parquet"
+    _try(found, file, lambda: read_rows(file))
+    if file.exists() and not found:
+        rows, _ = read_rows(file)
+        played = {(row["agent"], row["episode"]) for row in rows}
+        if not len(rows) == len(played) == 2 * EPISODES:
+            found.append(f"rows.parquet: {len(rows)} rows, {len(played)} of them different")
+    return found
+
+
+def _compared(out: Path) -> Any:
+    from loose_env.evaluation import read_rows
+
+    return read_rows(out / "rows.parquet")
+
+
+def _broken_gap(out: Path) -> list[str]:
+    import mujoco
+
+    from loose_env.gap import read_result
+
+    found = _broken_page(out)
+    result, model = out / "result.json", out / "model.xml"
+    _try(found, result, lambda: read_result(result))
+    _try(found, model, lambda: mujoco.MjModel.from_xml_path(str(model)))
+    if result.exists() and not model.exists():
+        found.append("a result without its model")
+    return found
+
+
+def _broken_diagnosis(out: Path) -> list[str]:
+    from loose_env.instrument import read_diagnosis
+
+    found = _broken_page(out)
+    _try(found, out / "result.json", lambda: read_diagnosis(out / "result.json"))
+    return found
+
+
+def _broken_page(out: Path) -> list[str]:
+    page = out / "report.html"
+    cut = page.exists() and "</html>" not in page.read_text("utf-8")[-40:]
+    return ["report.html: cut short"] if cut else []
+
+
+@dataclass(frozen=True, kw_only=True)
+class KillSettings:
+    """What is killed, and how often."""
+
+    kills: int = 20
+    """Kills of each command."""
+    only: tuple[str, ...] = ("training", "comparison", "gap", "diagnosis")
+    """Commands."""
+    seed: int = 1
+    """Seed of the moments."""
+
+
+def run(given: KillSettings) -> None:
+    """Kill the commands and print a table."""
+    wrong = False
+    print("| command | kills | runs to the end | problems |\n| --- | ---: | ---: | ---: |")
+    for name in given.only:
+        with tempfile.TemporaryDirectory() as place:
+            made = commands(Path(place))[name]
+            rng = np.random.default_rng(given.seed)
+            found = kill_often(made, Path(place) / "killed", kills=given.kills, rng=rng)
+        print(f"| {name} | {found.kills} | {found.runs} | {len(found.problems)} |", flush=True)
+        print("".join(f"  {problem}\n" for problem in found.problems), end="", file=sys.stderr)
+        wrong |= bool(found.problems)
+    if wrong:
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    command("kills", __doc__, KillSettings, run)

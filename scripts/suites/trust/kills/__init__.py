@@ -1,1 +1,0 @@
-"""Commands killed at random moments."""

@@ -1,0 +1,328 @@
+"""Hidden faults: difficulties, kinds, and how both are drawn."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from loose_env.arms import (
+    FASTEST_TURN,
+    Arm,
+    LinearArm,
+    arm_from_file,
+    planar,
+    scara,
+    six_axis,
+    vera,
+)
+from loose_env.envs import (
+    DIFFICULTIES,
+    DiagnosisEnv,
+    DiagnosisSettings,
+    Difficulty,
+    FaultSampler,
+)
+from loose_env.envs.faults import PIVOT
+from loose_env.excitation import SeatDrive, at_levels
+from loose_env.faults import (
+    DEFAULT_KINDS,
+    KINDS,
+    Backlash,
+    CompoundLooseness,
+    RotationalLooseness,
+    StructuralLooseness,
+    hypotheses,
+    parts_of,
+    twist_of,
+)
+from loose_env.rig import PlantShop
+
+ARMS = {arm.name: arm for arm in (planar(3), planar(4, vertical=True), vera())}
+FRICTION = {
+    "easy": (0.02, 0.2),
+    "default": (0.02, 1.0),
+    "hard": (0.1, 2.0),
+    "reachable": (0.1, 0.7),
+}
+GAP = {"easy": (0.1e-3, 0.4e-3), "default": (0.02e-3, 0.4e-3), "hard": (0.02e-3, 0.4e-3)}
+GAP["reachable"] = GAP["hard"]
+
+
+@cache
+def linear(arm: str) -> LinearArm:
+    return LinearArm(ARMS[arm])
+
+
+@cache
+def sampler(arm: str, difficulty: str) -> FaultSampler:
+    return FaultSampler(linear(arm), DIFFICULTIES[difficulty])
+
+
+@cache
+def figures(arm: str, difficulty: str) -> tuple[list[float], list[float]]:
+    """Friction ratios and travels [m] of many draws."""
+    over = DIFFICULTIES[difficulty].friction_over
+    drive, reach = SeatDrive(linear(arm), over=over), ARMS[arm].reach
+    rng = np.random.default_rng(0)
+    frictions, travels = [], []
+    for _ in range(600):
+        fault = sampler(arm, difficulty).draw(rng)
+        if isinstance(fault, StructuralLooseness):
+            frictions.append(fault.friction / drive.slide(fault.link, fault.direction))
+            travels.append(fault.gap)
+        elif isinstance(fault, Backlash):
+            frictions.append(fault.friction / drive.hinge(fault.joint))
+            travels.append(fault.gap * reach)
+    return frictions, travels
+
+
+@pytest.mark.parametrize("difficulty", DIFFICULTIES)
+@pytest.mark.parametrize("arm", ARMS)
+def test_friction_and_gap_lie_in_the_range_and_spread_evenly_over_it(
+    arm: str, difficulty: str
+) -> None:
+    for values, (low, high) in zip(
+        figures(arm, difficulty), (FRICTION[difficulty], GAP[difficulty]), strict=True
+    ):
+        assert low * (1 - 1e-9) <= min(values) and max(values) <= high * (1 + 1e-9)
+        share = np.log(np.array(values) / low) / np.log(high / low)
+        assert stats.kstest(share, "uniform").pvalue > 0.001
+
+
+def test_a_ratio_of_one_is_the_force_that_the_top_level_drives_through_the_seat() -> None:
+    # In the plane, shaken joint by joint at the top level, over random poses: the joint that
+    # drives the seat best, and the middle pose.
+    arm = ARMS["planar3"]
+    at, rng = linear("planar3"), np.random.default_rng(5)
+    direction = np.array([0.6, 0.8])
+    forces, torques = [], []
+    for _ in range(200):
+        pose = at.at(arm.random_pose(rng))
+        force, torque = [], []
+        for joint in range(arm.n):
+            levels = np.where(np.arange(arm.n) == joint, arm.levels[-1], 0.0)
+            shake, _ = at_levels(pose, levels, duration=1.0)
+            answer, rms = pose.response(shake.excited), shake.torque_rms[joint]
+            force.append(rms * np.sqrt(np.mean(np.abs(answer.slide[:, 1, :, 0] @ direction) ** 2)))
+            torque.append(rms * np.sqrt(np.mean(np.abs(answer.hinge[:, 1, 0]) ** 2)))
+        forces.append(max(force))
+        torques.append(max(torque))
+    drive = SeatDrive(at)
+    # The yardstick takes 48 poses of its own.
+    assert drive.slide(2, (0.6, 0.8, 0.0)) == pytest.approx(np.median(forces), rel=0.15)
+    assert drive.hinge(2) == pytest.approx(np.median(torques), rel=0.15)
+
+
+def seat_masses(arm: str, fault: StructuralLooseness | Backlash) -> tuple[float, float]:
+    """Mass on a seat with the rest of the straight arm held, and the least with the rest free."""
+    at = linear(arm)
+    whole = at.at(np.zeros(ARMS[arm].n)).inertia
+    seat = np.zeros(len(whole))
+    if isinstance(fault, Backlash):
+        seat[at.hinge_dofs[fault.joint - 1]] = 1.0
+    else:
+        seat[at.slide_dofs[fault.link - 1]] = fault.direction[:2]
+    moving = np.vstack([np.eye(len(whole))[[*at.joint_dofs, *at.flexible_dofs]], seat])
+    rng = np.random.default_rng(0)
+    folded = [at.at(ARMS[arm].random_pose(rng)).inertia for _ in range(64)]
+    free = [1 / np.linalg.inv(moving @ m @ moving.T)[-1, -1] for m in (whole, *folded)]
+    return float(seat @ whole @ seat), float(min(free))
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_stops_are_as_stiff_and_damped_as_stated_each_side_its_own(arm: str) -> None:
+    rng = np.random.default_rng(2)
+    fastest = 0.85 * FASTEST_TURN / ARMS[arm].timestep
+    for name in hypotheses(ARMS[arm])[1:]:
+        for _ in range(10):
+            fault = sampler(arm, "default").draw(rng, hypothesis=name)
+            assert isinstance(fault, (StructuralLooseness, Backlash))
+            held, free = seat_masses(arm, fault)
+            stiffness, damping = np.array(fault.stiffness), np.array(fault.damping)
+            mode = np.sqrt(stiffness / held) / (2 * np.pi)
+            local = np.sqrt(stiffness / free)
+            assert ((mode < 360.001) & (local < fastest * 1.001)).all()
+            # Below 300 Hz only where the local mode would be too fast for the step.
+            assert ((mode > 299.999) | (local > fastest * 0.999)).all()
+            ratio = damping / (2 * np.sqrt(stiffness * free))
+            assert ((ratio > 0.0499) & (ratio < 0.3001)).all()
+            assert damping[0] != damping[1]
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        {"healthy": 1.0},
+        {"backlash": 1.0},
+        {"healthy": 0.2, "structural_looseness": 0.8},
+        {"healthy": 0.0, "structural_looseness": 0.25, "backlash": 0.75},
+    ],
+)
+def test_kinds_come_with_the_probability_given(kinds: dict[str, float]) -> None:
+    own = FaultSampler(linear("planar3"), Difficulty(kinds=kinds))
+    rng = np.random.default_rng(6)
+    found = Counter(own.draw(rng).kind for _ in range(400))
+    possible = [kind for kind, share in kinds.items() if share > 0]
+    assert set(found) == set(possible)
+    expected = [400 * kinds[kind] for kind in possible]
+    if len(possible) > 1:
+        observed = [found[kind] for kind in possible]  # type: ignore[index]
+        assert stats.chisquare(observed, expected).pvalue > 0.01
+
+
+UR5E = Path(__file__).parents[3] / "shared" / "models" / "ur5e_bare.xml"
+MANY: dict[str, Callable[[], Arm]] = {
+    "vera": vera,
+    "planar3": lambda: planar(3),
+    "six_axis": six_axis,
+    "scara": scara,
+    "scara-compliant": lambda: scara(hold="compliant"),
+}
+if UR5E.exists():
+    MANY["ur5e"] = lambda: arm_from_file(UR5E)
+
+
+@cache
+def arm_of(name: str) -> Arm:
+    return MANY[name]()
+
+
+@cache
+def sampler_of(name: str, difficulty: str = "default") -> FaultSampler:
+    return FaultSampler(LinearArm(arm_of(name)), DIFFICULTIES[difficulty], KINDS)
+
+
+def draws(name: str, kind: str, count: int, difficulty: str = "default") -> list[Any]:
+    """Faults of one kind, as many at every link."""
+    rng, own = np.random.default_rng(8), sampler_of(name, difficulty)
+    places = hypotheses(arm_of(name), ("healthy", kind))[1:]
+    return [own.draw(rng, hypothesis=place) for place in places for _ in range(count)]
+
+
+def test_hypotheses_are_ordered_by_kind_then_by_place() -> None:
+    arm = planar(2)
+    assert hypotheses(arm) == hypotheses(arm, DEFAULT_KINDS)
+    every = hypotheses(arm, KINDS)
+    assert every == hypotheses(arm, KINDS[::-1])
+    assert every[: 1 + 2 * arm.n] == hypotheses(arm)
+    assert every[5:] == (
+        "rotational_looseness@link1",
+        "rotational_looseness@link2",
+        "compound_looseness@link1",
+        "compound_looseness@link2",
+    )
+    assert hypotheses(arm, ("healthy",)) == ("healthy",)
+
+
+def test_all_kinds_come_up_alike_at_every_place() -> None:
+    own, rng = sampler_of("planar3"), np.random.default_rng(6)
+    found = Counter(own.draw(rng).hypothesis for _ in range(600))
+    kinds = Counter({k: sum(c for h, c in found.items() if h.startswith(k)) for k in KINDS})
+    assert stats.chisquare([kinds[k] for k in KINDS]).pvalue > 0.01
+    assert set(found) == set(hypotheses(arm_of("planar3"), KINDS))
+
+
+def levers(arm: Arm) -> Any:
+    """Largest distance of the tool from each link's frame over the sampler_of's own poses."""
+    import mujoco
+
+    rng, most = np.random.default_rng(0), np.zeros(arm.n)
+    for pose in [np.zeros(arm.n), *(arm.random_pose(rng) for _ in range(64))]:
+        data = mujoco.MjData(arm.model)
+        data.qpos[arm.pose_addresses] = pose
+        mujoco.mj_forward(arm.model, data)
+        away = [data.site(arm.tool).xpos - data.body(b).xpos for b in arm.seat_bodies]
+        most = np.maximum(most, np.linalg.norm(away, axis=1))
+    return np.maximum(most, 0.1 * arm.reach)
+
+
+@pytest.mark.parametrize("name", MANY)
+def test_a_rocking_link_has_its_travel_at_the_tool_and_its_axis_off_the_joint(name: str) -> None:
+    arm, own = arm_of(name), sampler_of(name)
+    lever = levers(arm)
+    travels, ratios, axes = [], [], []
+    for fault in draws(name, "rotational_looseness", 40):
+        assert isinstance(fault, RotationalLooseness)
+        travels.append(fault.gap * lever[fault.link - 1])
+        drive = own.further.drive.twist(fault.link, twist_of(arm, fault))
+        ratios.append(fault.friction / drive)
+        axes.append(fault.axis)
+        anchor = arm.model.joint(arm.joints[fault.link - 1]).pos
+        away = np.linalg.norm(np.array(fault.pivot) - anchor) / arm.reach
+        assert PIVOT[0] - 1e-9 < away < PIVOT[1] + 1e-9
+    for values, (low, high) in ((travels, (0.02e-3, 0.4e-3)), (ratios, (0.02, 1.0))):
+        share = np.log(np.array(values) / low) / np.log(high / low)
+        assert stats.kstest(share, "uniform").pvalue > 0.001
+    if len(arm.axes) == 2:
+        assert set(axes) == {(0.0, 0.0, 1.0)}
+    else:
+        for component in np.transpose(axes):  # uniform on the sphere
+            assert stats.kstest((component + 1) / 2, "uniform").pvalue > 0.001
+
+
+@pytest.mark.parametrize("name", MANY)
+def test_a_compound_seat_has_two_slides_across_or_a_slide_and_a_rotation(name: str) -> None:
+    arm = arm_of(name)
+    slides = 0
+    faults = draws(name, "compound_looseness", 40)
+    for fault in faults:
+        assert isinstance(fault, CompoundLooseness)
+        first, second = fault.parts
+        assert isinstance(first, StructuralLooseness)
+        if isinstance(second, StructuralLooseness):
+            slides += 1
+            assert abs(np.dot(first.direction, second.direction)) < 1e-12
+            assert second.gap != first.gap
+        for part in fault.parts:
+            twist = twist_of(arm, part)
+            drive = sampler_of(name).further.drive.twist(fault.link, twist)
+            assert 0.02 * 0.999 < part.friction / drive < 1.001
+    assert stats.binomtest(slides, len(faults)).pvalue > 0.001
+
+
+@pytest.mark.parametrize("difficulty", DIFFICULTIES)
+@pytest.mark.parametrize("name", MANY)
+def test_every_further_fault_can_be_simulated_in_every_drawn_arm(
+    name: str, difficulty: str
+) -> None:
+    arm = arm_of(name)
+    shop = PlantShop(arm, timestep=arm.timestep, link_accelerometers=False)
+    rng = np.random.default_rng(1)
+    for kind in KINDS[1:]:
+        for fault in draws(name, kind, 10, difficulty):
+            mismatch = DIFFICULTIES[difficulty].mismatch.draw(arm, rng)
+            plant = shop.build(fault, mismatch)
+            assert plant.parts == len(parts_of(fault))
+
+
+def run(env: Any, fault: str, seed: int) -> tuple[Any, ...]:
+    """One record in which everything is shaken, then the right verdict."""
+    n = env.arm.n
+    first, _ = env.reset(seed=seed, options={"fault": fault})
+    seen = env.step(env.actions.encode(levels=np.full(n, 3), duration=0))
+    verdict = env.actions.encode(verdict=1 + env.hypotheses.index(fault))
+    return first, seen, env.step(verdict)
+
+
+@pytest.mark.parametrize("name", MANY)
+def test_episodes_with_all_kinds_run_on_every_arm(name: str) -> None:
+    env = DiagnosisEnv(arm_of(name), DiagnosisSettings(kinds=KINDS, max_records=2), threads=1)
+    assert env.hypotheses == hypotheses(env.arm, KINDS)
+    assert env.action_space.nvec[-1] == 1 + len(env.verdicts)
+    for k, fault in enumerate(env.hypotheses):
+        first, (seen, _, terminated, truncated, info), last = run(env, fault, k)
+        assert first.shape == seen.shape
+        assert np.isfinite(seen).all() and env.observation_space.contains(seen)
+        assert not terminated and not truncated
+        assert info["action_mask"].shape == (int(env.action_space.nvec.sum()),)
+        _, reward, terminated, _, info = last
+        assert terminated and reward == 1.0
+        assert info["is_success"] and info["link_success"] and info["fault"] == fault
+        assert info["fault_figures"].hypothesis == fault

@@ -1,0 +1,293 @@
+"""Every registered id: the checkers find nothing, arguments arrive, all forms play alike."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+import loose_env
+from loose_env.arms import planar
+from loose_env.envs import DiagnosisEnv, DiagnosisSettings, DiagnosisVectorEnv, batch_seeds
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.registration import IDS, MAX_EPISODE_STEPS, TIERS
+
+ROOT = Path(__file__).resolve().parents[2]
+SHORT: dict[str, Any] = {"durations": (0.2,), "max_records": 3, "threads": 1}
+FORMS: list[Any] = [
+    *((env_id, {}) for env_id in IDS),
+    *(pytest.param(tier, {}, marks=pytest.mark.slow) for tier in TIERS),
+    ("loose_env/Vera-v0", {"hold": "servo", "difficulty": "hard"}),
+    ("loose_env/Planar-v0", {"n_links": 2, "vertical": True, "difficulty": "easy"}),
+    ("loose_env/Planar-v0", {"n_links": 7, "hold": "servo"}),
+    ("loose_env/Arm-v0", {"joints": ["base", "elbow"], "tool": "hand"}),
+]
+
+FEW = [IDS[0], *(pytest.param(env_id, marks=pytest.mark.slow) for env_id in IDS[1:])]
+"""One id in every run, the others before a release."""
+
+
+@pytest.fixture(autouse=True)
+def no_warning_is_let_through() -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+@pytest.mark.parametrize(("env_id", "arguments"), FORMS)
+def test_the_checkers_find_nothing_and_whole_episodes_run(
+    env_id: str, arguments: dict[str, Any]
+) -> None:
+    from stable_baselines3.common.env_checker import check_env as check_for_sb3
+
+    # make() puts Gymnasium's passive checker and its order checker around the environment.
+    env = gymnasium.make(env_id, **{**SHORT, **arguments})
+    check_env(env.unwrapped, skip_render_check=True)
+    check_for_sb3(env.unwrapped)
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    ended = 0
+    for _ in range(16):
+        *_, terminated, truncated, _ = env.step(env.action_space.sample())
+        if terminated or truncated:
+            env.reset()
+            ended += 1
+    assert ended > 1
+    env.close()
+
+
+@pytest.mark.parametrize("env_id", FEW)
+def test_the_vector_form_is_what_gymnasium_makes_of_single_ones(env_id: str) -> None:
+    mode = AutoresetMode.SAME_STEP
+    single = [lambda: gymnasium.make(env_id, **SHORT)] * 3
+    copies = SyncVectorEnv(single, autoreset_mode=mode)
+    native = gymnasium.make_vec(f"loose_env:{env_id}", num_envs=3, **SHORT)
+    assert isinstance(native, DiagnosisVectorEnv)
+    assert native.metadata["autoreset_mode"] is mode
+    assert native.single_observation_space == copies.single_observation_space
+    assert native.observation_space == copies.observation_space
+    assert native.action_space == copies.action_space
+    rng = np.random.default_rng(0)
+    np.testing.assert_array_equal(native.reset(seed=[3, 4, 5])[0], copies.reset(seed=[3, 4, 5])[0])
+    ended = 0
+    for _ in range(6):
+        actions = rng.integers(0, native.actions.nvec, (3, len(native.actions.nvec)))
+        found, expected = native.step(actions), copies.step(actions)
+        for a, b in zip(found[:4], expected[:4], strict=True):
+            np.testing.assert_array_equal(a, b)
+        infos, other = found[4], expected[4]
+        np.testing.assert_array_equal(infos["action_mask"], other["action_mask"])
+        assert ("final_info" in infos) == ("final_info" in other)
+        if "final_info" in infos:
+            ended += int(infos["_final_info"].sum())
+            for key in ("fault", "is_success", "link_success", "poses", "records"):
+                np.testing.assert_array_equal(infos["final_info"][key], other["final_info"][key])
+            for own, copy in zip(infos["final_obs"], other["final_obs"], strict=True):
+                np.testing.assert_array_equal(own, copy)
+    assert ended > 3
+    native.close()
+    copies.close()
+
+
+@pytest.mark.parametrize("env_id", FEW)
+def test_raw_signals_pass_the_checker_and_measurements_compare_by_value(env_id: str) -> None:
+    env: Any = gymnasium.make(env_id, raw=True, **SHORT).unwrapped
+    check_env(env, skip_render_check=True)
+    taken = []
+    for seed in (1, 1, 2):
+        env.reset(seed=seed)
+        action = env.actions.encode(levels=np.ones(env.arm.n, dtype=int))
+        taken.append(env.step(action)[-1]["measurement"])
+    assert taken[0] == taken[1] != taken[2]
+    assert taken[0] is not taken[1]
+
+
+@pytest.mark.parametrize("hold", ["servo", "compliant"])
+@pytest.mark.parametrize("env_id", FEW)
+def test_every_id_takes_the_softer_holdings(env_id: str, hold: str) -> None:
+    env: Any = gymnasium.make(env_id, hold=hold, **SHORT).unwrapped
+    assert (env.arm.hold, env.arm.name.endswith(f"-{hold}")) == (hold, True)
+    assert bool(env.arm.gear_joints) == (hold == "compliant")
+    env.reset(seed=3)
+    observation, _, _, truncated, _ = env.step(env.actions.encode())
+    assert np.isfinite(observation).all() and not truncated
+
+
+@pytest.mark.slow
+def test_a_fresh_process_makes_every_id_without_importing_the_package() -> None:
+    code = (
+        "import sys, gymnasium\n"
+        "assert 'loose_env' not in sys.modules\n"
+        f"for env_id in {IDS}:\n"
+        "    for make in (gymnasium.make, gymnasium.make_vec):\n"
+        "        env = make('loose_env:' + env_id)\n"
+        "        env.reset(seed=0)\n"
+    )
+    command = [sys.executable, "-W", "error", "-c", code]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_ids_are_registered_with_their_limits() -> None:
+    assert set(IDS) | set(TIERS) <= set(gymnasium.registry)
+    loose_env.register()  # once more does no harm
+    for env_id in (*IDS, *TIERS):
+        spec = gymnasium.spec(env_id)
+        assert spec.max_episode_steps == MAX_EPISODE_STEPS
+        assert spec.reward_threshold is None or 0 < spec.reward_threshold < 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tier", TIERS)
+def test_tiers_are_environments_of_their_arms(tier: str) -> None:
+    of, arguments = TIERS[tier]
+    env: Any = gymnasium.make(tier, engine="reduced").unwrapped
+    same: Any = gymnasium.make(of, engine="reduced", **arguments).unwrapped
+    assert np.array_equal(env.reset(seed=5)[0], same.reset(seed=5)[0])
+    action = env.actions.encode(levels=np.eye(env.arm.n, dtype=int)[0])
+    assert np.array_equal(env.step(action)[0], same.step(action)[0])
+    settings: Any = gymnasium.make(tier, max_records=3).unwrapped
+    assert settings.settings.max_records == 3
+
+
+def test_an_episode_ends_by_itself_before_the_limit() -> None:
+    env = gymnasium.make("loose_env/Planar-v0", n_links=2, durations=(0.1,))
+    env.reset(seed=0)
+    record = env.unwrapped.actions.encode(levels=np.array([0, 1]))  # type: ignore[attr-defined]
+    for step in range(MAX_EPISODE_STEPS - 1):
+        *_, terminated, truncated, _ = env.step(record)
+        assert (terminated, truncated) == (step == MAX_EPISODE_STEPS - 2, False)
+    with pytest.warns(UserWarning, match="max_episode_steps=22"):
+        gymnasium.make("loose_env/Planar-v0", n_links=2, max_records=20)
+    many: Any = gymnasium.make_vec("loose_env/Planar-v0", n_links=2, max_records=20)
+    assert many.settings.max_records == 20
+
+
+def test_arguments_reach_single_and_vector_environments() -> None:
+    arguments = {"n_links": 5, "vertical": True, "hold": "servo", "difficulty": "easy", "raw": True}
+    for make in (gymnasium.make, gymnasium.make_vec):
+        env: Any = make("loose_env/Planar-v0", max_records=3, **arguments).unwrapped
+        assert (env.arm.n, env.arm.name, env.arm.hold) == (5, "planar5v-servo", "servo")
+        assert (env.settings.difficulty, env.settings.max_records) == ("easy", 3)
+        observation, _ = env.reset(seed=0)
+        assert set(observation) == {"statistics", "command", "encoder", "tool"}
+        assert observation in env.observation_space
+    for env_id, name, joints in (
+        ("Planar", "planar4", 4), ("SixAxis", "six_axis", 6), ("Scara", "scara", 4),
+        ("Vera", "vera", 2), ("Arm", "desk_arm", 6),
+    ):  # fmt: skip
+        env = gymnasium.make(f"loose_env/{env_id}-v0").unwrapped
+        assert (env.arm.name, env.arm.n, env.arm.hold) == (name, joints, "brake")
+
+
+def test_any_arm_is_the_one_in_the_file_named(tmp_path: Path) -> None:
+    path = tmp_path / "pendulum.xml"
+    path.write_text(
+        """<mujoco><worldbody><body name="rod"><joint name="pivot" axis="0 1 0"
+        actuatorfrcrange="-9 9"/><inertial pos="0 0 .2" mass="1" diaginertia=".01 .01 .001"/>
+        <site name="first" pos="0 0 .3"/><site name="last" pos="0 0 .5"/>
+        <body name="bob" pos="0 0 .4"><joint name="swing" axis="0 1 0" actuatorfrcrange="-4 4"/>
+        <inertial pos="0 0 .1" mass=".5" diaginertia=".005 .005 .0005"/>
+        </body></body></worldbody></mujoco>"""
+    )
+    for form in (gymnasium.make, gymnasium.make_vec):
+        with pytest.warns(UserWarning, match="axis of swing"):
+            named: Any = form("loose_env/Arm-v0", model=str(path)).unwrapped
+        assert (named.arm.name, named.arm.joints) == ("pendulum", ("pivot", "swing"))
+        assert named.arm.torque_limits == (9.0, 4.0)
+        # The outermost body has no site: its frame is the tool.
+        assert named.arm.reach == pytest.approx(0.4)
+        chosen: Any = form("loose_env/Arm-v0", model=path, tool="last", joints=["pivot"]).unwrapped
+        assert (chosen.arm.joints, chosen.arm.reach) == (("pivot",), pytest.approx(0.5))
+
+
+# ---- stable-baselines3
+
+
+def adapted(num: int, env_id: str = "loose_env/Planar-v0", **arguments: Any) -> tuple[Any, Any]:
+    from loose_env.envs.sb3 import Sb3VecEnv
+
+    own = {"n_links": 2} if env_id == "loose_env/Planar-v0" else {}
+    env = gymnasium.make_vec(env_id, num_envs=num, **{**SHORT, **own, **arguments})
+    return env, Sb3VecEnv(env)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("env_id", ["loose_env/Planar-v0", "loose_env/SixAxis-v0"])
+def test_an_ended_episode_hands_over_its_last_observation_and_the_next_first_one(
+    env_id: str,
+) -> None:
+    _, vec = adapted(2, env_id)
+    vec.seed(5)
+    vec.reset()
+    single = vec.env.batch.arm
+    single = DiagnosisEnv(single, vec.env.settings)
+    single.reset(seed=5)
+    shake = single.actions.encode(levels=3 * np.eye(single.arm.n, dtype=int)[-1])
+    total = 0.0
+    for action in (shake, single.actions.encode(verdict=1)):
+        last, reward, _, _, info = single.step(action)
+        total += float(reward)
+        seen, rewards, dones, infos = vec.step(np.stack([action, shake]))
+    assert dones.tolist() == [True, False]
+    assert np.array_equal(infos[0]["terminal_observation"], last)
+    assert infos[0]["fault"] == info["fault"] and "fault" not in infos[1]
+    assert infos[0]["TimeLimit.truncated"] is False
+    assert infos[0]["episode"] == {"r": pytest.approx(total), "l": 2}
+    assert rewards[0] == pytest.approx(float(reward))
+    assert np.array_equal(seen[0], single.reset()[0])
+
+
+def test_seeds_options_and_masks_reach_each_environment() -> None:
+    env, vec = adapted(3)
+    assert vec.seed(8) == batch_seeds(8, 3)
+    vec.set_options([{"fault": "backlash@joint1"}, {}, {"fault": "healthy"}])
+    found = vec.reset()
+    hidden = [env.batch.episode(i).fault.hypothesis for i in range(3)]
+    assert (hidden[0], hidden[2]) == ("backlash@joint1", "healthy")
+    again, _ = DiagnosisVectorEnv(planar(2), env.settings, num_envs=3).reset(seed=8)
+    np.testing.assert_array_equal(found, again)
+    assert np.array_equal(np.stack(vec.env_method("action_masks")), env.action_masks())
+    assert len(vec.env_method("action_masks", indices=[0, 2])) == 2
+    assert vec.has_attr("action_masks") and not vec.has_attr("lid")
+
+
+def test_what_cannot_be_adapted_is_refused() -> None:
+    from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+    from loose_env.envs.sb3 import Sb3VecEnv
+
+    env, vec = adapted(2)
+    other = DiagnosisVectorEnv(planar(2), DiagnosisSettings(), autoreset_mode="NextStep")
+    with pytest.raises(InvalidSetting, match="SameStep"):
+        Sb3VecEnv(other)
+    with pytest.raises(InvalidSetting, match="RecordEpisodeStatistics"):
+        Sb3VecEnv(RecordEpisodeStatistics(env))  # type: ignore[arg-type]
+    with pytest.raises(InvalidSetting, match="options of reset"):
+        vec.set_attr("settings", None, indices=[0])
+    with pytest.raises(UnknownName, match="action_masks"):
+        vec.env_method("open_the_lid")
+
+
+@pytest.mark.slow
+def test_maskable_ppo_learns_a_few_steps_and_takes_the_masks() -> None:
+    from stable_baselines3.common.logger import Logger
+
+    contrib = pytest.importorskip("sb3_contrib")
+    env, vec = adapted(4)
+    model = contrib.MaskablePPO("MlpPolicy", vec, n_steps=4, batch_size=8, n_epochs=1, seed=0)
+    before = model.policy.action_net.weight.detach().clone()
+    model.set_logger(Logger(None, []))  # its own would leave an empty folder in /tmp
+    model.learn(16)
+    assert not np.array_equal(before.numpy(), model.policy.action_net.weight.detach().numpy())
+    masks = env.action_masks()
+    actions, _ = model.predict(env.reset(seed=1)[0], action_masks=masks)
+    parts = np.split(masks[0], np.cumsum(env.actions.nvec)[:-1])
+    assert all(part[choice] for part, choice in zip(parts, actions[0], strict=True))

@@ -1,0 +1,370 @@
+"""The observation: names, units and bounds, and nothing in it but readings and commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from loose_env.arms import (
+    Arm,
+    Mismatch,
+    MismatchDraw,
+    planar,
+    scara,
+    six_axis,
+    vera,
+)
+from loose_env.diagnosis import RecordStatistics, statistics_of
+from loose_env.envs import (
+    DiagnosisEnv,
+    DiagnosisSettings,
+    Difficulty,
+    Element,
+    ObservationLayout,
+)
+from loose_env.faults import Fault, Healthy
+from loose_env.rig import Job, Measurement
+from loose_env.sensors import LinkAccelerometers, SensorSuite
+from loose_env.typing import Array
+
+Make = Callable[..., Any]
+
+NAMES = ["planar", "vera", "six_axis", "scara", "desk"]
+NOMINAL = Difficulty(mismatch=Mismatch().scaled(0.0))
+"""True arms equal to the nominal one."""
+
+
+class Playback:
+    """A rig that gives out recorded measurements, whatever is mounted and asked."""
+
+    def __init__(self, recorded: Sequence[Measurement]) -> None:
+        self.recorded = list(recorded)
+
+    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
+        pass
+
+    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
+        return [self.recorded.pop(0) for _ in jobs]
+
+
+def shaking(env: DiagnosisEnv, rng: np.random.Generator, steps: int) -> list[NDArray[np.int64]]:
+    """Short records with at least one joint shaken."""
+    actions = []
+    for _ in range(steps):
+        levels = rng.integers(0, 4, env.arm.n)
+        levels[rng.integers(env.arm.n)] = 2
+        moves = rng.integers(0, 5, env.arm.n)
+        actions.append(env.actions.encode(moves=moves, levels=levels, duration=0))
+    return actions
+
+
+def recorded(make_env: Make, name: str, **options: Any) -> Any:
+    """Play three records; return what was measured, what was seen, and the actions."""
+    env = make_env(name, raw=True)
+    env.reset(seed=3, options=options)
+    actions = shaking(env, np.random.default_rng(3), 3)
+    steps = [env.step(action) for action in actions]
+    return [s[-1]["measurement"] for s in steps], [s[0]["statistics"] for s in steps], actions
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("planar", {"n_links": 2, "difficulty": "hard", "vertical": True}),
+        ("planar", {"n_links": 4, "hold": "servo"}),
+        ("planar", {"n_links": 7, "difficulty": "easy"}),
+        ("vera", {}),
+        ("six_axis", {"difficulty": "hard"}),
+        ("scara", {"sensors": SensorSuite.ideal()}),
+        ("desk", {"difficulty": "easy"}),
+    ],
+)
+def test_whatever_is_done_the_observation_stays_in_its_space(
+    make_vector: Make, name: str, arguments: dict[str, Any]
+) -> None:
+    env = make_vector(name, num_envs=4, **arguments)
+    observation, _ = env.reset(seed=11)
+    assert observation in env.observation_space
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        actions = rng.integers(0, env.actions.nvec, (4, len(env.actions.nvec)))
+        actions[:, -2] = 0
+        actions[rng.random(4) < 0.8, -1] = 0
+        observation, _, _, _, infos = env.step(actions)
+        assert observation in env.observation_space
+        for final in infos.get("final_obs", []):
+            assert final is None or final in env.single_observation_space
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_element_has_a_name_of_its_own_and_a_unit(make_env: Make, name: str) -> None:
+    env = make_env(name, max_records=3)
+    elements = env.layout.elements
+    assert len(elements) == env.layout.size
+    assert len({e.name for e in elements}) == len(elements)
+    assert all(e.unit for e in elements)
+    assert list(env.layout) == list(elements)
+
+
+LAYOUTS = {
+    arm.name: ObservationLayout(arm, DiagnosisSettings(max_records=2))
+    for arm in (planar(3), vera(), six_axis(), scara())
+}
+
+
+def unscaled(element: Element, scaled: float) -> float:
+    """Undo the scaling as the element documents it."""
+    if element.scaling == "asinh":
+        return float(np.sinh(scaled) * element.scale)
+    if element.scaling == "log10":
+        return float(10**scaled * element.scale) if scaled > element.low else 0.0
+    return scaled * element.scale
+
+
+def groups(elements: Sequence[Element]) -> dict[str, list[int]]:
+    """Places of the elements that share all but the last part of their name."""
+    found: dict[str, list[int]] = {}
+    for k, element in enumerate(elements):
+        found.setdefault(element.name.rpartition(".")[0] or element.name, []).append(k)
+    return found
+
+
+@given(name=st.sampled_from(sorted(LAYOUTS)), seed=st.integers(0, 2**32 - 1))
+def test_physical_inverts_the_scaling_of_every_element(name: str, seed: int) -> None:
+    layout = LAYOUTS[name]
+    space, rng = layout.space, np.random.default_rng(seed)
+    scaled = rng.uniform(space.low, space.high).astype(np.float32)
+    at_the_bottom = rng.random(len(scaled)) < 0.1
+    scaled[at_the_bottom] = space.low[at_the_bottom]
+    layout.slots_of(scaled)[:, 0] = 1.0  # every slot holds a record
+    start = len(layout.global_elements)
+    for group, places in groups(layout.global_elements).items():
+        expected = [unscaled(layout.global_elements[k], float(scaled[k])) for k in places]
+        np.testing.assert_allclose(layout.physical(scaled, group), expected, rtol=1e-12)
+    for group, places in groups(layout.slot_elements).items():
+        found = layout.physical(scaled, group)
+        for slot, row in enumerate(scaled[start:].reshape(2, -1)):
+            expected = [unscaled(layout.slot_elements[k], float(row[k])) for k in places]
+            np.testing.assert_allclose(found[slot], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_poses_can_be_read_back(make_env: Make, name: str) -> None:
+    env = make_env(name, max_records=3)
+    arm, layout = env.arm, env.layout
+    whole = np.array([r is not None and r[1] - r[0] > 2 * np.pi for r in arm.joint_ranges])
+    rng = np.random.default_rng(0)
+    poses = []
+    for k, action in enumerate(shaking(env, rng, 3)):
+        if k == 0:
+            observation, _ = env.reset(seed=2)
+        else:
+            observation = env.step(action)[0]
+            poses.append(env.batch.episode(0).pose)
+        pose = env.batch.episode(0).pose
+        found = layout.pose_of(observation)
+        assert arm.within_ranges(found).all()
+        turns = np.where(whole, 2 * np.pi, np.inf)
+        off = np.abs(found - pose)
+        # A joint that turns more than once round is known up to whole turns.
+        np.testing.assert_allclose(np.minimum(off, np.abs(off - turns)), 0.0, atol=2e-6)
+    read = layout.record_poses_of(observation)
+    assert read.shape == (3, arm.n)
+    for slot, pose in enumerate(poses):
+        off = np.abs(read[slot] - pose)
+        np.testing.assert_allclose(np.minimum(off, np.abs(off - turns)), 0.0, atol=2e-6)
+    many = np.stack([observation, observation])
+    np.testing.assert_array_equal(layout.record_poses_of(many)[1], read)
+
+
+def shown(arm: Arm, record: RecordStatistics) -> dict[str, Array]:
+    """What the slot of a record should show, by group."""
+    rms = np.sqrt(np.diag(record.tool_covariance))
+    upper = np.triu_indices(len(rms), 1)
+    first, second = np.sin(record.pose), np.cos(record.pose)
+    for j in np.flatnonzero(arm.sliding):
+        low, high = arm.joint_ranges[j]  # type: ignore[misc]
+        first[j], second[j] = -1 + 2 * (record.pose[j] - low) / (high - low), 0.0
+    u = record.lowest_direction
+    return {
+        "valid": np.ones(1),
+        "sin_pose": first,
+        "cos_pose": second,
+        "duration": np.array([record.duration]),
+        "transmission": record.transmission.T.ravel(),
+        "transmission_by_instrument": record.transmission_by_instrument.T.ravel(),
+        "joint_rms": record.joint_rms,
+        "inertia": record.inertia,
+        "tool_rms": rms,
+        "tool_correlation": (record.tool_covariance / np.outer(rms, rms))[upper],
+        "lowest_direction": np.outer(u, u)[np.triu_indices(len(rms))],
+        "coherence": np.array([record.lowest_coherence]),
+        "correlation": np.array([record.maximum_correlation]),
+        "skewness": record.skewness,
+        "kurtosis": record.kurtosis,
+        "lowest_skewness": np.array([record.lowest_skewness]),
+        "lowest_kurtosis": np.array([record.lowest_kurtosis]),
+    }
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_slot_shows_the_statistics_of_its_record(make_env: Make, name: str) -> None:
+    measurements, observations, _ = recorded(make_env, name)
+    layout = make_env(name).layout
+    for slot, measurement in enumerate(measurements):
+        for group, expected in shown(layout.arm, statistics_of(measurement)).items():
+            found = layout.physical(observations[-1], group)[slot]
+            np.testing.assert_allclose(found, expected, rtol=2e-6, atol=1e-6, err_msg=group)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_reset_shows_the_pose_and_no_record(
+    make_env: Make, spy_on: Callable[..., Any], name: str
+) -> None:
+    env = make_env(name)
+    spy = spy_on(env)
+    poses = []
+    for seed in range(5):
+        observation, _ = env.reset(seed=seed)
+        assert not env.layout.slots_of(observation).any()
+        assert env.layout.physical(observation, "left") == 1.0
+        assert not env.layout.physical(observation, "spent").any()
+        poses.append(env.layout.physical(observation, "now.sin_pose"))
+    assert spy.calls == 0
+    assert len(np.unique(poses, axis=0)) == 5
+
+
+def test_raw_gives_the_signals_of_the_latest_record(make_env: Make) -> None:
+    env = make_env(n_links=2, raw=True)
+    observation, _ = env.reset(seed=0)
+    assert not any(observation[name].any() for name in ("command", "encoder", "tool"))
+    for duration in (1, 0):
+        action = env.actions.encode(levels=np.array([2, 1]), duration=duration)
+        observation, _, _, _, info = env.step(action)
+        assert observation in env.observation_space
+        measurement = info["measurement"]
+        count = measurement.tool.shape[1]
+        angle = 1e3 * (measurement.encoder[:, 1:-1] - measurement.pose[:, None])
+        for name, signal in (
+            ("command", measurement.command),
+            ("encoder", angle),
+            ("tool", measurement.tool),
+        ):
+            np.testing.assert_allclose(observation[name][:, :count], signal, rtol=1e-5, atol=1e-5)
+            assert not observation[name][:, count:].any()
+
+
+@pytest.mark.parametrize(("name", "levels"), [("planar", [0, 3, 0, 2]), ("vera", [3, 3])])
+def test_the_nominal_arm_shows_what_is_predicted_of_it(
+    make_env: Make, name: str, levels: list[int]
+) -> None:
+    env = make_env(name, difficulty=NOMINAL)
+    env.reset(seed=1, options={"fault": Healthy()})
+    action = env.actions.encode(levels=np.array(levels))
+    for _ in range(12):
+        observation = env.step(action)[0]
+    for group in (
+        "transmission_by_instrument",
+        "joint_rms",
+        "inertia",
+        "tool_rms",
+        "tool_correlation",
+        "lowest_direction",
+    ):
+        measured = env.layout.physical(observation, group)
+        nominal = env.layout.physical(observation, f"nominal_{group}")[0]
+        error = np.abs(measured.mean(axis=0) - nominal)
+        scatter = measured.std(axis=0, ddof=1) / np.sqrt(len(measured))
+        assert (error <= 5 * scatter + 1e-2 * np.abs(nominal).max()).all(), group
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("other", ["healthy", "structural_looseness@link1", "backlash@joint2"])
+def test_the_same_readings_make_the_same_observation_whatever_the_truth(
+    make_env: Make, name: str, other: str
+) -> None:
+    pose = make_env(name).arm.random_pose(np.random.default_rng(4))
+    measurements, observations, actions = recorded(make_env, name, pose=pose)
+    env = make_env(name, difficulty="hard", rig=Playback(measurements))
+    env.reset(seed=99, options={"pose": pose, "fault": other})
+    for action, expected in zip(actions, observations, strict=True):
+        np.testing.assert_array_equal(env.step(action)[0], expected)
+
+
+def test_a_step_simulates_the_arm_once_and_its_nominal_model_never(
+    make_env: Make,
+    spy_on: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    measurements, observations, actions = recorded(make_env, "planar")
+    env = make_env("planar")
+    spy = spy_on(env)
+    env.reset(seed=3)
+    for k, action in enumerate(actions, start=1):
+        env.step(action)
+        assert (spy.calls, len(spy.jobs)) == (k, k)
+
+    env = make_env("planar", rig=Playback(measurements))
+    env.reset(seed=3)
+
+    def simulate(*_: Any, **__: Any) -> None:
+        raise AssertionError("something was simulated")
+
+    for name in ("mj_step", "mj_step1", "mj_step2"):
+        monkeypatch.setattr(mujoco, name, simulate)
+    for name in ("rollout", "step"):
+        monkeypatch.setattr(mujoco.batch.Batch, name, simulate)
+    for action, expected in zip(actions, observations, strict=True):
+        np.testing.assert_array_equal(env.step(action)[0], expected)
+
+
+def environment(arm: Arm, links: bool | LinkAccelerometers, **settings: Any) -> DiagnosisEnv:
+    suite = SensorSuite(link_accelerometers=links)
+    return DiagnosisEnv(arm, settings=DiagnosisSettings(sensors=suite, **settings))
+
+
+@pytest.mark.parametrize(
+    ("choice", "carriers", "axes"),
+    [
+        (True, 3, 2),
+        (LinkAccelerometers(links=(1, 3)), 2, 2),
+        (LinkAccelerometers(tangential=True), 3, 1),
+    ],
+)
+def test_the_layout_has_a_transmission_for_each_sensor_axis_and_joint(
+    choice: bool | LinkAccelerometers, carriers: int, axes: int
+) -> None:
+    env = environment(planar(3), choice, raw=True)
+    names = [e.name for e in env.batch.observations.slot_elements]
+    for group in ("link_transmission_by_instrument", "nominal_link_transmission_by_instrument"):
+        assert sum(n.startswith(f"{group}.") for n in names) == carriers * axes * 3
+    assert sum(n.startswith("link_rms.") for n in names) == carriers * axes
+    space: Any = env.observation_space
+    assert space["links"].shape[:2] == (carriers, axes)
+    shown, _ = env.reset(seed=1)
+    assert space.contains(shown)
+
+
+def test_a_healthy_record_shows_the_nominal_transmission() -> None:
+    env = environment(vera(), LinkAccelerometers(), raw=True)
+    env.reset(seed=3, options={"fault": "healthy", "mismatch_scale": 0.0})
+    action = env.actions.encode(levels=np.array([3, 3]))
+    shown, _, _, _, info = env.step(action)
+    layout = env.batch.observations
+    found, nominal = (
+        layout.physical(shown["statistics"], f"{p}link_transmission_by_instrument")[0]
+        for p in ("", "nominal_")
+    )
+    assert np.abs(nominal).max() > 0.05
+    np.testing.assert_allclose(found, nominal, atol=0.15 * np.abs(nominal).max())
+    links = info["measurement"].links
+    np.testing.assert_allclose(
+        shown["links"][..., : links.shape[-1]], links.astype(np.float32), rtol=1e-6
+    )

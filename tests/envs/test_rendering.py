@@ -1,0 +1,290 @@
+"""Pictures: what they say and hide, where parts are seen, the correlation by direction."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+pytest.importorskip("matplotlib")
+
+from loose_env.arms import DESK_ARM, Arm, LinearArm, arm_from_file, planar, scara, six_axis, vera
+from loose_env.diagnosis import SensorFloor, predict
+from loose_env.envs import (
+    ArmDrawing,
+    CorrelationByDirection,
+    DiagnosisEnv,
+    DiagnosisSettings,
+    Picture,
+    measured_correlation,
+    predicted_correlation,
+)
+from loose_env.errors import InvalidSetting, LooseEnvError
+from loose_env.excitation import at_levels
+from loose_env.faults import (
+    Backlash,
+    CompoundLooseness,
+    Fault,
+    Healthy,
+    RotationalLooseness,
+    SeveralFaults,
+    StructuralLooseness,
+)
+from loose_env.sensors import SensorSuite
+from loose_env.statistics import (
+    Covariances,
+    acceleration_from_angle,
+    bandpass,
+    covariances,
+    maximum_correlation,
+)
+
+ARMS: dict[str, Callable[[], Arm]] = {
+    "vera": vera,
+    "planar": lambda: planar(7),
+    "vertical": lambda: planar(3, vertical=True),
+    "six_axis": six_axis,
+    "scara": scara,
+    "desk": lambda: arm_from_file(DESK_ARM),
+}
+STOPS: Any = {"gap": 2e-4, "stiffness": (1e6, 1e6), "damping": (100.0, 100.0)}
+LOOSE = StructuralLooseness(link=2, direction=(0.0, 1.0, 0.0), **STOPS)
+PLAY = Backlash(joint=1, gap=1e-3, stiffness=(1e5, 1e5))
+ROCKS = RotationalLooseness(link=2, axis=(0.0, 0.0, 1.0), gap=1e-3, stiffness=(1e5, 1e5))
+TITLES = [
+    (Healthy(), "Nothing was loose"),
+    (LOOSE, "Link 2 was loose (0.2 mm)"),
+    (PLAY, "Joint 1 had play (0.057°)"),
+    (ROCKS, "Link 2 was loose and rocked (0.057°)"),
+    (
+        CompoundLooseness(link=2, parts=(LOOSE, ROCKS)),
+        "Link 2 was loose in several directions (0.2 mm, 0.057°)",
+    ),
+    (SeveralFaults(faults=(PLAY, LOOSE)), "Joint 1 had play (0.057°); link 2 was loose (0.2 mm)"),
+]
+
+
+def measured(arm: Arm, fault: Fault | str = "healthy", joint: int = 1, **given: Any) -> Any:
+    """An environment after one short record with one joint shaken."""
+    settings = DiagnosisSettings(difficulty="easy")
+    env = DiagnosisEnv(arm, settings, render_mode="rgb_array", threads=1)
+    env.reset(seed=3, options={"fault": fault, **given})
+    env.step(env.actions.encode(levels=2 * np.eye(arm.n, dtype=int)[joint], duration=0))
+    return env
+
+
+def correlation_along(joint: Any, tool: Any, direction: Any) -> float:
+    """Correlation of a joint's motion with the tool's along a direction."""
+    return float(np.corrcoef(joint, direction @ tool)[0, 1])
+
+
+def words_of(picture: Picture, env: Any, verdict: str | None = None) -> list[str]:
+    """All that is written, in lines, from the top."""
+    figure = picture.figure(env.batch.episode(0), verdict=verdict)
+    texts = [text for part in (figure, *figure.axes) for text in part.texts]
+    return [line for text in texts for line in text.get_text().split("\n")]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("vera", "six_axis") else pytest.param(name, marks=pytest.mark.slow)
+        for name in ARMS
+    ],
+)
+def test_every_arm_can_be_drawn(name: str) -> None:
+    arm = ARMS[name]()
+    env = measured(arm)
+    pixels = env.render()
+    assert pixels.shape == (1056, 896, 3) and pixels.dtype == np.uint8
+    episode, picture = env.batch.episode(0), Picture(env.batch.nominal)
+    figure = picture.figure(episode)
+    d = len(arm.axes)
+    assert len(figure.axes) == 1 + d * (d - 1) // 2  # the arm, and a plane of each pair of axes
+    words = words_of(picture, env)
+    assert {str(j + 1) for j in range(arm.n)} | set("xyz"[:d]) <= set(words)
+    assert ("seen from above" in words) is (name in ("vera", "planar"))
+    episode.pose = arm.random_pose(np.random.default_rng(5))
+    assert not np.array_equal(pixels, env.render())
+    env.close()
+
+
+def test_without_opengl_the_arm_is_a_sketch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mujoco.Renderer", lambda *_: (_ for _ in ()).throw(ImportError("EGL")))
+    env = measured(vera())
+    pixels = env.render()
+    assert pixels.shape == (1056, 896, 3)
+    assert pixels.std() > 5
+
+
+def test_the_words_name_joint_level_pose_and_correlation() -> None:
+    env = measured(vera(), pose=np.radians([30.0, -60.0]))
+    words = words_of(Picture(env.batch.nominal), env)
+    shaken = "Joint 2 shaken at level 2 (0.75 m/s²) for 0.2 s"
+    assert words[:3] == ["Record 1", shaken, "Pose 30°, −60°"]
+    assert words[3].startswith("Highest correlation") and "healthy arm" in words[3]
+    env = measured(scara(), pose=[0.5, -0.5, -0.08, 0.0])
+    assert "Pose 29°, −29°, −80 mm, 0°" in words_of(Picture(env.batch.nominal), env)
+
+
+def test_a_record_that_shows_nothing_says_why() -> None:
+    env = measured(vera())
+    picture, episode = Picture(env.batch.nominal), env.batch.episode(0)
+    last, episode.last = episode.last, None  # as where gravity leaves the drives no torque
+    words = words_of(picture, env)
+    assert "Nothing was shaken" in words[1] and not any("healthy arm" in line for line in words)
+    episode.last = replace(last, failure="it diverged")
+    episode.slots[:] = 0.0
+    assert "The measurement failed: this record says nothing." in words_of(picture, env)
+
+
+@pytest.mark.parametrize(("fault", "title"), TITLES, ids=lambda given: getattr(given, "kind", ""))
+def test_the_fault_is_seen_at_the_end_and_not_before(fault: Fault, title: str) -> None:
+    env = measured(vera())
+    episode, picture = env.batch.episode(0), Picture(env.batch.nominal)
+    before = picture.draw(episode)
+    episode.fault = fault  # the same readings, whatever hides behind them
+    assert np.array_equal(before, picture.draw(episode, verdict="structural_looseness@link2"))
+    episode.ended = True
+    words = " ".join(words_of(picture, env, "backlash@joint1"))
+    mark = "right" if fault is PLAY else "wrong"
+    assert words.startswith(f"{title} Verdict: joint 1 has play – {mark} ")
+    assert "Verdict: unsure" in words_of(picture, env, "unsure")
+    drawing = ArmDrawing(vera())
+    plain, pointed = drawing.marks(episode.pose), drawing.marks(episode.pose, fault=fault)
+    changed = len(plain) != len(pointed) or any(
+        a.color != b.color for a, b in zip(plain, pointed, strict=True)
+    )
+    assert changed is (fault.kind != "healthy")
+    picture.close()
+
+
+@pytest.mark.parametrize("make", [vera, scara])
+@pytest.mark.parametrize("fault", [fault for fault, _ in TITLES[3:]], ids=lambda f: f.kind)
+def test_the_words_above_stay_in_the_figure_and_off_the_drawing(
+    make: Callable[[], Arm], fault: Fault
+) -> None:
+    arm = make()
+    env = measured(arm, fault, 0, pose=np.array([0.1, 0.2, -0.07, 0.1])[: arm.n])
+    episode = env.batch.episode(0)
+    episode.ended = True
+    figure = Picture(env.batch.nominal).figure(episode, verdict="compound_looseness@link2")
+    figure.canvas.draw()
+    boxes = [text.get_window_extent() for text in figure.texts if text.get_va() == "top"]
+    assert max(box.x1 for box in boxes) < figure.bbox.x1
+    assert boxes[0].y0 > boxes[1].y1 and boxes[1].y0 > figure.axes[0].bbox.y1 - 3  # pixels
+
+
+def test_gravity_points_down_and_an_arm_in_a_plane_is_seen_along_its_axes() -> None:
+    for arm, planar_arm in ((planar(3, vertical=True), True), (six_axis(), False)):
+        for pull in ([0.0, -9.81, 0.0], [9.81, 0.0, 0.0]):
+            spec = arm.spec.copy()
+            spec.option.gravity = pull
+            drawing = ArmDrawing(replace(arm, spec=spec))
+            down = drawing.camera @ drawing.turn @ np.array(pull) / 9.81
+            assert down[0] == pytest.approx(0.0, abs=1e-12) and down[1] < -0.9
+            assert drawing.planar is planar_arm and drawing.seen == "gravity ↓"
+    spec.option.gravity = [0.0, 0.0, 0.0]
+    assert ArmDrawing(replace(arm, spec=spec)).seen == "no gravity"
+
+
+def test_the_arm_lies_where_its_joints_put_it() -> None:
+    pose = np.radians([30.0, 40.0, -100.0])
+    drawing = ArmDrawing(planar(3))
+    links = [mark for mark in drawing.marks(pose) if mark.kind == "link"]
+    headings = np.cumsum(pose)
+    ends = np.cumsum(0.3 * np.stack([np.cos(headings), np.sin(headings)], axis=1), axis=0)
+    seen = np.array([drawing.camera[:2] @ link.end for link in links])
+    np.testing.assert_allclose(seen, ends, atol=1e-12)
+
+
+def test_a_window_is_offered_only_where_there_is_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    env = gymnasium.make("loose_env/Planar-v0", n_links=2, durations=(0.2,))
+    assert env.unwrapped.metadata["render_modes"] == ["rgb_array"]
+    check_env(env.unwrapped)
+    with pytest.raises(InvalidSetting, match="rgb_array"):
+        gymnasium.make("loose_env/Planar-v0", render_mode="human")
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: True)
+    assert "human" in DiagnosisEnv(planar(2)).metadata["render_modes"]
+
+
+def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(LooseEnvError, match=r"loose-env\[report\]"):
+        Picture(LinearArm(vera()))
+
+
+# ---- the correlation by direction
+
+
+@pytest.mark.parametrize("name", ["vera", "six_axis", "scara"])
+def test_the_correlation_of_one_shaken_joint_is_that_of_the_statistics(name: str) -> None:
+    env = measured(ARMS[name](), "structural_looseness@link2")
+    measurement = env.batch.episode(0).last
+    rate, band = measurement.rate, measurement.excitation.band
+    joint = acceleration_from_angle(measurement.encoder[1:2], rate, band)[0]
+    tool = bandpass(measurement.tool, rate, band)
+    found = measured_correlation(measurement)
+    assert found.maximum == pytest.approx(maximum_correlation(joint, tool).value)
+    directions = np.random.default_rng(0).standard_normal((30, len(tool)))
+    for direction, r in zip(directions, found.along(directions), strict=True):
+        assert r == pytest.approx(correlation_along(joint, tool, direction), abs=1e-9)
+    for section in found.sections:
+        direction = np.zeros(len(tool))
+        for point in section.points[60:-60:40]:
+            direction[list(section.axes)] = point
+            r = correlation_along(joint, tool, direction)
+            assert r == pytest.approx(np.linalg.norm(point), abs=1e-9)
+        assert section.lowest is not None
+        direction[list(section.axes)] = section.lowest
+        assert found.along(direction[None])[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_several_joints_count_as_the_sum_the_tool_follows_best() -> None:
+    rng = np.random.default_rng(1)
+    x = rng.standard_normal((3, 4000))
+    a = np.array([[1.0, 0.4, 0.0], [0.0, 1.0, -0.3], [0.2, 0.0, 0.5]]) @ x
+    a += 0.5 * rng.standard_normal(a.shape)
+    found = CorrelationByDirection.of(covariances(x, a))
+    best = max(
+        maximum_correlation(weights @ x, a).value for weights in rng.standard_normal((400, 3))
+    )
+    assert best <= found.maximum <= best + 0.02
+
+
+def test_a_tool_axis_that_stands_still_leaves_the_planes_finite() -> None:
+    still = Covariances(
+        xx=np.eye(1), xa=np.array([[2.0, 0.0, 0.0]]), aa=np.diag([4.0, 0.0, 0.0]), count=100
+    )
+    found = CorrelationByDirection.of(still)
+    assert found.maximum == pytest.approx(1.0)
+    assert all(np.isfinite(section.points).all() for section in found.sections)
+    assert found.sections[2].lowest is None
+
+
+@pytest.mark.parametrize(
+    ("arm", "levels"),
+    [(planar(2), [0, 4]), (six_axis(), [0, 2, 0, 0, 0, 0]), (six_axis(), [2, 0, 0, 0, 2, 0])],
+    ids=["plane", "one joint", "two joints"],
+)
+def test_the_healthy_arm_s_correlation_is_that_of_the_prediction(
+    arm: Arm, levels: list[int]
+) -> None:
+    linear = LinearArm(arm)
+    at = linear.at(np.array([0.3, -1.0, 1.2, 0.4, 0.6, -0.2])[: arm.n])
+    shake, _ = at_levels(at, np.array(levels, dtype=float), duration=1.2)
+    prediction = predict(at, shake, SensorFloor.of(SensorSuite(), arm.band))
+    found = predicted_correlation(prediction)
+    assert found.maximum == pytest.approx(prediction.maximum_correlation)
+    # The direction of lowest coherence is one in which the correlation vanishes.
+    assert found.along(prediction.lowest_direction[None])[0] == pytest.approx(0.0, abs=1e-6)

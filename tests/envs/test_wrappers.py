@@ -1,0 +1,259 @@
+"""Wrappers: spaces, what they show and take, and that any library can train through them."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from scipy.stats import dirichlet
+
+from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
+from loose_env.wrappers import (
+    ActionAndPrediction,
+    JointSideObservation,
+    LatestRecord,
+    MacroActions,
+    MeasuredMinusNominal,
+    PosteriorObservation,
+    SeparateVerdict,
+)
+
+PLAIN: list[type[Any]] = [
+    PosteriorObservation,
+    LatestRecord,
+    MeasuredMinusNominal,
+    MacroActions,
+    SeparateVerdict,
+    ActionAndPrediction,
+]
+
+
+def make(**arguments: Any) -> Any:
+    usual = {"n_links": 2, "durations": (0.2,), "max_records": 4, "threads": 1}
+    return gymnasium.make("loose_env/Planar-v0", **{**usual, **arguments})
+
+
+def shake(env: Any, level: int = 2) -> Any:
+    return env.unwrapped.actions.encode(levels=np.full(2, level))
+
+
+@pytest.mark.parametrize("wrapper", PLAIN)
+@pytest.mark.filterwarnings(
+    "ignore:.*different from the unwrapped.*", "ignore:.*Box action space.*"
+)
+def test_gymnasium_s_checker_finds_nothing(wrapper: type[Any]) -> None:
+    check_env(wrapper(make().unwrapped), skip_render_check=True)
+
+
+@pytest.mark.parametrize("wrapper", PLAIN)
+def test_whole_episodes_stay_in_the_spaces_and_masks_fit(wrapper: type[Any]) -> None:
+    env = wrapper(make())
+    env.action_space.seed(0)
+    space = env.action_space
+    inner = space["action"] if isinstance(space, gymnasium.spaces.Dict) else space
+    choices = inner.n if isinstance(inner, gymnasium.spaces.Discrete) else inner.nvec.sum()
+    ended = 0
+    observation, info = env.reset(seed=0)
+    for _ in range(20):
+        assert observation in env.observation_space
+        assert info["action_mask"].shape == (choices,)
+        np.testing.assert_array_equal(info["action_mask"], env.action_masks())
+        observation, _, terminated, truncated, info = env.step(env.action_space.sample())
+        if terminated or truncated:
+            ended += 1
+            observation, info = env.reset()
+    assert ended > 2
+
+
+@pytest.mark.parametrize("wrapper", PLAIN)
+def test_a_spec_and_a_pickle_make_the_same_wrapper(wrapper: type[Any]) -> None:
+    env = wrapper(make())
+    first = env.reset(seed=3)[0]
+    for other in (gymnasium.make(env.spec), pickle.loads(pickle.dumps(env))):
+        assert isinstance(other, wrapper)
+        np.testing.assert_array_equal(other.reset(seed=3)[0], first)
+
+
+@pytest.mark.parametrize("wrapper", PLAIN)
+def test_what_is_no_single_flat_environment_is_refused(wrapper: type[Any]) -> None:
+    with pytest.raises(InvalidSetting, match="raw"):
+        wrapper(make(raw=True))
+    with pytest.raises(InvalidSetting, match="CartPole"):
+        wrapper(gymnasium.make("CartPole-v1"))
+
+
+def test_the_latest_record_is_the_last_slot_that_was_filled() -> None:
+    env = LatestRecord(make())
+    count = len(env.layout.global_elements)
+    full = env.unwrapped.layout
+    env.reset(seed=1)
+    for k in range(3):
+        shown = env.step(shake(env, 1 + k))[0]
+        observation = env.unwrapped.batch.observe(0)
+        np.testing.assert_array_equal(shown[count:], full.slots_of(observation)[k])
+        assert shown[count] == 1.0
+    # Through the other wrapper of records: differences of the latest one.
+    both = LatestRecord(MeasuredMinusNominal(make()))
+    both.reset(seed=1)
+    assert both.step(shake(both))[0].shape == both.observation_space.shape
+    assert both.layout.slots == 1
+
+
+def test_differences_are_of_twins_and_the_rest_stays() -> None:
+    env = MeasuredMinusNominal(make())
+    env.reset(seed=1)
+    shown = env.step(shake(env))[0]
+    _, records = env.layout.split(shown)
+    slot = env.unwrapped.layout.slots_of(env.unwrapped.batch.observe(0))[0]
+    full = {e.name: slot[k] for k, e in enumerate(env.unwrapped.layout.slot_elements)}
+    for k, element in enumerate(env.layout.slot_elements):
+        wanted = full[element.name] - full.get(f"nominal_{element.name}", 0.0)
+        assert records[0, k] == pytest.approx(wanted, abs=1e-6)
+    assert not records[1:].any()
+
+
+def test_the_posterior_is_that_of_the_estimator() -> None:
+    from loose_agents.base import Problem
+    from loose_agents.belief import Tracker
+
+    env = PosteriorObservation(make())
+    inner = env.unwrapped
+    problem = Problem.of(inner.arm, inner.settings)
+    tracker = Tracker(problem)
+    memory = tracker.begin()
+    env.reset(seed=5, options={"fault": "structural_looseness@link2"})
+    for _ in range(3):
+        info = env.step(shake(env, 3))[-1]
+        wanted = tracker.follow(inner.batch.observe(0), memory)
+        np.testing.assert_allclose(info["probabilities"], wanted, rtol=1e-9)
+    assert info["probabilities"].max() > 0.6
+    assert env.reset(seed=6)[1]["probabilities"].max() < 0.4
+    with pytest.raises(InvalidSetting, match="full observation"):
+        PosteriorObservation(LatestRecord(make()))
+
+
+def test_a_macro_is_the_record_it_stands_for() -> None:
+    env, plain = MacroActions(make()), make()
+    rng = np.random.default_rng(0)
+    for seed in range(3):
+        env.reset(seed=seed)
+        plain.reset(seed=seed)
+        choice = int(rng.choice(np.flatnonzero(env.action_masks())))
+        found, expected = env.step(choice), plain.step(env.macros[choice])
+        np.testing.assert_array_equal(found[0], expected[0])
+        assert found[1] == expected[1]
+        assert not found[-1]["move_ignored"].any()
+    count = len(env.macros)
+    assert env.action_masks()[count:].tolist() == [True] * 5 + [False]
+    assert env.step(count + 1)[-1]["verdict"] == env.unwrapped.verdicts[1]
+    for wrong in ([], [env.unwrapped.actions.encode(verdict=1)], [env.unwrapped.actions.encode()]):
+        with pytest.raises(InvalidSetting, match="record"):
+            MacroActions(make(), wrong)
+    with pytest.raises(InvalidAction, match="0 to"):
+        env.step(count + 6)
+
+
+def test_a_verdict_counts_only_with_a_stop() -> None:
+    env = SeparateVerdict(make())
+    env.reset(seed=0)
+    record = shake(env)[:-1].tolist()
+    assert env.action_masks()[-8:].tolist() == [True, False] + [True] * 6
+    assert not env.step(np.array([*record, 1, 2]))[2]  # nothing measured yet: it measures
+    assert env.action_masks()[-8:].tolist() == [True, True] + [True] * 5 + [False]
+    assert not env.step(np.array([*record, 0, 2]))[2]
+    *_, terminated, _, info = env.step(np.array([*record, 1, 2]))
+    assert terminated and info["verdict"] == env.unwrapped.verdicts[2]
+
+
+@pytest.mark.parametrize("score", ["log", "brier"])
+def test_the_score_is_proper(score: Any) -> None:
+    env = ActionAndPrediction(make(), score)
+    truth = np.array([0.5, 0.2, 0.1, 0.15, 0.05])
+
+    def expected(p: Any) -> float:
+        return float(truth @ env.loss_fn(np.log(np.tile(p, (5, 1))), np.arange(5)))
+
+    best = expected(truth)
+    others = dirichlet(np.ones(5), seed=0).rvs(200)
+    assert all(expected(p) > best for p in others)
+
+
+def test_the_last_prediction_is_scored_or_every_one() -> None:
+    logits = np.array([0.0, 2.0, 0.0, 0.0, 0.0], dtype=np.float32)
+    env = ActionAndPrediction(make())
+    record = shake(env)[:-1]
+    env.reset(seed=0, options={"fault": env.unwrapped.hypotheses[1]})
+    loss = float(np.log(np.exp(2) + 4) - 2)
+    _, reward, terminated, _, info = env.step(
+        {"action": np.append(record, 1), "prediction": logits}
+    )
+    assert not terminated and reward == info["base_reward"] < 0  # no stop before a record
+    assert info["prediction"] == {"target": 1, "loss": pytest.approx(loss)}
+    _, reward, terminated, _, info = env.step(
+        {"action": np.append(record, 1), "prediction": logits}
+    )
+    assert terminated and info["is_success"]
+    assert (reward, info["base_reward"]) == (pytest.approx(-loss), 0.0)
+
+    every = ActionAndPrediction(make(max_records=2), every_step=True)
+    every.reset(seed=0, options={"fault": every.unwrapped.hypotheses[1]})
+    for over in (False, True):
+        _, reward, terminated, _, info = every.step({"action": record, "prediction": logits})
+        assert terminated == over
+        assert reward == pytest.approx(info["base_reward"] - loss)
+
+
+def test_predictions_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(UnknownName, match="brier"):
+        ActionAndPrediction(make(), "accuracy")  # type: ignore[arg-type]
+    env = ActionAndPrediction(make())
+    with pytest.raises(InvalidSetting, match="no target"):
+        env.reset(options={"fault": "several_faults"})
+    env.reset(seed=0)
+    good = {"action": np.append(shake(env)[:-1], 0), "prediction": np.zeros(5)}
+    wrong: list[Any] = [3, {**good, "prediction": np.full(5, np.nan)}, {**good, "action": [0]}]
+    for action in wrong:
+        with pytest.raises(InvalidAction, match="logits"):
+            env.step(action)
+
+
+ARGUMENTS = {"n_links": 2, "engine": "reduced", "max_records": 2}
+
+
+def names_of(env):
+    """Elements of the flat observation."""
+    layout = env.get_wrapper_attr("layout")
+    records = [
+        f"record{k + 1}.{each.name}" for k in range(layout.slots) for each in layout.slot_elements
+    ]
+    return [each.name for each in layout.global_elements] + records
+
+
+def test_only_what_torque_and_encoders_give_is_left() -> None:
+    env = JointSideObservation(gymnasium.make("loose_env/Planar-v0", **ARGUMENTS))
+    seen, _ = env.reset(seed=0)
+    assert env.observation_space.contains(seen)
+    names = names_of(env)
+    assert len(names) == len(seen)
+    words = ("tool", "transmission", "coherence", "kurtosis", "skewness", "direction", "link")
+    assert not [name for name in names if any(word in name for word in words)]
+    assert {"record2.inertia.joint2", "record2.nominal_inertia.joint2"} <= set(names)
+    whole = [element.name for element in env.unwrapped.layout.elements]
+    assert {name for name in whole if name.startswith(("now", "spent"))} <= set(names)
+
+
+def test_it_is_made_anew_from_its_spec_and_takes_other_layouts() -> None:
+    env = JointSideObservation(gymnasium.make("loose_env/Planar-v0", **ARGUMENTS))
+    again = gymnasium.make(env.spec)
+    assert again.observation_space == env.observation_space
+    assert np.array_equal(again.reset(seed=1)[0], env.reset(seed=1)[0])
+    difference = MeasuredMinusNominal(gymnasium.make("loose_env/Planar-v0", **ARGUMENTS))
+    alone = JointSideObservation(difference)
+    assert alone.observation_space.contains(alone.reset(seed=1)[0])
+    assert not [name for name in names_of(alone) if "nominal" in name]
+    with pytest.raises(InvalidSetting, match="inside the wrappers"):
+        PosteriorObservation(env)

@@ -1,0 +1,314 @@
+"""Public benchmark: made from a secret, answered in JSON by anyone, scored against commitments."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+import mujoco
+
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.gap.model.effects.catalogue import CATALOGUE as OF_TOOL
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEffect
+from scripts.suites.gap.arms import ARMS, MACHINES, model_xml
+from scripts.suites.gap.cases import SEED, draw_case, name_of, truth_of
+from scripts.suites.gap.effects import CATALOGUE, kinds
+from scripts.suites.gap.grading import SAID
+from scripts.suites.gap.public import (
+    UNPUBLISHED,
+    Answer,
+    Answered,
+    MakeSettings,
+    answer_of,
+    answer_schema,
+    catalogue,
+    drawn_numbers,
+    main,
+    make,
+    open_truths,
+    places_of,
+    read_answer,
+    read_suite,
+)
+from scripts.suites.gap.public_scores import (
+    PAGE,
+    leaderboard,
+    mark_case,
+    read_score,
+    score,
+    stored_scores,
+    total,
+)
+
+pytestmark = pytest.mark.slow
+
+PHRASE = "of the tests"
+SETTINGS = MakeSettings(numbers=(310, 1910), seed_phrase=PHRASE, name="tests")
+PUBLISHED = {"drag": 0.006733232600739404}
+"""Parameters of case 1003 before suites had seeds of their own."""
+
+
+@pytest.fixture(scope="session")
+def suite_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("suite")
+    make(folder, SETTINGS)
+    return folder
+
+
+def perfect(truth: dict[str, Any]) -> dict[str, Any]:
+    """The answer of someone who knows the truth."""
+    effects = []
+    for effect in truth["effects"]:
+        kind, words = catalogue()[effect["kind"]], SAID.get(effect["kind"], {})
+        said = {words.get(name, name): value for name, value in effect["parameters"].items()}
+        values = {name: said[name] for name in kind.scored if name in said}
+        intervals = {name: [value, value] for name, value in values.items()}
+        effects.append(
+            {"kind": effect["kind"], "where": effect["where"], "parameters": values,
+             "interval_95": intervals, "probability": 1.0}
+        )  # fmt: skip
+    verdict = "named" if effects else "no_gap"
+    return {"format": "gap-answer/1", "verdict": verdict, "effects": effects, "cpu_seconds": 1.5}
+
+
+def answers_in(folder: Path, suite: Path, *, knowing: bool) -> Path:
+    folder.mkdir(exist_ok=True)
+    truths, _ = open_truths(suite, read_suite(suite))
+    empty = {"format": "gap-answer/1", "verdict": "no_gap"}
+    for name, truth in truths.items():
+        whole = perfect(truth) if knowing else empty
+        (folder / f"{name}.json").write_text(json.dumps(whole))
+    return folder
+
+
+def truth(role: str, *effects: tuple[str, str, dict[str, float]]) -> dict[str, Any]:
+    return {
+        "format": "gap-truth/1", "case": "case-0001", "role": role, "form": "forward",
+        "effects": [
+            {"kind": kind, "where": where, "parameters": values, "size": {"ratio": 4.0}}
+            for kind, where, values in effects
+        ],
+    }  # fmt: skip
+
+
+def test_the_published_cases_are_what_they_were() -> None:
+    assert [name_of(n) for n in (0, 1003, 2001, 4000, 5001)] == [
+        "case-0308", "case-3655", "case-3907", "case-4599", "case-5160",
+    ]  # fmt: skip
+    case = draw_case(1003)
+    assert truth_of(case) == truth_of(draw_case(1003, seed=SEED))
+    assert case.form == "inverse"
+    assert dict(case.arm.effects[0].parameters) == pytest.approx(PUBLISHED, rel=1e-6)
+
+
+def test_numbers_are_drawn_by_the_seed_from_those_not_published() -> None:
+    one, same, other = (drawn_numbers(24, seed) for seed in (1, 1, 2))
+    assert one == same != other
+    assert len(set(one)) == 24 and all(number % 1000 >= UNPUBLISHED for number in one)
+
+
+def test_making_is_deterministic_and_resumes(suite_folder: Path, tmp_path: Path) -> None:
+    again = make(tmp_path / "again", SETTINGS)
+    assert again == read_suite(suite_folder)
+    for pattern in ("recordings/*/*", "sealed/truth/*.json"):
+        files = sorted(path.relative_to(suite_folder) for path in suite_folder.glob(pattern))
+        assert files
+        for file in files:
+            assert (suite_folder / file).read_bytes() == (tmp_path / "again" / file).read_bytes()
+    name = next(iter(again.cases))
+    before = (tmp_path / "again" / "commitments.json").read_text()
+    (tmp_path / "again" / "sealed" / "truth" / f"{name}.json").unlink()  # as if interrupted there
+    make(tmp_path / "again", SETTINGS)
+    assert (tmp_path / "again" / "commitments.json").read_text() == before
+    assert not list((tmp_path / "again").rglob("*.part*"))
+    with pytest.raises(InvalidSetting, match="another secret"):
+        make(tmp_path / "again", MakeSettings(numbers=(310, 1910), seed_phrase="other"))
+    with pytest.raises(InvalidSetting, match="other cases"):
+        make(tmp_path / "again", MakeSettings(numbers=(310,), seed_phrase=PHRASE))
+
+
+def test_what_is_given_to_entrants_tells_no_truth(suite_folder: Path) -> None:
+    told = json.loads((suite_folder / "protocol.json").read_text())
+    secret = json.loads((suite_folder / "sealed" / "secret.json").read_text())
+    assert "numbers" not in told and secret["seed"] not in json.dumps(told)
+    for case in told["cases"].values():
+        assert set(case) == {"tolerance", "sample_rate_hz", "runs", "held_out", "places"}
+
+
+def test_a_tampered_truth_fails_its_commitment(suite_folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(suite_folder, copy)
+    suite = read_suite(copy)
+    file = copy / "sealed" / "truth" / f"{next(iter(suite.cases))}.json"
+    file.write_text(file.read_text().replace('"role"', '"Role"'))
+    with pytest.raises(InvalidData, match="not the one committed to"):
+        open_truths(copy, suite)
+
+
+def test_a_perfect_answer_scores_one_and_an_empty_one_nothing(
+    suite_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    best = answers_in(tmp_path / "best", suite_folder, knowing=True)
+    main(["score", str(suite_folder), str(best), "--name", "oracle", "--open"])
+    found = read_score(best / "score.json")
+    assert found.precision == found.recall == found.f1 == 1.0
+    assert found.brier == 0.0 and found.parameter_error == 0.0
+    assert found.coverage.hits == found.coverage.of > 0
+    assert found.cpu_seconds == 1.5 and len(found.cases) == 2
+    assert "oracle on tests" in capsys.readouterr().out
+    none = answers_in(tmp_path / "none", suite_folder, knowing=False)
+    empty = score(suite_folder, none)
+    assert empty.recall == 0.0 and np.isnan(empty.precision) and empty.f1 == 0.0
+    assert empty.false_alarms.hits == 0 and empty.false_alarms.of == 1
+    assert empty.cases == ()
+    board = leaderboard([empty, found])
+    assert board.index("oracle") < board.index("none")
+
+
+EFFECT = {"kind": "coulomb_friction", "where": "joint1"}
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "the answer cannot be read"),
+        ("{", "is no JSON"),
+        ('{"format": "gap-answer/2"}', "'gap-answer/1' is needed"),
+        ({"verdict": "nothing"}, "is none of 'no_gap', 'named' or 'unexplained'"),
+        ({"verdict": "named"}, "'named' has one or more"),
+        ({"verdict": "no_gap", "effects": [EFFECT]}, "the others have none"),
+        ({"verdict": "named", "effect": [EFFECT]}, "did you mean 'effects'?"),
+        ({"effects": [{**EFFECT, "kind": "coulomb"}]}, "did you mean 'coulomb_friction'?"),
+        ({"effects": [{**EFFECT, "where": "elbow"}]}, "allowed: joint1, joint2"),
+        ({"effects": [{**EFFECT, "parameters": {"mu": 1.0}}]}, "it has torque"),
+        ({"effects": [{**EFFECT, "parameters": {"torque": float("nan")}}]}, "NaN is no number"),
+        ({"effects": [{**EFFECT, "parameters": {"torque": None}}]}, "a finite number is needed"),
+        ({"effects": [{**EFFECT, "interval_95": {"torque": [2, 1]}}]}, "the lower end comes first"),
+        ({"effects": [{**EFFECT, "probability": 90}]}, "a number from 0 to 1"),
+        ({"effects": [EFFECT, EFFECT]}, "is named twice"),
+        ({"effects": "coulomb_friction"}, "a list is needed"),
+        ({"verdict": "no_gap", "cpu_seconds": -1}, "a time of 0 s or more"),
+    ],
+)  # fmt: skip
+def test_malformed_answers_end_with_one_clear_line(
+    suite_folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    content: str | dict[str, Any] | None,
+    said: str,
+) -> None:
+    answers = answers_in(tmp_path / "answers", suite_folder, knowing=False)
+    file = min(answers.iterdir())
+    if content is None:
+        file.unlink()
+    elif isinstance(content, str):
+        file.write_text(content)
+    else:
+        file.write_text(json.dumps({"format": "gap-answer/1", "verdict": "named", **content}))
+    with pytest.raises(SystemExit) as ended:
+        main(["score", str(suite_folder), str(answers)])
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert ended.value.code == 1 and len(lines) == 1
+    assert str(file) in lines[0] and said in lines[0]
+
+
+def test_an_answer_to_no_case_is_refused(suite_folder: Path, tmp_path: Path) -> None:
+    answers = answers_in(tmp_path / "answers", suite_folder, knowing=False)
+    (answers / "case-x.json").write_text("{}")
+    with pytest.raises(InvalidData, match="the suite has no case 'case-x'"):
+        score(suite_folder, answers)
+
+
+def test_metrics_are_those_of_the_page() -> None:
+    friction = ("coulomb_friction", "joint2", {"torque": 2.0})
+    half = Answered(kind="coulomb_friction", where="joint2", parameters={"torque": 2.2},
+                    interval_95={"torque": (1.9, 2.1)}, probability=0.8)  # fmt: skip
+    wrong = Answered(kind="backlash", where="joint1", probability=0.3)
+    cases = [
+        mark_case(Answer(verdict="named", effects=(half, wrong)), truth("single", friction)),
+        mark_case(Answer(verdict="no_gap"), truth("single", friction)),
+        mark_case(Answer(verdict="unexplained"), truth("none")),
+        mark_case(Answer(verdict="unexplained"), truth("outside", ("voltage_sag", "all", {}))),
+    ]
+    found = total(cases, name="hand", suite="hand", identity="0")
+    assert (found.found, found.named, found.true) == (1, 2, 2)
+    assert found.precision == found.recall == found.f1 == 0.5
+    assert found.brier == pytest.approx((0.2**2 + 0.3**2 + 1.0) / 4)
+    assert found.calibration_error == pytest.approx((0.2 + 0.3) / 2)
+    assert found.parameter_error == pytest.approx(0.1)
+    assert (found.coverage.hits, found.coverage.of) == (1, 1)
+    assert (found.right.hits, found.right.of) == (1, 4)
+    assert (found.false_alarms.hits, found.false_alarms.of) == (1, 1)
+
+
+def test_an_effect_that_data_cannot_tell_counts_as_found() -> None:
+    friction = ("coulomb_friction", "joint2", {"torque": 2.0})
+    play = Answer(verdict="named", effects=(Answered(kind="backlash", where="joint2"),))
+    marks = mark_case(play, truth("single", friction), separable=lambda effect, named: False)
+    assert marks.right and marks.found == 1 and marks.parameter_error == ()
+
+
+def test_the_catalogue_has_all_that_truths_and_the_tool_name() -> None:
+    assert list(catalogue()) == list(CATALOGUE)
+    for make_arm in {**ARMS, **MACHINES}.values():
+        figures = make_arm()
+        model = NominalModel(mujoco.MjSpec.from_string(model_xml(figures)))
+        places = places_of(figures, drives=True)
+        for name, kind in catalogue().items():
+            assert kind.scored and set(kind.scored) | set(kind.covered) <= set(kind.parameters)
+            allowed = {place for group in kind.at for place in places[group]}
+            assert {place.name for place in kinds()[name].places(figures)} <= allowed
+            for where in OF_TOOL[name].locations(model):
+                assert where in allowed
+                for variant in OF_TOOL[name].variants_at(model, where):
+                    for parameter in OF_TOOL[name](model, where, variant).parameters:
+                        assert parameter.name in kind.parameters
+                        assert parameter.unit in kind.parameters[parameter.name]
+
+
+def test_a_result_of_the_tool_becomes_an_answer(suite_folder: Path, tmp_path: Path) -> None:
+    effect = NamedEffect(
+        kind="coulomb_friction", where="joint1",
+        parameters={"torque": 1.0}, interval_95={"torque": (0.9, float("nan"))},
+        ambiguous_with=(EffectLocation(kind="stribeck_friction", where="joint1"),),
+    )  # fmt: skip
+    result = GapResult(verdict="named", gap=Gap(before=3.0, after=1.0), effects=(effect,))
+    answer = answer_of(result, cpu_seconds=2.0)
+    suite = read_suite(suite_folder)
+    file = tmp_path / "answer.json"
+    file.write_text(answer.to_json())
+    assert read_answer(file, next(iter(suite.cases.values())), suite.kinds) == answer
+    assert answer.effects[0].probability == pytest.approx(0.475)
+    assert answer.effects[0].interval_95 == {}
+
+
+def test_the_example_of_the_page_is_an_answer(suite_folder: Path, tmp_path: Path) -> None:
+    text = re.search(r"```json\n(.*?)```", PAGE.read_text("utf-8"), flags=re.DOTALL)
+    assert text is not None
+    suite = read_suite(suite_folder)
+    file = tmp_path / "case.json"
+    file.write_text(text[1])
+    assert read_answer(file, next(iter(suite.cases.values())), suite.kinds).verdict == "named"
+    schema = pytest.importorskip("jsonschema")
+    schema.validate(json.loads(text[1]), answer_schema(catalogue()))
+    with pytest.raises(schema.ValidationError):
+        schema.validate({"verdict": "maybe"}, answer_schema(catalogue()))
+
+
+def test_the_leaderboard_of_the_page_is_that_of_the_stored_scores() -> None:
+    scores = [read_score(path) for path in stored_scores()]
+    assert leaderboard(scores) in PAGE.read_text("utf-8")
+    for found in scores:
+        told = {"name": found.name, "suite": found.suite, "identity": found.identity}
+        again = total(found.cases, **told)
+        assert (again.right, again.found, again.named) == (found.right, found.found, found.named)
+        assert (again.recall, again.brier) == pytest.approx((found.recall, found.brier))

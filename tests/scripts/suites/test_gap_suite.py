@@ -1,0 +1,230 @@
+"""The suite runs, resumes, keeps the truth sealed, and turns what goes wrong into rows."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+pytest.importorskip("joblib")
+
+from loose_env.errors import InvalidSetting
+from loose_env.gap import read_result
+from loose_env.recording import Run, write_recording
+from scripts.suites.gap import run as suite
+from scripts.suites.gap.cases import full_list, name_of, numbers_of, quick_list, role_of
+from scripts.suites.gap.grading import Grade, grade
+from scripts.suites.gap.run import Folders, grade_of, line_of, run_case, tool_named
+from scripts.suites.gap.tables import METHODS, methods_table
+from scripts.suites.rows import check_code, kept, run_cases
+
+NUMBERS = [0, 1, 1000, 1001, 3000]
+SAID = {0: "no_gap", 1: "payload", 1000: "payload", 1001: "backlash", 3000: "unexplained"}
+PAYLOAD = {"kind": "payload", "where": "tool", "parameters": {"mass": 1.0}, "size": {"ratio": 3.0}}
+
+
+@pytest.fixture
+def folders(tmp_path: Path) -> Folders:
+    """Recordings that hold nothing but what the stub is to say of them, and their truth."""
+    made = Folders(out=tmp_path / "out", blind=tmp_path / "blind", keep=True)
+    (made.blind / "truth").mkdir(parents=True)
+    for number in NUMBERS:
+        name, role = name_of(number), role_of(number)
+        recording = made.blind / "recordings" / name
+        recording.mkdir(parents=True)
+        content = {"say": SAID[number], "number": number}
+        (recording / "recording.json").write_text(json.dumps(content))
+        effects = {"none": [], "outside": [{**PAYLOAD, "kind": "shaking_force"}]}
+        truth = {
+            "format": "gap-truth/1", "case": name, "role": role, "form": "forward",
+            "effects": effects.get(role, [PAYLOAD]),
+        }  # fmt: skip
+        (made.blind / "truth" / f"{name}.json").write_text(json.dumps(truth))
+    return made
+
+
+def stub(recording: Path, folder: Path, tolerance: float = 0.03) -> None:
+    """Say what stands in the recording."""
+    said = json.loads((recording / "recording.json").read_text())["say"]
+    known = said in ("no_gap", "unexplained")
+    effect = {**PAYLOAD, "kind": said, "interval_95": {"mass": [0.9, 1.2]}}
+    result = {
+        "format": "loose-gap/1", "verdict": said if known else "named",
+        "effects": [] if known else [effect], "gap": {"before": 3.0, "after": 1.1},
+    }  # fmt: skip
+    (folder / "result.json").write_text(json.dumps(result))
+
+
+def failing(recording: Path, folder: Path, tolerance: float = 0.03) -> None:
+    if json.loads((recording / "recording.json").read_text())["number"] == 1000:
+        raise ValueError("the step\nis too coarse")
+    stub(recording, folder)
+
+
+def rows_of(folders: Folders, tool: Any = stub, numbers: list[int] = NUMBERS) -> list[Any]:
+    work = partial(run_case, folders=folders, tool=tool, code="c")
+    return run_cases(numbers, work, folders.out / "rows.jsonl", say=line_of)
+
+
+def test_cases_are_graded_and_finished_ones_are_kept(
+    folders: Folders, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows_of(folders, numbers=NUMBERS[:2])
+    assert "2/2 case-" in capsys.readouterr().out
+    rows = rows_of(folders)
+    assert "3/3 case-" in capsys.readouterr().out
+    assert len(kept(folders.out / "rows.jsonl")) == len(NUMBERS)
+    assert [row["number"] for row in rows] == NUMBERS
+    assert [row["grade"]["right"] for row in rows] == [True, False, True, False, True]
+    marks = grade_of(rows[2])
+    assert (marks.said, marks.covered, marks.gap_after) == ((("payload", "tool"),), (True,), 1.1)
+    assert "Cases that are not right" in suite.tables(rows, 5)
+    with pytest.raises(InvalidSetting, match="rows of other code"):
+        check_code(rows, "another", folders.out)
+
+
+def test_an_exception_is_a_row_that_is_wrong(folders: Folders) -> None:
+    failed = rows_of(folders, failing)[2]
+    assert failed["error"] == "tool: ValueError: the step is too coarse"
+    assert grade_of(failed).truth == (("payload", "tool"),) and not grade_of(failed).right
+    assert "FAILED" in line_of(failed)
+    trace = (folders.out / "results" / failed["case"] / "error.txt").read_text()
+    assert "Traceback" in trace
+
+
+def test_a_tool_that_leaves_no_result_is_not_graded_by_an_earlier_one(folders: Folders) -> None:
+    run_case(1000, folders=folders, tool=stub)
+    row = run_case(1000, folders=folders, tool=lambda *_: None)
+    assert "result.json" in row["error"] and not row["grade"]["right"]
+
+
+def test_numbers_are_chosen_by_words() -> None:
+    assert numbers_of(["7", "1000-1002"]) == [7, 1000, 1001, 1002]
+    with pytest.raises(InvalidSetting, match="is no case"):
+        numbers_of(["all"])
+    assert set(quick_list()) < set(full_list())
+
+
+def test_the_table_of_methods_is_of_the_cases_that_all_have(folders: Folders) -> None:
+    grades = {row["number"]: grade_of(row) for row in rows_of(folders)}
+    some = {number: grades[number] for number in (1, 1000, 1001)}
+    said = methods_table({"loose_gap": grades, "stepwise_bic": some, "sysid": {}})
+    assert "3 cases that all methods have run: 1 1000-1001." in said
+    assert len(said.splitlines()) == 6
+    assert set(METHODS) == set(suite.TOOLS)
+
+
+@pytest.mark.slow
+def test_a_blind_case_is_made_given_to_the_tool_and_graded(tmp_path: Path) -> None:
+    folders = Folders(out=tmp_path / "out", blind=tmp_path / "blind")
+    row = run_case(1264, folders=folders, tool=tool_named("loose_gap"))
+    assert row["error"] == "" and row["grade"]["right"]
+    assert row["grade"]["exported"] == pytest.approx(1.0, abs=0.05)
+    read_result(tmp_path / "out" / "results" / row["case"])
+    assert not (tmp_path / "blind" / "recordings" / row["case"]).exists()
+    assert (tmp_path / "blind" / "truth" / f"{row['case']}.json").exists()
+
+
+# ---- other methods
+
+XML = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.00025" integrator="RK4"/>
+  <worldbody>
+    <body name="link1">
+      <inertial mass="3" pos=".2 0 0" diaginertia=".01 .06 .06"/>
+      <joint name="joint1" axis="0 1 0" damping="1" armature=".2"/>
+      <body name="link2" pos=".4 0 0">
+        <inertial mass="1.5" pos=".15 0 0" diaginertia=".005 .02 .02"/>
+        <joint name="joint2" axis="0 1 0" damping=".5" armature=".08"/>
+        <site name="tool" pos=".3 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="motor1" joint="joint1" kp="1500" kv="60"/>
+    <position name="motor2" joint="joint2" kp="600" kv="20"/>
+  </actuator>
+  <sensor>
+    <jointpos name="joint1_pos" joint="joint1"/><jointvel name="joint1_vel" joint="joint1"/>
+    <jointpos name="joint2_pos" joint="joint2"/><jointvel name="joint2_vel" joint="joint2"/>
+  </sensor>
+</mujoco>
+"""
+TORQUE = 1.5
+"""Dry friction that is planted [N m]."""
+
+
+def write_arm(folder: Path, *, friction: float, seconds: float = 3.0, runs: int = 3) -> Path:
+    """A recording of an arm with dry friction at its first joint, its model without."""
+    rng = np.random.default_rng(7)
+    model = mujoco.MjModel.from_xml_string(XML)
+    time = np.arange(round(seconds * 1000)) / 1000
+    recorded = []
+    for i in range(runs):
+        commands = sum(
+            np.sin(2 * np.pi * f * time[:, None] + rng.uniform(0, 6, 2)) * 0.25 / f
+            for f in (0.4, 0.9, 1.7, 2.9)
+        )
+        commands *= np.minimum(1.0, time / 0.5)[:, None]
+        data = mujoco.MjData(model)
+        read = np.empty((len(time), 4))
+        for k, command in enumerate(commands):
+            read[k, :2], read[k, 2:] = data.qpos, data.qvel
+            data.ctrl = command
+            for _ in range(4):  # steps in a sample
+                # MuJoCo's own dry friction is soft: it would be another law
+                data.qfrc_applied[0] = -friction * np.tanh(data.qvel[0] / 3e-3)
+                mujoco.mj_step(model, data)
+        read += rng.normal(size=read.shape) * [1e-4, 1e-4, 2e-3, 2e-3]
+        names = ("joint1_pos", "joint2_pos", "joint1_vel", "joint2_vel")
+        sensors = {name: read[:, c] for c, name in enumerate(names)}
+        controls = {"motor1": commands[:, 0], "motor2": commands[:, 1]}
+        recorded.append(Run(name=f"run-{i}", time=time, controls=controls, sensors=sensors))
+    write_recording(folder, model_xml=XML, runs=recorded)
+    return folder
+
+
+def marks_of(recording: Path, folder: Path, name: str, *, torque: float | None) -> Grade:
+    """Marks of a method against the planted friction, or against nothing."""
+    tool_named(name)(recording, folder, 0.03)
+    effect = {
+        "kind": "coulomb_friction", "where": "joint1", "parameters": {"torque": torque},
+        "size": {"ratio": 5.0},
+    }  # fmt: skip
+    truth = {
+        "format": "gap-truth/1", "case": "c", "role": "none" if torque is None else "single",
+        "form": "forward", "effects": [] if torque is None else [effect],
+    }  # fmt: skip
+    return grade(json.loads((folder / "result.json").read_text("utf-8")), truth)
+
+
+@pytest.mark.slow
+def test_stepwise_selection_names_planted_friction_and_nothing_else(tmp_path: Path) -> None:
+    rubbing = write_arm(tmp_path / "rubbing", friction=TORQUE)
+    marks = marks_of(rubbing, tmp_path, "stepwise_bic", torque=TORQUE)
+    assert marks.right and marks.parameter_error[0] < 0.15
+    assert marks.gap_after < 1.25 < marks.gap_before
+    sound = write_arm(tmp_path / "sound", friction=0.0)
+    assert marks_of(sound, tmp_path, "stepwise_bic", torque=None).right
+
+
+@pytest.mark.slow
+def test_sysid_predicts_the_held_out_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sysid = pytest.importorskip("mujoco.sysid")
+    if not hasattr(sysid, "Parameter"):
+        pytest.skip("mujoco.sysid lacks its own optional packages: pip install 'mujoco[sysid]'")
+    from scripts.suites.gap import rival_sysid as rival
+
+    short = partial(rival.SysidSettings, windows=3, window_s=0.3, iterations=5)
+    monkeypatch.setattr(rival, "SysidSettings", short)
+    arm = write_arm(tmp_path / "arm", friction=TORQUE, seconds=2.0, runs=2)
+    marks = marks_of(arm, tmp_path, "sysid", torque=TORQUE)
+    assert marks.gap_after < marks.gap_before
