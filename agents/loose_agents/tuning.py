@@ -27,11 +27,12 @@ from loose_agents.belief import (
     Policy,
     Sure,
     best_verdict,
+    goes_on,
     make_estimator,
     setting_name,
     weights_path,
 )
-from loose_agents.evaluation import goes_on, problem_of
+from loose_agents.evaluation import problem_of
 from loose_agents.jobs import BackendSettings, Store, canonical, run_stored, spans
 from loose_agents.policies.choice import POLICIES, ConstantPolicy, FixedPolicy, Records
 from loose_agents.policies.oracle import oracle_agent
@@ -366,7 +367,8 @@ def agent_of(player: Player, problem: Problem) -> EpisodeAgent:
     if estimator in LEARNED:
         learned: Any = make_agent(estimator, problem, seed=player.agent_seed)
         learned.stopping = Sure()
-        return learned
+        stopped: EpisodeAgent = learned
+        return stopped
     if estimator == ORACLE:
         return oracle_agent(problem, policy=policy, seed=player.agent_seed)
     if player.levels is None and player.sequence is None:

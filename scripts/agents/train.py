@@ -147,7 +147,11 @@ def train(options: Options) -> Path:
         folder=options.log_folder / options.algo / f"{name}_{options.seed}",
         restart=options.restart,
     )
-    say = (lambda words: print(words, flush=True)) if options.verbose else (lambda words: None)
+
+    def say(words: str) -> None:
+        if options.verbose:
+            print(words, flush=True)
+
     begin = time.perf_counter()
     bar = ProgressLine(steps, unit="steps") if options.progress else None
 

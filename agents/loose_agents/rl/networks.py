@@ -109,8 +109,9 @@ def network_from_tensors(
     size = None
     if f"{_EXTRACTOR}mean" in tensors:
         assert layout is not None
-        parts.append(_extractor_of(tensors, layout))
-        size = parts[0].features_dim
+        extractor = _extractor_of(tensors, layout)
+        parts.append(extractor)
+        size = extractor.features_dim
     for name in [*names, _HEAD[:-1]]:
         weight, bias = tensors[f"{name}.weight"], tensors[f"{name}.bias"]
         if weight.ndim != 2 or bias.shape != weight.shape[:1]:
