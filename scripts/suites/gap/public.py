@@ -693,7 +693,7 @@ def _board(given: Board) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command."""
-    actions = {
+    actions: dict[str, tuple[type[Any], Callable[[Any], object]]] = {
         "make": (Made, _make),
         "answer": (Asked, _answer),
         "score": (Scored, _score),
