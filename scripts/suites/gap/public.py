@@ -5,7 +5,7 @@
     python -m scripts.suites.gap.public score FOLDER RESULTS --name NAME
     python -m scripts.suites.gap.public board [SCORES ...] [--docs]
 
-docs/gap_benchmark.md describes the formats.
+docs/accuracy.md describes the formats.
 """
 
 from __future__ import annotations
@@ -641,7 +641,7 @@ class Board:
     scores: Positional[tuple[Path, ...]] = ()
     """Files of scores; by default those beside the page."""
     docs: bool = False
-    """Write it to docs/gap_benchmark.md."""
+    """Write it to docs/accuracy.md."""
 
 
 def _make(given: Made) -> None:
