@@ -50,7 +50,7 @@ from loose_agents.benchmark.results import (
 from loose_agents.registry import describe
 from tyro.conf import Positional
 
-from loose_env.cli.command import commands, one_of
+from loose_env.cli.command import Actions, commands, one_of
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import Count, NonNegativeCount
 from scripts.study import write_between
@@ -193,7 +193,7 @@ def board(given: Board) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command that is named."""
-    actions = {"make": (Make, make), "check": (Check, check), "board": (Board, board)}
+    actions: Actions = {"make": (Make, make), "check": (Check, check), "board": (Board, board)}
     going_on = "the same command goes on"
     commands("submit", __doc__, actions, arguments, interrupted=going_on)
 

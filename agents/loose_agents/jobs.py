@@ -123,7 +123,8 @@ def results_of(
                 done.add(position)
                 yield position, result
 
-        workers = min(chosen.workers or joblib.cpu_count(), len(tasks))  # one: this process
+        workers = chosen.workers or joblib.cpu_count()  # one: this process
+        workers = min(workers, max(2, len(tasks)))  # a lone task may still end its worker
         for deaths in range(chosen.retries + 1):
             try:
                 yield from run([k for k in range(len(tasks)) if k not in done], workers)

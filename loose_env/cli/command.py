@@ -46,6 +46,9 @@ _REGISTRY = ConstructorRegistry()
 
 S = TypeVar("S")
 
+Actions = Mapping[str, tuple[type[Any], Callable[[Any], object]]]
+"""Subcommands: name -> settings and what takes them."""
+
 
 def command(
     name: str,
@@ -106,7 +109,7 @@ def command(
 def commands(
     name: str,
     about: str | None,
-    actions: Mapping[str, tuple[type[Any], Callable[[Any], object]]],
+    actions: Actions,
     arguments: Sequence[str] | None = None,
     *,
     interrupted: str = "",

@@ -20,7 +20,7 @@ LANES = 8
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _seat_force(
     free: float, mobility: float, x: float, v: float, law: Any, stiff: Any, k: int
-) -> float:
+) -> Any:
     """Force of friction and stops on the seat of arm k."""
     low, high = law[0, k], law[1, k]
     below, above = x < low, high < x

@@ -36,7 +36,7 @@ from loose_env.arms import (
     six_axis,
     vera,
 )
-from loose_env.cli.command import commands
+from loose_env.cli.command import Actions, commands
 from loose_env.diagnosis import SensorFloor, predict
 from loose_env.envs import (
     EDGE,
@@ -514,7 +514,7 @@ def draw_classical(options: Classical) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Draw the figure that is named."""
-    actions = {
+    actions: Actions = {
         "pose": (Pose, draw_pose),
         "method": (Method, draw_method),
         "classical": (Classical, draw_classical),

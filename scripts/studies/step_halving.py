@@ -21,7 +21,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from tyro.conf import OmitArgPrefixes
@@ -371,7 +371,7 @@ def draw(rows: list[Row], settings: Settings, path: Path) -> None:
     save_figure(plt, figure, path, dpi=150)
 
 
-QUICK = {"cases": 4, "records": 3, "surveyed": 40, "steps": (5e-4, 2e-4)}
+QUICK: dict[str, Any] = {"cases": 4, "records": 3, "surveyed": 40, "steps": (5e-4, 2e-4)}
 """Settings of a quick run."""
 
 

@@ -350,7 +350,9 @@ def file(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 @pytest.mark.filterwarnings("ignore:.*(no torque limits|no limits):UserWarning")
-@pytest.mark.parametrize("hold", ["brake", "servo", "compliant"])
+@pytest.mark.parametrize(
+    "hold", ["brake", *(pytest.param(h, marks=pytest.mark.slow) for h in ("servo", "compliant"))]
+)
 @pytest.mark.parametrize("file", ARMS, indirect=True)
 def test_every_kind_of_fault_is_measured_on_it(file: Path, hold: str) -> None:
     env = gymnasium.make(

@@ -437,6 +437,7 @@ def test_no_name_is_right_for_a_fault_outside_the_hypotheses(
         assert info["link_success"] == (named in right_places)
 
 
+@pytest.mark.slow
 def test_two_faults_are_drawn_by_name_at_two_places_of_the_kinds_that_come_up() -> None:
     for arm in (planar(4), vera(), six_axis(), scara()):
         sampler = FaultSampler(LinearArm(arm), Difficulty(), KINDS)

@@ -109,6 +109,7 @@ def test_agents_find_a_large_effect(rule: str) -> None:
     assert 1 <= info["motions"] <= 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", [SIX_AXIS_SERVO_ARM, UR5E], ids=["six_axis", "ur5e"])
 def test_arms_of_six_axes_have_episodes(file: Path) -> None:
     if not file.is_file():
@@ -144,6 +145,7 @@ def test_bad_input_is_told_what_is_allowed() -> None:
 SHIPPED = Path(__file__).parents[2] / "agents/loose_agents/weights/gap-ppo/policy.pt"
 
 
+@pytest.mark.slow
 def test_training_goes_on_and_its_agent_plays(tmp_path: Path) -> None:
     settings = ModelGapSettings(belief=BeliefSettings(simulations=0), max_motions=2)
     env = ModelGapEnv(small_bank(), settings, models=small_models())
@@ -180,6 +182,7 @@ def test_training_goes_on_and_its_agent_plays(tmp_path: Path) -> None:
         LearnedGapAgent(tmp_path / "none.zip", env)
 
 
+@pytest.mark.slow
 def test_shipped_weights_serve_another_library() -> None:
     settings = ModelGapSettings(belief=BeliefSettings(simulations=0))
     env = ModelGapEnv(small_bank(), settings, models=small_models())

@@ -22,8 +22,9 @@ from loose_env.registration import IDS, MAX_EPISODE_STEPS, TIERS
 
 ROOT = Path(__file__).resolve().parents[2]
 SHORT: dict[str, Any] = {"durations": (0.2,), "max_records": 3, "threads": 1}
-FORMS: list[tuple[str, dict[str, Any]]] = [
-    *((env_id, {}) for env_id in (*IDS, *TIERS)),
+FORMS: list[Any] = [
+    *((env_id, {}) for env_id in IDS),
+    *(pytest.param(tier, {}, marks=pytest.mark.slow) for tier in TIERS),
     ("loose_env/Vera-v0", {"hold": "servo", "difficulty": "hard"}),
     ("loose_env/Planar-v0", {"n_links": 2, "vertical": True, "difficulty": "easy"}),
     ("loose_env/Planar-v0", {"n_links": 7, "hold": "servo"}),
@@ -63,7 +64,7 @@ def test_the_checkers_find_nothing_and_whole_episodes_run(
     env.close()
 
 
-@pytest.mark.parametrize("env_id", IDS)
+@pytest.mark.parametrize("env_id", FEW)
 def test_the_vector_form_is_what_gymnasium_makes_of_single_ones(env_id: str) -> None:
     mode = AutoresetMode.SAME_STEP
     single = [lambda: gymnasium.make(env_id, **SHORT)] * 3
