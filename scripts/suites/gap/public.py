@@ -26,7 +26,7 @@ from typing import Any, Literal
 import numpy as np
 from tyro.conf import Positional
 
-from loose_env.cli.command import Actions, commands
+from loose_env.cli.command import commands
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap import GapResult, GapSettings, find_gap, result_of
 from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
