@@ -139,12 +139,13 @@ def _said(out: Path) -> str:
 def _listing(folder: Path) -> frozenset[tuple[str, int, int, int]]:
     """Files with what changes when they are written anew or in place."""
     found = set()
-    for path in folder.rglob("*"):
-        try:
-            state = path.stat()
-        except OSError:  # renamed while it was looked at
-            continue
-        found.add((str(path), state.st_ino, state.st_size, state.st_mtime_ns))
+    for root, _, names in os.walk(folder):  # unlike rglob it takes folders that vanish
+        for path in (os.path.join(root, name) for name in names):
+            try:
+                state = os.stat(path)
+            except OSError:  # renamed while it was looked at
+                continue
+            found.add((path, state.st_ino, state.st_size, state.st_mtime_ns))
     return frozenset(found)
 
 
