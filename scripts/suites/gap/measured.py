@@ -5,23 +5,23 @@ python -m scripts.suites.gap.measured RECORDING [RECORDING ...] --out FILE.jsonl
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tyro.conf import Positional
+
 import loose_env
-from loose_env.cli.command import errors_in_one_line
-from loose_env.errors import LooseEnvError
+from loose_env.cli.command import command
+from loose_env.errors import InvalidSetting, LooseEnvError
 from loose_env.gap import GapResult
 from loose_env.recording import read_recording
-from scripts.study import write_between
 from scripts.suites.rows import add, kept
 
 Row = dict[str, Any]
-DOCS = Path(__file__).resolve().parents[3] / "docs" / "gap.md"
 _NAMED = 3
 """Held-out runs that are named; more are counted."""
 QUANTITY = "joint position [rad]"
@@ -94,29 +94,27 @@ def _effect_words(effect: Row) -> str:
     return f"`{effect['kind']}` at {effect['where']}: {', '.join(figures)}"
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    """Take the command line."""
-    parser = argparse.ArgumentParser(prog="measured", description=__doc__)
-    parser.add_argument("recordings", type=Path, nargs="*", help="folders of recordings")
-    parser.add_argument("--out", type=Path, required=True, help="file of rows (JSON lines)")
-    parser.add_argument("--threads", type=int, default=1, help="threads of each comparison")
-    parser.add_argument(
-        "--each", action="store_true", help="hold out every run in turn, not what the names say"
-    )
-    parser.add_argument("--table", action="store_true", help="print the table of the rows alone")
-    parser.add_argument("--docs", action="store_true", help="write the table into docs/gap.md")
-    given = parser.parse_args(words)
-    if given.table and not kept(given.out):
-        parser.error(
-            f"{given.out} has no rows to make a table of; run some recordings into it first"
-        )
-    with errors_in_one_line("measured", interrupted="the same command goes on"):
-        _run(given)
+@dataclass(frozen=True, kw_only=True)
+class MeasuredSettings:
+    """Which recordings, and how."""
+
+    recordings: Positional[tuple[Path, ...]] = ()
+    """Folders of recordings."""
+    out: Path
+    """File of rows (JSON lines)."""
+    threads: int = 1
+    """Threads of each comparison."""
+    each: bool = False
+    """Hold out every run in turn, not what the names say."""
+    table: bool = False
+    """Print the table of the kept rows alone."""
 
 
-def _run(given: argparse.Namespace) -> None:
-    given.out.parent.mkdir(parents=True, exist_ok=True)
+def run(given: MeasuredSettings) -> None:
+    """Run the recordings that the file lacks and print the table."""
     rows = kept(given.out)
+    if given.table and not rows:
+        raise InvalidSetting(f"{given.out} has no rows to make a table of; run some recordings")
     done = {(row["recording"], tuple(row.get("asked", ()))) for row in rows if row["error"] is None}
     for folder in () if given.table else given.recordings:
         for held in _splits(folder, each=given.each):
@@ -128,8 +126,6 @@ def _run(given: argparse.Namespace) -> None:
             print(table([row]).splitlines()[-1], flush=True)
     rows.sort(key=lambda row: (row["recording"], row["held_out"]))
     print(table(rows))
-    if given.docs:
-        write_between(DOCS, table(rows), name="measured")
 
 
 def _splits(folder: Path, *, each: bool) -> list[tuple[str, ...]]:
@@ -138,4 +134,4 @@ def _splits(folder: Path, *, each: bool) -> list[tuple[str, ...]]:
 
 
 if __name__ == "__main__":
-    main()
+    command("measured", __doc__, MeasuredSettings, run, interrupted="the same command goes on")

@@ -5,7 +5,7 @@
     python -m scripts.suites.gap.public score FOLDER RESULTS --name NAME
     python -m scripts.suites.gap.public board [SCORES ...] [--docs]
 
-docs/gap_benchmark.md describes the formats.
+docs/accuracy.md describes the formats.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import Any, Literal
 import numpy as np
 from tyro.conf import Positional
 
-from loose_env.cli.command import Actions, commands
+from loose_env.cli.command import commands
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap import GapResult, GapSettings, find_gap, result_of
 from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
@@ -641,7 +641,7 @@ class Board:
     scores: Positional[tuple[Path, ...]] = ()
     """Files of scores; by default those beside the page."""
     docs: bool = False
-    """Write it to docs/gap_benchmark.md."""
+    """Write it to docs/accuracy.md."""
 
 
 def _make(given: Made) -> None:
@@ -693,7 +693,7 @@ def _board(given: Board) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command."""
-    actions: Actions = {
+    actions: dict[str, tuple[type[Any], Callable[[Any], object]]] = {
         "make": (Made, _make),
         "answer": (Asked, _answer),
         "score": (Scored, _score),

@@ -259,7 +259,7 @@ def number(value: float, *, digits: int = 3) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "gap_benchmark.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "accuracy.md"
 """Page of the leaderboard; scores lie in the folder of its name beside it."""
 HEAD = (
     ("entry", "---"), ("cases right", "---:"), ("precision", "---:"), ("recall", "---:"),
@@ -280,7 +280,7 @@ def read_score(path: Path) -> Score:
 
 def stored_scores() -> list[Path]:
     """Score files of the repository."""
-    return sorted(PAGE.with_suffix("").glob("*.json"))
+    return sorted(PAGE.with_name("gap_benchmark").glob("*.json"))
 
 
 def leaderboard(scores: Sequence[Score]) -> str:

@@ -42,7 +42,6 @@ from loose_env.gap import (
     write_model,
 )
 from loose_env.recording import read_recording
-from scripts.study import write_between
 from scripts.suites.gap.cases import (
     LAST,
     draw_case,
@@ -58,11 +57,10 @@ from scripts.suites.gap.cases import (
 )
 from scripts.suites.gap.grading import Grade, failed, grade, separable_by_data
 from scripts.suites.gap.tables import METHODS, lines_of_cases, markdown, methods_table, text
-from scripts.suites.rows import Row, add, check_code, code_hash, kept, run_cases
+from scripts.suites.rows import Row, check_code, code_hash, kept, run_cases
 
 ROOT = Path(__file__).resolve().parents[3]
 OUT = ROOT / "out" / "gap_suite"
-DOCS = ROOT / "docs" / "gap_suite.md"
 TOOL = "loose_gap"
 """Name of the tool under test."""
 TOOLS = (TOOL, "sysid", "stepwise_bic")
@@ -253,8 +251,6 @@ class RunSettings:
     """Remove kept rows first."""
     workers: int = 1
     """Processes side by side."""
-    docs: bool = False
-    """Write the tables to docs/gap_suite.md, as a whole run does by itself."""
 
 
 def rows_file(tool: str, out: Path | None = None) -> Path:
@@ -327,16 +323,11 @@ def run(settings: RunSettings) -> None:
             tool: {r["number"]: grade_of(r) for r in rows if r["number"] <= LAST}
             for tool, rows in found.items()
         }
-        content = methods_table(graded)
-        print(content)
-        if settings.docs:
-            write_between(DOCS, content, name="methods")
+        print(methods_table(graded))
         return
     if settings.recording is not None:
         print(said_of(settings.recording, settings.tool))
         return
-    if settings.docs and settings.tool != TOOL:
-        raise InvalidSetting("--docs writes the tables of loose gap; see --methods")
     numbers = numbers_of(settings.numbers) if settings.numbers else full_list()
     numbers = quick_list() if settings.quick else numbers
     file = rows_file(settings.tool, settings.out)
@@ -358,15 +349,9 @@ def run(settings: RunSettings) -> None:
         rows = run_cases(mixed(numbers), work, file, workers=settings.workers, say=line_of)
     rows.sort(key=lambda row: int(row["number"]))
     print(f"\n{head_of(rows, len(numbers))}\n\n{text([grade_of(row) for row in rows])}")
-    content = tables(rows, len(numbers))
-    file.with_name("summary.md").write_text(content, encoding="utf-8")
-    whole = not (settings.quick or settings.numbers) and len(rows) == len(numbers)
-    if settings.tool == TOOL and (settings.docs or whole):
-        write_between(DOCS, content)
-        page_rows = DOCS.with_name("gap_suite_rows.jsonl")
-        page_rows.unlink(missing_ok=True)
-        for row in rows:
-            add(page_rows, row)
+    summary = file.with_name("summary.md")
+    summary.write_text(tables(rows, len(numbers)), encoding="utf-8")
+    print(f"tables: {summary}")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

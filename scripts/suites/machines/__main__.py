@@ -18,9 +18,8 @@ from loose_env.errors import InvalidSetting, LooseEnvError
 from loose_env.evaluation import wilson
 from loose_env.instrument import DiagnoseSettings, Diagnosis, diagnose
 from loose_env.recording import Recording, Run, write_recording
-from scripts.study import write_between
 from scripts.suites.machines.case import Case, CaseMade, CaseSettings, RunMade, draw, play
-from scripts.suites.machines.machine import KINDS, Disturbances, Unstable, ranges_table
+from scripts.suites.machines.machine import KINDS, Disturbances, Unstable
 from scripts.suites.rows import kept, run_cases
 
 Row = dict[str, Any]
@@ -329,7 +328,6 @@ def _line(values: Iterable[str]) -> str:
 
 SEED = 81_207
 """Of the printed tables; nothing was developed on it. Development used the seed 1."""
-DOCS = Path(__file__).resolve().parents[3] / "docs" / "diagnosis_suite.md"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -356,8 +354,6 @@ class SuiteSettings:
     """Processes side by side."""
     table: bool = False
     """Print the tables of the kept rows alone."""
-    docs: bool = False
-    """Write the tables into docs/diagnosis_suite.md."""
 
 
 def run(given: SuiteSettings) -> None:
@@ -380,9 +376,6 @@ def run(given: SuiteSettings) -> None:
         rows = kept(given.out)
     rows.sort(key=lambda row: (row["seed"], row["case"]))
     print(tables(rows))
-    if given.docs:
-        write_between(DOCS, tables(rows))
-        write_between(DOCS, ranges_table(), name="disturbances")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

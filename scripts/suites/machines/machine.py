@@ -470,17 +470,6 @@ class Disturbances:
         return self.sizes[name][parameter] if name in self.sizes else absent
 
 
-def ranges_table() -> str:
-    """Table of the disturbances in Markdown."""
-    lines = ["| disturbance | meaning | range | present |", "|---|---|---|---:|"]
-    for name, kind in KINDS.items():
-        ranges = "; ".join(
-            f"{key} {r.low:g} to {r.high:g} {r.unit}" for key, r in kind.parameters.items()
-        )
-        lines.append(f"| `{name}` | {kind.title} | {ranges} | {kind.present:.0%} |")
-    return "\n".join(lines)
-
-
 MOST_TURNED = 0.1
 """Departure of a joint from its pose above which a run is unstable [rad]."""
 MOST_CHATTER = 0.05

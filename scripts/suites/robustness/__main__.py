@@ -3,7 +3,7 @@
     python -m scripts.suites.robustness --examples 500
 
 Each case runs in a process of its own, with its peak memory measured. Rows are kept in the output
-folder, and a case that is there is not run again; --docs writes the counts to docs/trust.md. The
+folder, and a case that is there is not run again. The
 exit code is 1 where a case ended with a traceback, without a clear line, late, or with more memory
 than allowed.
 """
@@ -28,7 +28,6 @@ from typing import Any
 
 from loose_env.cli.command import command
 from loose_env.errors import InvalidSetting
-from scripts.study import write_between
 from scripts.suites.robustness.cases import COMMANDS, Case, case_of, write_case
 from scripts.suites.rows import Row, run_cases
 
@@ -114,7 +113,6 @@ def _ended(
     return (None if late else status, usage), text
 
 
-DOCS = Path(__file__).resolve().parents[3] / "docs" / "trust.md"
 FINE = ("result", "refused")
 
 
@@ -132,8 +130,6 @@ class SuiteSettings:
     """Commands that are tried."""
     out: Path = Path("out/robustness")
     """Folder of the rows."""
-    docs: bool = False
-    """Write the table to docs/trust.md."""
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -168,8 +164,6 @@ def run(given: SuiteSettings) -> None:
     numbers = range(given.first, given.first + given.examples)
     rows = run_cases(numbers, work, given.out / "rows.jsonl", say=line_of)
     print(table(rows))
-    if given.docs:
-        write_between(DOCS, table(rows), name="robustness")
     if any(r["outcome"] not in FINE or r["peak_mb"] * 1024**2 > MOST_BYTES for r in rows):
         sys.exit(1)
 

@@ -139,12 +139,13 @@ def _said(out: Path) -> str:
 def _listing(folder: Path) -> frozenset[tuple[str, int, int, int]]:
     """Files with what changes when they are written anew or in place."""
     found = set()
-    for path in folder.rglob("*"):
-        try:
-            state = path.stat()
-        except OSError:  # renamed while it was looked at
-            continue
-        found.add((str(path), state.st_ino, state.st_size, state.st_mtime_ns))
+    for root, _, names in os.walk(folder):  # unlike rglob it takes folders that vanish
+        for path in (os.path.join(root, name) for name in names):
+            try:
+                state = os.stat(path)
+            except OSError:  # renamed while it was looked at
+                continue
+            found.add((path, state.st_ino, state.st_size, state.st_mtime_ns))
     return frozenset(found)
 
 
@@ -216,6 +217,11 @@ def _broken_policies(out: Path) -> list[str]:
     # What is being written has a name that begins with a dot until it is whole.
     for file in (f for f in out.rglob("*.zip") if not f.name.startswith(".")):
         _try(found, file, lambda f=file: read_model(f))  # type: ignore[misc]
+        if file.name == "checkpoint.zip" and not found:
+            run = read_model(file).run
+            evaluated = dict(run["state"]["items"])["steps"] if run else ["the run is missing"]
+            if sorted(set(evaluated)) != evaluated:
+                found.append(f"evaluations at {evaluated}: one is there twice")
     for file in out.rglob("evaluations.npz"):
         _try(found, file, lambda f=file: _evaluations(f))  # type: ignore[misc]
     return found
@@ -244,6 +250,8 @@ def _broken_rows(out: Path) -> list[str]:
     from loose_env.evaluation import read_rows
 
     found: list[str] = []
+    for shard in out.glob("shards/*/shard-*.json"):
+        _try(found, shard, lambda f=shard: json.loads(f.read_bytes())["rows"])  # type: ignore[misc]
     file = out / "rows.parquet"
     _try(found, file, lambda: read_rows(file))
     if file.exists() and not found:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ pytest.importorskip("numba")
 pytest.importorskip("joblib")
 
 from loose_env.errors import InvalidSetting
-from loose_env.gap import read_result
+from loose_env.gap import Effect, GapSolution, NamedEffect, read_result
+from loose_env.gap.model.effects.friction import ViscousFriction
+from loose_env.gap.model.effects.sensors import SensorGain
 from loose_env.recording import Run, write_recording
 from scripts.suites.gap import run as suite
 from scripts.suites.gap.cases import full_list, name_of, numbers_of, quick_list, role_of
@@ -23,6 +26,7 @@ from scripts.suites.gap.grading import Grade, grade
 from scripts.suites.gap.run import Folders, grade_of, line_of, run_case, tool_named
 from scripts.suites.gap.tables import METHODS, methods_table
 from scripts.suites.rows import check_code, kept, run_cases
+from tests.gap.cases.exported_case import judged_with, prepared_arm
 
 NUMBERS = [0, 1, 1000, 1001, 3000]
 SAID = {0: "no_gap", 1: "payload", 1000: "payload", 1001: "backlash", 3000: "unexplained"}
@@ -125,10 +129,32 @@ def test_a_blind_case_is_made_given_to_the_tool_and_graded(tmp_path: Path) -> No
     folders = Folders(out=tmp_path / "out", blind=tmp_path / "blind")
     row = run_case(1264, folders=folders, tool=tool_named("loose_gap"))
     assert row["error"] == "" and row["grade"]["right"]
-    assert row["grade"]["exported"] == pytest.approx(1.0, abs=0.05)
     read_result(tmp_path / "out" / "results" / row["case"])
     assert not (tmp_path / "blind" / "recordings" / row["case"]).exists()
     assert (tmp_path / "blind" / "truth" / f"{row['case']}.json").exists()
+
+
+@pytest.mark.slow
+def test_a_written_model_leaves_what_the_fit_leaves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = prepared_arm(tmp_path / "r")
+
+    def found(effect: Effect, values: list[float]) -> GapSolution:
+        best = judged_with(problem, effect, values)
+        named = NamedEffect(kind=effect.kind, where=effect.where, parameters={})
+        return GapSolution(problem=problem, base=best, best=best, verdict="named", effects=(named,))
+
+    case = found(ViscousFriction(problem.machine, "joint2"), [3.0])
+    written, fit = suite.exported_gap(case, tmp_path) or (0.0, 0.0)
+    assert written == pytest.approx(fit, rel=0.03) and fit < 1.1
+    assert (
+        suite.exported_gap(found(SensorGain(problem.machine, "encoder1"), [1.1]), tmp_path) is None
+    )
+    assert suite.exported_gap(replace(case, effects=()), tmp_path) is None
+    monkeypatch.setattr(ViscousFriction, "export", lambda *_: None)
+    wrong, fit = suite.exported_gap(case, tmp_path) or (0.0, 1.0)
+    assert wrong > 3 * fit
 
 
 # ---- other methods
