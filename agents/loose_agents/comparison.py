@@ -118,19 +118,6 @@ def play_task(
     """Play a task in shards, resuming from the shards already stored.
 
     With one worker it is played in this process, ``task.width`` arms side by side.
-
-    Parameters
-    ----------
-    task : EvaluationTask
-        All episodes of one agent.
-    folder : Path
-        Where shards lie until the task is done; then they are removed, unless kept.
-    settings : BackendSettings, optional
-        Where shards run; in this process if None.
-    shard : int
-        Episodes a shard; no row depends on it.
-    keep : bool
-        Whether shards stay, so that a later call finds them.
     """
     parts = spans(task.count, shard)
     where = folder / configuration_hash(canonical(task.configuration))[:16]

@@ -81,23 +81,6 @@ def results_of(
     Where a worker dies, all tasks without a result run again; after ``retries`` deaths one by one,
     so that the task at fault is known. What the work raises is raised here and not tried again.
 
-    Parameters
-    ----------
-    work : callable
-        Takes a task. At the top of a module, or a `functools.partial` of such a function: it
-        travels to other processes, as do tasks and results.
-    tasks : sequence
-        What the work takes.
-    settings : BackendSettings, optional
-        Where it runs.
-
-    Raises
-    ------
-    WorkerDied
-        If a task ends its worker every time.
-    MissingExtra
-        If the backend is not installed.
-
     Examples
     --------
     >>> settings = BackendSettings(backend="threading", workers=2)
@@ -219,20 +202,6 @@ class Store:
 
     A file is named after its episodes, so spans of another size never mix. It is written beside its
     name and renamed: a run that is killed leaves whole files only.
-
-    Parameters
-    ----------
-    folder : path
-        Made if it does not exist.
-    configuration : mapping or dataclass
-        Everything that the results depend on and nothing else; kept in ``configuration.json``.
-    arrays : bool
-        True for dictionaries of arrays (``.npz``), False for rows of JSON (``.json``).
-
-    Raises
-    ------
-    InvalidSetting
-        If the folder holds results of another configuration, or of an unknown one.
 
     Examples
     --------

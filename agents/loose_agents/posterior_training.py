@@ -163,17 +163,7 @@ class PosteriorTraining:
         *,
         stream: TextIO | None = None,
     ) -> None:
-        """Train to the last step, writing checkpoints and resuming from an existing one.
-
-        Parameters
-        ----------
-        folder : path, optional
-            Where the checkpoint lies; None keeps none.
-        report : callable, optional
-            Called after every checkpoint with the step and its loss [nat].
-        stream : text file, optional
-            Where the progress line goes; standard error if None.
-        """
+        """Train to the last step, writing checkpoints and resuming from an existing one."""
         s = self.settings
         checkpoint = None if folder is None else folder / "checkpoint.pt"
         if checkpoint is not None and checkpoint.is_file():

@@ -106,21 +106,6 @@ def judge_axes(
     held against the axis of the joint. In space z* has the length of the axis only for a direction
     across it: at an angle b from the axis it is off by e, tan(e) = cot(b) / cos(move / 2).
 
-    Parameters
-    ----------
-    before, after : array_like (d,)
-        Unit vectors in the tool frame before and after the move; d = 2 or 3.
-    move : float
-        Move of the joint [rad].
-    settings : LinkFindingSettings
-        Holds the thresholds: `still` (e_min) and `turned` (e_max).
-    axis : array_like (3,)
-        Axis of the joint in the tool frame (4.30); in the plane its normal.
-
-    Returns
-    -------
-    {"still", "turned", "unclear"}
-
     Examples
     --------
     >>> rules = LinkFindingSettings()

@@ -30,13 +30,6 @@ from loose_env.faults import (
 class SeatOpenness:
     """Drives the seats of an arm as hard as its levels allow, in a number of poses.
 
-    Parameters
-    ----------
-    linear : LinearArm
-        The nominal arm.
-    poses : int
-        Random poses tried; they are the same every time.
-
     Examples
     --------
     >>> from loose_env.arms import planar

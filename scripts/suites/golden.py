@@ -717,13 +717,7 @@ def compare(part: str, now: Mapping[str, Any], *, exact: bool = False) -> list[s
 
 
 def write(part: str, now: Mapping[str, Any], because: str) -> None:
-    """Keep the figures of a part from now on.
-
-    Raises
-    ------
-    InvalidSetting
-        If CHANGELOG.md does not have the words, or they served for an earlier change.
-    """
+    """Keep the figures of a part from now on."""
     from loose_env.errors import InvalidSetting
 
     file = FOLDER / f"{part}.json"
@@ -752,13 +746,7 @@ def write(part: str, now: Mapping[str, Any], because: str) -> None:
 
 
 def _check_said(because: str, changelog: str) -> None:
-    """Refuse words that do not stand under what is not released yet.
-
-    Raises
-    ------
-    InvalidSetting
-        If they do not.
-    """
+    """Refuse words that do not stand under what is not released yet."""
     from loose_env.errors import InvalidSetting
 
     parts = re.split(r"^(?=## )", changelog, flags=re.MULTILINE)

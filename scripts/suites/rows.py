@@ -42,7 +42,7 @@ def run_cases(
     key: str = "number",
 ) -> list[Row]:
     """Rows of the cases asked for, in order; those that the file lacks are run and appended."""
-    from joblib import Parallel, delayed  # type: ignore[import-untyped]
+    from joblib import Parallel, delayed
 
     asked = list(dict.fromkeys(numbers))
     rows = {row[key]: row for row in kept(path)}

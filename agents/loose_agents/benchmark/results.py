@@ -163,19 +163,7 @@ def results_of(
     cpu_seconds: float | None = None,
     **told: Any,
 ) -> Results:
-    """Make results of played episodes.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Episodes in order, as `loose_agents.evaluation.EpisodeRow`.
-    problem : Problem
-        What was played.
-    cpu_seconds : float, optional
-        Processor time in all [s].
-    told : keyword arguments
-        The fields of `Results` that say what was played and by whom.
-    """
+    """Make results of played episodes."""
     names = problem.verdicts
 
     def index(name: str | None) -> int:
@@ -201,14 +189,7 @@ def results_of(
 
 
 def read_results(path: Path) -> Results:
-    """Read a results file and check it against the format.
-
-    Raises
-    ------
-    InvalidData
-        If it is missing, no JSON, lacks an entry, has one too many, or entries do not fit
-        together; the message begins with the file.
-    """
+    """Read a results file and check it against the format."""
 
     def parse(text: str) -> Results:
         whole = whole_of(text, format=FORMAT, noun="results")
@@ -323,34 +304,7 @@ def play_results(
     named: bool = True,
     say: Callable[[str], None] = lambda words: None,
 ) -> Results:
-    """Play a set of episodes; episodes stored in the folder are not played again.
-
-    Parameters
-    ----------
-    task, set_name : str
-        What is played.
-    agent : str
-        Name for `loose_agents.registry.make_agent`.
-    told : dict
-        The entry's name, description and so on: fields of `Results`.
-    folder : Path
-        Where played episodes lie: the same call goes on from them.
-    count : int, optional
-        Play the first so many episodes; all by default.
-    agent_seed : int
-        Seed of what the agent draws.
-    named : bool
-        Whether the file names the agent, so that it can be played again elsewhere.
-    say : callable
-        Shows progress.
-
-    Raises
-    ------
-    UnknownName, InvalidData
-        If there is no such task, set or agent, or its weights are none.
-    InvalidSetting
-        If the set has not so many episodes.
-    """
+    """Play a set of episodes; episodes stored in the folder are not played again."""
     episodes = set_named(set_name)
     played = episodes.episodes if count is None else count
     if not 1 <= played <= episodes.episodes:
@@ -402,27 +356,6 @@ def check_results(
 
     The recorded actions are played, and return, verdict, truth and number of records compared.
     Where the file names its agent, that plays too, and its actions and confidence are compared.
-
-    Parameters
-    ----------
-    results : Results
-        The file.
-    episodes : int
-        Episodes of the sample, at most those of the set.
-    rng : numpy.random.Generator
-        Draws the sample.
-    by_agent : bool
-        Whether the agent plays too.
-
-    Returns
-    -------
-    str
-        What was compared, in a sentence.
-
-    Raises
-    ------
-    InvalidData
-        If something differs, with the first episode that does.
     """
     problem = task_problem(results.task, results.episodes)
     if results.fingerprint != problem.fingerprint:

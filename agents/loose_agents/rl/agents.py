@@ -269,18 +269,6 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
     of `PolicyForm` on a posterior. Which posterior says ``configuration.json`` beside the file.
     The arm is told by the file itself where this package trained it, else by the file beside it;
     of a model that has neither only the sizes are checked. No code of the file is run.
-
-    Parameters
-    ----------
-    path : str or Path
-        A ``.zip`` of PPO or MaskablePPO.
-    problem : Problem
-        The nominal arm and the rules; must be those of the training.
-
-    Raises
-    ------
-    InvalidData
-        If it is no such model, or was trained on something else.
     """
     stored = read_model(path)
     beside = _beside(stored)

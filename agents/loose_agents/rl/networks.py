@@ -38,21 +38,7 @@ class _Form(Protocol):
 
 
 class PolicyNetwork:
-    """Actor of a stable-baselines3 policy: the most probable option of every choice.
-
-    Parameters
-    ----------
-    actor : torch.nn.Module
-        Logits of all options, choice by choice, of observations (batch, size).
-    tensors : mapping
-        Its weights under stable-baselines3's names.
-    nvec : ndarray of int (choices,)
-        Options of every choice.
-    activation : {"tanh", "relu"}
-        Activation of its hidden layers.
-    masked : bool
-        True if it was trained with action masks, and so needs them.
-    """
+    """Actor of a stable-baselines3 policy: the most probable option of every choice."""
 
     def __init__(
         self,
@@ -217,23 +203,6 @@ class RecordSetExtractor(nn.Module):
     adds up: the log-posterior of a hypothesis is a sum over independent records. An embedding sees
     a record's elements and the differences from their nominal twins, each standardised as
     `standardise` has measured it.
-
-    Parameters
-    ----------
-    observation_space : gymnasium.spaces.Box
-        Flat observation: global elements, then slots of equal layout.
-    slots, slot_size : int
-        Number of slots, and of elements of each; the first of them is 1 where a record was
-        measured, 0 in an empty slot.
-    pairs : sequence of (int, int)
-        Elements of a slot and their nominal twins.
-    width : int
-        Units of each layer of the embedding.
-
-    Raises
-    ------
-    InvalidSetting
-        If the observation has fewer elements than the slots.
 
     Examples
     --------

@@ -508,26 +508,6 @@ def train(
 
     With a limit of steps alone and a CPU as device, same seed, same result; a limit of time depends
     on the machine.
-
-    Parameters
-    ----------
-    run : Training
-        What is trained.
-    say : callable
-        Takes lines about the run.
-    show : callable, optional
-        Takes the steps so far and a line of words, after every update.
-    **described
-        Further entries of the configuration.
-
-    Raises
-    ------
-    InvalidSetting
-        If the folder holds a run with another configuration, or a setting is refused.
-    InvalidData
-        If the checkpoint cannot be read.
-    UnknownName
-        If there is no such environment, estimator or hyperparameter.
     """
     model_class = algorithm_named(run.algorithm)
     given = model_arguments(run.hyperparameters, run.algorithm)  # refused before anything is made

@@ -1,1 +1,0 @@
-"""Robustness of the commands on generated arms and recordings."""

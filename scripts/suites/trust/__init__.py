@@ -1,1 +1,0 @@
-"""Files, kills and long runs that the package withstands."""
