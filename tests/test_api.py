@@ -82,6 +82,7 @@ def test_a_diagnosis_is_written_as_the_command_writes_it(
     assert (tmp_path / "file").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_a_diagnosis_goes_by_the_plan_beside_the_recording_unless_told_otherwise(
     shaken: Recording,
 ) -> None:
@@ -97,6 +98,7 @@ def test_a_diagnosis_goes_by_the_plan_beside_the_recording_unless_told_otherwise
     assert found.result.settings["poses"] == 3
 
 
+@pytest.mark.slow
 def test_a_recording_in_memory_is_diagnosed_as_it_is(shaken: Recording, tmp_path: Path) -> None:
     part = dataclasses.replace(shaken, runs=shaken.runs[:1])
     said: list[str] = []
@@ -171,6 +173,7 @@ def test_texts_of_a_model_are_escaped(diagnosed: DiagnosisReport) -> None:
     assert "<script>" not in shown and "&lt;script&gt;" in shown
 
 
+@pytest.mark.slow
 def test_a_reread_recording_gives_the_same_diagnosis(
     shaken: Recording, diagnosed: DiagnosisReport
 ) -> None:

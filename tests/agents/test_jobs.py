@@ -94,6 +94,7 @@ CLUSTERS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("backend", "workers"), [("loky", 1), ("loky", 2), ("threading", 3)])
 def test_rows_are_the_same_for_every_number_of_workers(backend: Any, workers: int) -> None:
     assert all_rows(BackendSettings(backend=backend, workers=workers)) == EXPECTED
@@ -113,6 +114,7 @@ def test_a_killed_worker_loses_and_doubles_no_row(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("death-*"))) == 1
 
 
+@pytest.mark.slow
 def test_a_task_that_always_kills_its_worker_is_named(tmp_path: Path) -> None:
     settings = BackendSettings(workers=2, retries=1)
     with pytest.raises(WorkerDied, match="task 1 ended its worker every time") as caught:

@@ -18,6 +18,8 @@ import nbformat
 from scripts import example_recording
 from tests.docs.pages import ROOT
 
+pytestmark = pytest.mark.slow
+
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 SECONDS = 300
 """Longest time that a cell may take [s]."""

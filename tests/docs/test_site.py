@@ -18,6 +18,8 @@ from tests.browser.chromium import Page
 from tests.browser.looks import WIDTHS, browser, fits_on_paper, is_in_order, pictures
 from tests.docs.pages import ROOT
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["browser"]
 
 WRITTEN = sorted(page.stem for page in (ROOT / "docs").glob("*.md"))

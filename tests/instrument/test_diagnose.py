@@ -77,6 +77,7 @@ def test_one_run_settles_nothing_and_three_do(one_run: Diagnosis, slide: Diagnos
     assert slide.settled and slide.verdict == "faulty" and not slide.open_because
 
 
+@pytest.mark.slow
 def test_a_diagnosis_that_finds_no_further_pose_is_not_called_settled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -99,6 +100,7 @@ def test_the_next_pose_says_when_nothing_is_known_of_collisions(one_run: Diagnos
     assert any("without knowing what link1, link2" in words for words in one_run.warnings)
 
 
+@pytest.mark.slow
 def test_the_next_band_is_the_one_that_is_asked_for(tmp_path: Path) -> None:
     asked = dataclasses.replace(QUICK, band_low=12.0, band_high=60.0)
     bench = Workbench(write_model(tmp_path), asked)
@@ -109,6 +111,7 @@ def test_the_next_band_is_the_one_that_is_asked_for(tmp_path: Path) -> None:
     assert following.settings["band_high"] == 60.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["slide", "healthy"])
 def test_after_a_run_stand_the_probabilities_by_the_runs_up_to_it(
     tmp_path: Path, kind: str
@@ -122,6 +125,7 @@ def test_after_a_run_stand_the_probabilities_by_the_runs_up_to_it(
     assert steps[1][true] <= steps[3][true]  # both may be as sure as a probability can be
 
 
+@pytest.mark.slow
 def test_play_is_told_from_a_slide(tmp_path: Path) -> None:
     found = weighed(tmp_path, runs("play"))
     assert found.fault.hypothesis == "backlash@joint2"
@@ -133,6 +137,7 @@ def test_a_healthy_arm_is_called_healthy(healthy: Diagnosis) -> None:
     assert healthy.fault.direction is None and healthy.fault.gap_m is None
 
 
+@pytest.mark.slow
 def test_a_whisper_does_not_prove_health(tmp_path: Path, healthy: Diagnosis) -> None:
     """At a level that opens no seat the data say little, and the reader is told."""
     faint = weighed(tmp_path, runs("healthy", 3, 0.002))
@@ -148,6 +153,7 @@ def test_references_of_the_sound_arm_are_used_and_not_judged(tmp_path: Path) -> 
     assert not found.records[0].probabilities
 
 
+@pytest.mark.slow
 def test_pose_and_joint_are_taken_from_the_data_with_a_warning(
     tmp_path: Path, slide: Diagnosis
 ) -> None:
@@ -159,6 +165,7 @@ def test_pose_and_joint_are_taken_from_the_data_with_a_warning(
     assert any("no 'excited' is noted" in words for words in found.warnings)
 
 
+@pytest.mark.slow
 def test_another_arm_than_the_model_is_noticed(tmp_path: Path) -> None:
     path = write_model(tmp_path)
     text = path.read_text("utf-8").replace('mass="2.5"', 'mass="6"')
@@ -219,6 +226,7 @@ def test_settings_that_make_no_sense_are_refused(setting: dict[str, float], word
         DiagnoseSettings(**setting)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_result_and_takes_a_longer_recording(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -261,6 +269,7 @@ def test_a_result_of_the_other_command_is_kept(
     assert (out / "result.json").read_text() == '{"format": "loose-gap/1"}'
 
 
+@pytest.mark.slow
 def test_a_result_never_stands_beside_the_page_of_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -298,6 +307,7 @@ def test_what_cannot_be_used_is_said_in_one_line(
     assert said.startswith("loose diagnose: ") and said.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_joints_may_have_the_names_that_seats_have_here(tmp_path: Path) -> None:
     """A name that the package's own joints begin with is the model's all the same."""
     text = write_model(tmp_path).read_text("utf-8").replace('"joint2"', '"seat_turn"')

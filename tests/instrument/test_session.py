@@ -48,6 +48,7 @@ def test_a_measurement_that_cannot_be_used_changes_nothing(tmp_path: Path) -> No
     assert session.add(run).records[0].file == run.name
 
 
+@pytest.mark.slow
 def test_measurements_of_one_name_are_listed_apart(tmp_path: Path) -> None:
     session = Session(write_model(tmp_path), QUICK)
     for run in runs("slide"):
@@ -55,6 +56,7 @@ def test_measurements_of_one_name_are_listed_apart(tmp_path: Path) -> None:
     assert [record.file for record in found.records] == ["run", "run-02"]
 
 
+@pytest.mark.slow
 def test_a_session_that_ends_for_want_of_a_pose_has_named_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

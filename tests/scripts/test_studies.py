@@ -25,6 +25,7 @@ def worked_out(folder: Path, settings: Directions, workers: int = 1) -> list[dic
     return script.rows_of(folder, settings, backend)
 
 
+@pytest.mark.slow
 def test_rows_are_the_same_for_any_number_of_workers(tmp_path: Path) -> None:
     one, two = (worked_out(tmp_path / str(count), SMALL, count) for count in (1, 2))
     assert one == two
@@ -53,6 +54,7 @@ def test_a_run_cut_short_goes_on_where_it_stopped(
     assert len(worked) == 4
 
 
+@pytest.mark.slow
 def test_the_limit_stands_in_the_rows_and_is_not_passed(tmp_path: Path) -> None:
     settings = Directions(
         arms=("planar4",), sds=(20.0,), cases=300, block=300, poses=3, samples=8000

@@ -201,6 +201,7 @@ def test_an_arm_that_stands_still_leaves_nothing_to_compare(tmp_path: Path, form
         prepare(recording, settings)
 
 
+@pytest.mark.slow
 def test_an_interrupted_search_goes_on_where_it_was(
     heavier: Recording, mass: GapSolution, tmp_path: Path
 ) -> None:

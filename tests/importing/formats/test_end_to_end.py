@@ -11,6 +11,8 @@ import pytest
 from loose_env.cli.main import main
 from tests.importing.formats.arm_log import Motion, moved, write_bag, write_lerobot, write_rtde
 
+pytestmark = pytest.mark.slow
+
 WRITERS: dict[str, Callable[[Path, Motion], Path]] = {
     "lerobot": lambda home, m: write_lerobot(home / "log", m, episodes=1),
     "rtde": lambda home, m: write_rtde(home / "log.csv", m),

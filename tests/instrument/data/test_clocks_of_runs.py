@@ -15,6 +15,8 @@ from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from loose_env.recording import Run
 from tests.instrument.arms.blind_arm import runs, write_model
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = DiagnoseSettings(poses=2, seconds=1.0)
 _PAD = 200
 

@@ -56,6 +56,7 @@ def test_a_run_without_pauses_is_taken_whole(tmp_path: Path) -> None:
     assert not any("no sample of" in note for record in bench._taken for note in record.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "column"),
     [

@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from loose_env.instrument.inference.response.pairing import beside_references
 from loose_env.instrument.pipeline import Workbench
@@ -53,6 +54,7 @@ def test_a_recorder_that_started_later_is_aligned(tmp_path: Path) -> None:
     assert both < 1e-6 * np.abs(line.command).max()
 
 
+@pytest.mark.slow
 def test_what_differs_by_noise_alone_is_healthy_whatever_the_model_says(tmp_path: Path) -> None:
     """The model's masses are far from the arm's; with references that does not matter."""
     path = write_model(tmp_path)
@@ -67,6 +69,7 @@ def test_what_differs_by_noise_alone_is_healthy_whatever_the_model_says(tmp_path
     assert found.misfit < 1e-3
 
 
+@pytest.mark.slow
 def test_a_fault_shows_in_the_difference(tmp_path: Path) -> None:
     found = bench_of(tmp_path, runs("slide", 3, sound=True), runs("slide", 3)).diagnosis(plan=False)
     assert found.fault.hypothesis == "structural_looseness@link2"

@@ -49,6 +49,7 @@ def lines(folder: Path, run: Run) -> Lines:
     return lines_of(machine, run, held.pose, held.excited)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("every", "jitter"), [(8, 0.0), (8, 2e-4), (4, 0.0)])
 def test_encoders_slower_than_the_rows_do_not_make_a_sound_arm_loose(
     tmp_path: Path, every: int, jitter: float

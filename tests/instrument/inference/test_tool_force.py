@@ -18,6 +18,8 @@ from loose_env.instrument.settings.diagnosis import DiagnoseSettings
 from tests.instrument.arms.plan_arms import SERVOED, written
 from tests.instrument.arms.struck import strike
 
+pytestmark = pytest.mark.slow
+
 POSES = (
     (np.array([0.3, -0.6, 0.9]), (0.9, 0.2, 0.5)),
     (np.array([-0.5, -0.9, 1.2]), (0.6, 0.3, -0.9)),
