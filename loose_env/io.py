@@ -207,7 +207,7 @@ def _number(value: Any, check: Callable[[Any], float]) -> float:
 
 
 _NEEDED = {
-    "bool_type": "bool",
+    "bool_type": "true or false",
     "dataclass_type": "a mapping",
     "dict_type": "a mapping",
     "float_type": "float",

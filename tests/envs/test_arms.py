@@ -268,6 +268,8 @@ AXES = ("0 0 1", "0 1 0", "1 0 0")
 TURNS = [f'<joint name="j{k}" axis="{AXES[k % 3]}"/>' for k in range(8)]
 
 GANTRY = """<mujoco><compiler autolimits="true"/><worldbody>
+  <body name="x"><joint name="x" type="slide" axis="1 0 0" range="0 1"/>
+    <geom type="box" size=".5 .05 .05" mass="30"/>
     <body name="y"><joint name="y" type="slide" axis="0 1 0" ref=".4" range="0 1"/>
       <geom type="box" size=".1 .1 .1" mass="10"/>
       <body name="z"><joint name="z" type="slide" axis="0 0 1" range="-.5 0"/>

@@ -71,7 +71,7 @@ def test_the_page_says_how_to_make_it_again(whole: Path) -> None:
     page = (whole / "index.html").read_text(encoding="utf-8")
     assert "--agents random classical" in page
     assert "Simulated by MuJoCo" in page
-    assert "Return against classical" in page
+    assert "return less that of classical on the same arms" in page
     assert list((whole / "shards").iterdir()) == []
 
 

@@ -11,7 +11,8 @@ from loose_env.excitation import Excitation
 from loose_env.recording import Run
 from loose_env.typing import Array
 from scripts.suites.gap.arms import ARMS
-from scripts.suites.gap.effects import Effect, kinds
+from scripts.suites.gap.catalogue import kinds
+from scripts.suites.gap.effects import Effect
 from scripts.suites.gap.machine import Motion, Noise, Signals, TrueArm, add_noise
 from scripts.suites.gap.simulate import SAMPLE, Factors
 

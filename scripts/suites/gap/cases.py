@@ -18,21 +18,19 @@ from loose_env.errors import InvalidSetting
 from loose_env.recording import Run, write_recording
 from loose_env.typing import Array
 from scripts.suites.gap.arms import ARMS, MACHINES, Figures, model_xml
+from scripts.suites.gap.catalogue import CATALOGUE, OUTSIDE, kinds
 from scripts.suites.gap.drive_effects import ACCELEROMETER
 from scripts.suites.gap.dynamics import DAMPING, forward, mass_and_bias
 from scripts.suites.gap.effects import (
-    CATALOGUE,
     FORWARD,
     FREE,
     INVERSE,
     MIXED,
-    OUTSIDE,
     RANDOM,
     Effect,
     Kind,
     Parameters,
     Place,
-    kinds,
     log_uniform,
 )
 from scripts.suites.gap.machine import Motion, Noise, Signals, TrueArm, add_noise, motions, rounded

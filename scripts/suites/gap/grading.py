@@ -11,7 +11,8 @@ from scipy.optimize import minimize
 
 from loose_env.typing import Array
 from scripts.suites.gap.cases import HELD_OUT, SEED, VISIBLE, Case, Visibility, draw_case
-from scripts.suites.gap.effects import RANDOM, Effect, Kind, Parameters, Place, kinds
+from scripts.suites.gap.catalogue import kinds
+from scripts.suites.gap.effects import RANDOM, Effect, Kind, Parameters, Place
 from scripts.suites.gap.machine import Motion
 
 PARAMETERS: Mapping[str, tuple[str, ...]] = {

@@ -9,6 +9,7 @@ from scipy import signal
 
 from loose_env.typing import Array
 from scripts.suites.gap.arms import GRAVITY, Figures
+from scripts.suites.gap.catalogue import apply_effect
 from scripts.suites.gap.drive_effects import ACCELEROMETER
 from scripts.suites.gap.dynamics import (
     BUMP,
@@ -23,7 +24,7 @@ from scripts.suites.gap.dynamics import (
     SMOOTH_SPEED,
     STIFFNESS,
 )
-from scripts.suites.gap.effects import Effect, Readings, apply_effect
+from scripts.suites.gap.effects import Effect, Readings
 from scripts.suites.gap.simulate import (
     SAMPLE,
     Factors,

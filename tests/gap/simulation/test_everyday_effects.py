@@ -24,8 +24,8 @@ from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Run
 from loose_env.typing import Array
 from scripts.suites.gap.arms import ARMS, Figures, model_xml
+from scripts.suites.gap.catalogue import kinds
 from scripts.suites.gap.effects import Effect as TrueEffect
-from scripts.suites.gap.effects import kinds
 from scripts.suites.gap.machine import Motion, Signals, TrueArm
 from scripts.suites.gap.simulate import Factors
 

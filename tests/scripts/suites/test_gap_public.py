@@ -21,7 +21,7 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEffect
 from scripts.suites.gap.arms import ARMS, MACHINES, model_xml
 from scripts.suites.gap.cases import SEED, draw_case, name_of, truth_of
-from scripts.suites.gap.effects import CATALOGUE, kinds
+from scripts.suites.gap.catalogue import CATALOGUE, kinds
 from scripts.suites.gap.grading import SAID
 from scripts.suites.gap.public import (
     UNPUBLISHED,

@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("numba")
 
 from scripts.suites.gap.arms import ARMS, GRAVITY, model_xml, planar3, spatial3
+from scripts.suites.gap.catalogue import CATALOGUE, OUTSIDE, kinds
 from scripts.suites.gap.dynamics import (
     FRICTION,
     LOADED,
@@ -19,7 +20,7 @@ from scripts.suites.gap.dynamics import (
     SMOOTH_SPEED,
     STRIBECK_SPEED,
 )
-from scripts.suites.gap.effects import CATALOGUE, OUTSIDE, Effect, kinds
+from scripts.suites.gap.effects import Effect
 from scripts.suites.gap.machine import (
     FAMILIES,
     Motion,

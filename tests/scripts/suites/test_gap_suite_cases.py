@@ -31,7 +31,8 @@ from scripts.suites.gap.cases import (
     visible_size,
     write_case,
 )
-from scripts.suites.gap.effects import CATALOGUE, OUTSIDE, Effect, kinds
+from scripts.suites.gap.catalogue import CATALOGUE, OUTSIDE, kinds
+from scripts.suites.gap.effects import Effect
 from scripts.suites.gap.grading import Comparison
 from scripts.suites.gap.machine import (
     Noise,

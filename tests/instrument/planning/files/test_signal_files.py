@@ -192,5 +192,5 @@ def test_a_recording_of_planned_runs_alone_says_that_none_is_measured(tmp_path: 
         read_recording(tmp_path)
     whole["runs"] = [{"file": "repeat-01.csv", "planned": "yes"}]
     (tmp_path / "recording.json").write_text(json.dumps(whole), "utf-8")
-    with pytest.raises(InvalidData, match=r"planned is true or false"):
+    with pytest.raises(InvalidData, match=r"planned: true or false is needed"):
         read_recording(tmp_path)
