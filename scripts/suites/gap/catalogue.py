@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from scripts.suites.gap.arms import Figures
 from scripts.suites.gap.drive_effects import DRIVE_KINDS, OUTSIDE_KINDS, SENSOR_KINDS
-from scripts.suites.gap.effects import JOINT_KINDS, LINK_KINDS, Effect, Kind
-from scripts.suites.gap.simulate import Readings, System
+from scripts.suites.gap.effects import JOINT_KINDS, LINK_KINDS, Effect, Kind, Readings
+from scripts.suites.gap.simulate import System
 
 
 def kinds() -> dict[str, Kind]:
