@@ -24,7 +24,7 @@ from scripts.suites.gap.grading import (
     parameter_error,
     separable_by_data,
 )
-from scripts.suites.gap.public import Answer, open_truths, read_answers, read_suite
+from scripts.suites.gap.public_suite import Answer, open_truths, read_answers, read_suite
 from scripts.suites.gap.tables import share
 
 FORMAT = "gap-score/1"

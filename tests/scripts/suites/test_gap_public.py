@@ -23,22 +23,7 @@ from scripts.suites.gap.arms import ARMS, MACHINES, model_xml
 from scripts.suites.gap.cases import SEED, draw_case, name_of, truth_of
 from scripts.suites.gap.catalogue import CATALOGUE, kinds
 from scripts.suites.gap.grading import SAID
-from scripts.suites.gap.public import (
-    UNPUBLISHED,
-    Answer,
-    Answered,
-    MakeSettings,
-    answer_of,
-    answer_schema,
-    catalogue,
-    drawn_numbers,
-    main,
-    make,
-    open_truths,
-    places_of,
-    read_answer,
-    read_suite,
-)
+from scripts.suites.gap.public import main
 from scripts.suites.gap.public_scores import (
     PAGE,
     leaderboard,
@@ -47,6 +32,21 @@ from scripts.suites.gap.public_scores import (
     score,
     stored_scores,
     total,
+)
+from scripts.suites.gap.public_suite import (
+    UNPUBLISHED,
+    Answer,
+    Answered,
+    MakeSettings,
+    answer_of,
+    answer_schema,
+    catalogue,
+    drawn_numbers,
+    make,
+    open_truths,
+    places_of,
+    read_answer,
+    read_suite,
 )
 
 pytestmark = pytest.mark.slow
