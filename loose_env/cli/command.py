@@ -347,8 +347,10 @@ def _refuse(name: str, event: Any) -> None:
     argument = getattr(event, "argument", None)
     if argument is None:
         refuse(name, "the command line is incomplete")
-    takes = f"{_flag(argument)} takes {argument.lowered.metavar}"
     given = re.search(r"instantiated from \[(.*)\]|('[^']*')$", str(getattr(event, "message", "")))
+    if given is None and argument.is_positional():
+        refuse(name, f"{_flag(argument)} must be given")
+    takes = f"{_flag(argument)} takes {argument.lowered.metavar}"
     refuse(name, takes + (f"; got {given[1] or given[2]}" if given else ""))
 
 

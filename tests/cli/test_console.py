@@ -98,6 +98,7 @@ def test_every_command_has_the_options_of_output(name: str, capsys: Capture) -> 
         (["fly"], "loose: 'fly' is no command; there are inspect, "),
         (["--print-completion", "sh"], "loose: --print-completion takes one of bash, "),
         (["gap"], "loose gap: RECORDING, --out must be given"),
+        (["gap", "--wrong"], "loose gap: RECORDING must be given"),
         (["gap", "here", "--out", "there", "--tolerance", "x"], "--tolerance takes FLOAT; got 'x'"),
         (["export", "here", "--to", "gazebo", "--out", "o"], "--to must be one of sysid, mjlab, "),
         (["import"], "loose import: SOURCE must be given"),
