@@ -43,6 +43,9 @@ class Parameter:
     spread: float | None = None
     """Prior standard deviation about ``centre``, in free units."""
 
+    usual: float | None = None
+    """Size of a change that would not surprise; None: ten times the scale."""
+
     natural_low: bool = False
     """Whether nothing below ``low`` exists: a fit may end there. Zero is such a bound by itself."""
 
@@ -68,6 +71,11 @@ class Parameter:
     def clipped(self, value: float) -> float:
         """Clip a value to the bounds."""
         return float(np.clip(value, self.low, self.high))
+
+    @property
+    def unsurprising(self) -> float:
+        """Size of a change that would not surprise."""
+        return 10 * self.scale if self.usual is None else self.usual
 
     @property
     def bounds(self) -> tuple[float, float]:

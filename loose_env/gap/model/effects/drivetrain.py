@@ -40,6 +40,7 @@ class RotorInertia(JointEffect):
                 low=-float(self.machine.model.dof_armature[self._dof]),
                 high=100 * moved,
                 scale=0.1 * moved,
+                usual=10 * moved,  # the gear's ratio squared
                 natural_low=True,
             ),
         )

@@ -1,0 +1,315 @@
+"""Force balance along a measured motion: what a model needs less what its drives give.
+
+One general rule makes the column of an effect: the balance of the nominal model minus that of the
+edited one, at the same motion. An effect needs nothing for that but its MJCF edit, its command map,
+its torque or its reading of the drive torque. Dry friction is no constraint here, whose force at
+rest is a reaction, but the friction loss times the direction of sliding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from loose_env.gap.core.motion import Motion
+from loose_env.gap.model.driven_effect import DrivenEffect
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.hypothesis import compiled
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.typing import Array
+
+_OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+_DRIVES = 29
+"""Group of the machine's own drives, off in runs without commands."""
+_POSES = 24
+"""States at which the mean operator is read."""
+_NUDGE = 1e-4
+"""Displacement of numerical derivatives [rad, m]."""
+
+_SIZES = tuple(
+    "nq nv nu na nbody njnt nsite ntendon nC ngeom neq nhistory nM nJmom nsensordata nactuator".split()
+)
+"""Sizes that models share in one batch."""
+
+CONTACTS: dict[str, tuple[str, float]] = {
+    "sliding 1%": ("speed", 0.01),
+    "sliding 4%": ("speed", 0.04),
+    "sliding 12%": ("speed", 0.12),
+    "presliding 0.06%": ("range", 0.0006),
+    "presliding 0.2%": ("range", 0.002),
+    "presliding 1%": ("range", 0.01),
+}
+"""Ways in which dry friction turns at a reversal: over a speed, as a share of the typical one, or
+over a presliding distance (Dahl), as a share of the range of motion."""
+USUAL = "sliding 4%"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Forces:
+    """Change of the balance that an effect makes, dry friction apart."""
+
+    smooth: Array
+    """Change of the balance [N·m, N] (T, joints)."""
+    dry: Array
+    """Dry friction to be multiplied by the direction of sliding (T, joints)."""
+    operator: Array
+    """Change of the mean inertia, damping and stiffness matrices, drives included (3, joints,
+    joints)."""
+
+    def with_contact(self, direction: Array) -> Array:
+        """The whole change for a direction of sliding (T, joints)."""
+        return np.asarray(self.smooth + self.dry * direction)
+
+
+class Balance:
+    """Force balance of a machine along a measured motion."""
+
+    def __init__(self, machine: NominalModel, motion: Motion) -> None:
+        self.motion, self.machine = motion, machine
+        self._batches: dict[tuple[object, ...], tuple[Batch, list[Array]]] = {}
+        self.position, self.speed = motion.stacked("position"), motion.stacked("speed")
+        self.acceleration = motion.stacked("acceleration")
+        self.commands, self.torques = motion.stacked("commands"), motion.stacked("torques")
+        sizes = [len(run.position) for run in motion.runs]
+        self.forms = np.repeat([run.form for run in motion.runs], sizes)
+        self.released = self.forms != "forward"
+        span = np.ptp(self.position, axis=0)
+        usual = np.maximum(np.percentile(np.abs(self.speed), 95, axis=0), 1e-9)
+        self.directions = {
+            name: np.tanh(self.speed / (share * usual))
+            if kind == "speed"
+            else np.concatenate([_dahl(r.position, share * span) for r in motion.runs])
+            for name, (kind, share) in CONTACTS.items()
+        }
+        model = compiled(machine.fresh())
+        self.needed, self.given = self._forces(model, self.commands)
+        self.dry = np.broadcast_to(model.dof_frictionloss, self.needed.shape)
+        self.bias = self._bias(model)
+        self.operator = self._operator(model)
+        self._nominal = model
+        measured = np.isfinite(self.torques)
+        inverse = (self.forms == "inverse")[:, None]
+        self.seen = np.where(inverse, measured, True)
+        self.drive = np.where(inverse & measured, self.torques, self.given)
+        self.residual = self.drive - self.needed - self.dry * self.directions[USUAL]
+
+    def forces(self, effect: Effect, values: Array) -> Forces:
+        """Change of the balance by an effect at some values of its parameters."""
+        own = type(effect)
+        model, commands = None, self.commands
+        if own.edit is not Effect.edit:
+            spec = self.machine.fresh()
+            effect.edit(spec, values)
+            model = compiled(spec)
+        if own.command is not Effect.command:
+            commands = np.concatenate(
+                [
+                    effect.command(run.time, run.commands, values)
+                    if run.form == "forward"
+                    else run.commands
+                    for run in self.motion.runs
+                ]
+            )
+        if isinstance(effect, DrivenEffect):
+            commands = effect.feedback(commands, self.position, self.speed, values)
+        return self._change(model, commands, effect, values)
+
+    def edited(self, spec: mujoco.MjSpec) -> Forces:
+        """Change of the balance by an edit of the spec alone."""
+        return self._change(compiled(spec), self.commands, None, np.empty(0))
+
+    def _change(
+        self, model: mujoco.MjModel | None, commands: Array, effect: Effect | None, values: Array
+    ) -> Forces:
+        if model is None and commands is self.commands:
+            needed, given = self.needed.copy(), self.given
+        elif model is None:
+            needed, given = self.needed.copy(), self.given_by(commands)
+        elif commands is self.commands and _same_forces(model, self._nominal):
+            needed, given = self.needed.copy(), self.given
+        elif model.nv > self.needed.shape[1]:
+            needed, given = self._with_hidden_joint(model, commands)
+        else:
+            needed, given = self._forces(model, commands)
+        dry = np.zeros_like(needed)
+        if model is not None:
+            dry += model.dof_frictionloss[self._dofs(model)] - self.dry
+        operator = np.zeros_like(self.operator)
+        if given is not self.given and model is not None and model.nv == self.needed.shape[1]:
+            operator = self._operator(model) - self.operator
+        needed = needed - given
+        if effect is not None:
+            if type(effect).torque is not Effect.torque:
+                paths = zip(self.motion.split(self.position), self.motion.split(self.speed))
+                needed -= np.concatenate([effect.torque(q, v, values) for q, v in paths])
+            if isinstance(effect, DrivenEffect):
+                # the load that the model needs: the drive's own torque contains the friction
+                dry += effect.dry_friction(self.needed, self.bias, self.speed, values)
+            if type(effect).sensed_torque is not Effect.sensed_torque:
+                inverse = self.forms == "inverse"
+                for joint, name in enumerate(self.machine.joints):
+                    sensed = effect.sensed_torque(name, needed[:, joint], values)
+                    needed[:, joint] = np.where(inverse, sensed, needed[:, joint])
+        return Forces(smooth=needed - (self.needed - self.given), dry=dry, operator=operator)
+
+    def _dofs(self, model: mujoco.MjModel) -> Array:
+        """Degree of freedom of each of the machine's joints in an edited model."""
+        return np.array([int(model.joint(name).dofadr[0]) for name in self.machine.joints])
+
+    def _forces(
+        self,
+        model: mujoco.MjModel,
+        commands: Array,
+        states: tuple[Array, Array, Array] | None = None,
+    ) -> tuple[Array, Array]:
+        """Forces that a model needs, and that its actuators give, along the motion (T, nv)."""
+        position, speed, acceleration = states or (self.position, self.speed, self.acceleration)
+        released = self.released if len(position) == len(self.released) else self.released[:1]
+        model.opt.disableflags |= _OFF
+        model.actuator_group[: self.machine.model.nu] = _DRIVES
+        needed, given = np.empty_like(acceleration), np.empty_like(acceleration)
+        for off in np.unique(released):
+            rows = np.broadcast_to(released == off, len(position))
+            model.opt.disableactuator = int(off) << _DRIVES
+            batch, (mass, bias, passive, acting) = self._batch(model, int(rows.sum()))
+            batch.set_models(model)
+            batch.qpos[:], batch.qvel[:] = position[rows], speed[rows]
+            batch.ctrl[:, : commands.shape[1]] = commands[rows]
+            batch.forward()
+            needed[rows] = _times(model, mass, acceleration[rows]) + bias - passive
+            given[rows] = acting
+        return needed, given
+
+    def given_by(self, commands: Array) -> Array:
+        """Forces of the nominal actuators for other commands (T, joints)."""
+        return self._forces(compiled(self.machine.fresh()), commands)[1]
+
+    def _bias(self, model: mujoco.MjModel) -> Array:
+        """Torque of gravity and inertial coupling (T, joints)."""
+        return self._forces(model, self.commands, (self.position, self.speed, 0 * self.speed))[0]
+
+    def _batch(self, model: mujoco.MjModel, count: int) -> tuple[Batch, list[Array]]:
+        """Batch with room for all samples, and its mass matrices and forces."""
+        key = (*(int(getattr(model, name)) for name in _SIZES), count, tuple(model.jnt_bodyid))
+        if key not in self._batches:
+            if len(self._batches) > 3:
+                self._batches.pop(next(iter(self._batches)))
+            batch = Batch(model, count, 1)
+            names = ("M", "qfrc_bias", "qfrc_passive", "qfrc_actuator")
+            self._batches[key] = batch, [batch.bind(name) for name in names]
+        return self._batches[key]
+
+    def _operator(self, model: mujoco.MjModel) -> Array:
+        """Mean inertia, damping and stiffness, drives included (3, joints, joints)."""
+        rows = np.linspace(0, len(self.position) - 1, _POSES).astype(int)
+        joints = len(self.machine.joints)
+        found = np.zeros((3, joints, joints))
+        base = [x[rows] for x in (self.acceleration, self.speed, self.position)]
+        states, commands = [base], self.commands[rows]
+        for order in range(3):
+            for joint in range(joints):
+                moved = [x.copy() for x in base]
+                moved[order][:, joint] += 1.0 if order == 0 else _NUDGE
+                states.append(moved)
+        a, v, q = (np.concatenate([s[k] for s in states]) for k in range(3))
+        needed, given = self._forces(model, np.tile(commands, (len(states), 1)), (q, v, a))
+        force = (needed - given).reshape(len(states), len(rows), joints)
+        for order in range(3):
+            for joint in range(joints):
+                change = force[1 + order * joints + joint] - force[0]
+                found[order, :, joint] = change.mean(axis=0) / (1.0 if order == 0 else _NUDGE)
+        return found
+
+    def _with_hidden_joint(self, model: mujoco.MjModel, commands: Array) -> tuple[Array, Array]:
+        """Forces of a model with one more joint, which moves as its spring lets it.
+
+        The joint's own motion is the response of its mean inertia, damping and stiffness to the
+        force that the measured motion puts on it, run by run in the frequency domain.
+        """
+        seen = self._dofs(model)
+        hidden = int(np.setdiff1d(np.arange(model.nv), seen)[0])
+
+        def states(x: Array, rate: Array, second: Array) -> tuple[Array, Array, Array]:
+            whole = []
+            for own, measured in (
+                (x, self.position), (rate, self.speed), (second, self.acceleration)
+            ):  # fmt: skip
+                values = np.zeros((len(measured), model.nv))
+                values[:, seen], values[:, hidden] = measured, own
+                whole.append(values)
+            return whole[0], whole[1], whole[2]
+
+        zero, one = np.zeros(len(self.position)), np.ones(len(self.position))
+        force = self._forces(model, commands, states(zero, zero, zero))[0][:, hidden].copy()
+
+        poses = np.linspace(0, len(zero) - 1, _POSES).astype(int)
+
+        def slope(x: Array, rate: Array, second: Array, size: float) -> float:
+            q, v, a = (part[poses] for part in states(x, rate, second))
+            changed = self._forces(model, commands[poses], (q, v, a))[0][:, hidden]
+            return float(np.mean(changed - force[poses]) / size)
+
+        stiffness = slope(_NUDGE * one, zero, zero, _NUDGE)
+        damping = slope(zero, _NUDGE * one, zero, _NUDGE)
+        inertia = slope(zero, zero, one, 1.0)
+        parts = []
+        for own in self.motion.split(force):
+            mirrored = np.concatenate([own, own[::-1]])
+            turn = 2 * np.pi * np.fft.rfftfreq(len(mirrored), self.motion.step)
+            moved = -np.fft.rfft(mirrored) / (
+                stiffness + 1j * turn * damping - inertia * turn**2 + 1e-12 * abs(stiffness)
+            )
+            parts.append(
+                [
+                    np.fft.irfft((1j * turn) ** k * moved, len(mirrored))[: len(own)]
+                    for k in (0, 1, 2)
+                ]
+            )
+        x, rate, second = (np.concatenate([p[k] for p in parts]) for k in range(3))
+        needed, given = self._forces(model, commands, states(x, rate, second))
+        return needed[:, seen].copy(), given[:, seen].copy()
+
+
+_FORCES = ("body_", "jnt_", "dof_", "qpos", "tendon_", "wrap_", "site_", "actuator_", "eq_")
+_NO_FORCES = ("_solref", "_solimp", "_frictionloss", "_group", "_invweight0", "_margin")
+
+
+def _same_forces(model: mujoco.MjModel, other: mujoco.MjModel) -> bool:
+    """Whether two models need and give the same forces, dry friction and constraints apart."""
+    names = [
+        name for name in dir(other) if name.startswith(_FORCES) and not name.endswith(_NO_FORCES)
+    ]
+    pairs = ((getattr(model, name), getattr(other, name)) for name in names)
+    arrays = ((a, b) for a, b in pairs if isinstance(b, np.ndarray))
+    return model.opt.gravity.tolist() == other.opt.gravity.tolist() and all(
+        np.array_equal(a, b, equal_nan=a.dtype.kind == "f") for a, b in arrays
+    )
+
+
+def _times(model: mujoco.MjModel, mass: Array, acceleration: Array) -> Array:
+    """Multiply packed lower-triangular mass matrices (T, nC) by vectors (T, nv)."""
+    found = np.zeros_like(acceleration)
+    rows = np.repeat(np.arange(model.nv), model.M_rownnz)
+    for k, (row, column) in enumerate(zip(rows, model.M_colind, strict=True)):
+        found[:, row] += mass[:, k] * acceleration[:, column]
+        if row != column:
+            found[:, column] += mass[:, k] * acceleration[:, row]
+    return found
+
+
+def _dahl(position: Array, distance: Array) -> Array:
+    """Dahl's direction of dry friction, which turns over a presliding distance (T, joints).
+
+    References
+    ----------
+    Dahl, A solid friction model, Aerospace Corporation TOR-0158 (1968).
+    """
+    turned = np.diff(position, axis=0, prepend=position[:1]) / np.maximum(distance, 1e-300)
+    kept, ahead = np.exp(-np.abs(turned)), np.sign(turned)
+    found = np.zeros_like(position)
+    for k in range(1, len(position)):
+        found[k] = ahead[k] + (found[k - 1] - ahead[k]) * kept[k]
+    return found

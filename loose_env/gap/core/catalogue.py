@@ -1,0 +1,283 @@
+"""Candidate effects with their columns in the force balance.
+
+A column is the change of the balance by an effect, per unit of a share of one of its axes. Effects
+that are linear in their parameters have a column for each; others are laws of a given shape, whose
+column has the coefficient one where the shape is right, or the size of its proportional parameter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from loose_env.gap.core.balance import CONTACTS, USUAL, Balance
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.core.effects import EFFECTS
+from loose_env.typing import Array
+
+_MOVING = 20.0
+"""Range of motion over its noise from which a joint moves."""
+LAW_WIDTH = 0.15
+"""Prior standard deviation of a law's coefficient about one: shapes are tried a factor of
+sqrt(1.6) apart and refined."""
+USUAL_SHARE = 0.3
+"""Prior standard deviation of an effect's force over the drive's: it matters, and does not rule."""
+_LOOKED_AT = 1000
+"""Samples in which an effect looks for its starts."""
+_ALIKE = 1e-6
+"""Least eigenvalue of the columns' correlations for a variant of its own."""
+_LINEAR = 0.05
+"""Largest relative deviation of a column over a range of sizes, for an effect to be linear."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Column:
+    """One column of the balance with the prior of its coefficient."""
+
+    change: Array
+    """Change of the balance by a coefficient of one (T, joints)."""
+    operator: Array
+    """Change of the mean inertia, damping and stiffness (3, joints, joints)."""
+    centre: float
+    """Prior mean of the coefficient."""
+    spread: float
+    """Prior standard deviation."""
+    low: float
+    """Smallest coefficient."""
+    high: float
+    """Largest coefficient."""
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A candidate: an effect, the axes that its coefficients share out, and its columns."""
+
+    effect: Effect
+    """The effect."""
+    axes: tuple[tuple[float, ...], ...]
+    """Parameter values whose changes are the columns."""
+    contact: str
+    """Direction of sliding that its dry friction has; "" without dry friction."""
+    law: bool
+    """Whether it is a law with a coefficient of about one."""
+    columns: tuple[Column, ...]
+    """Columns, one for each axis."""
+
+    @property
+    def name(self) -> tuple[str, str]:
+        """Kind and location."""
+        return self.effect.kind, self.effect.where
+
+    def values(self, coefficients: Array) -> Array:
+        """Parameter values for the coefficients of its columns."""
+        effect, axes = self.effect, np.array(self.axes)
+        if self.law:
+            return np.array(axes[0])
+        if effect.proportional is not None and not effect.axes:
+            found = np.array(axes[0])
+            found[effect.proportional] *= coefficients[0]
+        elif effect.axes and len(axes) == len(effect.axes):
+            found = np.array(effect.combined(coefficients))
+        else:
+            null = _null(effect)
+            found = null + coefficients @ (axes - null)
+        return np.array(
+            [p.clipped(float(v)) for p, v in zip(effect.parameters, found, strict=True)]
+        )
+
+
+def catalogue(balance: Balance, kinds: Iterable[str] | None = None) -> list[Term]:
+    """List all effects that the balance shows, at all locations, in all variants and shapes."""
+    found: list[Term] = []
+    for effect in candidates(balance, EFFECTS if kinds is None else kinds):
+        if not shows(balance, effect):
+            continue
+        for axes, law in shapes(balance, effect):
+            found += terms_of(balance, effect, axes, law)
+    return found
+
+
+def candidates(balance: Balance, kinds: Iterable[str]) -> Iterator[Effect]:
+    """List effects at all locations, in every variant."""
+    machine = balance.machine
+    for kind in kinds:
+        for where in EFFECTS[kind].locations(machine):
+            for variant in EFFECTS[kind].variants_at(machine, where):
+                yield EFFECTS[kind](machine, where, variant)
+
+
+def shows(balance: Balance, effect: Effect) -> bool:
+    """Whether a force balance shows an effect: it changes forces, with motors off as well or not.
+
+    Readings are the business of sensor cells; stops, of the exact fit.
+    """
+    if (
+        effect.has_stops
+        or not moves(balance, effect)
+        or not effect.moves
+        and not _senses_torque(effect)
+    ):
+        return False
+    if effect.drives and balance.released.all():
+        return _senses_torque(effect) and bool((balance.forms == "inverse").any())
+    return True
+
+
+def moves(balance: Balance, effect: Effect) -> bool:
+    """Whether the joint of an effect moves, where it is at one: at rest all forces are constant."""
+    if effect.part != "joint":
+        return True
+    return moves_at(balance, balance.machine.joint_number(effect.where))
+
+
+def moves_at(balance: Balance, joint: int) -> bool:
+    """Whether a joint moves clearly more than its noise."""
+    reach = float(np.ptp(balance.position[:, joint]))
+    return reach > _MOVING * float(balance.motion.noise[0, joint])
+
+
+def _senses_torque(effect: Effect) -> bool:
+    return type(effect).sensed_torque is not Effect.sensed_torque
+
+
+def shapes(balance: Balance, effect: Effect) -> list[tuple[tuple[tuple[float, ...], ...], bool]]:
+    """Axes of every shape in which an effect is tried, and whether it is a law."""
+    if effect.axes:
+        return [(effect.axes, False)]
+    starts = _dense(effect, _starts(balance, effect))
+    if effect.null_values is None or effect.proportional is not None or len(starts) == 0:
+        size = effect.proportional
+        alike = {tuple(v for k, v in enumerate(s) if k != size): s for s in reversed(starts)}
+        return [((values,), size is None) for values in alike.values()]
+    if _is_linear(balance, effect, starts):
+        null, scales = _null(effect), [p.scale for p in effect.parameters]
+        axes = null + np.diag(scales)
+        return [(tuple(tuple(float(v) for v in row) for row in axes), False)]
+    return [((values,), True) for values in starts]
+
+
+def _starts(balance: Balance, effect: Effect) -> Sequence[tuple[float, ...]]:
+    """Starts of an effect, those from the data where it proposes any."""
+    if effect.part == "joint" and type(effect).propose is not Effect.propose:
+        joint = balance.machine.joint_number(effect.where)
+        rows = np.flatnonzero(balance.seen[:, joint])
+        rows = rows[:: max(1, len(rows) // _LOOKED_AT)]
+        proposed = effect.propose(
+            balance.position[rows, joint],
+            balance.speed[rows, joint],
+            balance.acceleration[rows, joint],
+            balance.residual[rows, joint],
+        )
+        if effect.needs_data_starts:
+            return proposed
+        return (*effect.starts, *proposed)
+    return effect.starts
+
+
+def _dense(effect: Effect, starts: Sequence[tuple[float, ...]]) -> list[tuple[float, ...]]:
+    """Insert geometric means between the starts of an effect with one positive parameter."""
+    if len(effect.parameters) > 1 or any(s[0] <= 0 for s in starts):
+        return list(starts)
+    sizes = sorted({s[0] for s in starts})
+    between = [sqrt(a * b) for a, b in zip(sizes, sizes[1:], strict=False)]
+    return [(size,) for size in sorted(sizes + between)]
+
+
+def _is_linear(balance: Balance, effect: Effect, starts: list[tuple[float, ...]]) -> bool:
+    """Whether the columns of small and large sizes agree."""
+    if len(effect.parameters) > 1:
+        return True
+    null = float(_null(effect)[0])
+    starts = [s for s in starts if s[0] != null]
+    small, large = (min(starts, key=lambda s: abs(s[0] - null)), max(
+        starts, key=lambda s: abs(s[0] - null)
+    ))  # fmt: skip
+    if effect.parameters[0].log or small == large:
+        return not effect.parameters[0].log
+    one, other = (
+        (f.smooth + f.dry) / (s[0] - null)
+        for f, s in ((balance.forces(effect, np.array(s)), s) for s in (small, large))
+    )
+    size = float(np.sqrt(np.mean(one**2)))
+    return size > 0 and float(np.sqrt(np.mean((one - other) ** 2))) < _LINEAR * size
+
+
+def _null(effect: Effect) -> Array:
+    return np.array(effect.null_values if effect.null_values is not None else (0.0,))
+
+
+def terms_of(
+    balance: Balance,
+    effect: Effect,
+    axes: tuple[tuple[float, ...], ...],
+    law: bool,
+    contacts: Iterable[str] = tuple(CONTACTS),
+) -> list[Term]:
+    """Terms of an effect of one shape: one for each contact where it has dry friction."""
+    forces = [balance.forces(effect, np.array(values)) for values in axes]
+    if not all(np.isfinite(f.smooth).all() for f in forces):
+        return []
+    dry = any(np.any(f.dry) for f in forces)
+    found = []
+    for contact in contacts if dry else ("",):
+        direction = balance.directions[contact or USUAL]
+        columns = tuple(
+            _column(balance, effect, law, k, values, f.with_contact(direction), f.operator)
+            for k, (values, f) in enumerate(zip(axes, forces, strict=True))
+        )
+        felt = [bool(np.any(c.change)) for c in columns]
+        if not effect.axes or effect.is_additive:
+            columns = tuple(c for c, own in zip(columns, felt, strict=True) if own)
+            own_axes = tuple(a for a, own in zip(axes, felt, strict=True) if own)
+        elif all(felt) and _independent(columns):
+            own_axes = axes
+        else:
+            continue
+        if columns:
+            found.append(Term(effect, own_axes, contact, law, columns))
+    return found
+
+
+def _independent(columns: Sequence[Column]) -> bool:
+    """Whether the motion tells the columns of a variant apart; if not, a simpler one serves."""
+    rows = np.stack([c.change.ravel() / np.linalg.norm(c.change) for c in columns])
+    return bool(np.linalg.eigvalsh(rows @ rows.T)[0] > _ALIKE)
+
+
+def _column(
+    balance: Balance,
+    effect: Effect,
+    law: bool,
+    number: int,
+    values: tuple[float, ...],
+    change: Array,
+    operator: Array,
+) -> Column:
+    """Column with the prior and the bounds of its coefficient."""
+    if law:
+        width = LAW_WIDTH
+        return Column(
+            change=change, operator=operator, centre=1.0, spread=width, low=1 - 2.3 * width,
+            high=1 + 2.3 * width,
+        )  # fmt: skip
+    typical = np.maximum(balance.machine.load_scales, 1e-12)
+    share = float(np.max(np.sqrt(np.mean(change**2, axis=0)) / typical))
+    low, high = -np.inf, np.inf
+    spread = USUAL_SHARE / max(share, 1e-12)
+    if effect.proportional is not None and not effect.axes:
+        low = 0.0
+    elif len(effect.parameters) == len(values) and effect.null_values is not None:
+        null = _null(effect)
+        along = np.flatnonzero(np.array(values) != null)
+        if len(along) == 1:
+            parameter, step = effect.parameters[along[0]], values[along[0]] - null[along[0]]
+            low, high = sorted(
+                ((parameter.low - null[along[0]]) / step, (parameter.high - null[along[0]]) / step)
+            )
+            spread = min(spread, abs(parameter.unsurprising / step))
+    return Column(
+        change=change, operator=operator, centre=0.0, spread=spread, low=low, high=high,
+    )  # fmt: skip

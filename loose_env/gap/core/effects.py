@@ -1,0 +1,130 @@
+"""Effects that real logs ask for beyond the old catalogue.
+
+They join `loose_env.gap.model.effects.catalogue` when the new core takes over.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name
+from loose_env.gap.model.effects.mjcf.passive_actuators import add_constant
+from loose_env.gap.model.parameter import Parameter
+from loose_env.typing import Array
+
+
+class TorqueOffset(JointEffect):
+    """Constant torque at a joint: the zero of a torque sensor, or a preload."""
+
+    kind = "torque_offset"
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Torque in the joint's direction that the model lacks."""
+        load = self.load
+        return (
+            Parameter(
+                name="torque", unit=self.torque_unit, low=-20 * load, high=20 * load,
+                scale=0.1 * load,
+            ),
+        )  # fmt: skip
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: a tenth of the typical torque of either sign."""
+        return ((-0.1 * self.load,), (0.1 * self.load,))
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add an actuator without input that gives the torque."""
+        if values[0] != 0:
+            add_constant(
+                spec, self.where, added_name(spec, self.where, self.kind), -float(values[0])
+            )
+
+    def passive_actuator_torque(self, angle: Array, speed: Array, values: Array) -> Array:
+        """Torque of the drive against it."""
+        return np.full_like(angle, float(values[0]))
+
+
+class FrictionBehindSlack(JointEffect):
+    """Dry friction of an element that is coupled with slack and an elastic way.
+
+    The force is zero within the slack, grows over the elastic way, and slides at its bound: a
+    friction damper with play in its joints.
+    """
+
+    kind = "friction_behind_slack"
+    proportional: ClassVar[int | None] = 0
+    needs_data_starts: ClassVar[bool] = True
+    in_model: ClassVar[bool] = False
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0, 1.0, 1.0)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Friction, slack, and elastic way."""
+        span = self.speed  # of the order of the way in a second
+        return (
+            Parameter(
+                name="torque", unit=self.torque_unit, low=0.0, high=20 * self.load,
+                scale=0.1 * self.load,
+            ),
+            *(
+                Parameter(
+                    name=name, unit=self.angle_unit, low=1e-5 * span, high=10 * span, scale=span,
+                    log=True,
+                )
+                for name in ("slack", "elastic")
+            ),
+        )  # fmt: skip
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: a fifth of the typical torque behind a third of the way in a second."""
+        return ((0.2 * self.load, 0.3 * self.speed, 0.1 * self.speed),)
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Start at slacks from a hundredth to a third of the way, on stiff and soft elements."""
+        way = float(np.ptp(angle))
+        return tuple(
+            (0.2 * self.load, slack * way, stretch * slack * way)
+            for slack in (0.01, 0.03, 0.1, 0.3)
+            for stretch in (0.1, 0.6)
+        )
+
+    def torque(self, position: Array, speed: Array, values: Array) -> Array:
+        """Force along a path (T, joints)."""
+        joint = self.machine.joint_number(self.where)
+        found = np.zeros_like(position)
+        found[:, joint] = -values[0] * behind_slack(position[:, joint], values[1], values[2])
+        return found
+
+    def torque_code(self, values: Array) -> str:
+        """Python lines: none of a state of its own yet."""
+        return ""
+
+
+def behind_slack(position: Array, slack: float, elastic: float) -> Array:
+    """Share of the friction that acts along a path (T,)."""
+    anchor, found = float(position[0]), np.empty_like(position)
+    for k, x in enumerate(position):
+        stretch = abs(x - anchor) - slack / 2
+        if stretch > elastic:
+            anchor = x - np.sign(x - anchor) * (slack / 2 + elastic)
+            stretch = elastic
+        found[k] = np.sign(x - anchor) * max(stretch, 0.0) / elastic
+    return found
+
+
+EFFECTS: dict[str, type[Effect]] = {
+    **CATALOGUE,
+    **{effect.kind: effect for effect in (TorqueOffset, FrictionBehindSlack)},
+}
+"""Identifier -> class, of all effects."""

@@ -1,0 +1,409 @@
+"""Evidence: residual and columns whitened into cells of channel, band and stretch.
+
+A cell holds the Gram matrix of its columns in noise standard deviations. Every set of effects,
+every held-out part and every question of identifiability is then a small linear problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.core.balance import USUAL, Balance
+from loose_env.gap.core.catalogue import Term, moves_at
+from loose_env.gap.core.tolerances import Nuisance
+from loose_env.typing import Array
+
+BANDS = 7
+"""Bands of a channel, the first around zero, the others of equal ratio."""
+STRETCHES = 8
+"""Stretches of a recording, about: enough to see whether a residual repeats."""
+_SHORTEST_S = 4.0
+"""Shortest stretch [s]."""
+KNOCK = 16.0
+"""Mean square residual over its local median beyond which a stretch is a knock, not motion."""
+_REST = 0.01
+"""Speed over the typical one below which a joint is at rest, or four times its noise."""
+_REST_S = 0.12
+"""Shortest rest [s]."""
+_MODEL = 1e-4
+"""Error of any torque, as a share of the typical one: rounding, integration."""
+_FELT = 0.05
+"""Squared noise standard deviations of a standard deviation of tolerance below which it is not
+felt."""
+
+
+@dataclass(eq=False, kw_only=True)
+class Channel:
+    """Whitened rows and Gram matrices of one joint's balance."""
+
+    joint: int
+    """Index of the joint."""
+    columns: NDArray[np.intp]
+    """Which columns of the problem it has (K,)."""
+    rows: Array
+    """Whitened columns (R, K)."""
+    residual: Array
+    """Whitened residual (R,)."""
+    cell: NDArray[np.intp]
+    """Cell of each row (R,)."""
+    count: Array
+    """Independent values of each cell (C,)."""
+    stretch: NDArray[np.intp]
+    """Stretch of each cell (C,)."""
+    run: NDArray[np.intp]
+    """Run of each cell (C,)."""
+    turn: Array
+    """Centre of each cell's band [rad/s] (C,)."""
+    growth: Array
+    """Relative change of each cell's noise by a coefficient of one of each column (C, K)."""
+    blanked: float
+    """Share of the time that is left out: rest, and knocks."""
+    gram: Array = field(init=False)
+    """Gram matrices (C, K, K)."""
+    slope: Array = field(init=False)
+    """Products with the residual (C, K)."""
+    power: Array = field(init=False)
+    """Residual sums of squares (C,)."""
+
+    def __post_init__(self) -> None:
+        """Sum products over each cell."""
+        cells = range(len(self.count))
+        parts = [(self.rows[self.cell == c], self.residual[self.cell == c]) for c in cells]
+        self.gram = np.stack([x.T @ x for x, _ in parts])
+        self.slope = np.stack([x.T @ y for x, y in parts])
+        self.power = np.array([y @ y for _, y in parts])
+
+
+@dataclass(eq=False, kw_only=True)
+class Evidence:
+    """All channels, with the priors of the columns."""
+
+    balance: Balance
+    """The balance that they show."""
+    channels: list[Channel]
+    """Channels that were measured and move."""
+    terms: list[Term]
+    """Candidates."""
+    places: dict[int, tuple[int, ...]]
+    """Columns of each term, by its identity."""
+    centre: Array
+    """Prior means of the coefficients (K,)."""
+    precision: Array
+    """Prior precisions (K,)."""
+    low: Array
+    """Smallest coefficients (K,)."""
+    high: Array
+    """Largest coefficients (K,)."""
+    operators: Array
+    """Change of the operator by each column (K, 3, joints, joints)."""
+    tolerances: int
+    """How many of the columns, the first ones, are combinations of tolerances."""
+    mixed: Array
+    """Tolerances in each of these combinations (tolerances, combinations)."""
+    names: tuple[str, ...]
+    """Names of the tolerances."""
+
+    def columns_of(self, term: Term) -> tuple[int, ...]:
+        """Columns of a term."""
+        return self.places[id(term)]
+
+
+def whiten(balance: Balance, terms: Sequence[Term], tolerances: Sequence[Nuisance]) -> Evidence:
+    """Whiten the residual, the columns of all terms and the tolerances into cells."""
+    columns = [column for term in terms for column in term.columns]
+    starts = np.cumsum([0, *(len(term.columns) for term in terms)])
+    free = len(tolerances)
+    wide = [n.change for n in tolerances] + [c.change for c in columns]
+    operators = np.stack([n.operator for n in tolerances] + [c.operator for c in columns])
+    channels = [
+        _channel(balance, joint, wide, free, operators)
+        for joint in range(len(balance.machine.joints))
+        if balance.seen[:, joint].mean() > 0.5 and moves_at(balance, joint)
+    ]
+    mixed = _felt(channels, free)
+    kept = mixed.shape[1]
+    for channel in channels:
+        _combine(channel, mixed, free)
+    operators = np.concatenate([np.tensordot(mixed.T, operators[:free], 1), operators[free:]])
+    places = {
+        id(term): tuple(range(kept + first, kept + last))
+        for term, first, last in zip(terms, starts, starts[1:], strict=False)
+    }
+
+    def priors(name: str, value: float) -> Array:
+        return np.array([value] * kept + [getattr(c, name) for c in columns])
+
+    return Evidence(
+        balance=balance,
+        channels=channels,
+        terms=list(terms),
+        places=places,
+        centre=priors("centre", 0.0),
+        precision=priors("spread", 1.0) ** -2,
+        low=priors("low", -np.inf),
+        high=priors("high", np.inf),
+        operators=operators,
+        tolerances=kept,
+        mixed=mixed,
+        names=tuple(n.name for n in tolerances),
+    )
+
+
+def append(evidence: Evidence, term: Term) -> None:
+    """Add the columns of one more term."""
+    first = len(evidence.centre)
+    numbers = tuple(range(first, first + len(term.columns)))
+    evidence.places[id(term)] = numbers
+    evidence.terms.append(term)
+    for channel in evidence.channels:
+        own = [k for k, c in enumerate(term.columns) if np.any(c.change[:, channel.joint])]
+        if own:
+            wide = [term.columns[k].change for k in own]
+            rows = _rows(evidence.balance, channel.joint, wide).whitened
+            channel.columns = np.concatenate([channel.columns, [numbers[k] for k in own]])
+            channel.rows = np.hstack([channel.rows, rows[:, :-1]])
+            _grow(channel, len(own))
+            more = np.stack([term.columns[k].operator for k in own])
+            growth = _growth(evidence.balance, channel.joint, channel.turn, more)
+            channel.growth = np.hstack([channel.growth, growth])
+    for name in ("centre", "low", "high"):
+        grown = [getattr(c, name) for c in term.columns]
+        setattr(evidence, name, np.concatenate([getattr(evidence, name), grown]))
+    spreads = np.array([c.spread for c in term.columns])
+    evidence.precision = np.concatenate([evidence.precision, spreads**-2])
+    changes = np.stack([c.operator for c in term.columns])
+    evidence.operators = np.concatenate([evidence.operators, changes])
+
+
+def _grow(channel: Channel, new: int) -> None:
+    """Add the products of the last columns."""
+    cells, known = len(channel.count), channel.gram.shape[1]
+    gram = np.zeros((cells, known + new, known + new))
+    gram[:, :known, :known] = channel.gram
+    slope = np.zeros((cells, known + new))
+    slope[:, :known] = channel.slope
+    for c in range(cells):
+        own = channel.cell == c
+        cross = channel.rows[own].T @ channel.rows[own][:, known:]
+        gram[c][:, known:], gram[c][known:, :] = cross, cross.T
+        slope[c, known:] = channel.rows[own][:, known:].T @ channel.residual[own]
+    channel.gram, channel.slope = gram, slope
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    whitened: Array
+    cell: NDArray[np.intp]
+    count: Array
+    stretch: NDArray[np.intp]
+    run: NDArray[np.intp]
+    turn: Array
+
+
+def _channel(
+    balance: Balance, joint: int, wide: list[Array], free: int, operators: Array
+) -> Channel:
+    """Whiten one joint's balance."""
+    felt = [k for k, change in enumerate(wide) if k < free or np.any(change[:, joint])]
+    found = _rows(balance, joint, [wide[k] for k in felt])
+    weight = _quiet(balance, joint)
+    return Channel(
+        joint=joint,
+        columns=np.array(felt),
+        rows=found.whitened[:, :-1],
+        residual=found.whitened[:, -1],
+        cell=found.cell,
+        count=found.count,
+        stretch=found.stretch,
+        run=found.run,
+        turn=found.turn,
+        growth=_growth(balance, joint, found.turn, operators[felt]),
+        blanked=float(np.mean(weight < 0.5)),
+    )
+
+
+def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
+    """Whitened rows of some columns and, last, of the residual."""
+    motion = balance.motion
+    stacked = np.stack([*(c[:, joint] for c in wide), balance.residual[:, joint]], axis=1)
+    weight = motion.split(_quiet(balance, joint))
+    parts, cells, keys = [], [], {}
+    counts: dict[tuple[int, int], float] = {}
+    edges = _edges(balance)
+    for piece, (run, rows) in enumerate(_stretches(balance)):
+        window = _taper(rows.stop - rows.start, len(motion.runs[run].position)) * weight[run][rows]
+        values = motion.split(stacked)[run][rows]
+        frequency = np.fft.rfftfreq(len(window), motion.step)
+        scale = 1 / np.sqrt((window**2).sum() / 2 + 1e-12) / noise(balance, joint, frequency)
+        scale[0] /= np.sqrt(2)
+        spectrum = np.fft.rfft(values * window[:, None], axis=0) * scale[:, None]
+        for band in range(BANDS):
+            own = (frequency >= edges[band]) & (frequency < edges[band + 1])
+            if not own.any():
+                continue
+            cell = keys.setdefault((band, piece), len(keys))
+            parts.append(np.concatenate([spectrum[own].real, spectrum[own].imag]))
+            cells.append(np.full(2 * int(own.sum()), cell))
+            counts[band, piece] = 2.0 * own.sum() - (own[0] and frequency[0] == 0)
+    stretch = np.array([piece for _, piece in keys])
+    runs = np.array([run for run, _ in _stretches(balance)])
+    centres = 2 * np.pi * np.sqrt(np.maximum(edges[:-1], edges[1] / 2) * edges[1:])
+    return _Rows(
+        whitened=np.concatenate(parts),
+        cell=np.concatenate(cells),
+        count=np.array([counts[key] for key in keys]),
+        stretch=stretch,
+        run=runs[stretch],
+        turn=centres[[band for band, _ in keys]],
+    )
+
+
+def _stretches(balance: Balance) -> list[tuple[int, slice]]:
+    """Stretches of all runs: run and samples."""
+    found, runs = [], balance.motion.runs
+    each = max(1, round(STRETCHES / len(runs)))
+    for number, run in enumerate(runs):
+        count = len(run.position)
+        pieces = int(np.clip(count * run.step / _SHORTEST_S, 1, each))
+        edges = np.linspace(0, count, pieces + 1).astype(int)
+        found += [(number, slice(a, b)) for a, b in zip(edges, edges[1:], strict=False)]
+    return found
+
+
+def _taper(count: int, whole: int) -> Array:
+    """Cosine taper over a quarter of a stretch at either end."""
+    at = np.linspace(0, 1, count)
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(np.minimum(at, 1 - at) / 0.25, 0, 1)))
+
+
+def _edges(balance: Balance) -> Array:
+    longest = max(rows.stop - rows.start for _, rows in _stretches(balance))
+    top = balance.motion.band
+    low = min(3 / (longest * balance.motion.step), top / 4)
+    return np.concatenate([[0.0], np.geomspace(low, 1.02 * top, BANDS)])
+
+
+def noise(balance: Balance, joint: int, frequency: Array, operator: Array | None = None) -> Array:
+    """Standard deviation of a channel's balance by the sensors' noise (F,).
+
+    What the operator makes of the noise of positions and speeds, beside that of the torque.
+    """
+    own = balance.operator if operator is None else operator
+    turn = 2 * np.pi * frequency
+    position, speed, torque = balance.motion.noise
+    known = 1 / position**2 + (turn[:, None] / speed) ** 2
+    gain = np.abs(own[2, joint] - own[0, joint] * turn[:, None] ** 2) ** 2
+    gain = gain + (own[1, joint] * turn[:, None]) ** 2
+    total = np.sum(gain / known, axis=1) + (_MODEL * balance.machine.load_scales[joint]) ** 2
+    if np.isfinite(torque[joint]):
+        total = total + torque[joint] ** 2
+    return np.asarray(np.sqrt(total))
+
+
+def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Array:
+    """Relative change of a channel's noise with each column's coefficient (C, K)."""
+    position, speed, _ = balance.motion.noise
+    known = 1 / position**2 + (turn[:, None] / speed) ** 2
+    square = turn[:, None] ** 2
+
+    def parts(operator: Array) -> tuple[Array, Array]:
+        own = operator[..., joint, :][..., None, :]
+        return own[..., 2, :, :] - own[..., 0, :, :] * square, own[..., 1, :, :] * turn[:, None]
+
+    real, imaginary = parts(balance.operator[None])
+    changed_real, changed_imaginary = parts(operators)
+    moved = np.sum((real * changed_real + imaginary * changed_imaginary) / known, axis=-1)
+    return np.asarray((moved / noise(balance, joint, turn / (2 * np.pi)) ** 2).T)
+
+
+def _quiet(balance: Balance, joint: int) -> Array:
+    """Weight of each sample (T,): none at rest, and none in knocks.
+
+    At rest dry friction takes any value within its bound, so a balance says nothing. Knocks are
+    short stretches in which everything at once leaves many times the usual residual.
+    """
+    cache = balance.__dict__.setdefault("_quiet", {})
+    if joint not in cache:
+        cache[joint] = _knocks(balance, joint) * _sliding(balance, joint)
+    return np.asarray(cache[joint])
+
+
+def _knocks(balance: Balance, joint: int) -> Array:
+    motion, step = balance.motion, balance.motion.step
+    v, a, q = (x[:, joint] for x in (balance.speed, balance.acceleration, balance.position))
+    known = [np.ones_like(q), v, a, v * np.abs(v), np.tanh(v / (0.04 * np.std(v) + 1e-12))]
+    known += [balance.directions[USUAL][:, joint], balance.bias[:, joint], q]
+    known += [np.sin(q), np.cos(q)]
+    columns = np.stack(known, axis=1)
+    columns = columns / (np.sqrt(np.mean(columns**2, axis=0)) + 1e-12)
+    y = balance.residual[:, joint]
+    width = max(int(1 / motion.band / step), 2)
+    kernel = np.hanning(2 * width + 3)
+    kernel /= kernel.sum()
+    weight, bad = np.ones(len(y)), np.zeros(len(y), bool)
+    for _ in range(2):
+        normal = (columns * weight[:, None]).T @ columns + 1e-4 * len(y) * np.eye(columns.shape[1])
+        left = y - columns @ np.linalg.solve(normal, columns.T @ (weight * y))
+        level, usual = np.convolve(left**2, kernel, "same"), []
+        half = max(int(6 / step), 8 * width)
+        for own in motion.split(level):
+            middles = np.arange(min(half, len(own) // 2), len(own), half)
+            medians = [np.median(own[max(m - half, 0) : m + half]) for m in middles]
+            usual.append(np.interp(np.arange(len(own)), middles, medians))
+        bad = level > KNOCK * np.concatenate(usual)
+        weight = np.where(bad, 0.0, 1.0)
+    if bad.mean() > 0.3:
+        return np.ones(len(y))
+    near = np.convolve(bad, np.ones(width + 1), "same") > 0.5
+    return np.asarray(1 - np.clip(np.convolve(near, kernel, "same"), 0, 1))
+
+
+def _sliding(balance: Balance, joint: int) -> Array:
+    motion, speed = balance.motion, balance.speed[:, joint]
+    found = []
+    turn = 2 * np.pi * motion.band
+    noisy = float(motion.noise[0, joint]) * turn * np.sqrt(2 * motion.band * motion.step / 3)
+    limit = max(4 * noisy, _REST * float(np.percentile(np.abs(speed), 95)))
+    width = max(int(1 / motion.band / motion.step), 2)
+    kernel = np.hanning(2 * width + 3)
+    kernel /= kernel.sum()
+    span = np.ones(max(int(_REST_S / motion.step), 3))
+    for run, own in zip(motion.runs, motion.split(speed), strict=True):
+        still = np.convolve(np.abs(own) < limit, span, "same") > len(span) - 0.5
+        still = np.convolve(still, span, "same") > 0.5
+        if run.form == "free" or not 0.01 < still.mean() < 0.85:
+            found.append(np.ones(len(own)))
+        else:
+            found.append(1 - np.clip(np.convolve(still, kernel, "same"), 0, 1))
+    return np.concatenate(found)
+
+
+def _felt(channels: list[Channel], free: int) -> Array:
+    """Combinations of tolerances that the data feel, of unit prior width (tolerances, kept)."""
+    total = np.zeros((free, free))
+    for channel in channels:
+        excess = np.maximum(channel.power - channel.count, 0) / (2 + 0.02 * channel.count)
+        weight = 1 / (1 + 0.02 * excess)
+        own = channel.columns < free
+        at = channel.columns[own]
+        total[np.ix_(at, at)] += np.tensordot(weight, channel.gram[:, own][:, :, own], 1)
+    values, vectors = np.linalg.eigh(total)
+    return np.asarray(vectors[:, values > _FELT])
+
+
+def _combine(channel: Channel, mixed: Array, free: int) -> None:
+    """Replace the tolerances of a channel by their combinations."""
+    own, kept = channel.columns < free, mixed.shape[1]
+    others = channel.columns[~own]
+    channel.rows = np.hstack(
+        [channel.rows[:, own] @ mixed[channel.columns[own]], channel.rows[:, ~own]]
+    )
+    channel.growth = np.hstack(
+        [channel.growth[:, own] @ mixed[channel.columns[own]], channel.growth[:, ~own]]
+    )
+    channel.columns = np.concatenate([np.arange(kept), others - free + kept])
+    channel.__post_init__()

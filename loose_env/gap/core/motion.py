@@ -1,0 +1,291 @@
+"""Measured motion: position, velocity and acceleration of every joint with their noise.
+
+One smoother for free, torque-logged and servoed recordings alike. It merges position and velocity
+by their noise in the frequency domain and is flat to the end of the band, which the data choose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from loose_env.errors import InvalidData
+from loose_env.gap.data.measured_runs import measured_runs
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.recording import Recording, Run, joint_sensors
+from loose_env.statistics import noise_floor, resolution_of
+from loose_env.typing import Array
+
+HIGHEST_HZ = 60.0
+"""Highest band of rigid motion [Hz]: above lie structural modes of any arm (science.md, 5)."""
+LOWEST_HZ = 1.5
+"""Lowest band [Hz]."""
+_PER_CYCLE = 6
+"""Samples per period of the highest frequency that are kept: three times Nyquist's rate, room for
+the harmonics of dry friction."""
+_LEAST_RATE = 40.0
+"""Lowest rate to which a recording is thinned [1/s]."""
+_FLAT = 1.35
+"""Half-amplitude frequency of the low-pass over the end of the band, and:"""
+_ORDER = 16
+"""its order: flat to 1 % at the end of the band."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunMotion:
+    """Motion of one run on its thinned, even grid."""
+
+    name: str
+    """File of the run."""
+    form: str
+    """"forward", "inverse" or "free"."""
+    step: float
+    """Interval of the samples [s]."""
+    position: Array
+    """Joint positions [rad, m] (T, joints)."""
+    speed: Array
+    """Joint speeds (T, joints)."""
+    acceleration: Array
+    """Joint accelerations (T, joints)."""
+    commands: Array
+    """Commands as held, half a log interval late: their mean effect in the band (T, actuators)."""
+    torques: Array
+    """Measured joint torques, NaN of joints without (T, joints)."""
+    log_step: float
+    """Interval of the log [s]."""
+
+    @property
+    def time(self) -> Array:
+        """Times of the samples [s], from 0 (T,)."""
+        return np.arange(len(self.position)) * self.step
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """Motion of all runs."""
+
+    runs: tuple[RunMotion, ...]
+    """The runs."""
+    band: float
+    """End of the band in which the motion shows over its noise [Hz]."""
+    noise: Array
+    """Noise of a thinned sample's position, speed and torque (3, joints); infinite if not read."""
+
+    @property
+    def step(self) -> float:
+        """Interval of the samples [s]."""
+        return self.runs[0].step
+
+    def stacked(self, name: str) -> Array:
+        """One field of all runs, one after the other."""
+        return np.concatenate([getattr(run, name) for run in self.runs])
+
+    def split(self, values: Array) -> list[Array]:
+        """Cut stacked values by run."""
+        return np.split(values, np.cumsum([len(r.position) for r in self.runs])[:-1])
+
+
+def smooth(recording: Recording, machine: NominalModel) -> Motion:
+    """Estimate the motion of every run from its position and velocity readings.
+
+    Raises
+    ------
+    InvalidData
+        If a joint's position was not read.
+    """
+    model: mujoco.MjModel = machine.model
+    pieces, _ = measured_runs(recording.runs, model)
+    logs = [_Log.of(run, machine) for each in pieces for run in each]
+    step = float(np.median([log.step for log in logs]))
+    floors = np.stack([log.floors for log in logs])
+    noise = np.median(floors, axis=0)
+    ends = [_band_end(log, noise) for log in logs]
+    band = float(np.clip(max(ends), LOWEST_HZ, min(0.35 / step, HIGHEST_HZ)))
+    thin = max(1, int(1 / (step * max(_PER_CYCLE * band, _LEAST_RATE))))
+    runs = tuple(_run_motion(log, noise, band, thin) for log in logs)
+    return Motion(runs=runs, band=band, noise=noise / np.sqrt(thin))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Log:
+    """Readings of one run on an even grid."""
+
+    run: Run
+    step: float
+    position: Array
+    speed: Array
+    torque: Array
+    commands: Array
+
+    @classmethod
+    def of(cls, run: Run, machine: NominalModel) -> _Log:
+        step = float(np.median(np.diff(run.time)))
+        grid = np.arange(run.time[0], run.time[-1] + 1e-9, step)
+        sensors = joint_sensors(machine.model)
+        nothing = np.full(len(grid), np.nan)
+
+        def read(columns: Mapping[str, Array], names: Sequence[str]) -> Array:
+            known = [columns[name] for name in names if name in columns]
+            if not known:
+                return nothing
+            good = np.isfinite(known[0])
+            return np.asarray(np.interp(grid, run.time[good], known[0][good]))
+
+        position = [read(run.sensors, sensors[j].position) for j in machine.joints]
+        missing = [
+            j for j, q in zip(machine.joints, position, strict=True) if not np.isfinite(q).all()
+        ]
+        if missing:
+            raise InvalidData(
+                f"{run.name}: joint {missing[0]!r} has no position reading; the motion of every "
+                "joint is needed to say which force was missing along it"
+            )
+        rows = np.clip(np.searchsorted(run.time, grid + 1e-9, "right") - 1, 0, run.samples - 1)
+        held = [run.controls[a][rows] if a in run.controls else 0 * grid for a in machine.actuators]
+        return cls(
+            run=run,
+            step=step,
+            position=np.stack([_without_jumps(q) for q in position], axis=1),
+            speed=np.stack([read(run.sensors, sensors[j].velocity) for j in machine.joints], 1),
+            torque=np.stack([read(run.torques, [j]) for j in machine.joints], axis=1),
+            commands=np.stack(held, axis=1) if held else np.zeros((len(grid), 0)),
+        )
+
+    @property
+    def floors(self) -> Array:
+        """Noise of position, speed and torque (3, joints); infinite where not read."""
+        return np.array(
+            [
+                [noise_floor(c) if np.isfinite(c).all() else np.inf for c in columns.T]
+                for columns in (self.position, self.speed, self.torque)
+            ]
+        )
+
+
+def _spectrum(values: Array, step: float) -> tuple[Array, Array]:
+    """Frequencies and power of a detrended record, white noise at its variance."""
+    window = np.hanning(len(values))
+    free = values - np.linspace(values[0], values[-1], len(values))
+    power = np.abs(np.fft.rfft(free * window)) ** 2 / (window @ window)
+    return np.fft.rfftfreq(len(values), step), power
+
+
+def _band_end(log: _Log, noise: Array) -> float:
+    """Highest frequency at which any joint's motion shows over its noise [Hz].
+
+    Power thirty times the noise, smoothed over a quarter hertz, and no further than six times the
+    frequency below which lies 99 % of the mean square acceleration.
+    """
+    found = []
+    for values, sd in zip(log.position.T, noise[0], strict=True):
+        frequency, power = _spectrum(values, log.step)
+        width = max(int(0.25 / frequency[1]), 1)
+        power = np.convolve(power, np.ones(2 * width + 1) / (2 * width + 1), "same")
+        quiet = np.flatnonzero(power < 30 * sd**2)
+        quiet = quiet[quiet > np.argmax(power * frequency**2)]
+        last = quiet[0] if len(quiet) else len(frequency) - 1
+        bulk = np.cumsum(np.maximum(power - sd**2, 0)[: last + 1] * frequency[: last + 1] ** 4)
+        if bulk[-1] > 0:
+            most = 6 * frequency[np.searchsorted(bulk, 0.99 * bulk[-1])]
+            found.append(float(min(frequency[last], most)))
+    return max(found, default=LOWEST_HZ)
+
+
+def _run_motion(log: _Log, noise: Array, band: float, thin: int) -> RunMotion:
+    """Smooth one log and thin it to block means."""
+    parts = []
+    for joint in range(log.position.shape[1]):
+        q, v = log.position[:, joint], log.speed[:, joint]
+        own = _smoothed(q, None, noise[:, joint], band, log.step)
+        if np.isfinite(v).all() and _agrees(v, own[1], noise[:, joint], band, log.step):
+            own = _smoothed(q, v, noise[:, joint], band, log.step)
+        parts.append(own)
+    whole = np.stack(parts, axis=2)
+    count = len(log.position) // thin
+
+    def blocks(values: Array) -> Array:
+        cut = values[: count * thin].reshape(count, thin, *values.shape[1:]).mean(axis=1)
+        return np.ascontiguousarray(cut)
+
+    return RunMotion(
+        name=log.run.name,
+        form=log.run.comparison,
+        step=log.step * thin,
+        position=blocks(whole[0]),
+        speed=blocks(whole[1]),
+        acceleration=blocks(whole[2]),
+        commands=blocks(later(log.commands, 0.5)),
+        torques=blocks(log.torque),
+        log_step=log.step,
+    )
+
+
+def later(values: Array, samples: float) -> Array:
+    """Delay columns (T, K) by a fraction of samples, linear between them."""
+    at = np.arange(len(values)) - samples
+    columns = [np.interp(at, np.arange(len(values)), column) for column in values.T]
+    return np.stack(columns, axis=1) if columns else values
+
+
+def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float) -> Array:
+    """Position, speed and acceleration that fit the readings, smooth above a band (3, T).
+
+    Weighted by the noise of both readings, with odd reflections at the ends.
+    """
+    pad = min(len(q) - 2, int(3 / band / step) + 20)
+    ends = np.concatenate([2 * q[0] - q[pad:0:-1], q, 2 * q[-1] - q[-2 : -pad - 2 : -1]])
+    line = np.linspace(ends[0], ends[-1], len(ends))
+    slope = (ends[-1] - ends[0]) / ((len(ends) - 1) * step)
+    turn = 2 * np.pi * np.fft.rfftfreq(len(ends), step)
+    shape = np.fft.rfft(ends - line)
+    if v is not None:
+        rates = np.concatenate([v[pad:0:-1], v, v[-2 : -pad - 2 : -1]]) - slope
+        precise = 1 / noise[0] ** 2 + turn**2 / noise[1] ** 2
+        shape = (shape / noise[0] ** 2 - 1j * turn * np.fft.rfft(rates) / noise[1] ** 2) / precise
+    shape = shape / (1 + (turn / (2 * np.pi * _FLAT * band)) ** _ORDER)
+    offsets = (line, slope, 0.0)
+    whole = [
+        np.fft.irfft((1j * turn) ** k * shape, len(ends)) + offset
+        for k, offset in enumerate(offsets)
+    ]
+    return np.stack(whole)[:, pad : pad + len(q)]
+
+
+def _agrees(v: Array, derived: Array, noise: Array, band: float, step: float) -> bool:
+    """Whether a velocity reading is the derivative of the position; drives often filter theirs."""
+    own = _smoothed(np.cumsum(v) * step, None, noise, band, step)[1]
+    off = float(np.std((derived - own)[20:-20]))
+    expected = float(np.hypot(noise[1], noise[0] * 2 * np.pi * band))
+    return off <= max(3 * expected, 0.02 * float(np.std(own)))
+
+
+def _without_jumps(q: Array) -> Array:
+    """Bridge isolated glitches of an encoder: second differences far outside all others."""
+    bend = np.abs(np.diff(q, 2))
+    limit = 12 * max(float(np.percentile(bend, 90)), resolution_of(q))
+    bad = np.flatnonzero(bend > limit) + 1
+    if not len(bad) or len(bad) > 0.004 * len(q):
+        return q
+    hidden = np.zeros(len(q), bool)
+    for k in bad:
+        hidden[max(k - 2, 1) : k + 3] = True
+    hidden[[0, -1]] = False
+    rows, found = np.arange(len(q)), q.copy()
+    edges = np.flatnonzero(np.diff(hidden.astype(int)))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        near = rows[max(first - 14, 0) : last + 15]
+        near = near[~hidden[near]]
+        cubic = np.polynomial.Polynomial.fit(near, q[near], 3)
+        found[first + 1 : last + 1] = cubic(rows[first + 1 : last + 1])
+    return found
+
+
+def scales(motion: Motion, machine: NominalModel, needed: Array, given: Array) -> NominalModel:
+    """Machine with the typical loads and speeds of a motion, which scale its effects' starts."""
+    size = given if np.any(given) else needed
+    loads = np.sqrt(np.mean(size**2, axis=0))
+    speeds = np.percentile(np.abs(motion.stacked("speed")), 95, axis=0)
+    return NominalModel(machine.spec, loads=loads, speeds=speeds)

@@ -1,0 +1,509 @@
+"""Selection of sets of effects by their marginal likelihood, with an inferred discrepancy.
+
+Each cell of the evidence has a Student likelihood: its residual beyond the noise may be a
+discrepancy that nothing explains, so that a channel with something unmodelled says less and does
+not rule the others. Sets are searched by adding, exchanging and removing, to a local optimum.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import lgamma, log
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from loose_env.gap.core.balance import USUAL
+from loose_env.gap.core.catalogue import Term, terms_of
+from loose_env.gap.core.evidence import Channel, Evidence, append, noise
+from loose_env.inference import log_determinant
+from loose_env.typing import Array
+
+KIND = 10.0
+"""Minus twice the log prior of one more kind of effect: about 1 in 150 kinds is missing."""
+LEAST_VALUES = 1.5
+"""Values of a cell's discrepancy, at least: its amplitude, and a half for its shape, and:"""
+SHARE_VALUES = 0.02
+"""share of a cell's values that they are at most when nothing repeats."""
+_ROUNDS = 6
+"""Reweighted rounds of one fit."""
+_LEAST_GAIN = 0.5
+"""Fall of minus twice the log evidence for which a step is taken."""
+_SCREENED = 14
+"""Candidates that are fitted in one step."""
+_FITTED = 3
+"""Sets that are fitted for each weighting: the best at fixed weights."""
+_MOST = 40
+"""Steps of a search."""
+_LEVELS, _KEPT, _STARTS = 3, 4, 3
+"""Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
+_STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)
+"""Relative steps in which shapes are refined."""
+
+Set = tuple[Term, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SetFit:
+    """A set of effects, fitted to the cells."""
+
+    terms: Set
+    """The effects."""
+    numbers: NDArray[np.intp]
+    """Columns in the fit: tolerances first."""
+    values: Array
+    """Their coefficients."""
+    powers: tuple[Array, ...]
+    """Residual sum of squares of each cell, channel by channel, in units of its noise."""
+    normal: Array
+    """Precision of the coefficients."""
+    cost: float
+    """Minus twice the log evidence."""
+    total: float
+    """The same with the prior of the set."""
+    allowed: bool
+    """Whether all coefficients lie within their bounds."""
+
+
+class Selection:
+    """Search over sets of effects in the cells of some evidence."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self.evidence = evidence
+        self.used: list[NDArray[np.bool_]] = [
+            np.ones(len(c.count), bool) for c in evidence.channels
+        ]
+        self.usual = [
+            noise(evidence.balance, c.joint, c.turn / (2 * np.pi)) for c in evidence.channels
+        ]
+        self.values = [_values(c, 0.0) for c in evidence.channels]
+        self.values = [
+            _values(c, float(np.sum(c.count) / np.sum(p)))
+            for c, p in zip(evidence.channels, self.rich, strict=True)
+        ]
+        self.fits: dict[frozenset[int], SetFit] = {}
+
+    # ---- the prior of sets
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        """Number of locations of each kind."""
+        found: dict[str, set[str]] = {}
+        for term in self.evidence.terms:
+            found.setdefault(term.effect.kind, set()).add(term.effect.where)
+        return {kind: len(places) for kind, places in found.items()}
+
+    @cached_property
+    def _shapes(self) -> Counter[tuple[str, str]]:
+        """Number of shapes of each effect."""
+        return Counter(term.name for term in self.evidence.terms)
+
+    def prior(self, terms: Iterable[Term]) -> float:
+        """Minus twice the log prior of a set: its kinds, how many and which places, shapes.
+
+        Neighbouring shapes share the evidence: of k shapes about the root of k differ.
+        """
+        own = tuple(terms)
+        cost = 0.0
+        for kind, count in Counter(t.effect.kind for t in own).items():
+            places = self._places[kind]
+            cost += KIND + 2 * log(places) + 2 * _log_choose(places, min(count, places)) + count
+        return cost + sum(log(self._shapes[t.name]) for t in own)
+
+    # ---- fits of a set
+
+    def columns(self, terms: Iterable[Term]) -> NDArray[np.intp]:
+        """Columns of a set, those of the tolerances first."""
+        own = sorted({k for term in terms for k in self.evidence.columns_of(term)})
+        return np.array([*range(self.evidence.tolerances), *own], dtype=int)
+
+    def score(self, channel: int, power: Array) -> float:
+        """Minus twice the log likelihood of a channel's cells, up to a constant."""
+        excess = np.maximum(power - self.evidence.channels[channel].count, 0)
+        values = self.values[channel]
+        return float(np.sum((values * np.log1p(excess / values))[self.used[channel]]))
+
+    def weights(self, channel: int, power: Array) -> Array:
+        """Weights of a channel's cells at some residual."""
+        excess = np.maximum(power - self.evidence.channels[channel].count, 0)
+        values = self.values[channel]
+        return np.asarray(values / (values + excess) * self.used[channel])
+
+    def solve(self, terms: Sequence[Term], start: Sequence[Array] | None = None) -> SetFit:
+        """Fit a set, from the weights of a start."""
+        key = frozenset(id(term) for term in terms)
+        if key not in self.fits:
+            self.fits[key] = self.fit(tuple(terms), start)
+        return self.fits[key]
+
+    def fit(
+        self, terms: Set, start: Sequence[Array] | None = None, rounds: int = _ROUNDS
+    ) -> SetFit:
+        """Fit a set by reweighted least squares."""
+        evidence, numbers = self.evidence, self.columns(terms)
+        precision, centre = evidence.precision[numbers], evidence.centre[numbers]
+        parts = [_part(channel, numbers) for channel in evidence.channels]
+        powers = [c.power for c in evidence.channels] if start is None else list(start)
+        best = np.inf
+        found = np.zeros(len(numbers))
+        for _ in range(rounds):
+            normal, slope = np.diag(precision), precision * centre
+            for k, (part, power) in enumerate(zip(parts, powers, strict=True)):
+                weight = self.weights(k, power)
+                normal[np.ix_(part.at, part.at)] += np.tensordot(weight, part.gram, 1)
+                slope[part.at] += weight @ part.slope
+                shrunk = part.growth @ found[part.at] < 0
+                guard = shrunk * (self.values[k] * self.used[k] - self.values[k] * weight)
+                normal[np.ix_(part.at, part.at)] += (part.growth.T * guard) @ part.growth
+                slope[part.at] += guard @ part.growth
+            scale = 1 / np.sqrt(np.diag(normal))
+            found = np.linalg.solve(normal * np.outer(scale, scale), slope * scale) * scale
+            left = self._powers(parts, numbers, found)
+            value = sum(self.score(k, p) for k, p in enumerate(left))
+            value += float(precision @ (found - centre) ** 2)
+            powers, values = left, found
+            if value > best - 0.05:
+                best = min(best, value)
+                break
+            best = value
+        cost = best + log_determinant(normal) - float(np.log(precision).sum())
+        own = slice(evidence.tolerances, None)
+        low, high = evidence.low[numbers][own], evidence.high[numbers][own]
+        slack = 1e-3 * np.maximum(np.abs(low), 1e-9)
+        allowed = bool(np.all((values[own] >= low - slack) & (values[own] <= high)))
+        return SetFit(
+            terms, numbers, values, tuple(powers), normal, cost, cost + self.prior(terms), allowed
+        )
+
+    def _powers(
+        self, parts: Sequence[_Part], numbers: NDArray[np.intp], values: Array
+    ) -> list[Array]:
+        """Residual sums of squares in units of the noise that the fitted operator makes.
+
+        A balance whose every term shrinks makes less noise, too, and gains nothing. In the
+        quadratic form that is the expansion of a log determinant, see `Channel.growth`.
+        """
+        evidence = self.evidence
+        operator = evidence.balance.operator + np.tensordot(values, evidence.operators[numbers], 1)
+        found = []
+        for k, (channel, part) in enumerate(zip(evidence.channels, parts, strict=True)):
+            own = values[part.at]
+            power = (
+                channel.power - 2 * part.slope @ own + np.einsum("cij,i,j->c", part.gram, own, own)
+            )
+            now = noise(evidence.balance, channel.joint, channel.turn / (2 * np.pi), operator)
+            found.append(np.maximum(power, 0.0) * np.maximum(self.usual[k] / now, 1.0) ** 2)
+        return found
+
+    # ---- many sets at fixed weights
+
+    def whole(self, powers: Sequence[Array]) -> _Form:
+        """The quadratic form of all columns at the weights of given residuals."""
+        evidence = self.evidence
+        normal = np.diag(evidence.precision)
+        slope = evidence.precision * evidence.centre
+        growths, guards = [], []
+        for k, channel in enumerate(evidence.channels):
+            weight = self.weights(k, powers[k])
+            at = channel.columns
+            normal[np.ix_(at, at)] += np.tensordot(weight, channel.gram, 1)
+            slope[at] += weight @ channel.slope
+            growth = np.zeros((len(weight), len(slope)))
+            growth[:, at] = channel.growth
+            growths.append(growth)
+            guards.append(self.values[k] * self.used[k] - self.values[k] * weight)
+        return _Form(normal, slope, np.concatenate(growths), np.concatenate(guards))
+
+    def predicted(self, form: _Form, terms: Sequence[Term]) -> float:
+        """Total of a set at fixed weights; infinite where a coefficient is out of bounds."""
+        evidence, at = self.evidence, self.columns(terms)
+        normal, slope = form.normal[np.ix_(at, at)], form.slope[at]
+        try:
+            half, values, determinant = _solved(normal, slope)
+            growth = form.growth[:, at]
+            shrunk = growth @ values < 0
+            if np.any(shrunk):
+                guard = form.guard * shrunk
+                half, values, determinant = _solved(
+                    normal + (growth.T * guard) @ growth, slope + guard @ growth
+                )
+        except np.linalg.LinAlgError:
+            return np.inf
+        own = slice(evidence.tolerances, None)
+        if not _near_bounds(values[own], evidence, at[own]):
+            return np.inf
+        precision = evidence.precision[at]
+        prior = precision @ evidence.centre[at] ** 2 - np.log(precision).sum()
+        return float(-half @ half + determinant + prior + self.prior(terms))
+
+    def screened(
+        self, form: _Form, terms: Sequence[Term], pool: Iterable[Term]
+    ) -> list[tuple[float, Term]]:
+        """Gain of each candidate beside a set at fixed weights, the largest first."""
+        normal, slope = form.normal, form.slope
+        evidence, at = self.evidence, self.columns(terms)
+        inverse = np.linalg.inv(normal[np.ix_(at, at)])
+        spread = inverse @ normal[at]
+        left = slope - normal[:, at] @ (inverse @ slope[at])
+        known, found = set(at.tolist()), []
+        for term in pool:
+            new = [k for k in evidence.columns_of(term) if k not in known]
+            if not new:
+                continue
+            own = normal[np.ix_(new, new)] - normal[np.ix_(new, at)] @ spread[:, new]
+            values = np.linalg.solve(own, left[new])
+            if not _near_bounds(values, evidence, np.array(new)):
+                continue
+            precision = evidence.precision[new]
+            gain = left[new] @ values - precision @ evidence.centre[new] ** 2
+            gain += np.log(precision).sum() - np.linalg.slogdet(own)[1]
+            found.append((float(gain) - log(self._shapes[term.name]), term))
+        return sorted(found, key=lambda pair: -pair[0])
+
+    # ---- the search
+
+    @cached_property
+    def rich(self) -> tuple[Array, ...]:
+        """Residuals with every linear effect beside the drives at once: hardly any set is below.
+
+        Gains of drives are left out, since a balance without drives has nothing to explain.
+        """
+        pool: dict[tuple[str, str], Term] = {}
+        for term in self.evidence.terms:
+            if not term.law and not term.effect.drives and term.contact in ("", USUAL):
+                pool.setdefault(term.name, term)
+        start = [channel.count for channel in self.evidence.channels]
+        return self.fit(tuple(pool.values()), start).powers
+
+    def best(self) -> SetFit:
+        """Best set of searches from several starts, with the shapes of its laws refined."""
+        found = min((self.search(start) for start in self.starts()), key=lambda f: f.total)
+        for _ in range(2):
+            refined = self.refined(found)
+            if refined is found:
+                break
+            found = self.search(refined.terms)
+        return found
+
+    def starts(self) -> list[Set]:
+        """Sets to start from: none, and kinds at all their places, one, two or three of them.
+
+        One kind at a time may be led astray: where friction is missing as well, a lag that halves
+        every drive explains more than the true delay.
+        """
+        form = self.whole(self.rich)
+        kinds: dict[str, dict[str, Term]] = {}
+        for _, term in self.screened(form, (), self.evidence.terms):
+            kinds.setdefault(term.effect.kind, {}).setdefault(term.effect.where, term)
+        single = [tuple(places.values()) for places in kinds.values()]
+        ranked: list[Set] = []
+        level: list[Set] = [()]
+        for _ in range(_LEVELS):
+            wider = {
+                frozenset(map(id, (*own, *more))): (*own, *more)
+                for own in level
+                for more in single
+                if not {t.effect.kind for t in own} & {t.effect.kind for t in more}
+            }
+            order = sorted(wider.values(), key=lambda s: self.predicted(form, s))
+            level = order[:_KEPT]
+            ranked += level
+        fits = [self.solve(s, self.rich) for s in ranked]
+        chosen = sorted((f for f in fits if f.allowed), key=lambda f: f.total)[:_STARTS]
+        return [(), *(f.terms for f in chosen)]
+
+    def refined(self, state: SetFit) -> SetFit:
+        """Shapes of the members by shrinking steps, beside the others."""
+        for term in state.terms:
+            shaped = [
+                k for k, p in enumerate(term.effect.parameters) if k != term.effect.proportional
+            ]
+            if term.effect.axes or not (term.law or term.effect.proportional is not None):
+                continue
+            for step in _STEPS:
+                for k in shaped:
+                    for sign in (1.0, -1.0):
+                        own = self.reshaped(state, term, k, sign * step)
+                        if own is not None and own.total < state.total:
+                            new = next(t for t in own.terms if t not in state.terms)
+                            state, term = own, new
+                            break
+        return state
+
+    def reshaped(self, state: SetFit, term: Term, parameter: int, step: float) -> SetFit | None:
+        """Fit with one shape parameter of a member changed; None if that is out of bounds."""
+        values = np.array(term.axes[0])
+        own = term.effect.parameters[parameter]
+        moved = values[parameter] * np.exp(step) if values[parameter] > 0 else (
+            values[parameter] + step * own.scale
+        )  # fmt: skip
+        values[parameter] = own.clipped(float(moved))
+        if values[parameter] == term.axes[0][parameter]:
+            return None
+        evidence = self.evidence
+        contact = (term.contact,) if term.contact else ()
+        axes = (tuple(float(v) for v in values),)
+        new = terms_of(evidence.balance, term.effect, axes, term.law, contact or ("",))
+        if not new:
+            return None
+        append(evidence, new[0])
+        self._shapes[term.name] = self._shapes[term.name]
+        fit = self.fit((*(t for t in state.terms if t is not term), new[0]), state.powers)
+        return fit if fit.allowed else None
+
+    def search(self, start: Sequence[Term] = ()) -> SetFit:
+        """Best set by steps from a start."""
+        state = self.solve(start)
+        for _ in range(_MOST):
+            better = self._grown(state)
+            better = self.polished(state if better is None else better)
+            if better.total > state.total - _LEAST_GAIN:
+                break
+            state = better
+        return state
+
+    def _grown(self, state: SetFit) -> SetFit | None:
+        """Best set with one more effect, or one more kind at all its places."""
+        names = {term.name for term in state.terms}
+        pool = [term for term in self.evidence.terms if term.name not in names]
+        between = [np.sqrt(a * b) for a, b in zip(state.powers, self.rich, strict=True)]
+        weightings = [state.powers, between, self.rich]
+        sets: dict[frozenset[int], Set] = {}
+        for powers in weightings:
+            seen: Counter[tuple[str, str]] = Counter()
+            kinds: dict[str, dict[str, Term]] = {}
+            for _, term in self.screened(self.whole(powers), state.terms, pool):
+                if seen[term.name] < 2 and len(seen) < _SCREENED:
+                    seen[term.name] += 1
+                    sets[frozenset([id(term)])] = (term,)
+                kinds.setdefault(term.effect.kind, {}).setdefault(term.effect.where, term)
+            for places in kinds.values():
+                if (
+                    len(places) > 1
+                    and len(places) + 1 >= self._places[next(iter(places.values())).effect.kind]
+                ):
+                    several = tuple(places.values())
+                    sets[frozenset(map(id, several))] = several
+        moves = [(*state.terms, *new) for new in sets.values()]
+        fitted = self.fitted(state, moves, weightings, _FITTED)
+        best = min(fitted, key=lambda f: f.total, default=None)
+        return best if best and best.total <= state.total - _LEAST_GAIN else None
+
+    def fitted(
+        self, state: SetFit, sets: Sequence[Set], weightings: Sequence[Sequence[Array]], most: int
+    ) -> list[SetFit]:
+        """Fits of the sets that look best at fixed weights."""
+        chosen: dict[int, Sequence[Array]] = {}
+        for powers in weightings:
+            form = self.whole(powers)
+            order = sorted((self.predicted(form, s), k) for k, s in enumerate(sets))[:most]
+            for total, k in order:
+                if np.isfinite(total):
+                    chosen.setdefault(k, powers)
+        found = (self.solve(sets[k], powers) for k, powers in chosen.items())
+        return [fit for fit in found if fit.allowed]
+
+    def polished(self, state: SetFit) -> SetFit:
+        """Remove, reshape and exchange members until nothing helps."""
+        while True:
+            moves = self._exchanges(state)
+            fitted = self.fitted(state, moves, [state.powers], 5)
+            best = min(fitted, key=lambda f: f.total, default=state)
+            if best.total > state.total - 0.3:
+                return state
+            state = best
+
+    def _exchanges(self, state: SetFit) -> list[Set]:
+        """Sets with a member removed, reshaped or exchanged, or a kind exchanged everywhere."""
+        form, found = self.whole(state.powers), []
+        everything = self.evidence.terms
+        for term in state.terms:
+            rest = tuple(t for t in state.terms if t is not term)
+            names = {t.name for t in rest}
+            found.append(rest)
+            found += [(*rest, t) for t in everything if t.name == term.name and t is not term]
+            others = [
+                t
+                for t in everything
+                if t.effect.kind != term.effect.kind
+                and t.name not in names
+                and (t.effect.where == term.effect.where or t.effect.part != "joint")
+            ]
+            found += [(*rest, t) for _, t in self.screened(form, rest, others)[:2]]
+        for kind, count in Counter(t.effect.kind for t in state.terms).items():
+            if count < 2:
+                continue
+            rest = tuple(t for t in state.terms if t.effect.kind != kind)
+            found.append(rest)
+            names = {t.name for t in rest}
+            places = {t.effect.where for t in state.terms if t.effect.kind == kind}
+            kinds: dict[str, dict[str, Term]] = {}
+            pool = [t for t in everything if t.effect.where in places and t.name not in names]
+            for _, t in self.screened(form, rest, pool):
+                if t.effect.kind != kind:
+                    kinds.setdefault(t.effect.kind, {}).setdefault(t.effect.where, t)
+            found += [(*rest, *own.values()) for own in kinds.values() if len(own) == count]
+        return found
+
+
+def _values(channel: Channel, noisy: float) -> Array:
+    """Values of each cell's discrepancy, by the share of noise in what hardly any set explains.
+
+    Half of all values where there is nothing but noise, which then says what chi-square does; few
+    where a discrepancy repeats the motion.
+    """
+    least = np.minimum(LEAST_VALUES, channel.count / 2) + SHARE_VALUES * channel.count
+    most = np.maximum(channel.count / 2, least)
+    return np.asarray(least + min(noisy, 1.0) * (most - least))
+
+
+@dataclass(frozen=True, eq=False)
+class _Form:
+    normal: Array
+    slope: Array
+    growth: Array
+    guard: Array
+
+
+def _solved(normal: Array, slope: Array) -> tuple[Array, Array, float]:
+    """Half-solved and solved system of a positive definite matrix, and its log determinant."""
+    scale = 1 / np.sqrt(np.diag(normal))
+    root = np.linalg.cholesky(normal * np.outer(scale, scale))
+    half = solve_triangular(root, slope * scale, lower=True, check_finite=False)
+    values = solve_triangular(root.T, half, lower=False, check_finite=False) * scale
+    return half, values, float(2 * np.log(np.diag(root)).sum() - 2 * np.log(scale).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    at: NDArray[np.intp]
+    gram: Array
+    slope: Array
+    growth: Array
+
+
+def _part(channel: Channel, numbers: NDArray[np.intp]) -> _Part:
+    """Products of some columns in a channel."""
+    lookup = np.full(max(int(numbers.max(initial=0)), int(channel.columns.max(initial=0))) + 1, -1)
+    lookup[channel.columns] = np.arange(len(channel.columns))
+    own = lookup[numbers]
+    at = np.flatnonzero(own >= 0)
+    local = own[at]
+    gram = channel.gram[:, local[:, None], local]
+    return _Part(at, gram, channel.slope[:, local], channel.growth[:, local])
+
+
+def _near_bounds(values: Array, evidence: Evidence, at: NDArray[np.intp]) -> bool:
+    """Whether coefficients lie within bounds, with room for other weights."""
+    low, high = evidence.low[at], evidence.high[at]
+    law = evidence.centre[at] > 0
+    room = np.where(law, 0.15, 0.5 * np.abs(np.where(np.isfinite(low), low, 0.0)))
+    return bool(np.all((values >= low - room) & (values <= high + np.where(law, 0.15, np.inf))))
+
+
+def _log_choose(of: int, count: int) -> float:
+    return lgamma(of + 1) - lgamma(count + 1) - lgamma(of - count + 1)
