@@ -273,6 +273,14 @@ class Balance:
         return needed[:, seen].copy(), given[:, seen].copy()
 
 
+def scaled(balance: Balance) -> NominalModel:
+    """Machine with the typical loads and speeds of its motion, which scale its effects' starts."""
+    size = balance.drive if np.any(balance.drive) else balance.needed
+    loads = np.sqrt(np.mean(size**2, axis=0))
+    speeds = np.percentile(np.abs(balance.speed), 95, axis=0)
+    return NominalModel(balance.machine.spec, loads=loads, speeds=speeds)
+
+
 _FORCES = ("body_", "jnt_", "dof_", "qpos", "tendon_", "wrap_", "site_", "actuator_", "eq_")
 _NO_FORCES = ("_solref", "_solimp", "_frictionloss", "_group", "_invweight0", "_margin")
 

@@ -74,9 +74,12 @@ class Term:
     def values(self, coefficients: Array) -> Array:
         """Parameter values for the coefficients of its columns."""
         effect, axes = self.effect, np.array(self.axes)
-        if self.law:
-            return np.array(axes[0])
-        if effect.proportional is not None and not effect.axes:
+        if self.law and effect.null_values is not None and len(effect.parameters) == 1:
+            # to first order: a delay that is a tenth too short has a coefficient of 1.1
+            found = _null(effect) + coefficients[0] * (axes[0] - _null(effect))
+        elif self.law:
+            found = np.array(axes[0])
+        elif effect.proportional is not None and not effect.axes:
             found = np.array(axes[0])
             found[effect.proportional] *= coefficients[0]
         elif effect.axes and len(axes) == len(effect.axes):

@@ -281,11 +281,3 @@ def _without_jumps(q: Array) -> Array:
         cubic = np.polynomial.Polynomial.fit(near, q[near], 3)
         found[first + 1 : last + 1] = cubic(rows[first + 1 : last + 1])
     return found
-
-
-def scales(motion: Motion, machine: NominalModel, needed: Array, given: Array) -> NominalModel:
-    """Machine with the typical loads and speeds of a motion, which scale its effects' starts."""
-    size = given if np.any(given) else needed
-    loads = np.sqrt(np.mean(size**2, axis=0))
-    speeds = np.percentile(np.abs(motion.stacked("speed")), 95, axis=0)
-    return NominalModel(machine.spec, loads=loads, speeds=speeds)

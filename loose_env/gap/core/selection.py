@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from math import lgamma, log
@@ -20,6 +21,7 @@ from scipy.linalg import solve_triangular
 from loose_env.gap.core.balance import USUAL
 from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import Channel, Evidence, append, noise
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.inference import log_determinant
 from loose_env.typing import Array
 
@@ -133,6 +135,12 @@ class Selection:
         values = self.values[channel]
         return np.asarray(values / (values + excess) * self.used[channel])
 
+    def on(self, used: Sequence[NDArray[np.bool_]]) -> Selection:
+        """The same selection on some of the cells."""
+        found = copy(self)
+        found.used, found.fits = list(used), {}
+        return found
+
     def solve(self, terms: Sequence[Term], start: Sequence[Array] | None = None) -> SetFit:
         """Fit a set, from the weights of a start."""
         key = frozenset(id(term) for term in terms)
@@ -234,7 +242,7 @@ class Selection:
         except np.linalg.LinAlgError:
             return np.inf
         own = slice(evidence.tolerances, None)
-        if not _near_bounds(values[own], evidence, at[own]):
+        if not np.all(_near_bounds(values[own], evidence, at[own])):
             return np.inf
         precision = evidence.precision[at]
         prior = precision @ evidence.centre[at] ** 2 - np.log(precision).sum()
@@ -249,19 +257,25 @@ class Selection:
         inverse = np.linalg.inv(normal[np.ix_(at, at)])
         spread = inverse @ normal[at]
         left = slope - normal[:, at] @ (inverse @ slope[at])
+        own = np.maximum(np.diag(normal) - np.sum(normal[at] * spread, axis=0), 1e-300)
+        precision, centre = evidence.precision, evidence.centre
+        gains = left**2 / own + np.log(precision / own) - precision * centre**2
+        near = _near_bounds(left / own, evidence, slice(None))
         known, found = set(at.tolist()), []
         for term in pool:
             new = [k for k in evidence.columns_of(term) if k not in known]
-            if not new:
+            if len(new) == 1 and near[new[0]]:
+                gain = float(gains[new[0]])
+            elif len(new) > 1:
+                several = normal[np.ix_(new, new)] - normal[np.ix_(new, at)] @ spread[:, new]
+                values = np.linalg.solve(several, left[new])
+                if not np.all(_near_bounds(values, evidence, new)):
+                    continue
+                gain = float(left[new] @ values + np.log(precision[new]).sum())
+                gain -= float(precision[new] @ centre[new] ** 2 + np.linalg.slogdet(several)[1])
+            else:
                 continue
-            own = normal[np.ix_(new, new)] - normal[np.ix_(new, at)] @ spread[:, new]
-            values = np.linalg.solve(own, left[new])
-            if not _near_bounds(values, evidence, np.array(new)):
-                continue
-            precision = evidence.precision[new]
-            gain = left[new] @ values - precision @ evidence.centre[new] ** 2
-            gain += np.log(precision).sum() - np.linalg.slogdet(own)[1]
-            found.append((float(gain) - log(self._shapes[term.name]), term))
+            found.append((gain - log(self._shapes[term.name]), term))
         return sorted(found, key=lambda pair: -pair[0])
 
     # ---- the search
@@ -417,23 +431,26 @@ class Selection:
                 return state
             state = best
 
+    def alternatives(self, form: _Form, rest: Set, term: Term) -> list[Term]:
+        """Other kinds at the place of a member, or at the links and drives beside it."""
+        machine, names = self.evidence.balance.machine, {t.name for t in rest}
+        near = _neighbours(machine, term.effect.where)
+        others = [
+            t
+            for t in self.evidence.terms
+            if t.effect.kind != term.effect.kind and t.name not in names and t.effect.where in near
+        ]
+        return [t for _, t in self.screened(form, rest, others)]
+
     def _exchanges(self, state: SetFit) -> list[Set]:
         """Sets with a member removed, reshaped or exchanged, or a kind exchanged everywhere."""
         form, found = self.whole(state.powers), []
         everything = self.evidence.terms
         for term in state.terms:
             rest = tuple(t for t in state.terms if t is not term)
-            names = {t.name for t in rest}
             found.append(rest)
             found += [(*rest, t) for t in everything if t.name == term.name and t is not term]
-            others = [
-                t
-                for t in everything
-                if t.effect.kind != term.effect.kind
-                and t.name not in names
-                and (t.effect.where == term.effect.where or t.effect.part != "joint")
-            ]
-            found += [(*rest, t) for _, t in self.screened(form, rest, others)[:2]]
+            found += [(*rest, t) for t in self.alternatives(form, rest, term)[:2]]
         for kind, count in Counter(t.effect.kind for t in state.terms).items():
             if count < 2:
                 continue
@@ -448,6 +465,17 @@ class Selection:
                     kinds.setdefault(t.effect.kind, {}).setdefault(t.effect.where, t)
             found += [(*rest, *own.values()) for own in kinds.values() if len(own) == count]
         return found
+
+
+def _neighbours(machine: NominalModel, where: str) -> set[str]:
+    """Joint, link and drive of one place; "all", the tool and the base are beside any."""
+    found = {where, "all", "tool", "base"}
+    for joint in machine.joints:
+        drives = {a for a, j in machine.actuated_joint.items() if j == joint}
+        own = {joint, machine.body_of(joint), *drives}
+        if where in own:
+            found |= own
+    return found
 
 
 def _values(channel: Channel, noisy: float) -> Array:
@@ -497,12 +525,13 @@ def _part(channel: Channel, numbers: NDArray[np.intp]) -> _Part:
     return _Part(at, gram, channel.slope[:, local], channel.growth[:, local])
 
 
-def _near_bounds(values: Array, evidence: Evidence, at: NDArray[np.intp]) -> bool:
-    """Whether coefficients lie within bounds, with room for other weights."""
-    low, high = evidence.low[at], evidence.high[at]
-    law = evidence.centre[at] > 0
+def _near_bounds(
+    values: Array, evidence: Evidence, at: NDArray[np.intp] | list[int] | slice
+) -> NDArray[np.bool_]:
+    """Which coefficients lie within bounds, with room for other weights."""
+    low, high, law = evidence.low[at], evidence.high[at], evidence.centre[at] > 0
     room = np.where(law, 0.15, 0.5 * np.abs(np.where(np.isfinite(low), low, 0.0)))
-    return bool(np.all((values >= low - room) & (values <= high + np.where(law, 0.15, np.inf))))
+    return np.asarray((values >= low - room) & (values <= high + np.where(law, 0.15, np.inf)))
 
 
 def _log_choose(of: int, count: int) -> float:

@@ -1,0 +1,271 @@
+"""Decision: which effects of a fitted set are named, and what is said of every joint.
+
+Held-out stretches and whole held-out runs decide. An effect is named where it is probable, its
+interval excludes no effect, and the likelihood of data it was not fitted to rises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.gap.core.catalogue import Term
+from loose_env.gap.core.selection import Selection, Set, SetFit
+from loose_env.typing import Array
+
+Verdict = Literal["named", "not needed", "cannot tell", "unexplained"]
+
+NAMED = 0.5
+"""Probability from which an effect is named: as likely as not."""
+HELD_OUT = 4.0
+"""Rise of twice the held-out log likelihood for an effect: a factor of e² in likelihood, positive
+evidence (Kass and Raftery 1995)."""
+CONTRADICTED = -10.0
+"""The same below which one of the ways to hold out refutes it: very strong evidence against."""
+_Z = 1.96
+"""Half width of a 95 % interval in standard deviations."""
+_NOISE = 1.6
+"""Held-out residual up to which nothing more is needed [noise standard deviations]."""
+_LARGE = 3.0
+"""Held-out residual from which something is left [noise standard deviations]."""
+_EXPLAINED = 0.8
+"""Share of a channel's residual that explains it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Finding:
+    """One effect of the answer."""
+
+    term: Term
+    """The effect with its shape."""
+    values: Array
+    """Parameter values (P,)."""
+    low: Array
+    """Lower ends of their 95 % intervals (P,)."""
+    high: Array
+    """Upper ends (P,)."""
+    probability: float
+    """Probability that the machine has it."""
+    z: float
+    """Largest coefficient over its standard deviation."""
+    by_run: float
+    """Rise of twice the log likelihood of held-out runs."""
+    by_stretch: float
+    """The same of held-out stretches of all runs."""
+    named: bool
+    """Whether it is named."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointVerdict:
+    """What is said of one joint."""
+
+    joint: str
+    """Name of the joint."""
+    verdict: Verdict
+    """The word."""
+    effects: tuple[str, ...]
+    """Effects that are named, or that cannot be told apart."""
+    before: float
+    """Held-out residual of the nominal model [noise standard deviations]."""
+    after: float
+    """Held-out residual of the corrected model."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Decision:
+    """Effects and verdicts."""
+
+    findings: tuple[Finding, ...]
+    """All members of the set, named or not."""
+    joints: tuple[JointVerdict, ...]
+    """Verdicts, joint by joint."""
+    fit: SetFit
+    """The set."""
+    rivals: tuple[tuple[float, str, str], ...]
+    """Probability, kind and location of effects outside the set."""
+
+
+def decide(selection: Selection, fit: SetFit) -> Decision:
+    """Remove what held-out data do not want, and say what is named."""
+    fit = pruned(selection, fit)
+    gains = _gains(selection, fit.terms, fit.powers)
+    chances = _probabilities(selection, fit)
+    spreads = _spreads(selection, fit)
+    place = {k: i for i, k in enumerate(fit.numbers)}
+    findings = []
+    for number, term in enumerate(fit.terms):
+        own = [place[k] for k in selection.evidence.columns_of(term)]
+        x, sd = fit.values[own], spreads[own]
+        ends = np.stack([term.values(x + side * _Z * sd) for side in (-1, 1)])
+        z = float(np.max(np.abs(x) / sd))
+        by_run, by_stretch = (float(g[number]) for g in gains)
+        chance = chances.get(term.name, 0.0)
+        held = max(by_run, by_stretch) >= HELD_OUT and min(by_run, by_stretch) > CONTRADICTED
+        findings.append(
+            Finding(
+                term=term, values=term.values(x), low=ends.min(axis=0), high=ends.max(axis=0),
+                probability=chance, z=z, by_run=by_run, by_stretch=by_stretch,
+                named=chance >= NAMED and z > _Z and held,
+            )
+        )  # fmt: skip
+    members = {term.name for term in fit.terms}
+    rivals = sorted(
+        ((p, kind, where) for (kind, where), p in chances.items() if (kind, where) not in members),
+        reverse=True,
+    )
+    rivals = [r for r in rivals if r[0] > 0.05]
+    joints = tuple(_verdicts(selection, fit, findings, rivals))
+    return Decision(findings=tuple(findings), joints=joints, fit=fit, rivals=tuple(rivals))
+
+
+def pruned(selection: Selection, fit: SetFit) -> SetFit:
+    """Drop members that do not help on data they were not fitted to, the worst first."""
+    while fit.terms:
+        by_run, by_stretch = _gains(selection, fit.terms, fit.powers)
+        low, high = np.minimum(by_run, by_stretch), np.maximum(by_run, by_stretch)
+        gain = np.where(low < CONTRADICTED, low, high)
+        worst = int(np.argmin(gain))
+        if gain[worst] >= HELD_OUT:
+            break
+        rest = tuple(t for k, t in enumerate(fit.terms) if k != worst)
+        fit = selection.solve(rest, fit.powers)
+    return fit
+
+
+def _folds(selection: Selection) -> list[list[list[NDArray[np.bool_]]]]:
+    """Held-out cells, scheme by scheme and fold by fold: whole runs, and alternate stretches."""
+    channels = selection.evidence.channels
+    schemes = []
+    runs = sorted({int(r) for c in channels for r in c.run})
+    if len(runs) > 1:
+        groups = [runs[k :: min(len(runs), 4)] for k in range(min(len(runs), 4))]
+        schemes.append([[np.isin(c.run, group) for c in channels] for group in groups])
+    halves = [[c.stretch % 2 == k for c in channels] for k in (0, 1)]
+    schemes.append(halves)
+    return schemes if len(schemes) == 2 else [halves, halves]
+
+
+def _held_out(
+    selection: Selection,
+    terms: Set,
+    powers: Sequence[Array],
+    folds: Iterable[Sequence[NDArray[np.bool_]]],
+) -> float:
+    """Minus twice the log likelihood of held-out cells, fitted to the others."""
+    total, folds = 0.0, list(folds)
+    tolerances = slice(0, selection.evidence.tolerances)
+    for held in folds:
+        fit = selection.on([~h for h in held]).fit(terms, powers, 3)
+        judge = selection.on(held)
+        total += sum(judge.score(k, power) for k, power in enumerate(fit.powers))
+        total += float(fit.values[tolerances] @ fit.values[tolerances]) / len(folds)
+    return total
+
+
+def _gains(selection: Selection, terms: Set, powers: Sequence[Array]) -> tuple[Array, Array]:
+    """Rise of twice the held-out log likelihood with each member, by runs and by stretches."""
+    found = []
+    for folds in _folds(selection):
+        whole = _held_out(selection, terms, powers, folds)
+        without = [
+            _held_out(selection, tuple(t for t in terms if t is not term), powers, folds)
+            for term in terms
+        ]
+        found.append(np.array(without) - whole)
+    return found[0], found[1]
+
+
+def _probabilities(selection: Selection, fit: SetFit) -> dict[tuple[str, str], float]:
+    """Probability of each effect among the sets near the answer."""
+    form = selection.whole(fit.powers)
+    names = {t.name for t in fit.terms}
+    pool = [t for t in selection.evidence.terms if t.name not in names]
+    for _, term in selection.screened(form, fit.terms, pool)[:12]:
+        selection.solve((*fit.terms, term), fit.powers)
+    for term in fit.terms:
+        rest = tuple(t for t in fit.terms if t is not term)
+        selection.solve(rest, fit.powers)
+        for other in selection.alternatives(form, rest, term)[:3]:
+            selection.solve((*rest, other), fit.powers)
+    near = [f for f in (*selection.fits.values(), fit) if f.allowed]
+    least = min(f.total for f in near)
+    weights = np.exp(-0.5 * np.array([f.total - least for f in near]))
+    weights /= weights.sum()
+    found: dict[tuple[str, str], float] = {}
+    for own, weight in zip(near, weights, strict=True):
+        for name in {t.name for t in own.terms}:
+            found[name] = found.get(name, 0.0) + float(weight)
+    return found
+
+
+def _spreads(selection: Selection, fit: SetFit) -> Array:
+    """Standard deviations of the coefficients: Laplace's, or the jackknife's if that is larger.
+
+    A discrepancy that repeats makes stretches disagree by more than their noise does (Efron and
+    Stein, Annals of Statistics 9, 1981).
+    """
+    laplace = np.sqrt(np.diag(np.linalg.inv(fit.normal)))
+    channels = selection.evidence.channels
+    stretches = sorted({int(s) for c in channels for s in c.stretch})
+    if len(stretches) < 3:
+        return np.asarray(laplace)
+    left_out = np.stack(
+        [
+            selection.on([c.stretch != s for c in channels]).fit(fit.terms, fit.powers, 2).values
+            for s in stretches
+        ]
+    )
+    count = len(stretches)
+    jackknife = np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean(axis=0)) ** 2, 0))
+    return np.asarray(np.maximum(laplace, jackknife))
+
+
+def _verdicts(
+    selection: Selection,
+    fit: SetFit,
+    findings: Sequence[Finding],
+    rivals: Sequence[tuple[float, str, str]],
+) -> Iterable[JointVerdict]:
+    """One verdict for each joint that the evidence has a channel of."""
+    machine = selection.evidence.balance.machine
+    after = _residuals(selection, fit)
+    for k, channel in enumerate(selection.evidence.channels):
+        joint = machine.joints[channel.joint]
+        drives = {a for a, j in machine.actuated_joint.items() if j == joint}
+        places = {joint, machine.body_of(joint), *drives, "all"}
+        named = [f.term.effect.kind for f in findings if f.named and f.term.effect.where in places]
+        open_ = [kind for _, kind, where in rivals if where in places]
+        open_ += [
+            f.term.effect.kind for f in findings if not f.named and f.term.effect.where in places
+        ]
+        before = float(np.sqrt(channel.power.sum() / channel.count.sum()))
+        share = 1 - (after[k] / before) ** 2
+        if after[k] > _LARGE and share < _EXPLAINED and before > _LARGE:
+            verdict: Verdict = "unexplained"
+        elif named:
+            verdict = "named"
+        elif after[k] < _NOISE or (not open_ and after[k] <= _LARGE):
+            verdict = "not needed"
+        else:
+            verdict = "cannot tell"
+        yield JointVerdict(
+            joint=joint, verdict=verdict, effects=tuple(named or open_), before=before,
+            after=float(after[k]),
+        )  # fmt: skip
+
+
+def _residuals(selection: Selection, fit: SetFit) -> Array:
+    """Residual of each channel on held-out data, run by run if there are several."""
+    channels = selection.evidence.channels
+    total, count = np.zeros(len(channels)), np.zeros(len(channels))
+    for held in _folds(selection)[0]:
+        own = selection.on([~h for h in held]).fit(fit.terms, fit.powers, 3)
+        for k, (channel, power) in enumerate(zip(channels, own.powers, strict=True)):
+            total[k] += power[held[k]].sum()
+            count[k] += channel.count[held[k]].sum()
+    return np.asarray(np.sqrt(total / count))

@@ -1,0 +1,52 @@
+"""Print what the new core of `loose gap` finds in recordings, one after the other."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from loose_env.gap.core.find import find_gap
+from loose_env.recording import read_recording
+
+
+def main() -> None:
+    """Print effects, verdicts and CPU time of each recording named on the command line."""
+    for folder in map(Path, sys.argv[1:]):
+        start = time.process_time()
+        answer = find_gap(read_recording(folder))
+        decision = answer.decision
+        evidence = answer.selection.evidence
+        motion = evidence.balance.motion
+        print(
+            f"== {folder.name}: {motion.runs[0].form}, band {motion.band:.1f} Hz, "
+            f"{len(evidence.terms)} terms, {evidence.tolerances} tolerances, "
+            f"{time.process_time() - start:.1f} s CPU"
+        )
+        for f in sorted(decision.findings, key=lambda f: f.term.name):
+            values = ", ".join(
+                f"{p.name} {v:.4g} ({a:.4g} to {b:.4g}) {p.unit}"
+                for p, v, a, b in zip(
+                    f.term.effect.parameters, f.values, f.low, f.high, strict=True
+                )
+            )
+            word = "NAMED" if f.named else "     "
+            print(
+                f"  {word} {f.term.effect!r} {f.term.contact}: {values}; p {f.probability:.2f}, "
+                f"z {f.z:.1f}, held-out {f.by_run:+.0f} by run {f.by_stretch:+.0f} by stretch"
+            )
+        if decision.rivals:
+            print("  rivals:", ", ".join(f"{k}@{w} {p:.2f}" for p, k, w in decision.rivals[:8]))
+        for j in decision.joints:
+            print(
+                f"  {j.joint}: {j.verdict} {', '.join(j.effects)} ({j.before:.3g} -> {j.after:.3g})"
+            )
+        pull = decision.fit.values[: evidence.tolerances]
+        print(f"  tolerances {float(pull @ pull):.1f}", flush=True)
+
+
+if __name__ == "__main__":
+    np.seterr(all="ignore")
+    main()
