@@ -104,8 +104,8 @@ class Evidence:
     """How many of the columns, the first ones, are combinations of tolerances."""
     mixed: Array
     """Tolerances in each of these combinations (tolerances, combinations)."""
-    names: tuple[str, ...]
-    """Names of the tolerances."""
+    nuisances: tuple[Nuisance, ...]
+    """The tolerances."""
 
     def columns_of(self, term: Term) -> tuple[int, ...]:
         """Columns of a term."""
@@ -149,7 +149,7 @@ def whiten(balance: Balance, terms: Sequence[Term], tolerances: Sequence[Nuisanc
         operators=operators,
         tolerances=kept,
         mixed=mixed,
-        names=tuple(n.name for n in tolerances),
+        nuisances=tuple(tolerances),
     )
 
 

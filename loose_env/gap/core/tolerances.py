@@ -6,20 +6,25 @@ here, and are never reported. An effect is named only where the data pull it cle
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from loose_env.gap.core.balance import USUAL, Balance, Forces
-from loose_env.gap.model.effects.drives.actuators import ActuatorGain
+from loose_env.gap.core.balance import USUAL, Balance
 from loose_env.gap.model.effects.link_inertia import LinkMass, links_with_mass
 from loose_env.gap.model.effects.mjcf.geometry import link_ends
 from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial
+from loose_env.gap.model.effects.mjcf.joint_effect import added_name
+from loose_env.gap.model.effects.mjcf.passive_actuators import add_constant
 from loose_env.gap.model.effects.sensors import EncoderOffset
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
+
+
+Edit = Callable[[mujoco.MjSpec, float], None]
+"""Changes a spec by a number of standard deviations."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +66,8 @@ class Nuisance:
     """Change of the balance (T, joints)."""
     operator: Array
     """Change of the mean inertia, damping and stiffness (3, joints, joints)."""
+    edit: Edit | None = None
+    """Edit of a spec by a number of standard deviations; None if no model has it."""
 
 
 _STEP = 1e-3
@@ -76,49 +83,54 @@ def nuisances(balance: Balance, tolerances: Tolerances) -> list[Nuisance]:
     ]
 
 
-def _nuisance(name: str, forces: Forces, balance: Balance, factor: float) -> Nuisance:
-    change = factor * forces.with_contact(balance.directions[USUAL])
-    return Nuisance(name=name, change=change, operator=factor * forces.operator)
+def _edited(name: str, edit: Edit, balance: Balance) -> Nuisance:
+    """Tolerance that an edit of the spec describes, differentiated at the nominal model."""
+    spec = balance.machine.fresh()
+    edit(spec, _STEP)
+    forces = balance.edited(spec)
+    change = forces.with_contact(balance.directions[USUAL]) / _STEP
+    return Nuisance(name=name, change=change, operator=forces.operator / _STEP, edit=edit)
 
 
 def _rigid(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     """Ten rigid parameters of each link."""
     machine = balance.machine
     for link in links_with_mass(machine):
-        mass = LinkMass(machine, link)
         own = float(machine.model.body(link).mass[0])
-        forces = balance.forces(mass, np.array([_STEP * own]))
-        yield _nuisance(f"mass of {link}", forces, balance, tolerances.mass / _STEP)
         size = _size(machine, link)
+        yield _edited(f"mass of {link}", _heavier(machine, link, tolerances.mass * own), balance)
         width = min(tolerances.centre * size, tolerances.centre_m)
         for k, axis in enumerate("xyz"):
-            forces = balance.edited(_inertial(machine, link, centre=_STEP * size * np.eye(3)[k]))
-            scale = width / (_STEP * size)
-            yield _nuisance(f"centre of {link} along {axis}", forces, balance, scale)
+            shift = _inertial(machine, link, width * np.eye(3)[k], np.zeros((3, 3)))
+            yield _edited(f"centre of {link} along {axis}", shift, balance)
         moment = float(np.mean(machine.model.body(link).inertia)) + 1e-3 * own * size**2
         for row, column in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
             tensor = np.zeros((3, 3))
-            tensor[row, column] = tensor[column, row] = _STEP * moment
-            forces = balance.edited(_inertial(machine, link, tensor=tensor))
-            name = f"inertia {'xyz'[row]}{'xyz'[column]} of {link}"
-            yield _nuisance(name, forces, balance, tolerances.inertia / _STEP)
+            tensor[row, column] = tensor[column, row] = tolerances.inertia * moment
+            turned = _inertial(machine, link, np.zeros(3), tensor)
+            yield _edited(f"inertia {'xyz'[row]}{'xyz'[column]} of {link}", turned, balance)
 
 
-def _inertial(
-    machine: NominalModel, link: str, *, centre: Array | None = None, tensor: Array | None = None
-) -> mujoco.MjSpec:
-    """Spec with a link's centre or inertia changed."""
-    spec = machine.fresh()
-    spec.compiler.balanceinertia = False
-    old = inertial_of(machine, spec, link)
-    zero = np.zeros(3)
-    changed = Inertial(
-        old.mass,
-        old.centre + (zero if centre is None else centre),
-        old.tensor + (0.0 if tensor is None else tensor),
-    )
-    set_inertial(machine, spec, link, changed)
-    return spec
+def _heavier(machine: NominalModel, link: str, mass: float) -> Edit:
+    """Edit that adds mass to a link, its inertia in proportion."""
+
+    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
+        LinkMass(machine, link).edit(spec, np.array([deviations * mass]))
+
+    return edit
+
+
+def _inertial(machine: NominalModel, link: str, centre: Array, tensor: Array) -> Edit:
+    """Edit that shifts a link's centre and changes its inertia."""
+
+    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
+        old = inertial_of(machine, spec, link)
+        changed = Inertial(
+            old.mass, old.centre + deviations * centre, old.tensor + deviations * tensor
+        )
+        set_inertial(machine, spec, link, changed)
+
+    return edit
 
 
 def _size(machine: NominalModel, link: str) -> float:
@@ -134,23 +146,23 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     machine, model = balance.machine, balance.machine.model
     count = len(machine.joints)
     for joint, name in enumerate(machine.joints):
-        offset = _STEP * tolerances.zero
-        forces = balance.forces(EncoderOffset(machine, name), np.array([offset]))
-        yield _nuisance(f"zero of {name}", forces, balance, 1 / _STEP)
+        yield _edited(f"zero of {name}", _shifted_zero(machine, name, tolerances.zero), balance)
         for field, width in (
             ("armature", tolerances.armature),
             ("damping", tolerances.damping),
             ("frictionloss", tolerances.damping),
         ):
-            nominal = float(getattr(model, f"dof_{field}")[int(model.joint(name).dofadr[0])])
-            if nominal > 0:
-                spec = machine.fresh()
-                own = spec.joint(name)
-                setattr(own, field, np.asarray(getattr(own, field)) * (1 + _STEP))
-                yield _nuisance(f"{field} of {name}", balance.edited(spec), balance, width / _STEP)
+            if float(getattr(model, f"dof_{field}")[int(model.joint(name).dofadr[0])]) > 0:
+                scaled = _scaled_joint(name, field, width)
+                yield _edited(f"{field} of {name}", scaled, balance)
         one, nothing = np.eye(count)[joint], np.zeros((3, count, count))
-        constant = tolerances.offset * machine.load_scales[joint] * np.ones((len(balance.drive), 1))
-        yield Nuisance(name=f"constant torque at {name}", change=constant * one, operator=nothing)
+        size = tolerances.offset * float(machine.load_scales[joint])
+        yield Nuisance(
+            name=f"constant torque at {name}",
+            change=np.tile(size * one, (len(balance.drive), 1)),
+            operator=nothing,
+            edit=_constant(name, -size),
+        )
         inverse = (balance.forms == "inverse") & balance.seen[:, joint]
         if inverse.any():
             gain = np.where(inverse, balance.needed[:, joint], 0.0)[:, None] * one
@@ -171,24 +183,62 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
             )
 
 
+def _shifted_zero(machine: NominalModel, joint: str, width: float) -> Edit:
+    """Edit that shifts the zero of an encoder."""
+
+    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
+        EncoderOffset(machine, joint).edit(spec, np.array([deviations * width]))
+
+    return edit
+
+
+def _scaled_joint(joint: str, field: str, width: float) -> Edit:
+    """Edit that scales a property of a joint."""
+
+    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
+        own = spec.joint(joint)
+        setattr(own, field, np.asarray(getattr(own, field)) * max(1 + deviations * width, 0.0))
+
+    return edit
+
+
+def _constant(joint: str, torque: float) -> Edit:
+    """Edit that adds a constant torque at a joint."""
+
+    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
+        name = added_name(spec, joint, "tolerance")
+        add_constant(spec, joint, name, deviations * torque)
+
+    return edit
+
+
+def _scaled_drive(actuator: str, width: float, *, velocity: bool) -> Edit:
+    """Edit that scales the gains of a drive, or its velocity gain alone."""
+
+    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
+        own, factor = spec.actuator(actuator), max(1 + deviations * width, 0.0)
+        bias, gain = np.array(own.biasprm), np.array(own.gainprm)
+        if velocity:
+            bias[2] *= factor
+        else:
+            bias, gain = factor * bias, factor * gain
+        own.biasprm, own.gainprm = bias, gain
+
+    return edit
+
+
 def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     """Gains and command shifts of the actuators."""
     machine = balance.machine
     if balance.released.all():
         return
     for number, name in enumerate(machine.actuators):
-        if name in ActuatorGain.locations(machine):
-            gain = ActuatorGain(machine, name)
-            forces = balance.forces(gain, np.array([1 + _STEP]))
-            yield _nuisance(f"gain of {name}", forces, balance, tolerances.torque / _STEP)
+        if machine.affine_actuators[number]:
+            gain = _scaled_drive(name, tolerances.torque, velocity=False)
+            yield _edited(f"gain of {name}", gain, balance)
             if machine.model.actuator_biasprm[number, 2] != 0:
-                spec = machine.fresh()
-                own = spec.actuator(name)
-                bias = np.array(own.biasprm)
-                bias[2] *= 1 + _STEP
-                own.biasprm = bias
-                scale = tolerances.velocity_gain / _STEP
-                yield _nuisance(f"velocity gain of {name}", balance.edited(spec), balance, scale)
+                rate = _scaled_drive(name, tolerances.velocity_gain, velocity=True)
+                yield _edited(f"velocity gain of {name}", rate, balance)
         yield Nuisance(
             name=f"shift of the commands of {name}",
             change=tolerances.shift_samples * shifted(balance, [number]),
