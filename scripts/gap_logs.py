@@ -25,6 +25,11 @@ def main() -> None:
             f"{len(evidence.terms)} terms, {evidence.tolerances} tolerances, "
             f"{time.process_time() - start:.1f} s CPU"
         )
+        for e in answer.exact:
+            words = ", ".join(f"{t.effect.kind}@{t.effect.where}" for t in e.fit.terms)
+            print(
+                f"  exact {e.total:.0f}, cells {e.fit.total:.0f}: {words}; rms {np.round(e.rms, 1)}"
+            )
         for f in sorted(decision.findings, key=lambda f: f.term.name):
             values = ", ".join(
                 f"{p.name} {v:.4g} ({a:.4g} to {b:.4g}) {p.unit}"

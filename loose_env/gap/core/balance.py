@@ -29,8 +29,9 @@ _POSES = 24
 _NUDGE = 1e-4
 """Displacement of numerical derivatives [rad, m]."""
 
-_SIZES = tuple(
-    "nq nv nu na nbody njnt nsite ntendon nC ngeom neq nhistory nM nJmom nsensordata nactuator".split()
+_SIZES = (
+    *("nq", "nv", "nu", "na", "nbody", "njnt", "nsite", "ntendon", "nC", "ngeom", "neq"),
+    *("nhistory", "nM", "nJmom", "nsensordata", "nactuator"),
 )
 """Sizes that models share in one batch."""
 
@@ -140,10 +141,16 @@ class Balance:
         operator = np.zeros_like(self.operator)
         if given is not self.given and model is not None and model.nv == self.needed.shape[1]:
             operator = self._operator(model) - self.operator
+        elif model is not None and model.nv > self.needed.shape[1]:
+            # what a hidden joint leaves of the forces that the motion takes
+            ratio = np.sum(needed * self.needed, axis=0) / np.sum(self.needed**2, axis=0)
+            operator[0] = (ratio - 1)[:, None] * self.operator[0]
         needed = needed - given
         if effect is not None:
             if type(effect).torque is not Effect.torque:
-                paths = zip(self.motion.split(self.position), self.motion.split(self.speed))
+                paths = zip(
+                    self.motion.split(self.position), self.motion.split(self.speed), strict=True
+                )
                 needed -= np.concatenate([effect.torque(q, v, values) for q, v in paths])
             if isinstance(effect, DrivenEffect):
                 # the load that the model needs: the drive's own torque contains the friction

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import sqrt
 
 import numpy as np
 
 from loose_env.gap.core.balance import CONTACTS, USUAL, Balance
-from loose_env.gap.model.effect import Effect
 from loose_env.gap.core.effects import EFFECTS
+from loose_env.gap.model.effect import Effect
 from loose_env.typing import Array
 
 _MOVING = 20.0
@@ -117,12 +118,8 @@ def shows(balance: Balance, effect: Effect) -> bool:
 
     Readings are the business of sensor cells; stops, of the exact fit.
     """
-    if (
-        effect.has_stops
-        or not moves(balance, effect)
-        or not effect.moves
-        and not _senses_torque(effect)
-    ):
+    acts = effect.moves or _senses_torque(effect)
+    if effect.has_stops or not acts or not moves(balance, effect):
         return False
     if effect.drives and balance.released.all():
         return _senses_torque(effect) and bool((balance.forms == "inverse").any())
@@ -185,7 +182,7 @@ def _dense(effect: Effect, starts: Sequence[tuple[float, ...]]) -> list[tuple[fl
     if len(effect.parameters) > 1 or any(s[0] <= 0 for s in starts):
         return list(starts)
     sizes = sorted({s[0] for s in starts})
-    between = [sqrt(a * b) for a, b in zip(sizes, sizes[1:], strict=False)]
+    between = [sqrt(a * b) for a, b in pairwise(sizes)]
     return [(size,) for size in sorted(sizes + between)]
 
 

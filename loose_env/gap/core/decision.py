@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.core.catalogue import Term
+from loose_env.gap.core.exact import ExactFit
 from loose_env.gap.core.selection import Selection, Set, SetFit
+from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.typing import Array
 
 Verdict = Literal["named", "not needed", "cannot tell", "unexplained"]
@@ -90,9 +92,8 @@ class Decision:
     """Probability, kind and location of effects outside the set."""
 
 
-def decide(selection: Selection, fit: SetFit) -> Decision:
-    """Remove what held-out data do not want, and say what is named."""
-    fit = pruned(selection, fit)
+def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) -> Decision:
+    """Say what of a pruned set is named, with the values of an exact fit if there is one."""
     gains = _gains(selection, fit.terms, fit.powers)
     chances = _probabilities(selection, fit)
     spreads = _spreads(selection, fit)
@@ -101,14 +102,23 @@ def decide(selection: Selection, fit: SetFit) -> Decision:
     for number, term in enumerate(fit.terms):
         own = [place[k] for k in selection.evidence.columns_of(term)]
         x, sd = fit.values[own], spreads[own]
+        values = term.values(x)
         ends = np.stack([term.values(x + side * _Z * sd) for side in (-1, 1)])
+        if exact:
+            # the values of the simulation, as uncertain as there or as the cells disagree
+            parameters = term.effect.parameters
+            wide = (ends.max(axis=0) - ends.min(axis=0)) / 2
+            values, spread = exact[0].values[number], exact[0].spreads[number]
+            free = free_of(parameters, values)
+            own_ends = [values_of(parameters, free + side * _Z * spread) for side in (-1, 1)]
+            ends = np.stack([*own_ends, values - wide, values + wide])
         z = float(np.max(np.abs(x) / sd))
         by_run, by_stretch = (float(g[number]) for g in gains)
         chance = chances.get(term.name, 0.0)
         held = max(by_run, by_stretch) >= HELD_OUT and min(by_run, by_stretch) > CONTRADICTED
         findings.append(
             Finding(
-                term=term, values=term.values(x), low=ends.min(axis=0), high=ends.max(axis=0),
+                term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
                 probability=chance, z=z, by_run=by_run, by_stretch=by_stretch,
                 named=chance >= NAMED and z > _Z and held,
             )

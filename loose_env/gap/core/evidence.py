@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -270,7 +271,7 @@ def _stretches(balance: Balance) -> list[tuple[int, slice]]:
         count = len(run.position)
         pieces = int(np.clip(count * run.step / _SHORTEST_S, 1, each))
         edges = np.linspace(0, count, pieces + 1).astype(int)
-        found += [(number, slice(a, b)) for a, b in zip(edges, edges[1:], strict=False)]
+        found += [(number, slice(a, b)) for a, b in pairwise(edges)]
     return found
 
 

@@ -15,9 +15,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from loose_env.gap.core.balance import Balance
-from loose_env.gap.core.catalogue import Term
 from loose_env.gap.core.selection import LEAST_VALUES, SHARE_VALUES, Selection, SetFit
-from loose_env.gap.core.tolerances import Edit
+from loose_env.gap.core.tolerances import Nuisance
 from loose_env.gap.data.aligned_run import Trial, align_run, channels_of
 from loose_env.gap.data.measured_runs import measured_runs
 from loose_env.gap.model.effect import Effect
@@ -35,7 +34,7 @@ _MOST_S = 16.0
 """Length of all windows of a recording, about: cost [s]."""
 _ROUNDS = 2
 """Reweighted rounds of a fit."""
-_EVALUATIONS = 6
+_EVALUATIONS = 3
 """Jacobians of one round."""
 _STEP = 1e-3
 """Step of numerical derivatives, in free numbers."""
@@ -62,9 +61,9 @@ class _Known(Effect):
 
     kind = "tolerances"
 
-    def __init__(self, machine: NominalModel, edits: Sequence[tuple[Edit, float]]) -> None:
+    def __init__(self, machine: NominalModel, pulls: Sequence[tuple[Nuisance, float]]) -> None:
         self.machine, self.where, self.variant = machine, "", ""
-        self._edits = edits
+        self._pulls = pulls
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -73,8 +72,19 @@ class _Known(Effect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Apply each by its number of standard deviations."""
-        for edit, deviations in self._edits:
-            edit(spec, deviations)
+        for nuisance, deviations in self._pulls:
+            if nuisance.edit is not None:
+                nuisance.edit(spec, deviations)
+
+    def command(self, time: Array, controls: Array, values: Array) -> Array:
+        """Shift the commands, linearly between steps."""
+        found = controls.copy()
+        for nuisance, deviations in self._pulls:
+            if nuisance.late is not None:
+                number, delay = nuisance.late
+                at = time - deviations * delay
+                found[:, number] = np.interp(at, time, controls[:, number])
+        return found
 
 
 class Exact:
@@ -181,12 +191,11 @@ def _side(x: Array, bounds: Array) -> Array:
     return np.where(x + _STEP <= bounds[:, 1], _STEP, -_STEP)
 
 
-def _pulls(selection: Selection, fit: SetFit) -> list[tuple[Edit, float]]:
-    """Edits of the tolerances with their numbers of standard deviations."""
+def _pulls(selection: Selection, fit: SetFit) -> list[tuple[Nuisance, float]]:
+    """Tolerances with their numbers of standard deviations."""
     evidence = selection.evidence
     pulls = evidence.mixed @ fit.values[: evidence.tolerances]
-    pairs = zip(evidence.nuisances, pulls, strict=True)
-    return [(n.edit, float(x)) for n, x in pairs if n.edit is not None]
+    return [(n, float(x)) for n, x in zip(evidence.nuisances, pulls, strict=True)]
 
 
 def _windows(trial: Trial, balance: Balance, trials: int) -> list[Trial]:
@@ -210,7 +219,7 @@ def _windows(trial: Trial, balance: Balance, trials: int) -> list[Trial]:
     return found
 
 
-def leading(selection: Selection, fit: SetFit, most: int = 5) -> list[SetFit]:
+def leading(selection: Selection, fit: SetFit, most: int = 4) -> list[SetFit]:
     """The answer and the best sets of other effects that were visited."""
     names: set[frozenset[tuple[str, str]]] = set()
     found = []
@@ -220,8 +229,3 @@ def leading(selection: Selection, fit: SetFit, most: int = 5) -> list[SetFit]:
             names.add(own)
             found.append(other)
     return found[:most]
-
-
-def terms_text(terms: Sequence[Term]) -> str:
-    """Effects of a set in one line."""
-    return ", ".join(f"{t.effect.kind}@{t.effect.where}" for t in terms) or "nothing"

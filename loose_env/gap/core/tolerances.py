@@ -22,7 +22,6 @@ from loose_env.gap.model.effects.sensors import EncoderOffset
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-
 Edit = Callable[[mujoco.MjSpec, float], None]
 """Changes a spec by a number of standard deviations."""
 
@@ -68,6 +67,8 @@ class Nuisance:
     """Change of the mean inertia, damping and stiffness (3, joints, joints)."""
     edit: Edit | None = None
     """Edit of a spec by a number of standard deviations; None if no model has it."""
+    late: tuple[int, float] | None = None
+    """Actuator whose commands are shifted, and by how much [s]."""
 
 
 _STEP = 1e-3
@@ -243,6 +244,7 @@ def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
             name=f"shift of the commands of {name}",
             change=tolerances.shift_samples * shifted(balance, [number]),
             operator=np.zeros_like(balance.operator),
+            late=(number, tolerances.shift_samples * balance.motion.runs[0].log_step),
         )
 
 
