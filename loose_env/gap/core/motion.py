@@ -217,8 +217,9 @@ def _run_motion(log: _Log, noise: Array, band: float, thin: int) -> RunMotion:
         position=blocks(whole[0]),
         speed=blocks(whole[1]),
         acceleration=blocks(whole[2]),
-        commands=blocks(later(log.commands, 0.5)),
-        torques=blocks(log.torque),
+        # through the same filter: a stiff servo acts on a small difference of large signals
+        commands=blocks(low_passed(later(log.commands, 0.5), band, log.step)),
+        torques=blocks(low_passed(log.torque, band, log.step)),
         log_step=log.step,
     )
 
@@ -235,8 +236,7 @@ def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float)
 
     Weighted by the noise of both readings, with odd reflections at the ends.
     """
-    pad = min(len(q) - 2, int(3 / band / step) + 20)
-    ends = np.concatenate([2 * q[0] - q[pad:0:-1], q, 2 * q[-1] - q[-2 : -pad - 2 : -1]])
+    ends, pad = _reflected(q, band, step)
     line = np.linspace(ends[0], ends[-1], len(ends))
     slope = (ends[-1] - ends[0]) / ((len(ends) - 1) * step)
     turn = 2 * np.pi * np.fft.rfftfreq(len(ends), step)
@@ -245,13 +245,35 @@ def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float)
         rates = np.concatenate([v[pad:0:-1], v, v[-2 : -pad - 2 : -1]]) - slope
         precise = 1 / noise[0] ** 2 + turn**2 / noise[1] ** 2
         shape = (shape / noise[0] ** 2 - 1j * turn * np.fft.rfft(rates) / noise[1] ** 2) / precise
-    shape = shape / (1 + (turn / (2 * np.pi * _FLAT * band)) ** _ORDER)
+    shape = shape * _passed(turn, band)
     offsets = (line, slope, 0.0)
     whole = [
         np.fft.irfft((1j * turn) ** k * shape, len(ends)) + offset
         for k, offset in enumerate(offsets)
     ]
     return np.stack(whole)[:, pad : pad + len(q)]
+
+
+def low_passed(values: Array, band: float, step: float) -> Array:
+    """Columns (T, K) through the low-pass of the motion; those with gaps stay as they are."""
+    found = values.copy()
+    for k, column in enumerate(values.T):
+        if np.isfinite(column).all():
+            found[:, k] = _smoothed(column, None, np.ones(3), band, step)[0]
+    return found
+
+
+def _reflected(values: Array, band: float, step: float) -> tuple[Array, int]:
+    """Record with odd reflections at its ends, and their length."""
+    pad = min(len(values) - 2, int(3 / band / step) + 20)
+    ahead = 2 * values[0] - values[pad:0:-1]
+    behind = 2 * values[-1] - values[-2 : -pad - 2 : -1]
+    return np.concatenate([ahead, values, behind]), pad
+
+
+def _passed(turn: Array, band: float) -> Array:
+    """Gain of the low-pass at angular frequencies."""
+    return np.asarray(1 / (1 + (turn / (2 * np.pi * _FLAT * band)) ** _ORDER))
 
 
 def _agrees(v: Array, derived: Array, noise: Array, band: float, step: float) -> bool:

@@ -31,7 +31,7 @@ LEAST_VALUES = 1.5
 """Values of a cell's discrepancy, at least: its amplitude, and a half for its shape, and:"""
 SHARE_VALUES = 0.02
 """share of a cell's values that they are at most when nothing repeats."""
-_ROUNDS = 6
+_ROUNDS = 8
 """Reweighted rounds of one fit."""
 _LEAST_GAIN = 0.5
 """Fall of minus twice the log evidence for which a step is taken."""
@@ -145,7 +145,11 @@ class Selection:
         """Fit a set, from the weights of a start."""
         key = frozenset(id(term) for term in terms)
         if key not in self.fits:
-            self.fits[key] = self.fit(tuple(terms), start)
+            # the likelihood has several optima: also from where there is nothing but noise
+            noisy = [channel.count for channel in self.evidence.channels]
+            starts = ([c.power for c in self.evidence.channels] if start is None else start, noisy)
+            fits = (self.fit(tuple(terms), own) for own in starts)
+            self.fits[key] = min(fits, key=lambda f: (not f.allowed, f.cost))
         return self.fits[key]
 
     def fit(
@@ -165,7 +169,7 @@ class Selection:
                 normal[np.ix_(part.at, part.at)] += np.tensordot(weight, part.gram, 1)
                 slope[part.at] += weight @ part.slope
                 shrunk = part.growth @ found[part.at] < 0
-                guard = shrunk * (self.values[k] * self.used[k] - self.values[k] * weight)
+                guard = shrunk * weight * power
                 normal[np.ix_(part.at, part.at)] += (part.growth.T * guard) @ part.growth
                 slope[part.at] += guard @ part.growth
             scale = 1 / np.sqrt(np.diag(normal))
@@ -223,7 +227,7 @@ class Selection:
             growth = np.zeros((len(weight), len(slope)))
             growth[:, at] = channel.growth
             growths.append(growth)
-            guards.append(self.values[k] * self.used[k] - self.values[k] * weight)
+            guards.append(weight * powers[k])
         return _Form(normal, slope, np.concatenate(growths), np.concatenate(guards))
 
     def predicted(self, form: _Form, terms: Sequence[Term]) -> float:
