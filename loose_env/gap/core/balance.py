@@ -15,6 +15,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from loose_env.gap.core.motion import Motion
+from loose_env.gap.core.readings import Readings
 from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import compiled
@@ -56,13 +57,15 @@ class Forces:
     """Change of the balance [N·m, N] (T, joints)."""
     dry: Array
     """Dry friction to be multiplied by the direction of sliding (T, joints)."""
+    readings: Array
+    """Change of the readings beside the motion (T, R)."""
     operator: Array
     """Change of the mean inertia, damping and stiffness matrices, drives included (3, joints,
     joints)."""
 
     def with_contact(self, direction: Array) -> Array:
-        """The whole change for a direction of sliding (T, joints)."""
-        return np.asarray(self.smooth + self.dry * direction)
+        """The whole change for a direction of sliding (T, joints + R)."""
+        return np.hstack([self.smooth + self.dry * direction, self.readings])
 
 
 class Balance:
@@ -95,7 +98,11 @@ class Balance:
         inverse = (self.forms == "inverse")[:, None]
         self.seen = np.where(inverse, measured, True)
         self.drive = np.where(inverse & measured, self.torques, self.given)
-        self.residual = self.drive - self.needed - self.dry * self.directions[USUAL]
+        left = self.drive - self.needed - self.dry * self.directions[USUAL]
+        self.readings = Readings(compiled(machine.fresh()), motion)
+        off = motion.stacked("readings") - self.readings.foretold
+        self.residual = np.hstack([left, off])
+        self.channels = (*machine.joints, *self.readings.names)
 
     def forces(self, effect: Effect, values: Array) -> Forces:
         """Change of the balance by an effect at some values of its parameters."""
@@ -160,7 +167,12 @@ class Balance:
                 for joint, name in enumerate(self.machine.joints):
                     sensed = effect.sensed_torque(name, needed[:, joint], values)
                     needed[:, joint] = np.where(inverse, sensed, needed[:, joint])
-        return Forces(smooth=needed - (self.needed - self.given), dry=dry, operator=operator)
+        return Forces(
+            smooth=needed - (self.needed - self.given),
+            dry=dry,
+            readings=self.readings.change(model, effect, values),
+            operator=operator,
+        )
 
     def _dofs(self, model: mujoco.MjModel) -> Array:
         """Degree of freedom of each of the machine's joints in an edited model."""

@@ -116,8 +116,10 @@ def candidates(balance: Balance, kinds: Iterable[str]) -> Iterator[Effect]:
 def shows(balance: Balance, effect: Effect) -> bool:
     """Whether a force balance shows an effect: it changes forces, with motors off as well or not.
 
-    Readings are the business of sensor cells; stops, of the exact fit.
+    Sensors show where their readings are compared; stops are the business of the exact fit.
     """
+    if effect.part == "sensor":
+        return balance.readings.has(effect.where)
     acts = effect.moves or _senses_torque(effect)
     if effect.has_stops or not acts or not moves(balance, effect):
         return False
@@ -198,7 +200,7 @@ def _is_linear(balance: Balance, effect: Effect, starts: list[tuple[float, ...]]
     if effect.parameters[0].log or small == large:
         return not effect.parameters[0].log
     one, other = (
-        (f.smooth + f.dry) / (s[0] - null)
+        np.hstack([f.smooth + f.dry, f.readings]) / (s[0] - null)
         for f, s in ((balance.forces(effect, np.array(s)), s) for s in (small, large))
     )
     size = float(np.sqrt(np.mean(one**2)))
@@ -263,7 +265,8 @@ def _column(
             change=change, operator=operator, centre=1.0, spread=width, low=1 - 2.3 * width,
             high=1 + 2.3 * width,
         )  # fmt: skip
-    typical = np.maximum(balance.machine.load_scales, 1e-12)
+    readings = np.sqrt(np.mean(balance.readings.foretold**2, axis=0))
+    typical = np.maximum(np.concatenate([balance.machine.load_scales, readings]), 1e-9)
     share = float(np.max(np.sqrt(np.mean(change**2, axis=0)) / typical))
     low, high = -np.inf, np.inf
     spread = USUAL_SHARE / max(share, 1e-12)

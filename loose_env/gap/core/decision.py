@@ -245,9 +245,11 @@ def _verdicts(
     machine = selection.evidence.balance.machine
     after = _residuals(selection, fit)
     for k, channel in enumerate(selection.evidence.channels):
-        joint = machine.joints[channel.joint]
-        drives = {a for a, j in machine.actuated_joint.items() if j == joint}
-        places = {joint, machine.body_of(joint), *drives, "all"}
+        joint = selection.evidence.balance.channels[channel.joint]
+        places = {joint.removeprefix("sensor.").split(".")[0]}
+        if channel.joint < len(machine.joints):
+            drives = {a for a, j in machine.actuated_joint.items() if j == joint}
+            places |= {machine.body_of(joint), *drives, "all"}
         named = [f.term.effect.kind for f in findings if f.named and f.term.effect.where in places]
         open_ = [kind for _, kind, where in rivals if where in places]
         open_ += [

@@ -119,11 +119,12 @@ def whiten(balance: Balance, terms: Sequence[Term], tolerances: Sequence[Nuisanc
     starts = np.cumsum([0, *(len(term.columns) for term in terms)])
     free = len(tolerances)
     wide = [n.change for n in tolerances] + [c.change for c in columns]
+    wide = [_padded(balance, change) for change in wide]
     operators = np.stack([n.operator for n in tolerances] + [c.operator for c in columns])
     channels = [
         _channel(balance, joint, wide, free, operators)
-        for joint in range(len(balance.machine.joints))
-        if balance.seen[:, joint].mean() > 0.5 and moves_at(balance, joint)
+        for joint in range(len(balance.channels))
+        if _compared(balance, joint)
     ]
     mixed = _felt(channels, free)
     kept = mixed.shape[1]
@@ -152,6 +153,19 @@ def whiten(balance: Balance, terms: Sequence[Term], tolerances: Sequence[Nuisanc
         mixed=mixed,
         nuisances=tuple(tolerances),
     )
+
+
+def _padded(balance: Balance, change: Array) -> Array:
+    """Change of all channels; of forces alone, readings stay."""
+    missing = len(balance.channels) - change.shape[1]
+    return np.pad(change, ((0, 0), (0, missing))) if missing else change
+
+
+def _compared(balance: Balance, channel: int) -> bool:
+    """Whether a channel is compared: a reading, or a joint that moves and whose force is known."""
+    if channel >= len(balance.machine.joints):
+        return True
+    return bool(balance.seen[:, channel].mean() > 0.5) and moves_at(balance, channel)
 
 
 def append(evidence: Evidence, term: Term) -> None:
@@ -293,6 +307,9 @@ def noise(balance: Balance, joint: int, frequency: Array, operator: Array | None
 
     What the operator makes of the noise of positions and speeds, beside that of the torque.
     """
+    joints = len(balance.machine.joints)
+    if joint >= joints:
+        return balance.readings.noise(joint - joints, frequency)
     own = balance.operator if operator is None else operator
     turn = 2 * np.pi * frequency
     position, speed, torque = balance.motion.noise
@@ -307,6 +324,8 @@ def noise(balance: Balance, joint: int, frequency: Array, operator: Array | None
 
 def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Array:
     """Relative change of a channel's noise with each column's coefficient (C, K)."""
+    if joint >= len(balance.machine.joints):
+        return np.zeros((len(turn), len(operators)))
     position, speed, _ = balance.motion.noise
     known = 1 / position**2 + (turn[:, None] / speed) ** 2
     square = turn[:, None] ** 2
@@ -327,6 +346,8 @@ def _quiet(balance: Balance, joint: int) -> Array:
     At rest dry friction takes any value within its bound, so a balance says nothing. Knocks are
     short stretches in which everything at once leaves many times the usual residual.
     """
+    if joint >= len(balance.machine.joints):
+        return np.ones(len(balance.residual))
     cache = balance.__dict__.setdefault("_quiet", {})
     if joint not in cache:
         cache[joint] = _knocks(balance, joint) * _sliding(balance, joint)

@@ -6,7 +6,7 @@ by their noise in the frequency domain and is flat to the end of the band, which
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -50,8 +50,12 @@ class RunMotion:
     """Joint speeds (T, joints)."""
     acceleration: Array
     """Joint accelerations (T, joints)."""
+    derived: Array
+    """Joint speeds from the positions alone (T, joints)."""
+    readings: Array
+    """Readings of `Motion.sensors` in the same band (T, R)."""
     commands: Array
-    """Commands as held, half a log interval late: their mean effect in the band (T, actuators)."""
+    """Commands as held from sample to sample, in the band of the motion (T, actuators)."""
     torques: Array
     """Measured joint torques, NaN of joints without (T, joints)."""
     log_step: float
@@ -73,6 +77,10 @@ class Motion:
     """End of the band in which the motion shows over its noise [Hz]."""
     noise: Array
     """Noise of a thinned sample's position, speed and torque (3, joints); infinite if not read."""
+    sensors: tuple[tuple[str, int], ...]
+    """Velocity and inertial sensors read in every run, with the axis, -1 of a scalar."""
+    sensor_noise: Array
+    """Noise of a thinned sample of each of these readings (R,)."""
 
     @property
     def step(self) -> float:
@@ -98,7 +106,10 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
     """
     model: mujoco.MjModel = machine.model
     pieces, _ = measured_runs(recording.runs, model)
-    logs = [_Log.of(run, machine) for each in pieces for run in each]
+    runs_ = [run for each in pieces for run in each]
+    common = set.intersection(*(set(run.sensors) for run in runs_))
+    sensors = sensors_of(model, common)
+    logs = [_Log.of(run, machine, sensors) for run in runs_]
     step = float(np.median([log.step for log in logs]))
     floors = np.stack([log.floors for log in logs])
     noise = np.median(floors, axis=0)
@@ -106,7 +117,11 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
     band = float(np.clip(max(ends), LOWEST_HZ, min(0.35 / step, HIGHEST_HZ)))
     thin = max(1, int(1 / (step * max(_PER_CYCLE * band, _LEAST_RATE))))
     runs = tuple(_run_motion(log, noise, band, thin) for log in logs)
-    return Motion(runs=runs, band=band, noise=noise / np.sqrt(thin))
+    seen = [[noise_floor(c) for c in log.readings.T] for log in logs]
+    return Motion(
+        runs=runs, band=band, noise=noise / np.sqrt(thin), sensors=sensors,
+        sensor_noise=np.median(np.array(seen).reshape(len(logs), -1), axis=0) / np.sqrt(thin),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,9 +134,10 @@ class _Log:
     speed: Array
     torque: Array
     commands: Array
+    readings: Array
 
     @classmethod
-    def of(cls, run: Run, machine: NominalModel) -> _Log:
+    def of(cls, run: Run, machine: NominalModel, seen: Sequence[tuple[str, int]]) -> _Log:
         step = float(np.median(np.diff(run.time)))
         grid = np.arange(run.time[0], run.time[-1] + 1e-9, step)
         sensors = joint_sensors(machine.model)
@@ -133,6 +149,10 @@ class _Log:
                 return nothing
             good = np.isfinite(known[0])
             return np.asarray(np.interp(grid, run.time[good], known[0][good]))
+
+        def whole(name: str, axis: int) -> Array:
+            values = run.sensors[name] if axis < 0 else run.sensors[name][:, axis]
+            return read({name: values}, [name])
 
         position = [read(run.sensors, sensors[j].position) for j in machine.joints]
         missing = [
@@ -152,6 +172,9 @@ class _Log:
             speed=np.stack([read(run.sensors, sensors[j].velocity) for j in machine.joints], 1),
             torque=np.stack([read(run.torques, [j]) for j in machine.joints], axis=1),
             commands=np.stack(held, axis=1) if held else np.zeros((len(grid), 0)),
+            readings=np.stack([whole(name, axis) for name, axis in seen], axis=1)
+            if seen
+            else np.zeros((len(grid), 0)),
         )
 
     @property
@@ -196,10 +219,11 @@ def _band_end(log: _Log, noise: Array) -> float:
 
 def _run_motion(log: _Log, noise: Array, band: float, thin: int) -> RunMotion:
     """Smooth one log and thin it to block means."""
-    parts = []
+    parts, derived = [], []
     for joint in range(log.position.shape[1]):
         q, v = log.position[:, joint], log.speed[:, joint]
         own = _smoothed(q, None, noise[:, joint], band, log.step)
+        derived.append(own[1])
         if np.isfinite(v).all() and _agrees(v, own[1], noise[:, joint], band, log.step):
             own = _smoothed(q, v, noise[:, joint], band, log.step)
         parts.append(own)
@@ -217,18 +241,13 @@ def _run_motion(log: _Log, noise: Array, band: float, thin: int) -> RunMotion:
         position=blocks(whole[0]),
         speed=blocks(whole[1]),
         acceleration=blocks(whole[2]),
+        derived=blocks(np.stack(derived, axis=1)),
+        readings=blocks(low_passed(log.readings, band, log.step)),
         # through the same filter: a stiff servo acts on a small difference of large signals
-        commands=blocks(low_passed(later(log.commands, 0.5), band, log.step)),
+        commands=blocks(low_passed(log.commands, band, log.step, held=log.step)),
         torques=blocks(low_passed(log.torque, band, log.step)),
         log_step=log.step,
     )
-
-
-def later(values: Array, samples: float) -> Array:
-    """Delay columns (T, K) by a fraction of samples, linear between them."""
-    at = np.arange(len(values)) - samples
-    columns = [np.interp(at, np.arange(len(values)), column) for column in values.T]
-    return np.stack(columns, axis=1) if columns else values
 
 
 def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float) -> Array:
@@ -254,12 +273,23 @@ def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float)
     return np.stack(whole)[:, pad : pad + len(q)]
 
 
-def low_passed(values: Array, band: float, step: float) -> Array:
-    """Columns (T, K) through the low-pass of the motion; those with gaps stay as they are."""
+def low_passed(values: Array, band: float, step: float, *, held: float = 0.0) -> Array:
+    """Columns (T, K) through the low-pass of the motion, each sample held for some time [s].
+
+    A column with gaps stays as it is.
+    """
     found = values.copy()
     for k, column in enumerate(values.T):
-        if np.isfinite(column).all():
-            found[:, k] = _smoothed(column, None, np.ones(3), band, step)[0]
+        if not np.isfinite(column).all():
+            continue
+        ends, pad = _reflected(column, band, step)
+        line = np.linspace(ends[0], ends[-1], len(ends))
+        turn = 2 * np.pi * np.fft.rfftfreq(len(ends), step)
+        hold = np.sinc(turn * held / (2 * np.pi)) * np.exp(-0.5j * turn * held)
+        shape = np.fft.rfft(ends - line) * _passed(turn, band) * hold
+        slope = (ends[-1] - ends[0]) / (len(ends) - 1) / step
+        whole = np.fft.irfft(shape, len(ends)) + line - 0.5 * held * slope
+        found[:, k] = whole[pad : pad + len(column)]
     return found
 
 
@@ -303,3 +333,17 @@ def _without_jumps(q: Array) -> Array:
         cubic = np.polynomial.Polynomial.fit(near, q[near], 3)
         found[first + 1 : last + 1] = cubic(rows[first + 1 : last + 1])
     return found
+
+
+def sensors_of(model: mujoco.MjModel, present: Iterable[str]) -> tuple[tuple[str, int], ...]:
+    """Sensors with axes, -1 of a scalar, whose readings the motion foretells."""
+    kinds = {int(k) for k in (
+        mujoco.mjtSensor.mjSENS_JOINTVEL, mujoco.mjtSensor.mjSENS_ACCELEROMETER,
+        mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_VELOCIMETER,
+    )}  # fmt: skip
+    known, found = set(present), []
+    for k in range(model.nsensor):
+        name, size = model.sensor(k).name, int(model.sensor_dim[k])
+        if name in known and int(model.sensor_type[k]) in kinds:
+            found += [(name, axis) for axis in range(size)] if size > 1 else [(name, -1)]
+    return tuple(found)

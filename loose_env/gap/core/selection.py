@@ -160,16 +160,16 @@ class Selection:
         precision, centre = evidence.precision[numbers], evidence.centre[numbers]
         parts = [_part(channel, numbers) for channel in evidence.channels]
         powers = [c.power for c in evidence.channels] if start is None else list(start)
-        best = np.inf
-        found = np.zeros(len(numbers))
+        best, stale, found = np.inf, 0, np.zeros(len(numbers))
+        shrunk = [np.zeros(len(c.count), bool) for c in evidence.channels]
         for _ in range(rounds):
             normal, slope = np.diag(precision), precision * centre
             for k, (part, power) in enumerate(zip(parts, powers, strict=True)):
                 weight = self.weights(k, power)
                 normal[np.ix_(part.at, part.at)] += np.tensordot(weight, part.gram, 1)
                 slope[part.at] += weight @ part.slope
-                shrunk = part.growth @ found[part.at] < 0
-                guard = shrunk * weight * power
+                shrunk[k] |= part.growth @ found[part.at] < 0  # for good: else it alternates
+                guard = shrunk[k] * weight * power
                 normal[np.ix_(part.at, part.at)] += (part.growth.T * guard) @ part.growth
                 slope[part.at] += guard @ part.growth
             scale = 1 / np.sqrt(np.diag(normal))
@@ -177,18 +177,18 @@ class Selection:
             left = self._powers(parts, numbers, found)
             value = sum(self.score(k, p) for k, p in enumerate(left))
             value += float(precision @ (found - centre) ** 2)
-            powers, values = left, found
-            if value > best - 0.05:
-                best = min(best, value)
+            powers, stale = left, stale + 1
+            if value < best - 0.05:
+                best, values, leave, curvature, stale = value, found, left, normal, 0
+            if stale > 1:
                 break
-            best = value
-        cost = best + log_determinant(normal) - float(np.log(precision).sum())
+        cost = best + log_determinant(curvature) - float(np.log(precision).sum())
         own = slice(evidence.tolerances, None)
         low, high = evidence.low[numbers][own], evidence.high[numbers][own]
         slack = 1e-3 * np.maximum(np.abs(low), 1e-9)
         allowed = bool(np.all((values[own] >= low - slack) & (values[own] <= high)))
         return SetFit(
-            terms, numbers, values, tuple(powers), normal, cost, cost + self.prior(terms), allowed
+            terms, numbers, values, tuple(leave), curvature, cost, cost + self.prior(terms), allowed
         )
 
     def _powers(

@@ -53,6 +53,12 @@ class Tolerances:
     shift_samples: float = 0.7
     """Shift of commands or torques against the motion [intervals of the log], of either sign:
     held or interpolated commands, and the order of a logger's cycle."""
+    sensor: float = 0.005
+    """Gain of a velocity or inertial sensor [share], and each angle of its axes [rad]."""
+    sensor_bias: float = 0.01
+    """Constant of such a reading [share of its root mean square]."""
+    sensor_samples: float = 0.7
+    """Shift of their readings against the positions [intervals of the log]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,6 +87,7 @@ def nuisances(balance: Balance, tolerances: Tolerances) -> list[Nuisance]:
         *_rigid(balance, tolerances),
         *_joints(balance, tolerances),
         *_drives(balance, tolerances),
+        *_sensors(balance, tolerances),
     ]
 
 
@@ -255,3 +262,29 @@ def shifted(balance: Balance, actuators: list[int]) -> Array:
         rates = [np.gradient(run, motion.step) for run in motion.split(balance.commands[:, number])]
         late[:, number] -= motion.runs[0].log_step * np.concatenate(rates)
     return balance.given - balance.given_by(late)
+
+
+def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
+    """Gain, alignment and timing of velocity and inertial sensors."""
+    motion, joints = balance.motion, len(balance.machine.joints)
+    foretold, nothing = balance.readings.foretold, np.zeros_like(balance.operator)
+    for name in dict.fromkeys(name for name, _ in motion.sensors):
+        at = [k for k, (own, _) in enumerate(motion.sensors) if own == name]
+        change = np.zeros((len(foretold), joints + len(motion.sensors)))
+        rates = [np.gradient(run, motion.step, axis=0) for run in motion.split(foretold[:, at])]
+        width = tolerances.sensor_samples * motion.runs[0].log_step
+        change[:, joints + np.array(at)] = -width * np.concatenate(rates)
+        yield Nuisance(name=f"timing of {name}", change=change, operator=nothing)
+        change = np.zeros_like(change)
+        change[:, joints + np.array(at)] = tolerances.sensor * foretold[:, at]
+        yield Nuisance(name=f"gain of {name}", change=change, operator=nothing)
+        for k in at:
+            change = np.zeros_like(change)
+            size = float(np.sqrt(np.mean(foretold[:, at] ** 2)))
+            change[:, joints + k] = tolerances.sensor_bias * size
+            yield Nuisance(name=f"zero of {name}", change=change, operator=nothing)
+        for axis in np.eye(3) if len(at) == 3 else ():
+            change = np.zeros_like(change)
+            turned = np.cross(foretold[:, at], axis)
+            change[:, joints + np.array(at)] = tolerances.sensor * turned
+            yield Nuisance(name=f"alignment of {name}", change=change, operator=nothing)

@@ -1,0 +1,123 @@
+"""Readings beside the motion: what velocity and inertial sensors show along it.
+
+The motion foretells their readings, velocities from the positions alone. A sensor's gain, bias,
+delay and misalignment are the difference; forces that a model lacks are not, since the motion was
+measured.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from loose_env.gap.core.motion import Motion
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
+from loose_env.gap.model.effects.sensors import delayed
+from loose_env.typing import Array
+
+_NUDGE = 1e-4
+"""Displacement of numerical derivatives [rad, m]."""
+_POSES = 12
+"""States at which the sensitivity of readings to the motion is looked up."""
+_KINEMATIC = ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "qpos0", "site_pos", "site_quat")
+
+
+class Readings:
+    """Foretold readings of the sensors that a motion carries."""
+
+    def __init__(self, model: mujoco.MjModel, motion: Motion) -> None:
+        self.motion, self.model = motion, model
+        names = dict.fromkeys(name for name, _ in motion.sensors)
+        self._sensors = [
+            (name, [k for k, (n, _) in enumerate(motion.sensors) if n == name]) for name in names
+        ]
+        self.names = tuple(
+            column_of(n) + (f".{'xyz'[a]}" if a >= 0 else "") for n, a in motion.sensors
+        )
+        self._states = tuple(
+            motion.stacked(name) for name in ("position", "derived", "acceleration")
+        )
+        self.foretold = self._along(model, *self._states) if motion.sensors else self.nothing
+        self._gains = self._sensitivity() if motion.sensors else np.zeros((3, 0, 1))
+
+    @property
+    def nothing(self) -> Array:
+        """No change of any reading (T, R)."""
+        return np.zeros((len(self.motion.stacked("position")), len(self.motion.sensors)))
+
+    def has(self, sensor: str) -> bool:
+        """Whether a sensor is among them."""
+        return any(name == sensor for name, _ in self.motion.sensors)
+
+    def change(self, model: mujoco.MjModel | None, effect: Effect | None, values: Array) -> Array:
+        """Change of the readings by an edited model, and by an effect on the sensors (T, R)."""
+        found = self.foretold
+        if not self.motion.sensors:
+            return self.nothing
+        if model is not None and model.nv == self.model.nv and self._moved(model):
+            found = self._along(model, *self._states)
+        if effect is not None and type(effect).read is not Effect.read:
+            parts = zip(self.motion.runs, self.motion.split(found), strict=True)
+            found = np.concatenate(
+                [self._read(run.time, own, effect, values) for run, own in parts]
+            )
+        return found - self.foretold
+
+    def noise(self, reading: int, frequency: Array) -> Array:
+        """Standard deviation of a reading less the foretold one (F,)."""
+        turn = 2 * np.pi * frequency[:, None]
+        moved = self._gains[0, reading] ** 2 + (turn * self._gains[1, reading]) ** 2
+        moved = moved + (turn**2 * self._gains[2, reading]) ** 2
+        own = self.motion.sensor_noise[reading] ** 2
+        return np.asarray(np.sqrt(own + moved @ self.motion.noise[0] ** 2))
+
+    def _moved(self, model: mujoco.MjModel) -> bool:
+        """Whether an edit moves or tilts anything that a sensor stands on."""
+        pairs = ((getattr(model, n), getattr(self.model, n)) for n in _KINEMATIC)
+        same = all(a.shape == b.shape and np.array_equal(a, b) for a, b in pairs)
+        return not same or bool(np.any(model.opt.gravity != self.model.opt.gravity))
+
+    def _along(self, model: mujoco.MjModel, q: Array, v: Array, a: Array) -> Array:
+        """Readings along a motion (T, R)."""
+        data = mujoco.MjData(model)
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        rows = np.array(
+            [int(model.sensor(name).adr[0]) + max(axis, 0) for name, axis in self.motion.sensors]
+        )
+        found = np.empty((len(q), len(rows)))
+        for k in range(len(q)):
+            data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
+            mujoco.mj_inverse(model, data)
+            found[k] = data.sensordata[rows]
+        return found
+
+    def _sensitivity(self) -> Array:
+        """Root mean square change of each reading by each joint's motion (3, R, joints)."""
+        rows = np.linspace(0, len(self._states[0]) - 1, _POSES).astype(int)
+        base = [x[rows] for x in self._states]
+        still = self._along(self.model, *base)
+        found = np.zeros((3, len(self.motion.sensors), base[0].shape[1]))
+        for order in range(3):
+            for joint in range(base[0].shape[1]):
+                moved = [x.copy() for x in base]
+                moved[order][:, joint] += _NUDGE
+                change = (self._along(self.model, *moved) - still) / _NUDGE
+                found[order, :, joint] = np.sqrt(np.mean(change**2, axis=0))
+        return found
+
+    def _read(self, time: Array, own: Array, effect: Effect, values: Array) -> Array:
+        """Readings of one run with an effect on the sensors (T, R)."""
+        columns = {
+            column_of(name): own[:, at] if len(at) > 1 else own[:, at[0]]
+            for name, at in self._sensors
+        }
+        late = effect.sensor_delay(values)
+        if late is not None and column_of(late[0]) in columns:
+            column = column_of(late[0])
+            columns[column] = delayed(time, columns[column], late[1], axis=0)
+        columns = effect.read(time, columns, values)
+        found = np.empty_like(own)
+        for name, at in self._sensors:
+            found[:, at] = columns[column_of(name)].reshape(len(own), len(at))
+        return found
