@@ -206,6 +206,29 @@ class Balance:
         """Forces of the nominal actuators for other commands (T, joints)."""
         return self._forces(compiled(self.machine.fresh()), commands)[1]
 
+    def stepped_acceleration(self) -> Array:
+        """Acceleration at the samples beyond its mean, right after held commands step (T, joints).
+
+        A held command acts half an interval late on the mean; an accelerometer that is read at the
+        step sees it at once.
+        """
+        ahead = self.given_by(self.motion.stacked("sampled")) - self.given
+        model = self._nominal
+        mass = self._masses(model)
+        rows = np.repeat(np.arange(model.nv), model.M_rownnz)
+        dense = np.zeros((len(mass), model.nv, model.nv))
+        dense[:, rows, model.M_colind] = mass
+        dense[:, model.M_colind, rows] = mass
+        return np.asarray(np.linalg.solve(dense, ahead[..., None])[..., 0])
+
+    def _masses(self, model: mujoco.MjModel) -> Array:
+        """Packed mass matrices along the motion (T, nC)."""
+        batch, (mass, *_) = self._batch(model, len(self.position))
+        batch.set_models(model)
+        batch.qpos[:], batch.qvel[:] = self.position, self.speed
+        batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
+        return mass.copy()
+
     def _bias(self, model: mujoco.MjModel) -> Array:
         """Torque of gravity and inertial coupling (T, joints)."""
         return self._forces(model, self.commands, (self.position, self.speed, 0 * self.speed))[0]

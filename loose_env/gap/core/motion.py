@@ -56,6 +56,8 @@ class RunMotion:
     """Readings of `Motion.sensors` in the same band (T, R)."""
     commands: Array
     """Commands as held from sample to sample, in the band of the motion (T, actuators)."""
+    sampled: Array
+    """Commands as sampled, not held, in the same band (T, actuators)."""
     torques: Array
     """Measured joint torques, NaN of joints without (T, joints)."""
     log_step: float
@@ -245,6 +247,7 @@ def _run_motion(log: _Log, noise: Array, band: float, thin: int) -> RunMotion:
         readings=blocks(low_passed(log.readings, band, log.step)),
         # through the same filter: a stiff servo acts on a small difference of large signals
         commands=blocks(low_passed(log.commands, band, log.step, held=log.step)),
+        sampled=blocks(low_passed(log.commands, band, log.step)),
         torques=blocks(low_passed(log.torque, band, log.step)),
         log_step=log.step,
     )

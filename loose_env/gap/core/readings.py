@@ -64,6 +64,11 @@ class Readings:
             )
         return found - self.foretold
 
+    def accelerated(self, more: Array) -> Array:
+        """Change of the readings by more acceleration of the joints (T, R)."""
+        position, speed, acceleration = self._states
+        return self._along(self.model, position, speed, acceleration + more) - self.foretold
+
     def noise(self, reading: int, frequency: Array) -> Array:
         """Standard deviation of a reading less the foretold one (F,)."""
         turn = 2 * np.pi * frequency[:, None]

@@ -268,6 +268,11 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     """Gain, alignment and timing of velocity and inertial sensors."""
     motion, joints = balance.motion, len(balance.machine.joints)
     foretold, nothing = balance.readings.foretold, np.zeros_like(balance.operator)
+    if motion.sensors and not balance.released.all():
+        # read right before or right after a command steps, or anywhere between
+        seen = balance.readings.accelerated(balance.stepped_acceleration())
+        change = np.hstack([np.zeros((len(seen), joints)), seen])
+        yield Nuisance(name="steps of commands in readings", change=change, operator=nothing)
     for name in dict.fromkeys(name for name, _ in motion.sensors):
         at = [k for k, (own, _) in enumerate(motion.sensors) if own == name]
         change = np.zeros((len(foretold), joints + len(motion.sensors)))
