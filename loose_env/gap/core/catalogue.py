@@ -184,6 +184,8 @@ def _dense(effect: Effect, starts: Sequence[tuple[float, ...]]) -> list[tuple[fl
     if len(effect.parameters) > 1 or any(s[0] <= 0 for s in starts):
         return list(starts)
     sizes = sorted({s[0] for s in starts})
+    if effect.is_time_shift:  # down to what a fraction of a sample does
+        sizes = [sizes[0] / 6, sizes[0] / 2.5, *sizes]
     between = [sqrt(a * b) for a, b in pairwise(sizes)]
     return [(size,) for size in sorted(sizes + between)]
 

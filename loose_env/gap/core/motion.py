@@ -226,8 +226,10 @@ def _run_motion(log: _Log, noise: Array, band: float, thin: int) -> RunMotion:
         q, v = log.position[:, joint], log.speed[:, joint]
         own = _smoothed(q, None, noise[:, joint], band, log.step)
         derived.append(own[1])
-        if np.isfinite(v).all() and _agrees(v, own[1], noise[:, joint], band, log.step):
-            own = _smoothed(q, v, noise[:, joint], band, log.step)
+        if np.isfinite(v).all():
+            v = _calibrated(v, own, band, log.step)
+            if _agrees(v, own[1], noise[:, joint], band, log.step):
+                own = _smoothed(q, v, noise[:, joint], band, log.step)
         parts.append(own)
     whole = np.stack(parts, axis=2)
     count = len(log.position) // thin
@@ -307,6 +309,14 @@ def _reflected(values: Array, band: float, step: float) -> tuple[Array, int]:
 def _passed(turn: Array, band: float) -> Array:
     """Gain of the low-pass at angular frequencies."""
     return np.asarray(1 / (1 + (turn / (2 * np.pi * _FLAT * band)) ** _ORDER))
+
+
+def _calibrated(v: Array, own: Array, band: float, step: float) -> Array:
+    """Velocity reading with the zero, gain and delay that it has against the position."""
+    shown = low_passed(v[:, None], band, step)[:, 0]
+    terms = np.stack([np.ones_like(v), own[1], own[2]], axis=1)[20:-20]
+    zero, gain, delay = np.linalg.lstsq(terms, shown[20:-20], rcond=None)[0]
+    return np.asarray((v - zero - delay * own[2]) / gain) if gain > 0.5 else v
 
 
 def _agrees(v: Array, derived: Array, noise: Array, band: float, step: float) -> bool:
