@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.core.catalogue import Term
 from loose_env.gap.core.exact import ExactFit
-from loose_env.gap.core.selection import Selection, Set, SetFit
+from loose_env.gap.core.selection import Selection, Set, SetFit, neighbours
 from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.typing import Array
 
@@ -28,6 +28,8 @@ HELD_OUT = 4.0
 evidence (Kass and Raftery 1995)."""
 CONTRADICTED = -10.0
 """The same below which one of the ways to hold out refutes it: very strong evidence against."""
+_RIVAL = 0.05
+"""Probability from which another effect is a rival."""
 _Z = 1.96
 """Half width of a 95 % interval in standard deviations."""
 _NOISE = 1.6
@@ -51,7 +53,9 @@ class Finding:
     high: Array
     """Upper ends (P,)."""
     probability: float
-    """Probability that the machine has it."""
+    """Probability that the machine has it, or one of `confusable` in its place."""
+    confusable: tuple[tuple[str, str], ...]
+    """Other effects beside its place that explain the data nearly as well."""
     z: float
     """Largest coefficient over its standard deviation."""
     by_run: float
@@ -95,7 +99,11 @@ class Decision:
 def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) -> Decision:
     """Say what of a pruned set is named, with the values of an exact fit if there is one."""
     gains = _gains(selection, fit.terms, fit.powers)
-    chances = _probabilities(selection, fit)
+    near, weights = _near(selection, fit)
+    chances: dict[tuple[str, str], float] = {}
+    for names, weight in zip(near, weights, strict=True):
+        for name in names:
+            chances[name] = chances.get(name, 0.0) + float(weight)
     spreads = _spreads(selection, fit)
     place = {k: i for i, k in enumerate(fit.numbers)}
     findings = []
@@ -114,12 +122,14 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
             ends = np.stack([*own_ends, values - wide, values + wide])
         z = float(np.max(np.abs(x) / sd))
         by_run, by_stretch = (float(g[number]) for g in gains)
-        chance = chances.get(term.name, 0.0)
+        alike = _confusable(selection, term, chances)
+        chance = float(sum(w for names, w in zip(near, weights, strict=True) if names & alike))
         held = max(by_run, by_stretch) >= HELD_OUT and min(by_run, by_stretch) > CONTRADICTED
         findings.append(
             Finding(
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
-                probability=chance, z=z, by_run=by_run, by_stretch=by_stretch,
+                probability=chance, confusable=tuple(sorted(alike - {term.name})),
+                z=z, by_run=by_run, by_stretch=by_stretch,
                 named=chance >= NAMED and z > _Z and held,
             )
         )  # fmt: skip
@@ -128,7 +138,7 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
         ((p, kind, where) for (kind, where), p in chances.items() if (kind, where) not in members),
         reverse=True,
     )
-    rivals = [r for r in rivals if r[0] > 0.05]
+    rivals = [r for r in rivals if r[0] > _RIVAL]
     joints = tuple(_verdicts(selection, fit, findings, rivals))
     return Decision(findings=tuple(findings), joints=joints, fit=fit, rivals=tuple(rivals))
 
@@ -190,8 +200,8 @@ def _gains(selection: Selection, terms: Set, powers: Sequence[Array]) -> tuple[A
     return found[0], found[1]
 
 
-def _probabilities(selection: Selection, fit: SetFit) -> dict[tuple[str, str], float]:
-    """Probability of each effect among the sets near the answer."""
+def _near(selection: Selection, fit: SetFit) -> tuple[list[set[tuple[str, str]]], Array]:
+    """Effects and probability of the sets near the answer."""
     form = selection.whole(fit.powers)
     names = {t.name for t in fit.terms}
     pool = [t for t in selection.evidence.terms if t.name not in names]
@@ -205,12 +215,20 @@ def _probabilities(selection: Selection, fit: SetFit) -> dict[tuple[str, str], f
     near = [f for f in (*selection.fits.values(), fit) if f.allowed]
     least = min(f.total for f in near)
     weights = np.exp(-0.5 * np.array([f.total - least for f in near]))
-    weights /= weights.sum()
-    found: dict[tuple[str, str], float] = {}
-    for own, weight in zip(near, weights, strict=True):
-        for name in {t.name for t in own.terms}:
-            found[name] = found.get(name, 0.0) + float(weight)
-    return found
+    return [{t.name for t in f.terms} for f in near], weights / weights.sum()
+
+
+def _confusable(
+    selection: Selection, term: Term, chances: dict[tuple[str, str], float]
+) -> set[tuple[str, str]]:
+    """An effect and those at its place that may stand in for it."""
+    near = neighbours(selection.evidence.balance.machine, term.effect.where)
+    members = {t.name for t in selection.evidence.terms}
+    return {term.name} | {
+        name
+        for name, chance in chances.items()
+        if chance > _RIVAL and chance < 1 - _RIVAL and name[1] in near and name in members
+    }
 
 
 def _spreads(selection: Selection, fit: SetFit) -> Array:

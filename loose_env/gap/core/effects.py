@@ -95,8 +95,8 @@ class FrictionBehindSlack(JointEffect):
         way = float(np.ptp(angle))
         return tuple(
             (0.2 * self.load, slack * way, stretch * slack * way)
-            for slack in (0.01, 0.03, 0.1, 0.3)
-            for stretch in (0.1, 0.6)
+            for slack in np.geomspace(0.01, 0.33, 8)
+            for stretch in (0.15, 0.5, 1.2)
         )
 
     def torque(self, position: Array, speed: Array, values: Array) -> Array:

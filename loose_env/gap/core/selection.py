@@ -438,7 +438,7 @@ class Selection:
     def alternatives(self, form: _Form, rest: Set, term: Term) -> list[Term]:
         """Other kinds at the place of a member, or at the links and drives beside it."""
         machine, names = self.evidence.balance.machine, {t.name for t in rest}
-        near = _neighbours(machine, term.effect.where)
+        near = neighbours(machine, term.effect.where)
         others = [
             t
             for t in self.evidence.terms
@@ -471,7 +471,7 @@ class Selection:
         return found
 
 
-def _neighbours(machine: NominalModel, where: str) -> set[str]:
+def neighbours(machine: NominalModel, where: str) -> set[str]:
     """Joint, link and drive of one place; "all", the tool and the base are beside any."""
     found = {where, "all", "tool", "base"}
     for joint in machine.joints:
