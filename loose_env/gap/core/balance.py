@@ -161,7 +161,8 @@ class Balance:
                 needed -= np.concatenate([effect.torque(q, v, values) for q, v in paths])
             if isinstance(effect, DrivenEffect):
                 # the load that the model needs: the drive's own torque contains the friction
-                dry += effect.dry_friction(self.needed, self.bias, self.speed, values)
+                driven = np.where((self.forms == "free")[:, None], 0.0, self.needed)
+                dry += effect.dry_friction(driven, self.bias, self.speed, values)
             if type(effect).sensed_torque is not Effect.sensed_torque:
                 inverse = self.forms == "inverse"
                 for joint, name in enumerate(self.machine.joints):

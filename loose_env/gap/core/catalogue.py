@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import sqrt
+from math import log
 
 import numpy as np
 
@@ -26,10 +26,12 @@ LAW_WIDTH = 0.15
 sqrt(1.6) apart and refined."""
 USUAL_SHARE = 0.3
 """Prior standard deviation of an effect's force over the drive's: it matters, and does not rule."""
+_LADDER = 1.7
+"""Ratio of neighbouring sizes of a law: about two widths of its coefficient."""
 _LOOKED_AT = 1000
 """Samples in which an effect looks for its starts."""
-_ALIKE = 1e-6
-"""Least eigenvalue of the columns' correlations for a variant of its own."""
+_ALIKE = 1e-3
+"""Part of a column that the columns before it lack, over the whole, for it to be told from them."""
 _LINEAR = 0.05
 """Largest relative deviation of a column over a range of sizes, for an effect to be linear."""
 
@@ -83,8 +85,11 @@ class Term:
         elif effect.proportional is not None and not effect.axes:
             found = np.array(axes[0])
             found[effect.proportional] *= coefficients[0]
-        elif effect.axes and len(axes) == len(effect.axes):
-            found = np.array(effect.combined(coefficients))
+        elif effect.axes:
+            shares = np.zeros(len(effect.axes))
+            for axis, share in zip(self.axes, coefficients, strict=True):
+                shares[effect.axes.index(axis)] = share
+            found = np.array(effect.combined(shares))
         else:
             null = _null(effect)
             found = null + coefficients @ (axes - null)
@@ -180,14 +185,18 @@ def _starts(balance: Balance, effect: Effect) -> Sequence[tuple[float, ...]]:
 
 
 def _dense(effect: Effect, starts: Sequence[tuple[float, ...]]) -> list[tuple[float, ...]]:
-    """Insert geometric means between the starts of an effect with one positive parameter."""
-    if len(effect.parameters) > 1 or any(s[0] <= 0 for s in starts):
+    """Insert sizes between the starts of an effect that differ in a positive first parameter."""
+    alike = len({s[1:] for s in starts}) == 1 and all(s[0] > 0 for s in starts)
+    if not starts or not alike or not (effect.adds_motion or len(effect.parameters) == 1):
         return list(starts)
     sizes = sorted({s[0] for s in starts})
     if effect.is_time_shift:  # down to what a fraction of a sample does
         sizes = [sizes[0] / 6, sizes[0] / 2.5, *sizes]
-    between = [sqrt(a * b) for a, b in pairwise(sizes)]
-    return [(size,) for size in sorted(sizes + between)]
+    dense = [sizes[0]]
+    for low, high in pairwise(sizes):
+        steps = max(1, round(log(high / low) / log(_LADDER)))
+        dense += [float(x) for x in np.geomspace(low, high, steps + 1)[1:]]
+    return [(size, *starts[0][1:]) for size in dense]
 
 
 def _is_linear(balance: Balance, effect: Effect, starts: list[tuple[float, ...]]) -> bool:
@@ -232,23 +241,27 @@ def terms_of(
             _column(balance, effect, law, k, values, f.with_contact(direction), f.operator)
             for k, (values, f) in enumerate(zip(axes, forces, strict=True))
         )
-        felt = [bool(np.any(c.change)) for c in columns]
-        if not effect.axes or effect.is_additive:
-            columns = tuple(c for c, own in zip(columns, felt, strict=True) if own)
-            own_axes = tuple(a for a, own in zip(axes, felt, strict=True) if own)
-        elif all(felt) and _independent(columns):
-            own_axes = axes
-        else:
-            continue
+        kept = _independent(columns)
+        own_axes = tuple(axes[k] for k in kept)
+        columns = tuple(columns[k] for k in kept)
         if columns:
             found.append(Term(effect, own_axes, contact, law, columns))
     return found
 
 
-def _independent(columns: Sequence[Column]) -> bool:
-    """Whether the motion tells the columns of a variant apart; if not, a simpler one serves."""
-    rows = np.stack([c.change.ravel() / np.linalg.norm(c.change) for c in columns])
-    return bool(np.linalg.eigvalsh(rows @ rows.T)[0] > _ALIKE)
+def _independent(columns: Sequence[Column]) -> list[int]:
+    """Columns that the motion tells from those before; a planar arm does not feel every axis."""
+    kept: list[int] = []
+    basis: list[Array] = []
+    for k, column in enumerate(columns):
+        own = column.change.ravel()
+        size = float(np.linalg.norm(own))
+        left = own - sum((b @ own) * b for b in basis) if basis else own
+        rest = float(np.linalg.norm(left))
+        if size > 0 and rest > _ALIKE * size:
+            kept.append(k)
+            basis.append(left / rest)
+    return kept
 
 
 def _column(

@@ -267,7 +267,7 @@ def _verdicts(
         places = {joint.removeprefix("sensor.").split(".")[0]}
         if channel.joint < len(machine.joints):
             drives = {a for a, j in machine.actuated_joint.items() if j == joint}
-            places |= {machine.body_of(joint), *drives, "all"}
+            places |= {machine.body_of(joint), *drives, "all", "tool", "base"}
         named = [f.term.effect.kind for f in findings if f.named and f.term.effect.where in places]
         open_ = [kind for _, kind, where in rivals if where in places]
         open_ += [

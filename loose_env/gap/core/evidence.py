@@ -302,10 +302,18 @@ def _edges(balance: Balance) -> Array:
     return np.concatenate([[0.0], np.geomspace(low, 1.02 * top, BANDS)])
 
 
-def noise(balance: Balance, joint: int, frequency: Array, operator: Array | None = None) -> Array:
+def noise(
+    balance: Balance,
+    joint: int,
+    frequency: Array,
+    operator: Array | None = None,
+    *,
+    floor: bool = True,
+) -> Array:
     """Standard deviation of a channel's balance by the sensors' noise (F,).
 
-    What the operator makes of the noise of positions and speeds, beside that of the torque.
+    What the operator makes of the noise of positions and speeds, beside that of the torque; with
+    a floor of rounding, which a balance that shrinks would shrink as well.
     """
     joints = len(balance.machine.joints)
     if joint >= joints:
@@ -314,9 +322,12 @@ def noise(balance: Balance, joint: int, frequency: Array, operator: Array | None
     turn = 2 * np.pi * frequency
     position, speed, torque = balance.motion.noise
     known = 1 / position**2 + (turn[:, None] / speed) ** 2
-    gain = np.abs(own[2, joint] - own[0, joint] * turn[:, None] ** 2) ** 2
+    # not the difference of stiffness and inertia, which vanishes where a pendulum swings
+    gain = own[2, joint] ** 2 + (own[0, joint] * turn[:, None] ** 2) ** 2
     gain = gain + (own[1, joint] * turn[:, None]) ** 2
-    total = np.sum(gain / known, axis=1) + (_MODEL * balance.machine.load_scales[joint]) ** 2
+    total = np.sum(gain / known, axis=1) + 1e-300
+    if floor:
+        total = total + (_MODEL * balance.machine.load_scales[joint]) ** 2
     if np.isfinite(torque[joint]):
         total = total + torque[joint] ** 2
     return np.asarray(np.sqrt(total))
@@ -328,16 +339,11 @@ def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Arra
         return np.zeros((len(turn), len(operators)))
     position, speed, _ = balance.motion.noise
     known = 1 / position**2 + (turn[:, None] / speed) ** 2
-    square = turn[:, None] ** 2
-
-    def parts(operator: Array) -> tuple[Array, Array]:
-        own = operator[..., joint, :][..., None, :]
-        return own[..., 2, :, :] - own[..., 0, :, :] * square, own[..., 1, :, :] * turn[:, None]
-
-    real, imaginary = parts(balance.operator[None])
-    changed_real, changed_imaginary = parts(operators)
-    moved = np.sum((real * changed_real + imaginary * changed_imaginary) / known, axis=-1)
-    return np.asarray((moved / noise(balance, joint, turn / (2 * np.pi)) ** 2).T)
+    moved = np.zeros((len(operators), len(turn)))
+    for order, power in ((0, 2), (1, 1), (2, 0)):
+        weight = balance.operator[order, joint] * turn[:, None] ** (2 * power) / known
+        moved += operators[:, order, joint] @ weight.T
+    return np.asarray((moved / noise(balance, joint, turn / (2 * np.pi), floor=False) ** 2).T)
 
 
 def _quiet(balance: Balance, joint: int) -> Array:

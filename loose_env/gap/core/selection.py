@@ -80,7 +80,8 @@ class Selection:
             np.ones(len(c.count), bool) for c in evidence.channels
         ]
         self.usual = [
-            noise(evidence.balance, c.joint, c.turn / (2 * np.pi)) for c in evidence.channels
+            noise(evidence.balance, c.joint, c.turn / (2 * np.pi), floor=False)
+            for c in evidence.channels
         ]
         self.values = [_values(c, 0.0) for c in evidence.channels]
         self.values = [
@@ -207,7 +208,8 @@ class Selection:
             power = (
                 channel.power - 2 * part.slope @ own + np.einsum("cij,i,j->c", part.gram, own, own)
             )
-            now = noise(evidence.balance, channel.joint, channel.turn / (2 * np.pi), operator)
+            turn = channel.turn / (2 * np.pi)
+            now = noise(evidence.balance, channel.joint, turn, operator, floor=False)
             found.append(np.maximum(power, 0.0) * np.maximum(self.usual[k] / now, 1.0) ** 2)
         return found
 
