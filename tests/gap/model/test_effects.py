@@ -213,20 +213,6 @@ def test_an_effect_is_there_twice_and_in_a_corrected_model_again(kind: str) -> N
                     spec.compile()
 
 
-def test_a_sensor_that_is_turned_twice_is_turned_by_both() -> None:
-    machine = machine_of("spatial")
-    effect = CATALOGUE["sensor_misalignment"](machine, "shake")
-    turns = np.array([[0.1, -0.2, 0.3], [0.3, 0.1, -0.1]])
-    time, spec = clock(machine), machine.fresh()
-    shown = simulate(machine.model, commands(machine, time))
-    for turn in turns:
-        shown = effect.read(time, shown, turn)
-        effect.export(spec, turn)
-    found = simulate(spec.compile(), commands(machine, time))
-    assert np.allclose(found["sensor.shake"], shown["sensor.shake"], atol=1e-6)
-    assert spec.sensor("shake").objname == "shake_sensor_misalignment_2"
-
-
 def test_code_applies_what_the_model_cannot_express() -> None:
     machine = machine_of("planar")
     for kind, where in (("sensor_gain", "encoder2"), ("sensor_bias", "shake")):
@@ -242,32 +228,6 @@ def test_code_applies_what_the_model_cannot_express() -> None:
         assert np.allclose(data.sensor(where).data, wanted)
         assert not np.allclose(before, wanted)
     assert CATALOGUE["base_tilt"](machine, "base").code(np.zeros(1)) == ""
-
-
-def test_code_runs_whatever_sensors_are_called() -> None:
-    spec = machine_of("planar").fresh()
-    spec.sensor("encoder2").name = name = "angle \"2\" of 'b'"
-    machine = NominalModel(spec)
-    data = mujoco.MjData(machine.model)
-    for kind, values, shown in (("sensor_bias", [0.5], 2.5), ("sensor_gain", [1.2], 2.4)):
-        data.sensor(name).data[:] = 2.0
-        exec(CATALOGUE[kind](machine, name).code(np.array(values)), {"data": data})
-        assert data.sensor(name).data[0] == pytest.approx(shown)
-
-
-def test_readings_are_never_changed_in_place() -> None:
-    machine = machine_of("planar")
-    time = clock(machine)
-    for kind in ("sensor_gain", "sensor_bias", "sensor_delay", "sensor_misalignment"):
-        effect = CATALOGUE[kind](machine, "shake")
-        column = np.random.default_rng(0).normal(size=(2, len(time), 3))
-        kept = column.copy()
-        shown = effect.read(time, {"sensor.shake": column}, np.array(effect.starts[0]))
-        assert np.array_equal(column, kept)
-        assert shown["sensor.shake"].shape == column.shape
-        assert effect.read(time, {"sensor.other": kept}, np.array(effect.starts[0])) == {
-            "sensor.other": kept
-        }
 
 
 def test_what_cannot_be_is_refused() -> None:
@@ -316,20 +276,3 @@ def test_a_new_effect_joins_the_catalogue_once() -> None:
 
     with pytest.raises(InvalidSetting, match="kind"):
         register(Nameless)
-
-
-@pytest.mark.parametrize(
-    ("kind", "parameters", "expected"),
-    [
-        ("payload", ("mass", "x", "y", "z"), (0.0, 0.0, 0.0, 0.0)),
-        ("load_friction", ("share", "load_share"), (0.0, 0.0)),
-        ("load_friction", ("share", "static_ratio", "speed"), (np.nan,) * 3),
-        ("actuator_gain", ("gain",), (1.0,)),
-        ("joint_compliance", ("stiffness", "damping"), (np.nan, np.nan)),
-    ],
-)
-def test_the_value_of_a_parameter_without_its_effect(
-    kind: str, parameters: tuple[str, ...], expected: tuple[float, ...]
-) -> None:
-    values = [CATALOGUE[kind].null_value(parameters, name) for name in parameters]
-    np.testing.assert_array_equal(values, expected)

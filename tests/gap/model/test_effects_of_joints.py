@@ -132,15 +132,6 @@ def test_stribeck_friction_holds_more_than_it_brakes(integrator: str) -> None:
     assert 1.6 + unseen[0] == pytest.approx(np.mean(given[-500:]), rel=0.002)
 
 
-def test_stribeck_friction_is_near_its_law_at_every_speed() -> None:
-    effect = at(wheel(), "stribeck_friction")
-    speed = np.linspace(0.001, 0.3, 500)
-    unseen = effect.passive_actuator_torque(np.zeros(500), speed, np.array([1.0, 1.6, 0.05]))
-    missed = (1.6 + unseen - 1.0) / 0.6 - np.exp(-((speed / 0.05) ** 2))
-    assert np.abs(missed).max() < 0.09
-    assert np.sqrt(np.mean(missed**2)) < 0.03
-
-
 def test_rotor_inertia_slows_the_wheel_alone() -> None:
     model = edited(at(wheel(), "rotor_inertia"), 0.3)
     assert run(model, 1.0, torque=2.0)[-1, 1] == pytest.approx(2.0 / (INERTIA + 0.3))
@@ -247,31 +238,6 @@ def test_a_split_joint_without_rotor_stays_solvable(arm: str, where: str) -> Non
             assert np.abs(data.qvel).max() < 2
 
 
-@pytest.mark.parametrize("joined", [1, 4])
-def test_a_servo_gets_as_much_to_act_on_as_it_needs_and_the_same_at_any_step(joined: int) -> None:
-    spec = machine_of("spatial").fresh()
-    spec.joint("reach").armature = 0.0
-    rk4, implicit = (
-        NominalModel(spec, step=1e-3, integrator=int(integrator), merged_steps=joined)
-        for integrator in (mujoco.mjtIntegrator.mjINT_RK4, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-    )
-    longest = 1e-3 * max(joined // 2, 1)
-    # 150 N·s/m may take 0.8 of its speed within a step; else it is a fiftieth of 2 kg
-    for machine, wanted in ((rk4, 150 * longest / 0.8), (implicit, 0.04)):
-        for kind in ("joint_compliance", "backlash"):
-            effect = at(machine, kind, "reach")
-            for start in effect.starts:
-                for step in (5e-4, longest):
-                    spec = machine.fresh()
-                    spec.option.timestep = step
-                    effect.edit(spec, np.array(start))
-                    assert spec.joint("reach").armature == pytest.approx(wanted)
-                    data = mujoco.MjData(model := spec.compile())
-                    mujoco.mj_step(model, data, 500)
-                    assert np.isfinite(data.qpos).all()
-                    assert np.abs(data.qvel).max() < 2
-
-
 def test_backlash_leaves_a_dead_zone_between_its_stops() -> None:
     effect = at(wheel(loads=np.array([0.5])), "backlash")
     gap, stiffness = 0.02, effect.starts[0][1]
@@ -353,38 +319,3 @@ def test_an_encoder_s_offset_shows_in_its_reading_and_nowhere_else(arm: str) -> 
         if gain and where != "lift":  # whose force is limited
             moved[machine.joint_number(where)] = -gain * 0.03
             assert np.allclose(wrong.qfrc_actuator - true.qfrc_actuator, moved, atol=1e-6)
-
-
-def motion(seed: int = 0) -> tuple[Array, Array, Array]:
-    time = np.arange(5000) * 1e-3
-    rng = np.random.default_rng(seed)
-    phases = rng.uniform(0, 2 * pi, 3)
-    rates = np.array([1.3, 2.9, 5.1])
-    angle = (0.5 * np.sin(np.outer(time, rates) + phases)).sum(axis=1)
-    speed = np.gradient(angle, time)
-    return angle, speed, np.gradient(speed, time)
-
-
-@pytest.mark.parametrize(
-    ("kind", "true", "law"),
-    [
-        ("viscous_friction", (0.4,), lambda q, v, a: 0.4 * v),
-        ("quadratic_drag", (0.2,), lambda q, v, a: 0.2 * v * np.abs(v)),
-        ("coulomb_friction", (0.5,), lambda q, v, a: 0.5 * np.sign(v)),
-        ("rotor_inertia", (0.25,), lambda q, v, a: 0.25 * a),
-        ("joint_spring", (0.8, 0.3), lambda q, v, a: 0.8 * (q - 0.3)),
-        ("torque_ripple", (0.3, 37.0, 1.1), lambda q, v, a: -0.3 * np.sin(37 * q + 1.1)),
-    ],
-)
-def test_data_propose_where_to_start(kind: str, true: tuple[float, ...], law) -> None:  # type: ignore[no-untyped-def]
-    angle, speed, acceleration = motion()
-    noise = 0.02 * np.random.default_rng(3).normal(size=len(angle))
-    torque = law(angle, speed, acceleration) + noise + 0.01
-    effect = at(wheel(), kind)
-    found = effect.propose(angle, speed, acceleration, torque)
-    assert found
-    assert found[0] == pytest.approx(true, rel=0.05, abs=0.03)
-    if kind == "torque_ripple":
-        assert len(found) <= 3
-    still = np.zeros(5)
-    assert effect.propose(still, still, still, still) is not None

@@ -13,7 +13,7 @@ from loose_env.arms import DESK_ARM
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.link_flexibility import parts
-from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial, steiner
+from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 from tests.gap.cases.effect_arms import ARMS, machine_of
@@ -112,31 +112,6 @@ def test_bending_is_about_the_joint_or_across_it() -> None:
     assert np.allclose([axes[1] @ along, axes[1] @ axes[0]], 0, atol=1e-9)
     planar = CATALOGUE["link_flexibility"](machine_of("planar"), "link2")
     assert planar.variants_at(planar.machine, "link2") == ("",)
-
-
-@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
-def test_two_parts_make_the_whole(share: float) -> None:
-    whole = Inertial(3.0, np.array([0.2, 0.01, 0.0]), np.diag([0.002, 0.05, 0.051]))
-    along = np.array([1.0, 0, 0])
-    pair = parts(whole, np.zeros(3), 0.4 * along, share)
-    total = np.zeros((3, 3))
-    for part in pair:
-        lever = part.centre - whole.centre
-        assert abs(lever @ along) == pytest.approx(np.linalg.norm(lever))
-        low, middle, high = np.linalg.eigvalsh(part.tensor)
-        assert low > 0
-        assert high <= low + middle
-        total += part.tensor + steiner(part.mass, lever)
-    near, far = pair
-    assert np.allclose(total, whole.tensor)
-    assert near.mass == pytest.approx(share * 3.0)
-    assert near.mass + far.mass == pytest.approx(3.0)
-    assert np.allclose((near.mass * near.centre + far.mass * far.centre) / 3.0, whole.centre)
-    assert (far.centre - near.centre) @ along == pytest.approx(0.2)  # half the length
-    # A lump cannot be stretched.
-    lump = Inertial(3.0, np.zeros(3), 1e-6 * np.eye(3))
-    far = parts(lump, -0.2 * along, 0.2 * along, share)[1]
-    assert np.linalg.norm(far.centre) < 0.01
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
@@ -335,25 +310,6 @@ def test_inertia_can_be_read_however_it_was_written() -> None:
     wanted = np.array(ruled.model.body_mass)
     wanted[ruled.model.body("ram").id] += 0.4
     assert np.allclose(heavier.body_mass, wanted)
-
-
-def test_links_with_several_branches_can_bend_one_after_the_other() -> None:
-    machine = NominalModel(mujoco.MjSpec.from_file(str(DESK_ARM)))
-    spec = machine.fresh()
-    chosen = [e for e in candidates(machine, ["link_flexibility"]) if not e.variant]
-    assert {"upper_arm", "hand"} <= {effect.where for effect in chosen}
-    for effect in chosen:
-        effect.edit(spec, np.array(effect.starts[0]))
-    model = mujoco.MjModel.from_xml_string(spec.to_xml())
-    assert model.njnt == machine.model.njnt + len(chosen)
-    joints = [model.joint(k).name for k in range(model.njnt)]
-    assert [name for name in joints if name in machine.joints] == list(machine.joints)
-    assert np.allclose(model.actuator_gear, machine.model.actuator_gear)
-    for pose in poses(machine, 2):
-        before, after = posed(machine.model, machine, pose), posed(model, machine, pose)
-        assert np.allclose(before.site("tool").xpos, after.site("tool").xpos, atol=1e-5)
-        whole = inertia(machine.model, before, machine)
-        assert np.allclose(inertia(model, after, machine), whole, atol=1e-4 * whole.max())
 
 
 @pytest.mark.parametrize("kind", ["structural_looseness", "joint_compliance", "backlash"])

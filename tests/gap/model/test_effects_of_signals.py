@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import exp
-
 import mujoco
 import numpy as np
 import pytest
@@ -32,16 +30,6 @@ def test_a_lag_answers_a_step_exponentially() -> None:
     # A command that holds from the start is there from the start.
     held = effect.command(time, np.full((len(time), 3), 0.5), np.array([0.03]))
     assert np.allclose(held, 0.5)
-
-
-def test_a_lag_filters_what_the_actuator_takes() -> None:
-    machine = machine_of("planar")
-    effect = CATALOGUE["actuator_lag"](machine, "servo2")
-    time = clock(machine)
-    controls = np.zeros((len(time), 3))
-    controls[1:, 1] = 10.0  # the actuator takes 2
-    reached = effect.command_at(time, controls, np.array([0.05]))
-    assert reached[51, 1] == pytest.approx(2.0 * (1 - exp(-1)))
 
 
 def test_readings_see_the_held_command_of_their_moment() -> None:
@@ -147,15 +135,6 @@ def test_a_late_sensor_shows_what_was() -> None:
     uneven = np.sort(np.random.default_rng(1).uniform(0, 0.5, 2000))
     shown = delayed(uneven, np.stack([uneven, 2 * uneven, -uneven], axis=-1), 0.05, axis=-2)
     assert np.allclose(shown[500:], np.outer(uneven[500:] - 0.05, [1, 2, -1]))
-
-
-def test_what_jumps_with_commands_is_not_drawn_out_of_its_samples() -> None:
-    machine = machine_of("planar")
-    effect, value = CATALOGUE["sensor_delay"](machine, "shake"), np.array([0.0123])
-    assert effect.sensor_delay(value) == ("shake", 0.0123)
-    readings = {"sensor.shake": np.ones((5, 3))}
-    assert effect.read(np.arange(5.0), readings, value) is readings
-    assert CATALOGUE["sensor_delay"](machine, "rate3").sensor_delay(value) is None
 
 
 def test_gain_and_bias_leave_the_motion_alone() -> None:

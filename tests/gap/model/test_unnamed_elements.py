@@ -79,11 +79,6 @@ def test_links_without_name_are_called_after_their_joint_and_it_is_said() -> Non
     assert naming_notes(mujoco.MjSpec.from_string(NAMED)) == []
 
 
-def test_a_name_that_is_taken_is_not_given_again() -> None:
-    taken = bare().replace("<body>", '<body name="lift_link">', 1)
-    assert machine(taken).links == ("lift_link", "lift_link_2")
-
-
 @pytest.mark.parametrize("kind", list(CATALOGUE))
 def test_effects_are_the_same_with_and_without_names(kind: str) -> None:
     named, unnamed = machine(NAMED), machine(bare())
@@ -142,17 +137,6 @@ def test_a_site_of_an_inner_link_is_the_tool_only_where_there_is_no_other_and_it
     assert machine(inner).tool == "middle"
     (words,) = payload_notes(machine(inner))
     assert "middle" in words and "first" in words
-
-
-def test_nominal_figures_reach_every_drive_and_link() -> None:
-    unnamed = machine(bare())
-    figures = NominalParameters(unnamed, tolerance=0.03)
-    spec = unnamed.fresh()
-    figures.edit(spec, np.full(len(figures.parameters), 1.01))
-    model = spec.compile()
-    assert np.allclose(model.actuator_gainprm[:, 0], 1.01 * np.array([50, 70]))
-    moved = [model.body(link).id for link in unnamed.links]
-    assert np.allclose(model.body_mass[moved], 1.01 * unnamed.model.body_mass[moved])
 
 
 def test_the_model_that_is_written_carries_the_names() -> None:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from loose_env.gap import DeletionTest, EffectLocation, Gap, NamedEffect
 from loose_env.gap.output.calibration import (
     GapCalibration,
     interval_score,
-    probability_features,
-    stored_calibration,
     widened_interval,
     with_probability,
 )
@@ -70,13 +67,6 @@ def test_a_part_found_by_its_impacts_has_a_probability_too() -> None:
     assert 0.01 <= weak < strong <= 0.99
 
 
-def test_features_stay_finite_at_the_ends() -> None:
-    for share, z in ((0.0, -3.0), (1.0, 400.0), (-2.0, 0.0)):
-        test = replace(TEST, held_out_z=z, share_without=share, share_in_channel=share)
-        for gap in (Gap(before=1.0, after=1.0), Gap(before=0.9, after=0.8), GAP):
-            assert np.isfinite(probability_features(replace(EFFECT, deletion=test), gap)).all()
-
-
 @pytest.mark.parametrize(
     ("value", "interval", "truth"),
     [(1.0, (0.8, 1.3), 1.9), (-2.0, (-2.5, -1.9), -1.2), (0.1, (-0.2, 0.3), -0.9)],
@@ -88,9 +78,3 @@ def test_the_score_is_the_factor_with_which_an_interval_just_holds_the_truth(
     for factor, holds in ((score * 1.01, True), (score * 0.99, False)):
         low, high = widened_interval(value, interval, factor)
         assert (low <= truth <= high) is holds
-
-
-def test_the_stored_calibration_rests_on_cases() -> None:
-    found = stored_calibration()
-    assert min(found.size_factor, found.shape_factor) >= 1
-    assert 0 < found.right <= found.effects and found.sizes >= 19

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -13,11 +11,8 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.drives.actuators import ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.friction import ViscousFriction
 from loose_env.gap.model.effects.sensors import SensorGain
-from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.output.export_check import Exported, exported, played
-from loose_env.gap.output.export_mjcf import corrected_spec
+from loose_env.gap.output.export_check import Exported, exported
 from loose_env.gap.residuals.preparation.prepare import GapProblem
-from loose_env.gap.residuals.residual_model import ResidualModel
 from tests.gap.cases.exported_case import judged_with, prepared_arm
 
 
@@ -89,26 +84,6 @@ def test_what_comes_late_begins_with_the_first_command(
     problem = prepared_arm(tmp_path / "r", first=0.5)
     found = export_as_fitted(problem, kind(problem.machine, where), late)
     assert found.parts == 1 and found.apart < 0.1 and not found.notes()
-
-
-def test_runs_that_show_nothing_by_then_are_not_tried(problem: GapProblem) -> None:
-    best = judged_with(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
-    held = problem.held_out_whole
-    unread = np.full_like(held.trials[0].measured, np.nan)
-    late = [replace(held.trials[0], measured=unread), *held.trials]
-    runs = ResidualModel(held.machine, late, held.channels, held.floors, threads=1)
-    runs.trials[1] = replace(runs.trials[1], resting=False)
-    assert exported(runs, best.fitted.hypothesis.of_model, np.zeros(len(runs))) == Exported()
-
-
-def test_a_filter_much_shorter_than_a_step_is_stable_in_plain_mujoco(problem: GapProblem) -> None:
-    machine, held = problem.machine, problem.held_out_whole
-    assert machine.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
-    lag = ActuatorLag(machine, "servo2")
-    late = Hypothesis().with_effects([(lag, np.array([1e-5]))])
-    model, nominal = (corrected_spec(machine, h).compile() for h in (late, Hypothesis()))
-    with_lag, without = (played(held, m, held.trials[0]) for m in (model, nominal))
-    assert np.abs(with_lag - without).max() < 0.01
 
 
 def test_a_file_that_lacks_what_was_fitted_is_found_out(

@@ -71,45 +71,6 @@ def test_the_true_effect_is_found_and_a_wrong_one_is_not(
     assert abs(found[0][0] / values[0] - 1) < 0.1
 
 
-def test_dry_friction_is_found_with_its_steps() -> None:
-    machine = arm(PLANAR)
-
-    def friction(speed: np.ndarray) -> np.ndarray:
-        torque = np.zeros_like(speed)
-        torque[:, 1] = 0.9 * np.tanh(speed[:, 1] / 0.004)
-        return torque
-
-    comparison = compared(machine, runs_of(machine, machine.model, friction=friction))
-    before, _ = fitted(comparison, [])
-    after, found = fitted(comparison, [CATALOGUE["coulomb_friction"](machine, "joint2")])
-    other, _ = fitted(comparison, [CATALOGUE["viscous_friction"](machine, "joint2")])
-    assert before.rms > 3
-    assert after.rms < 1.25
-    assert other.rms > 1.5 * after.rms
-    assert abs(found[0][0] - 0.9) < 0.05
-
-
-def test_a_late_encoder_is_found() -> None:
-    machine = arm(PLANAR)
-    runs = []
-    for run in runs_of(machine, machine.model, speeds=None, rate=1000.0):
-        late = {k: np.roll(v, 12) if k == "joint1_pos" else v for k, v in run.sensors.items()}
-        cut = slice(20, None)
-        runs.append(
-            Run(
-                name=run.name,
-                time=run.time[cut],
-                sensors={k: v[cut] for k, v in late.items()},
-                torques={k: v[cut] for k, v in run.torques.items()},
-            )
-        )
-    comparison = compared(machine, runs)
-    before, _ = fitted(comparison, [])
-    after, found = fitted(comparison, [CATALOGUE["sensor_delay"](machine, "joint1_pos")])
-    assert before.rms > 1.5 * after.rms
-    assert abs(found[0][0] - 0.012) < 0.002
-
-
 def test_which_effects_an_inverse_comparison_shows() -> None:
     machine = arm(PLANAR)
     comparison = compared(machine, runs_of(machine, machine.model, 1))

@@ -74,16 +74,6 @@ def recorded() -> Trial:
     )  # fmt: skip
 
 
-def test_a_drive_shows_the_force_of_the_sample_not_that_at_the_end_of_its_step() -> None:
-    machine = NominalModel(mujoco.MjSpec.from_string(PLANAR), step=STEP, integrator=RK4)
-    expected = fine("command_delay", "all", 0.0)
-    simulator = Simulator(machine, [recorded()], CHANNELS, threads=1)
-    shown = simulator.predict([Hypothesis()])[0][0]
-    moved = np.sqrt(np.mean(np.diff(expected, axis=0) ** 2, axis=0))
-    off = np.sqrt(np.mean((shown - expected) ** 2, axis=0))
-    assert np.all(off < 0.02 * moved), (off / moved).round(4)
-
-
 @pytest.mark.parametrize(
     ("kind", "where", "value"),
     [("command_delay", "all", 0.0024), ("command_delay", "servo1", 0.0007),

@@ -9,7 +9,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_of
@@ -31,7 +30,7 @@ from tests.gap.cases.own_effects import (
     OneTerm,
     SlickFriction,
 )
-from tests.gap.cases.recorded_runs import PENDULUM, measurable, torque_run
+from tests.gap.cases.recorded_runs import measurable, torque_run
 
 STEP, INSIDE, COUNT = 0.001, 20, 1200
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
@@ -177,26 +176,6 @@ def test_backwards_a_linear_spring_is_the_catalogues_spring() -> None:
     ]
     (a,), (b,) = inverse.predict(led)
     assert np.nanmax(np.abs(a - b)) < 0.02 * scale
-
-
-def test_a_free_pendulum_with_a_cubic_spring() -> None:
-    own = NominalModel(mujoco.MjSpec.from_string(PENDULUM))
-    time = np.arange(400) * 0.01
-    inertia, moment, size = 0.01 + 0.5 * 0.3**2, 0.5 * 9.81 * 0.3, 2.0
-
-    def change(_: float, state: Array) -> list[float]:
-        angle, speed = state
-        return [speed, (-moment * np.sin(angle) - size * angle**3) / inertia]
-
-    truth = solve_ivp(change, (0, time[-1]), [0.8, 0.0], t_eval=time, rtol=1e-10, atol=1e-12).y[0]
-    run = Trial(
-        name="run", form="free", time=time, measured=truth[:, None], step=0.0025, steps=1597,
-        controls=np.zeros((1597, 0)), position=np.array([0.8]), speed=np.zeros(1), resting=False,
-        joints=("pivot",),
-    )  # fmt: skip
-    simulator = Simulator(own, [run], (Channel("sensor.encoder"),), threads=1)
-    (shown,) = simulator.predict([of(CubicSpring(own, "pivot"), size)])[0]
-    assert np.abs(shown[:, 0] - truth).max() < 2e-3
 
 
 def test_the_code_of_the_result_applies_a_term_to_the_written_model(tmp_path: Path) -> None:

@@ -111,15 +111,12 @@ def chosen(comparison: ResidualModel, hypotheses: Hypotheses) -> NextMotion:
     return found
 
 
-def test_the_pair_is_open_before_the_motion(hypotheses: Hypotheses) -> None:
-    (pair,) = hypotheses.pairs
-    assert pair.description == "viscous_friction at elbow from coulomb_friction at elbow"
-    assert pair.nats < 5
-
-
 def test_the_chosen_motion_separates_better_than_a_random_one(
     comparison: ResidualModel, hypotheses: Hypotheses, chosen: NextMotion
 ) -> None:
+    (pair,) = hypotheses.pairs
+    assert pair.description == "viscous_friction at elbow from coulomb_friction at elbow"
+    assert pair.nats < 5  # open before the motion
     assert chosen.candidate.motion == LIBRARY[1]
     random = choose_motion(comparison, hypotheses, motions=LIBRARY[2:])
     (gain,) = chosen.gains
@@ -188,59 +185,40 @@ def test_the_files_read_as_a_run_of_the_recording(chosen: NextMotion, tmp_path: 
     assert "viscous_friction at elbow from coulomb_friction at elbow" in lines[1]
 
 
-def test_nothing_open_gives_no_motion(comparison: ResidualModel, hypotheses: Hypotheses) -> None:
+def test_where_no_motion_can_be_chosen_none_is(
+    comparison: ResidualModel, hypotheses: Hypotheses
+) -> None:
     assert choose_motion(comparison, replace(hypotheses, pairs=())) is None
-
-
-def test_free_responses_take_no_motion(comparison: ResidualModel, hypotheses: Hypotheses) -> None:
     free = ResidualModel(
         MACHINE, [replace(t, form="free") for t in comparison.trials], CHANNELS,
         comparison.floors, threads=1,
     )  # fmt: skip
     with pytest.raises(InvalidData, match="neither commands nor torques"):
         choose_motion(free, hypotheses, motions=LIBRARY)
-
-
-def test_commands_of_two_kinds_are_refused() -> None:
     spec = mujoco.MjSpec.from_string(MODEL)
     spec.actuator("two").set_to_motor()
     with pytest.raises(InvalidData, match="position and torque commands"):
         drive_of(NominalModel(spec))
-
-
-def test_settings_out_of_range_are_refused() -> None:
     with pytest.raises(InvalidSetting, match="next_seconds must be positive"):
         NextMotionSettings(next_seconds=0.0)
 
 
-def driven_by_torque(form: str) -> tuple[MotionRuns, NominalModel]:
-    """A machine on motors, whose runs have commands, or torques alone."""
+def test_torque_commands_follow_the_desired_positions_and_replay() -> None:
     spec = mujoco.MjSpec.from_string(MODEL)
     for motor in spec.actuators:
         motor.set_to_motor()
         motor.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
     machine = NominalModel(spec, step=STEP)
     time = np.arange(round(2 * RATE)) / RATE
-    wave = HOME[:, None] + 0.1 * np.sin(2 * time) * np.ones((2, 1))
     noise = np.random.default_rng(3).normal(0, 1e-4, (4, len(time)))
-    torques = {"shoulder": 20 * np.sin(2 * time) + noise[2], "elbow": np.cos(time) + noise[3]}
+    wave = HOME[:, None] + 0.1 * np.sin(2 * time) + noise[:2]
     run = Run(
-        name="a.csv", time=time,
-        controls={"one": torques["shoulder"], "two": torques["elbow"]} if form == "forward" else {},
-        sensors={"q1": wave[0] + noise[0], "q2": wave[1] + noise[1]},
-        torques=torques if form == "inverse" else {},
+        name="a.csv", time=time, sensors={"q1": wave[0], "q2": wave[1]},
+        controls={"one": 20 * np.sin(2 * time) + noise[2], "two": np.cos(time) + noise[3]},
     )  # fmt: skip
-    channels = (*CHANNELS, *(Channel(f"torque.{j}") for j in ("shoulder", "elbow")))
-    channels = channels if form == "inverse" else CHANNELS
-    trial = align_run(run, machine, channels, step=STEP)
-    floors = np.array([1e-4, 1e-4, 0.05, 0.05])[: len(channels)]
-    comparison = ResidualModel(machine, [trial], channels, floors, threads=1)
-    assert comparison.trials[0].form == form
-    return MotionRuns(comparison, Hypothesis(), np.ones(len(channels))), machine
-
-
-def test_torque_commands_follow_the_desired_positions_and_replay() -> None:
-    runs, machine = driven_by_torque("forward")
+    trial = align_run(run, machine, CHANNELS, step=STEP)
+    comparison = ResidualModel(machine, [trial], CHANNELS, np.full(2, 1e-4), threads=1)
+    runs = MotionRuns(comparison, Hypothesis(), np.ones(2))
     assert runs.drive == "torque"
     way = np.clip(np.arange(round(3 * RATE)) / RATE - 0.3, 0, 2)[:, None] / 2
     played = runs.played(HOME + 0.4 * way**3 * (10 - 15 * way + 6 * way**2))
@@ -248,4 +226,3 @@ def test_torque_commands_follow_the_desired_positions_and_replay() -> None:
     assert played.controls.shape == (len(way), 2)
     compared = runs.compared([played])
     assert np.isfinite(compared.measured).all() and len(compared) == 2 * len(way) - 26
-    assert machine.actuators == ("one", "two")

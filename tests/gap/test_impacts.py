@@ -1,0 +1,175 @@
+"""Parts that strike their stops: a loose link, and what else is missing beside one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from scipy import signal
+
+from loose_env.gap import GapSettings, GapSolution, Stages, find_gap, key_of, result_of
+from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.residuals.preparation.prepare import prepare
+from loose_env.gap.workflow.evidence import diagnose_residuals
+from loose_env.recording import Recording, Run, write_recording
+from loose_env.typing import Array
+from tests.gap.cases.effect_arms import PLANAR
+
+# The plane is level, so that nothing but the motion throws a slide to and fro.
+LEVEL = PLANAR.replace('gravity="0 -9.81 0"', 'gravity="0 0 -9.81"')
+FINE, EVERY = 2e-4, 5
+"""Step [s], and steps from one sample to the next."""
+NOISE = np.array([2e-5, 2e-5, 2e-5, 2e-3, 0.03, 0.03, 0.03])
+
+
+def with_effect(kind: str, where: str, values: Sequence[float]) -> mujoco.MjSpec:
+    """The level arm in fine steps, with an effect."""
+    spec = mujoco.MjSpec.from_string(LEVEL)
+    spec.option.timestep = FINE
+    machine = NominalModel(mujoco.MjSpec.from_string(LEVEL), step=FINE)
+    CATALOGUE[kind](machine, where).edit(spec, np.array(values))
+    return spec
+
+
+def recorded(
+    data: mujoco.MjData, controls: Array, rng: np.random.Generator, name: str, *excited: str
+) -> Run:
+    """A run of commands (T, 3) from the state in ``data`` on, its readings with noise."""
+    shown = np.zeros((len(controls), data.model.nsensordata))
+    for row, command in zip(shown, controls, strict=True):
+        data.ctrl[:] = command
+        mujoco.mj_forward(data.model, data)
+        row[:] = data.sensordata
+        mujoco.mj_step(data.model, data, EVERY)
+    shown += rng.normal(0, NOISE, shown.shape)
+    names = ("encoder1", "encoder2", "encoder3", "rate3")
+    return Run(
+        name=name,
+        time=np.arange(len(controls)) * FINE * EVERY,
+        controls={f"servo{j + 1}": controls[:, j] for j in range(3)},
+        sensors={n: shown[:, c] for c, n in enumerate(names)} | {"shake": shown[:, 4:]},
+        excited=excited,
+    )
+
+
+def shaken(folder: Path, spec: mujoco.MjSpec) -> Recording:
+    """Poses that are kept while the first joint is shaken at random."""
+    model, rng, count = spec.compile(), np.random.default_rng(4), 1800
+    band = signal.butter(4, (10, 120), "bandpass", fs=1000, output="sos")
+    runs = []
+    for k, pose in enumerate(([0.3, 0.8, -0.5], [-0.4, 1.2, 0.6], [0.9, -0.9, 0.3])):
+        shake = signal.sosfilt(band, rng.normal(size=count + 500))[500:]
+        controls = np.tile(pose, (count, 1))
+        controls[:, 0] += 0.02 * shake / shake.std() * np.minimum(np.arange(count) / 200, 1)
+        data = mujoco.MjData(model)
+        for j, angle in enumerate(pose):
+            data.joint(f"joint{j + 1}").qpos[0] = angle
+        data.ctrl[:] = pose
+        mujoco.mj_step(model, data, 2000)
+        runs.append(recorded(data, controls, rng, f"run-{k + 1:02d}.parquet", "joint1"))
+    return write_recording(folder, model_xml=LEVEL, runs=runs)
+
+
+@pytest.fixture(scope="module")
+def struck(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Of a link with hard stops that ring."""
+    spec = with_effect("structural_looseness", "link2", [1.0, 2e-4, 1.0, 1e6, 0.03])
+    return shaken(tmp_path_factory.mktemp("struck") / "recording", spec)
+
+
+def test_runs_that_impacts_make_chaotic_are_told_of(struck: Recording, tmp_path: Path) -> None:
+    healthy = shaken(tmp_path / "healthy", with_effect("viscous_friction", "joint1", [0.0]))
+    for recording, chaotic in ((struck, True), (healthy, False)):
+        warnings = prepare(recording, GapSettings(threads=1)).warnings
+        assert any("chaotic (impacts against stops)" in words for words in warnings) is chaotic
+
+
+@pytest.mark.slow
+def test_the_loose_link_is_named(struck: Recording) -> None:
+    kinds = ("structural_looseness", "joint_compliance", "viscous_friction")
+    found = find_gap(struck, GapSettings(threads=1, kinds=kinds, most_effects=1))
+    assert found.verdict == "named"
+    (effect,) = found.effects
+    assert (effect.kind, effect.where) == ("structural_looseness", "link2")
+    assert found.best.held_out_rms < 0.5 * found.base.held_out_rms
+    result = result_of(found, diagnose_residuals(found))
+    assert result.gap.after < 0.5 * result.gap.before
+    assert result.effects[0].where == "link2"
+    names = {channel.name for channel in found.problem.held_out_whole.channels}
+    assert set(result.gap.by_channel) == names
+    before, after = result.gap.by_channel["sensor.shake.y"]
+    assert before > 3 and after < 0.6 * before
+    assert {left.channel for left in result.residual_tests} == names
+
+
+KINDS = ("backlash", "actuator_gain")
+GAP, GAIN = 0.01, 0.9
+
+
+@pytest.fixture(scope="module")
+def with_play(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Of an arm with backlash between stops of another law, and a motor that is weak."""
+    spec = with_effect("backlash", "joint2", [GAP, 4e3, 0.15])
+    added = spec.joints[2]
+    assert added.name == "joint2_backlash"
+    added.solimp_limit[4] = 1.5  # force grows with travel by another power than on the model's
+    servo = spec.actuator("servo1")
+    servo.gainprm[0] *= GAIN
+    servo.biasprm[1:3] *= GAIN
+    model, time = spec.compile(), np.arange(2000) * FINE * EVERY
+    rng, runs = np.random.default_rng(4), []
+    for k in range(3):
+        controls = 0.3 * np.sin(np.outer(time, [7.0 + k, 11.0 - 2 * k, 16.0 + k]))
+        controls *= np.minimum(2 * time, 1.0)[:, None]
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 2000)
+        runs.append(recorded(data, controls, rng, f"run-{k + 1:02d}.parquet"))
+    folder = tmp_path_factory.mktemp("play") / "r"
+    return write_recording(folder, model_xml=LEVEL, runs=runs)
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("stages")
+
+
+@pytest.fixture(scope="module")
+def whole(with_play: Recording, kept: Path) -> GapSolution:
+    stages, settings = Stages(kept, key_of(with_play, {})), GapSettings(threads=1, kinds=KINDS)
+    return find_gap(with_play, settings, stages=stages)
+
+
+@pytest.mark.slow
+def test_a_weak_motor_is_found_beside_play_of_another_law(whole: GapSolution) -> None:
+    assert whole.verdict == "named"
+    own = {(e.kind, e.where): e for e in whole.effects}
+    assert set(own) == {("backlash", "joint2"), ("actuator_gain", "servo1")}
+    assert own["backlash", "joint2"].parameters["gap"] == pytest.approx(GAP, rel=0.05)
+    low, high = own["actuator_gain", "servo1"].interval_95["gain"]
+    assert 0.8 < low < GAIN < high < 1.0
+    # told in the noise there is, of which stops leave several times as much
+    assert whole.base.held_out_rms > 1.5 * whole.best.held_out_rms > 4
+    steps = [each.step for each in whole.ranking]
+    first = {each.step: each for each in reversed(whole.ranking)}
+    assert steps == sorted(steps)
+    assert (first[1].kind, first[2].kind) == ("backlash", "actuator_gain")
+    assert first[2].held_out == pytest.approx(whole.best.held_out_rms, rel=0.3)
+
+
+@pytest.mark.slow
+def test_an_interrupted_search_beside_play_goes_on_where_it_was(
+    with_play: Recording, kept: Path, whole: GapSolution
+) -> None:
+    names = {file.stem for file in kept.iterdir()}
+    first = ["nominal", "effect-1", "part-2-begun"]
+    assert names > {*first, "part-2-effect-1"}
+    for name in names - set(first):
+        (kept / f"{name}.npz").unlink()
+    stages = Stages(kept, key_of(with_play, {}))
+    again = find_gap(with_play, GapSettings(threads=1, kinds=KINDS), stages=stages)
+    assert stages.taken_up == first
+    assert again.effects == whole.effects and again.ranking == whole.ranking

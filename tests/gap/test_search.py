@@ -1,0 +1,338 @@
+"""The search on small recordings with and without something hidden: in full, and a quick look."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.cli.main import main
+from loose_env.errors import InvalidSetting
+from loose_env.gap import (
+    GapSettings,
+    GapSolution,
+    QuickLook,
+    Stages,
+    explain_gap,
+    find_gap,
+    key_of,
+    quick_look,
+)
+from loose_env.gap.model.effects.friction import make_it_stick
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.residuals.progress import counted, reported, tick
+from loose_env.gap.workflow.quick_look import FORMAT
+from loose_env.recording import Recording, Run, read_recording, write_recording
+from tests.gap.cases import gap_case
+from tests.gap.cases.effect_arms import PLANAR
+from tests.gap.cases.recorded_runs import PENDULUM, measurable, pendulum_run, torque_run
+
+STEP, SECONDS = 0.001, 1.5
+NOISE = np.array([5e-5] * 3 + [2e-3] + [0.03] * 3)
+
+
+def record(folder: Path, edit: Callable[[mujoco.MjSpec], None], *, seed: int) -> Recording:
+    """Record the planar arm, its parameters 1 to 3 % off, with an edit of one's own."""
+    rng = np.random.default_rng(seed)
+    spec = mujoco.MjSpec.from_string(PLANAR)
+
+    def off() -> float:
+        return float(1 + rng.choice([-1, 1]) * rng.uniform(0.01, 0.03))
+
+    for joint in spec.joints:
+        joint.damping = np.asarray(joint.damping) * off()
+    for actuator in spec.actuators:
+        factor = off()
+        actuator.gainprm = np.asarray(actuator.gainprm) * np.array([factor] + [1.0] * 9)
+        actuator.biasprm = np.asarray(actuator.biasprm) * np.array([1.0, factor] + [1.0] * 8)
+    edit(spec)
+    spec.option.timestep, spec.option.integrator = STEP / 2, mujoco.mjtIntegrator.mjINT_RK4
+    model = spec.compile()
+    time = np.arange(round(SECONDS / STEP)) * STEP
+    found = []
+    for k in range(3):
+        data = mujoco.MjData(model)
+        controls = (
+            sum(
+                rng.uniform(0.1, 0.5, 3) * np.sin(np.outer(time, rng.uniform(2, 12, 3)))
+                for _ in range(3)
+            )
+            * np.minimum(2 * time, 1.0)[:, None]
+        )
+        mujoco.mj_step(model, data, 2000)
+        shown = np.zeros((len(time), model.nsensordata))
+        for row, command in zip(shown, controls, strict=True):
+            data.ctrl[:3] = command
+            mujoco.mj_step(model, data)
+            row[:] = data.sensordata
+            mujoco.mj_step(model, data)
+        shown += rng.normal(0, NOISE, shown.shape)
+        names = ("encoder1", "encoder2", "encoder3", "rate3")
+        found.append(
+            Run(
+                name=f"run-{k + 1:02d}.parquet",
+                time=time,
+                controls={f"servo{j + 1}": controls[:, j] for j in range(3)},
+                sensors={n: shown[:, j] for j, n in enumerate(names)} | {"shake": shown[:, 4:]},
+            )
+        )
+    return write_recording(folder, model_xml=PLANAR, runs=found)
+
+
+def test_nothing_is_named_where_nothing_is_missing(tmp_path: Path) -> None:
+    recording = record(tmp_path / "r", lambda spec: None, seed=3)
+    found = find_gap(recording, GapSettings(threads=1))
+    assert found.verdict == "no_gap"
+    assert found.effects == ()
+    assert 0.9 < found.best.held_out_rms < 1.15
+
+
+def test_friction_is_named_with_its_place_and_its_torque(tmp_path: Path) -> None:
+    def edit(spec: mujoco.MjSpec) -> None:
+        spec.joint("joint2").frictionloss = 2.0
+        make_it_stick(spec.joint("joint2"), STEP / 2)
+
+    lines: list[str] = []
+    recording = record(tmp_path / "r", edit, seed=4)
+    found = find_gap(recording, GapSettings(threads=1), say=lines.append)
+    assert found.verdict == "named"
+    assert [(e.kind, e.where) for e in found.effects] == [("coulomb_friction", "joint2")]
+    effect = found.effects[0]
+    assert effect.parameters["torque"] == pytest.approx(2.0, rel=0.05)
+    low, high = effect.interval_95["torque"]
+    assert low < effect.parameters["torque"] < high
+    assert high - low < 0.5
+    assert found.base.held_out_rms > 2 * found.best.held_out_rms
+    assert found.best.held_out_rms < 1.15
+    assert any("coulomb_friction@joint2" in line for line in lines)
+    assert found.ranking[0].bic < 0
+
+
+@pytest.fixture(scope="module")
+def heavier(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Of an arm whose last link is heavier than its model has it."""
+
+    def edit(spec: mujoco.MjSpec) -> None:
+        spec.body("link3").mass += 0.4
+
+    return record(tmp_path_factory.mktemp("heavier") / "r", edit, seed=5)
+
+
+MASSES = GapSettings(threads=1, kinds=("link_mass", "payload"))
+
+
+@pytest.fixture(scope="module")
+def mass(heavier: Recording) -> GapSolution:
+    return find_gap(heavier, MASSES)
+
+
+def test_the_same_recording_gives_the_same_result_on_any_number_of_threads(
+    heavier: Recording, mass: GapSolution
+) -> None:
+    two = find_gap(heavier, replace(MASSES, threads=2))
+    assert mass.verdict == "named"
+    assert mass.effects == two.effects
+    assert mass.ranking == two.ranking
+
+
+@pytest.mark.slow
+def test_an_interrupted_search_goes_on_where_it_was(
+    heavier: Recording, mass: GapSolution, tmp_path: Path
+) -> None:
+    key = key_of(heavier, {})
+
+    class Interrupted(Stages):
+        def __call__(self, name: str, make: Callable[[], Any]) -> Any:
+            if name == "effect-1":
+                raise KeyboardInterrupt
+            return super().__call__(name, make)
+
+    with pytest.raises(KeyboardInterrupt):
+        find_gap(heavier, MASSES, stages=Interrupted(tmp_path / "kept", key))
+    stages = Stages(tmp_path / "kept", key)
+    resumed = find_gap(heavier, MASSES, stages=stages)
+    assert stages.taken_up == ["nominal"]
+    again = Stages(tmp_path / "kept", key)
+    assert find_gap(heavier, MASSES, stages=again).effects == mass.effects
+    assert again.taken_up[:2] == ["nominal", "effect-1"]
+    assert resumed.effects == mass.effects
+    assert resumed.ranking == mass.ranking
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "words"),
+    [
+        ("tolerance", 0.7, "a share above 0 and below 0.5"),
+        ("tolerance", "0.1", "a share above 0 and below 0.5"),
+        ("held_share", float("nan"), "a share above 0 and below 1"),
+        ("most_effects", 0, "a whole number, 1 to 30"),
+        ("most_effects", 2.5, "a whole number, 1 to 30"),
+        ("search_seconds", 0, "a time above 0 s"),
+        ("fit_seconds", float("nan"), "a time above 0 s"),
+        ("held_seconds", True, "a time above 0 s"),
+        ("seed", 2**63, "a whole number, 0 or more"),
+        ("seed", 1.0, "a whole number, 0 or more"),
+        ("threads", -1, "a whole number, 0 to 10000"),
+        ("kinds", "backlash", "a tuple of words"),
+        ("held_out", (3,), "a tuple of words"),
+    ],
+)
+def test_settings_out_of_range_are_refused(name: str, wrong: object, words: str) -> None:
+    message = rf"^{name} is {words}.*, got {re.escape(repr(wrong))}$"
+    with pytest.raises(InvalidSetting, match=message):
+        GapSettings(**{name: wrong})  # type: ignore[arg-type]
+
+
+def test_a_long_stage_tells_every_ten_seconds_how_far_it_is_and_what_is_left() -> None:
+    now, lines, times = 0.0, list[str](), list[float]()
+
+    def keep(line: str) -> None:
+        lines.append(line)
+        times.append(now)
+
+    with reported(keep, clock=lambda: now) as say:
+        for _ in counted("starts", range(100)):
+            now += 1.0
+            tick()
+        assert max(after - before for before, after in itertools.pairwise(times)) < 10
+        assert all("starts: " in line and " of 100" in line for line in lines)
+        done, left = (int(lines[-1].split(word)[0].split()[-1]) for word in (" of", " s left"))
+        assert abs(left - (100 - done)) <= 2
+        lines.clear()
+        for item in range(5):  # silent while the search itself speaks
+            now += 4.0
+            say(f"fit {item}")
+            tick()
+        assert lines == [f"fit {item}" for item in range(5)]
+
+
+KINDS = ("viscous_friction", "sensor_gain", "coulomb_friction", "link_mass")
+
+
+@pytest.fixture(scope="module")
+def two_missing(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return gap_case.record(tmp_path_factory.mktemp("gap") / "recording")
+
+
+def test_a_quick_look_ranks_the_leading_hypothesis_first(two_missing: Recording) -> None:
+    lines: list[str] = []
+    look = quick_look(two_missing, GapSettings(kinds=KINDS, threads=1), say=lines.append)
+    assert look.before > 3
+    first, *others = look.candidates
+    assert len(look.candidates) <= 3
+    named = {effect.kind for effect in first.effects}
+    assert named <= {"viscous_friction", "sensor_gain"} and named
+    assert first.explained > 0.5 and first.held_out_z > 3 and first.held_out < look.before
+    assert all(each.held_out > 0 for each in others)
+    assert any("noise standard deviations" in words for words in look.location_words)
+    assert any("screening" in line or "nominal model" in line for line in lines)
+    values = dict(zip((effect.kind for effect in first.effects), first.parameters, strict=True))
+    true = {"viscous_friction": gap_case.DAMPING, "sensor_gain": gap_case.GAIN}
+    for kind, parameters in values.items():
+        assert next(iter(parameters.values())) == pytest.approx(true[kind], rel=0.3)
+
+
+def test_the_quick_command_writes_one_file_and_says_that_it_does_not_decide(
+    two_missing: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["gap", str(two_missing.folder), "--quick", "--ignore-doctor", "--out"]
+    refused = [*words, str(tmp_path / "none"), "--rerun", str(tmp_path / "motion.rrd")]
+    assert main(refused) == 1
+    assert "leave one of them out" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+    out = tmp_path / "out"
+    assert main([*words, str(out), "--kinds", *KINDS, "--threads", "1"]) == 0
+    assert "does not decide" in capsys.readouterr().out
+    assert sorted(path.name for path in out.iterdir() if path.name != ".gap") == ["quick.json"]
+    whole = json.loads((out / "quick.json").read_text(encoding="utf-8"))
+    assert whole["format"] == FORMAT and whole["candidates"]
+
+
+def test_nothing_is_ranked_where_the_residual_is_noise(tmp_path: Path) -> None:
+    from loose_env.report import quick_text
+
+    assert QuickLook(before=1.0).candidates == ()
+    assert "it is white" in quick_text(QuickLook(before=1.0))
+    recording = gap_case.record(tmp_path / "recording", missing=False)
+    look = quick_look(recording, GapSettings(kinds=KINDS, threads=1))
+    assert look.candidates == () and look.before < 1.25
+
+
+def test_many_short_runs_that_begin_in_motion_are_looked_at(tmp_path: Path) -> None:
+    """Windows leave runs out, whose initial states are none of the others'."""
+    rng = np.random.default_rng(1)
+    runs = [
+        pendulum_run(
+            rng, viscous=0.04, coulomb=0.0, start=(0.3 + 0.05 * number, 1.5), noise=1e-4,
+            duration=1.2, name=f"run-{number:02d}.csv",
+        )
+        for number in range(12)
+    ]  # fmt: skip
+    write_recording(tmp_path / "rod", model_xml=PENDULUM, runs=runs, file_format="csv")
+    kinds = ("viscous_friction", "link_mass")
+    look = quick_look(read_recording(tmp_path / "rod"), GapSettings(kinds=kinds, threads=1))
+    assert [each.kind for each in look.candidates[0].effects] == ["viscous_friction"]
+    assert look.candidates[0].parameters[0]["damping"] == pytest.approx(0.04, rel=0.1)
+
+
+OIL, SEAL, AIR = 0.004, 0.012, 0.002
+"""What slows a pendulum down: N·m·s/rad, N·m, N·m·s²/rad²."""
+DAMPING = (30.0, 20.0, 8.0)
+"""Damping of a model of which the machine has none [N·m·s/rad]."""
+
+
+@pytest.mark.slow
+def test_oil_seals_and_air_at_one_joint_are_told_apart(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    runs = [
+        pendulum_run(
+            rng, viscous=OIL, coulomb=SEAL, drag=AIR, start=(angle, 0.0), name=f"drop-{k}.parquet"
+        )
+        for k, angle in enumerate((2.0, -1.2, 0.8, -1.7))
+    ]  # fmt: skip
+    recording = write_recording(tmp_path / "pendulum", model_xml=PENDULUM, runs=runs)
+    found = explain_gap(recording, GapSettings(threads=1, held_out=("drop-3",)))
+    values = {e.kind: next(iter(e.parameters.values())) for e in found.effects}
+    assert found.verdict == "named"
+    assert values == {
+        "viscous_friction": pytest.approx(OIL, rel=0.1),
+        "coulomb_friction": pytest.approx(SEAL, rel=0.1),
+        "quadratic_drag": pytest.approx(AIR, rel=0.1),
+    }
+    assert found.gap.after < 1.25 and found.gap.before > 100
+
+
+def damped(damping: tuple[float, ...]) -> mujoco.MjSpec:
+    spec = measurable(mujoco.MjSpec.from_string(PLANAR))
+    for joint, value in zip(spec.joints, damping, strict=True):
+        joint.damping = np.array([value, 0.0, 0.0])
+    return spec
+
+
+@pytest.mark.slow
+def test_damping_far_above_that_of_the_machine_is_named_at_all_joints(tmp_path: Path) -> None:
+    model = damped(DAMPING)
+    machine, truth = NominalModel(model), damped((0.0, 0.0, 0.0)).compile()
+    rng = np.random.default_rng(8)
+    runs = [
+        torque_run(machine, truth, rng, rate=200.0, duration=12.0, name=f"{n}.parquet")
+        for n in ("slow-1", "slow-2", "fast-1", "fast-2")
+    ]
+    recording = write_recording(tmp_path / "arm", model_xml=model.to_xml(), runs=runs)
+    settings = GapSettings(threads=1, held_out=("fast-2",))
+    found = explain_gap(recording, settings)
+    assert found.verdict == "named"
+    assert {(e.kind, e.where) for e in found.effects} == {
+        ("viscous_friction", joint) for joint in machine.joints
+    }
+    for effect in found.effects:
+        nominal = DAMPING[machine.joint_number(effect.where)]
+        assert effect.parameters["damping"] == pytest.approx(-nominal, rel=0.05)
