@@ -20,10 +20,8 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.evidence_schema import (
-    ConfusablePair,
     Location,
     ResidualTest,
-    UnidentifiableEffect,
 )
 from loose_env.gap.residuals.residual_model import ResidualModel, Rows
 from loose_env.gap.simulation.simulator import Simulator
@@ -112,27 +110,6 @@ def test_a_longer_recording_shows_more_and_nothing_of_what_nothing_reads() -> No
             assert (each.kind, each.where) in left
 
 
-def test_warnings_name_the_motion_where_there_is_one() -> None:
-    found = Identifiability(
-        unidentifiable=(
-            UnidentifiableEffect(
-                kind="payload", where="tool", parameters={"mass": 0.2}, z=1.0, additional_s=None
-            ),
-        ),
-        confusable=(
-            ConfusablePair(
-                kind="command_delay", where="a", other_kind="actuator_lag", other_where="a",
-                z=2.0, additional_s=None,
-            ),
-        ),
-    )  # fmt: skip
-    payload, delay = identifiability_notes(
-        found, lambda one, other: f"run it for {one} and {other}"
-    )
-    assert payload.endswith("(such as mass 0.2); run it for nothing and payload at tool")
-    assert delay.endswith("run it for command_delay at a and actuator_lag at a")
-
-
 # --------------------------------------------------------- where it is, what it goes with
 
 CHANNELS = (Channel("sensor.q"), Channel("sensor.acc", 0))
@@ -140,19 +117,6 @@ RATE, COUNT = 500.0, 5000
 TIME = np.arange(COUNT) / RATE
 ANGLE = 0.5 * np.sin(2 * np.pi * 0.37 * TIME) + 0.2 * np.sin(2 * np.pi * 1.31 * TIME + 1)
 SPEED = np.gradient(ANGLE, TIME)
-PENDULUM = """
-<mujoco>
-  <option timestep="0.001" integrator="RK4"/>
-  <worldbody>
-    <body>
-      <joint name="turn" axis="0 1 0" damping="{damping}" frictionloss="{friction}"/>
-      <inertial pos="0 0 -0.4" mass="2" diaginertia="0.02 0.02 0.01"/>
-    </body>
-  </worldbody>
-  <actuator><position name="servo" joint="turn" kp="300" kv="20"/></actuator>
-  <sensor><jointpos name="q" joint="turn"/></sensor>
-</mujoco>
-"""
 
 
 def trial_of(**given: object) -> Trial:
@@ -244,52 +208,6 @@ def test_a_resonance_a_constant_and_a_drift_are_told() -> None:
     assert "velocity" in {d.regressor for d in rest.dependences}
 
 
-def simulated(damping: float, friction: float) -> tuple[Trial, JointMotion]:
-    """A measured run of a pendulum that is led along the test's motion, of a model with less."""
-    model = mujoco.MjModel.from_xml_string(PENDULUM.format(damping=damping, friction=friction))
-    data, steps = mujoco.MjData(model), 2 * COUNT
-    controls = np.interp(np.arange(steps) / 1000, TIME, ANGLE)[:, None]
-    controls *= np.minimum(np.arange(steps)[:, None] / 1000, 1.0)
-    angle = np.zeros(steps)
-    for k in range(steps):
-        data.ctrl[:] = controls[k]
-        mujoco.mj_step(model, data)
-        angle[k] = data.sensordata[0]
-    read = angle[::2] + np.random.default_rng(3).normal(0, 2e-5, COUNT)
-    trial = trial_of(
-        measured=np.stack([read, np.full(COUNT, np.nan)], axis=1), step=0.001, steps=steps,
-        controls=controls, motion={"turn": read},
-    )  # fmt: skip
-    spec = mujoco.MjSpec.from_string(PENDULUM.format(damping=0.1, friction=0))
-    machine = NominalModel(spec, step=0.001)
-    return trial, joint_motion(machine, trial, CHANNELS[:1], np.array([2e-5]))
-
-
-def test_torque_that_the_model_does_not_explain_is_that_of_the_effect_in_its_unit() -> None:
-    _, found = simulated(damping=1.6, friction=0)
-    torque, speed = found.residual_torque[:, 0], found.speed[:, 0]
-    good = np.isfinite(torque)
-    rate = float(np.polyfit(speed[good], torque[good], 1)[0])
-    assert rate == pytest.approx(1.5, rel=0.02)
-    left = torque[good] - rate * speed[good]
-    assert np.std(left) < 3 * found.residual_noise[0]
-    assert found.units == ("N·m",)
-    _, healthy = simulated(damping=0.1, friction=0)
-    rms = float(np.sqrt(np.nanmean(healthy.residual_torque[:, 0] ** 2)))
-    assert 0.5 * healthy.residual_noise[0] < rms < 2 * healthy.residual_noise[0]
-
-
-def test_dry_friction_shows_as_torque_that_goes_with_the_direction() -> None:
-    trial, missing = simulated(damping=0.1, friction=0.8)
-    location = locate(np.zeros(0), rows_of(0), [trial], CHANNELS[:1], [missing])
-    gap = location.joints[0]
-    found = strongest(gap.dependences)
-    assert found is not None and found.regressor == "direction"
-    assert gap.residual == pytest.approx(0.8, rel=0.1)
-    words = location_notes(location)[0]
-    assert "turn has a residual torque of 0.7" in words and "N·m" in words
-
-
 BOB = """<mujoco><option timestep="0.001"/><worldbody><body><joint name="pivot" axis="0 1 0"/>
 <inertial pos="0 0 -.3" mass=".1" diaginertia="1e-5 1e-5 1e-5"/></body></worldbody>
 <sensor><jointpos name="q" joint="pivot"/></sensor></mujoco>"""
@@ -315,15 +233,13 @@ def swing(rate: float, bearing: float = 0.004, drag: float = 0.002) -> tuple[Arr
     return np.arange(len(angles)) / rate, np.array(angles), rms
 
 
-def told(time: Array, angle: Array) -> float:
-    """Missing torque that the diagnostics state [N·m]."""
+def missing(time: Array, angle: Array) -> Location:
+    """Location of the missing torque of the one joint."""
     run = Run(name="a.csv", time=time, sensors={"q": angle})
     machine, channels = NominalModel(mujoco.MjSpec.from_string(BOB)), channels_of([run])
     trial = align_run(run, machine, channels, step=0.001)
-    missing = joint_motion(machine, trial, channels, np.array([channel_floor(angle)]))
-    (gap,) = locate(np.zeros(0), rows_of(0), [trial], channels, [missing]).joints
-    assert gap.unit == "N·m"
-    return gap.residual
+    found = joint_motion(machine, trial, channels, np.array([channel_floor(angle)]))
+    return locate(np.zeros(0), rows_of(0), [trial], channels, [found])
 
 
 ERRORS = {
@@ -342,14 +258,25 @@ def test_residual_torque_is_that_of_the_truth_whatever_the_readings(rate: float)
     for error, wrong in ERRORS.items():
         if error in ("held", "slow to read") and rate < 100:
             continue  # the swing itself is not resolved
-        found = told(time, wrong(angle, np.random.default_rng(2)))
-        assert abs(found / true - 1) < 0.3, error
-        assert found < 0.1 * WEIGHT, error
+        (gap,) = missing(time, wrong(angle, np.random.default_rng(2))).joints
+        assert gap.unit == "N·m"
+        assert abs(gap.residual / true - 1) < 0.3, error
+        assert gap.residual < 0.1 * WEIGHT, error
 
 
-def test_a_model_that_lacks_nothing_lacks_no_torque() -> None:
+def test_dry_friction_shows_as_torque_that_goes_with_the_direction() -> None:
+    rng = np.random.default_rng(0)
+    time, angle, true = swing(500.0, drag=0.0)
+    location = missing(time, angle + rng.normal(0, 2e-5, len(time)))
+    (gap,) = location.joints
+    found = strongest(gap.dependences)
+    assert found is not None and found.regressor == "direction"
+    assert gap.residual == pytest.approx(true, rel=0.1)
+    words = location_notes(location)[0]
+    assert "pivot has a residual torque of 0.00" in words and "N·m" in words
     time, angle, _ = swing(200.0, bearing=0.0, drag=0.0)
-    assert told(time, angle + np.random.default_rng(0).normal(0, 2e-3, len(time))) < 0.02 * WEIGHT
+    (nothing,) = missing(time, angle + rng.normal(0, 2e-3, len(time))).joints
+    assert nothing.residual < 0.02 * WEIGHT
 
 
 # ---------------------------------------------------------------------------- horizons

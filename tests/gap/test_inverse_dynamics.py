@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
+from loose_env.gap import Hypothesis
+from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
-from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.recording import Run
-from tests.gap.cases.effect_arms import PLANAR, SHARED, SPATIAL
-from tests.gap.cases.recorded_runs import compared, fitted, measurable, torque_run, waves
+from loose_env.typing import Array
+from tests.gap.cases.effect_arms import PLANAR, SPATIAL
+from tests.gap.cases.recorded_runs import compared, fitted, measurable, torque_run
 
 NOTHING = Hypothesis()
 
@@ -85,81 +88,6 @@ def test_which_effects_an_inverse_comparison_shows() -> None:
     }  # fmt: skip
 
 
-def test_a_compliant_drive_is_found_from_its_motor_side() -> None:
-    machine = arm(PLANAR)
-    effect = CATALOGUE["joint_compliance"](machine, "joint2")
-    spec = machine.fresh()
-    effect.edit(spec, np.array([400.0, 0.1]))
-    model = spec.compile()
-    model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER  # the force it shows is what acts
-    rng = np.random.default_rng(2)
-    data = mujoco.MjData(model)
-    names = [model.joint(j).name for j in range(model.njnt)]
-    measured = [names.index(j) for j in machine.joints]
-    time = np.arange(8000) * 0.001
-    goals = waves(machine, time, rng, 0.3)[0]
-    goals = (goals - goals[0]) * np.clip((time[:, None] - 1.5) / 1.0, 0, 1) ** 2
-    rows = np.zeros((len(time), 6))
-    for k, goal in enumerate(goals):
-        data.ctrl[:] = goal
-        mujoco.mj_forward(model, data)
-        rows[k] = [*data.qpos[measured], *data.actuator_force]
-        mujoco.mj_step(model, data)
-    rows = rows[1000:]
-    sensors = {
-        f"{j}_pos": rows[:, k] + rng.normal(0, 2e-5, len(rows))
-        for k, j in enumerate(machine.joints)
-    }
-    torques = {
-        j: rows[:, 3 + k] + rng.normal(0, 0.2, len(rows)) for k, j in enumerate(machine.joints)
-    }
-    run = Run(name="a", time=time[1000:], sensors=sensors, torques=torques)
-    comparison = compared(machine, [run], step=0.001)
-    true = Hypothesis(effects=(effect,), values=(np.array([400.0, 0.1]),))
-    stiff = Hypothesis(effects=(effect,), values=(np.array([1600.0, 0.1]),))
-    right, wrong, rigid = np.sqrt(
-        np.mean(comparison.residuals([true, stiff, NOTHING]) ** 2, axis=1)
-    )
-    assert right < 1.5
-    assert wrong > 1.3 * right
-    assert rigid > 1.3 * right
-
-
-def test_a_six_axis_arm_with_gravity_and_real_friction() -> None:
-    file = SHARED / "ur5e_bare.xml"
-    if not file.is_file():
-        pytest.skip("the published arms are not beside the repository")
-    machine = NominalModel(measurable(mujoco.MjSpec.from_file(str(file))))
-    truth = machine.fresh()
-    for joint in truth.joints:
-        joint.damping = np.array([4.0, 0, 0])
-    rates, loads = np.array([6.0, 6, 5, 2, 2, 2]), np.array([8.0, 9, 6, 2, 2, 2])
-
-    def friction(speed: np.ndarray) -> np.ndarray:
-        return (rates - 4.0) * speed + loads * np.tanh(speed / 0.01)
-
-    for rate in (125.0, 500.0):
-        comparison = compared(
-            machine, runs_of(machine, truth.compile(), speeds=None, friction=friction, rate=rate,
-                             duration=20.0, noise=0.03),
-        )  # fmt: skip
-        before, _ = fitted(comparison, [])
-        effects = [
-            CATALOGUE[kind](machine, joint)
-            for kind in ("viscous_friction", "coulomb_friction")
-            for joint in machine.joints
-        ]
-        after, found = fitted(comparison, effects)
-        assert before.rms > 10
-        assert after.rms < 1.4
-        damping = np.array([v[0] for v in found[:6]]) + machine.model.dof_damping
-        print(
-            f"{rate:g} Hz: {before.rms:.1f} -> {after.rms:.2f}", np.concatenate(found[6:]).round(2)
-        )
-        assert np.allclose(np.concatenate(found[6:]), loads, rtol=0.1)
-        assert np.all(damping < 2 * rates + 2)
-
-
 def test_a_run_too_short_to_smooth_is_refused() -> None:
     machine = arm(PLANAR)
     run = torque_run(
@@ -167,3 +95,63 @@ def test_a_run_too_short_to_smooth_is_refused() -> None:
     )
     with pytest.raises(InvalidData, match="too short"):
         compared(machine, [run])
+
+
+DAMPER = """
+<mujoco>
+  <option timestep="0.001" gravity="0 0 0" integrator="RK4"/>
+  <worldbody>
+    <body name="rod">
+      <joint name="stroke" type="slide" axis="1 0 0"/>
+      <inertial pos="0.1 0 0" mass="0.5" diaginertia="0.01 0.01 0.01"/>
+    </body>
+  </worldbody>
+  <sensor><jointpos name="place" joint="stroke"/></sensor>
+</mujoco>
+"""
+GAP, FRICTION, COUNT = 4e-3, 12.0, 4000
+
+
+def held_behind_play(place: Array) -> Array:
+    """Position of what lies beyond the play and is held by friction: the play operator."""
+    found = np.empty_like(place)
+    at = place[0]
+    for k, p in enumerate(place):
+        at = min(max(at, p - GAP / 2), p + GAP / 2)
+        found[k] = at
+    return found
+
+
+def test_a_damper_with_slack_gives_no_force_in_the_gap_and_its_friction_beyond() -> None:
+    rng = np.random.default_rng(3)
+    time = 1e-3 * np.arange(COUNT)
+    place = 0.02 * np.sin(2 * np.pi * 0.5 * time) + 0.008 * np.sin(2 * np.pi * 1.1 * time + 1.0)
+    speed = np.gradient(held_behind_play(place), 1e-3)
+    force = np.where(np.abs(speed) > 1e-9, FRICTION * np.sign(speed), 0.0)
+    run = Run(
+        name="run-1",
+        time=time,
+        sensors={"place": place + 1e-6 * rng.normal(size=COUNT)},
+        torques={"stroke": force + 0.05 * rng.normal(size=COUNT)},
+    )
+    machine = NominalModel(
+        mujoco.MjSpec.from_string(DAMPER), loads=np.array([FRICTION]), speeds=np.array([0.06])
+    )
+    channels = channels_of([run])
+    inverse = InverseDynamics(
+        machine, [align_run(run, machine, channels, step=1e-3)], channels, threads=1
+    )
+    play = CATALOGUE["backlash"](machine, "stroke", "rubbing")
+    assert inverse.shows(play)
+    stiffness = play.parameters[1].high
+    slack = Hypothesis(effects=(play,), values=(np.array([GAP, stiffness, 0.5, FRICTION]),))
+    friction = CATALOGUE["coulomb_friction"](machine, "stroke")
+    firm = Hypothesis(effects=(friction,), values=(np.array([FRICTION]),))
+    measured, torque = inverse.measured(0), [c.column for c in channels].index("torque.stroke")
+    (nothing,), (shown,), (tight,) = inverse.predict([NOTHING, slack, firm])
+    none, both, alone = (
+        float(np.sqrt(np.nanmean((each - measured)[:, torque] ** 2)))
+        for each in (nothing, shown, tight)
+    )
+    assert alone > 0.5 * none  # without the slack a friction explains little
+    assert both < 0.3 * none

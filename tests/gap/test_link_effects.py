@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from math import cos, pi
+from math import cos
 
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from loose_env.arms import DESK_ARM
-from loose_env.gap.model.effect import Effect
+from loose_env.gap import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
-from loose_env.gap.model.effects.link_flexibility import parts
-from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 from tests.gap.cases.effect_arms import ARMS, machine_of
@@ -112,48 +108,6 @@ def test_bending_is_about_the_joint_or_across_it() -> None:
     assert np.allclose([axes[1] @ along, axes[1] @ axes[0]], 0, atol=1e-9)
     planar = CATALOGUE["link_flexibility"](machine_of("planar"), "link2")
     assert planar.variants_at(planar.machine, "link2") == ("",)
-
-
-@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
-@pytest.mark.parametrize("fall", [0.0, 0.5])
-def test_a_bar_is_cut_into_bars(share: float, fall: float) -> None:
-    """Slices of a bar, heavier near its joint, summed up on either side of the cut."""
-    count, length, thick = 20_000, 0.4, 0.01
-    place = (np.arange(count) + 0.5) / count
-    slices = (1 + fall * (1 - 2 * place)) * 3.0 / count
-    start, end = np.array([0.0, 0.1, 0.0]), np.array([0.0, 0.1, length])
-
-    def summed(chosen: NDArray[np.bool_]) -> Inertial:
-        mass = float(slices[chosen].sum())
-        middle = float(slices[chosen] @ place[chosen]) / mass
-        across = length**2 * float(slices[chosen] @ (place[chosen] - middle) ** 2)
-        round_bar = mass * thick**2 * np.array([0.25, 0.25, 0.5])
-        tensor = np.diag(round_bar + np.array([across, across, 0.0]))
-        return Inertial(mass, start + middle * (end - start), tensor)
-
-    found = parts(summed(place > 0), start, end, share)
-    for piece, true in zip(found, (summed(place < share), summed(place > share)), strict=True):
-        assert piece.mass == pytest.approx(true.mass, rel=1e-3)
-        assert np.allclose(piece.centre, true.centre, atol=1e-4)
-        assert np.allclose(piece.tensor, true.tensor, atol=2e-3 * true.tensor.max())
-
-
-def test_a_link_that_is_cut_touches_nothing_that_it_did_not_touch() -> None:
-    """Neighbours overlap at their joint; MuJoCo lets no body touch the one that it hangs on."""
-    machine = machine_of("spatial")
-    for effect in candidates(machine, ["link_flexibility"]):
-        model = edited(effect, *effect.starts[0])
-        for pose in poses(machine):
-            before, after = posed(machine.model, machine, pose), posed(model, machine, pose)
-            assert after.ncon <= before.ncon, (effect, pose)
-        again = mujoco.MjSpec.from_string(machine.fresh().to_xml())
-        effect.edit(again, np.array(effect.starts[0]))
-        assert len(list(again.excludes)) > 0 or effect.where == "hand"
-    # a model that lets neighbours touch keeps that
-    spec = machine.fresh()
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
-    CATALOGUE["link_flexibility"](machine, "column").edit(spec, np.array([100.0, 0.1, 0.5]))
-    assert not list(spec.excludes)
 
 
 def test_the_centre_of_a_payload_lies_off_the_tool_in_the_frame_of_its_body() -> None:
@@ -284,47 +238,6 @@ def test_a_loose_link_turns_its_direction_with_its_own_joint() -> None:
     mujoco.mj_kinematics(model, data)
     moved = data.site("tool").xpos - before
     assert np.allclose(moved, 0.004 * np.array([cos(0.8), np.sin(0.8), 0]), atol=1e-12)
-
-
-def test_inertia_can_be_read_however_it_was_written() -> None:
-    for arm in ARMS:
-        machine = machine_of(arm)
-        spec = machine.fresh()
-        for link in machine.links:
-            set_inertial(machine, spec, link, inertial_of(machine, spec, link))
-        model = spec.compile()
-        assert np.allclose(model.body_mass, machine.model.body_mass)
-        pose = poses(machine, 1)[0]
-        first, second = posed(model, machine, pose), posed(machine.model, machine, pose)
-        whole = inertia(machine.model, second, machine)
-        assert np.allclose(inertia(model, first, machine), whole, atol=1e-9 * whole.max())
-        for link in machine.links:
-            figures = inertial_of(machine, spec, link)
-            assert figures.mass == pytest.approx(machine.model.body(link).mass[0])
-    # Geoms overrule the figures of a file that says so, but not those of an effect.
-    spec = machine_of("spatial").fresh()
-    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    spec.body("hand").add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=0.5)
-    ruled = NominalModel(spec)
-    heavier = edited(CATALOGUE["link_mass"](ruled, "ram"), 0.4)
-    wanted = np.array(ruled.model.body_mass)
-    wanted[ruled.model.body("ram").id] += 0.4
-    assert np.allclose(heavier.body_mass, wanted)
-
-
-@pytest.mark.parametrize("kind", ["structural_looseness", "joint_compliance", "backlash"])
-def test_a_link_on_a_slide_without_rotor_can_be_loose_along_it(kind: str) -> None:
-    machine = NominalModel(mujoco.MjSpec.from_file(str(DESK_ARM)))
-    where = "left_finger"
-    effect = CATALOGUE[kind](machine, where)
-    values = np.array(effect.starts[0])
-    if kind == "structural_looseness":
-        values[:2] = pi / 2, 0.0  # along the finger's own slide
-    data = mujoco.MjData(edited(effect, *values))
-    for _ in range(300):
-        mujoco.mj_step(data.model, data)
-    assert np.isfinite(data.qpos).all()
-    assert np.abs(data.qvel).max() < 10
 
 
 def test_effects_add_up_in_one_model() -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import product
 from math import exp, pi, sin, sqrt
 
 import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.model.effect import Effect
+from loose_env.arms import DESK_ARM
+from loose_env.gap import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
@@ -184,10 +185,6 @@ def test_periods_of_a_ripple_count_by_turn_or_by_metre() -> None:
             mujoco.mj_forward(model, data)
             shown.append(data.joint("reach").qfrc_actuator[0])
         assert shown[0] - shown[1] == pytest.approx(force)
-    lengths = 0.1 * np.sin(np.linspace(0, 9, 4000))
-    torque = -1.5 * np.sin(2 * pi * 80 * lengths + 0.2)
-    (best, *_) = sliding.propose(lengths, 0 * lengths, 0 * lengths, torque)
-    assert best == pytest.approx((1.5, 80.0, 0.2), rel=0.05, abs=0.05)
 
 
 def test_a_compliant_drive_rings_between_motor_and_link() -> None:
@@ -221,21 +218,30 @@ def test_a_compliant_drive_sags_under_gravity_behind_its_encoder() -> None:
     assert data.sensor("encoder3").data[0] == pytest.approx(data.joint("joint3").qpos[0], abs=1e-9)
 
 
-@pytest.mark.parametrize(("arm", "where"), [("planar", "joint2"), ("spatial", "reach")])
-def test_a_split_joint_without_rotor_stays_solvable(arm: str, where: str) -> None:
-    machine = machine_of(arm)
-    spec = machine.fresh()
-    spec.joint(where).armature = 0.0
-    bare = NominalModel(spec)
-    for kind in ("joint_compliance", "backlash"):
-        effect = at(bare, kind, where)
-        for start in effect.starts:
-            model = edited(effect, *start)
-            data = mujoco.MjData(model)
-            for _ in range(500):
-                mujoco.mj_step(model, data)
-            assert np.isfinite(data.qpos).all()
-            assert np.abs(data.qvel).max() < 2
+FINGER = ("desk", "left_finger")
+SPLIT = [("planar", "joint2"), ("spatial", "reach"), FINGER]
+
+
+@pytest.mark.parametrize(
+    ("kind", "place"),
+    [*product(("joint_compliance", "backlash"), SPLIT), ("structural_looseness", FINGER)],
+)
+def test_a_joint_without_rotor_stays_solvable_when_it_is_split(
+    kind: str, place: tuple[str, str]
+) -> None:
+    arm, where = place
+    if arm == "desk":
+        spec = mujoco.MjSpec.from_file(str(DESK_ARM))
+    else:
+        spec = machine_of(arm).fresh()
+        spec.joint(where).armature = 0.0
+    effect = at(NominalModel(spec), kind, where)
+    for start in effect.starts if arm != "desk" else effect.starts[:1]:
+        along = (pi / 2, 0.0, *start[2:]) if kind == "structural_looseness" else start
+        data = mujoco.MjData(edited(effect, *along))
+        mujoco.mj_step(data.model, data, 500)
+        assert np.isfinite(data.qpos).all()
+        assert np.abs(data.qvel).max() < (10 if arm == "desk" else 2)
 
 
 def test_backlash_leaves_a_dead_zone_between_its_stops() -> None:
@@ -265,33 +271,6 @@ def test_backlash_leaves_a_dead_zone_between_its_stops() -> None:
     mujoco.mj_step(model, data)
     assert model.joint("axle_backlash").range.tolist() == [-0.01, 0.01]
     assert data.nefc == 0
-
-
-@pytest.mark.parametrize("ratio", [0.05, 0.3])
-def test_a_part_rings_on_a_stop_as_its_stiffness_and_damping_say(ratio: float) -> None:
-    load, stiffness, gap = 2.0, 2000.0, 0.002
-    effect = at(wheel(step=1e-4, loads=np.array([load])), "backlash")
-    model = edited(effect, gap, stiffness, ratio)
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
-    model.dof_damping[:] = 0.0
-    inertia = 1 / (1 / 0.2 + 1 / 0.4)
-    data = mujoco.MjData(model)
-    pressed = 1.5 * load / stiffness
-    data.qpos[1] = gap / 2 + 1.1 * pressed
-    swing = []
-    for _ in range(4000):
-        data.qfrc_applied[:] = 0.0, load  # between motor and link
-        mujoco.mj_step(model, data)
-        swing.append(float(data.qpos[1]))
-    change = np.array(swing) - swing[-1]
-    crossed = np.flatnonzero((change[:-1] > 0) & (change[1:] <= 0))
-    mode = sqrt(stiffness / inertia)
-    period = 2 * pi / (mode * sqrt(1 - ratio**2))
-    if ratio < 0.1:
-        assert 1e-4 * np.mean(np.diff(crossed[:4])) == pytest.approx(period, rel=0.08)
-    tops = [float(change[a:b].max()) for a, b in pairwise(crossed[:3])]
-    decay = np.log(tops[0] / tops[1]) / (2 * pi)
-    assert decay / sqrt(1 + decay**2) == pytest.approx(ratio, rel=0.35)
 
 
 @pytest.mark.parametrize("arm", ["planar", "spatial"])

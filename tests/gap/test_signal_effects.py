@@ -32,21 +32,10 @@ def test_a_lag_answers_a_step_exponentially() -> None:
     assert np.allclose(held, 0.5)
 
 
-def test_readings_see_the_held_command_of_their_moment() -> None:
-    machine = machine_of("planar")
-    time = clock(machine)
-    controls = commands(machine, time)
-    effect = CATALOGUE["command_delay"](machine, "all")
-    for delay, back in ((0.0024, 3), (0.002, 2), (0.0, 0)):
-        late = effect.command_at(time, controls, np.array([delay]))
-        assert np.array_equal(late[back:], controls[: len(time) - back])
-
-
 def test_a_delay_shifts_held_commands_by_parts_of_a_step() -> None:
     machine = machine_of("planar")
     time = clock(machine)
     controls = commands(machine, time) + 0.2
-    step = time[1]
     for delay, whole, share in ((0.007, 7, 0.0), (0.0104, 10, 0.4)):
         for where, numbers in (("servo2", [1]), ("all", [0, 1, 2])):
             late = CATALOGUE["command_delay"](machine, where).command(
@@ -60,17 +49,11 @@ def test_a_delay_shifts_held_commands_by_parts_of_a_step() -> None:
                     assert np.allclose(late[: whole - 1, number], own[0], atol=1e-12)
                 else:
                     assert np.array_equal(late[:, number], own)
-    assert step == pytest.approx(1e-3)
-
-
-def test_all_is_a_place_of_delays_where_there_are_several_actuators() -> None:
-    machine = machine_of("planar")
     assert CATALOGUE["command_delay"].locations(machine)[-1] == "all"
     spec = machine.fresh()
     for actuator in list(spec.actuators)[1:]:
         spec.delete(actuator)
-    lone = type(machine)(spec)
-    assert CATALOGUE["command_delay"].locations(lone) == ("servo1",)
+    assert CATALOGUE["command_delay"].locations(NominalModel(spec)) == ("servo1",)
 
 
 def test_a_gain_scales_the_force_or_the_command() -> None:

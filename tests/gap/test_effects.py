@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.errors import UnknownName
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates, register
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.nominal_model import NominalModel
 from tests.gap.cases.effect_arms import (
     ARMS,
@@ -22,40 +22,14 @@ from tests.gap.cases.effect_arms import (
 
 # As printed in the table of effects; part of the result format.
 KINDS = [
-    "viscous_friction",
-    "coulomb_friction",
-    "stribeck_friction",
-    "quadratic_drag",
-    "joint_compliance",
-    "backlash",
-    "structural_looseness",
-    "link_flexibility",
-    "link_mass",
-    "link_com",
-    "payload",
-    "rotor_inertia",
-    "actuator_gain",
-    "actuator_lag",
-    "command_delay",
-    "encoder_offset",
-    "sensor_misalignment",
-    "sensor_gain",
-    "sensor_bias",
-    "sensor_delay",
-    "base_tilt",
-    "torque_ripple",
-    "joint_spring",
-    "load_friction",
-    "asymmetric_friction",
-    "torque_limit",
-    "voltage_limit",
-    "dead_zone",
-    "gravity_compensation",
-    "torque_constant",
-    "base_compliance",
-    "gear_eccentricity",
-    "sensor_quantisation",
-]
+    "viscous_friction", "coulomb_friction", "stribeck_friction", "quadratic_drag",
+    "joint_compliance", "backlash", "structural_looseness", "link_flexibility", "link_mass",
+    "link_com", "payload", "rotor_inertia", "actuator_gain", "actuator_lag", "command_delay",
+    "encoder_offset", "sensor_misalignment", "sensor_gain", "sensor_bias", "sensor_delay",
+    "base_tilt", "torque_ripple", "joint_spring", "load_friction", "asymmetric_friction",
+    "torque_limit", "voltage_limit", "dead_zone", "gravity_compensation", "torque_constant",
+    "base_compliance", "gear_eccentricity", "sensor_quantisation",
+]  # fmt: skip
 
 CASES = [(arm, kind) for arm in ARMS for kind in KINDS]
 
@@ -213,9 +187,11 @@ def test_an_effect_is_there_twice_and_in_a_corrected_model_again(kind: str) -> N
                     spec.compile()
 
 
-def test_code_applies_what_the_model_cannot_express() -> None:
-    machine = machine_of("planar")
-    for kind, where in (("sensor_gain", "encoder2"), ("sensor_bias", "shake")):
+def test_code_applies_what_the_model_cannot_express_whatever_sensors_are_called() -> None:
+    spec = machine_of("planar").fresh()
+    spec.sensor("encoder2").name = odd = "angle \"2\" of 'b'"
+    machine = NominalModel(spec)
+    for kind, where in (("sensor_gain", odd), ("sensor_bias", odd), ("sensor_bias", "shake")):
         effect = CATALOGUE[kind](machine, where)
         values = np.array(effect.starts[0])
         data = mujoco.MjData(machine.model)
@@ -230,7 +206,7 @@ def test_code_applies_what_the_model_cannot_express() -> None:
     assert CATALOGUE["base_tilt"](machine, "base").code(np.zeros(1)) == ""
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_kinds_variants_and_locations_that_are_not_there_are_refused() -> None:
     machine = machine_of("planar")
     with pytest.raises(UnknownName, match=r"joint1"):
         CATALOGUE["viscous_friction"](machine, "link1")
@@ -242,37 +218,30 @@ def test_what_cannot_be_is_refused() -> None:
     spec = machine.fresh()
     spec.option.gravity = [0, 0, 0]
     assert CATALOGUE["base_tilt"].locations(NominalModel(spec)) == ()
-    for site in list(spec.sites):
-        if site.name == "tool":
-            spec.sensor("shake").objname = "elsewhere"
-            site.name = "elsewhere"
-    assert NominalModel(spec).tool == "elsewhere"
 
 
-def test_a_new_effect_joins_the_catalogue_once() -> None:
-    class Rust(Effect):
-        kind = "rust"
-
-        @classmethod
-        def locations(cls, machine: NominalModel) -> tuple[str, ...]:
-            return machine.joints
-
-    try:
-        assert register(Rust) is Rust
-        assert register(Rust) is Rust
-        machine = machine_of("planar")
-        assert [effect.where for effect in candidates(machine, ["rust"])] == list(machine.joints)
-
-        class Other(Rust):
-            pass
-
-        with pytest.raises(InvalidSetting, match="Rust"):
-            register(Other)
-    finally:
-        del CATALOGUE["rust"]
-
-    class Nameless(Rust):
-        kind = ""
-
-    with pytest.raises(InvalidSetting, match="kind"):
-        register(Nameless)
+@pytest.mark.parametrize(
+    ("kind", "where", "name", "end"),
+    [
+        ("joint_compliance", "joint2", "stiffness", "high"),
+        ("link_flexibility", "link2", "stiffness", "high"),
+        ("backlash", "joint2", "gap", "low"),  # without it the stops are a spring
+        ("structural_looseness", "link2", "friction", "high"),
+        ("stribeck_friction", "joint2", "torque", "low"),
+    ],
+)
+def test_an_interval_that_reaches_the_limit_of_an_effect_includes_nothing(
+    kind: str, where: str, name: str, end: str
+) -> None:
+    effect = CATALOGUE[kind](machine_of("planar"), where)
+    parameters = effect.parameters
+    number = [p.name for p in parameters].index(name)
+    middle = np.array([np.sqrt(p.low * p.high) if p.log else 0.5 * (p.low + p.high)
+                       for p in parameters])  # fmt: skip
+    low, high = 0.9 * middle, 1.1 * middle
+    assert not effect.interval_includes_null(low, high)
+    if end == "high":
+        high[number] = parameters[number].high
+    else:
+        low[number] = parameters[number].low
+    assert effect.interval_includes_null(low, high)

@@ -1,4 +1,4 @@
-"""The corrected model as a file: it compiles, names stay valid, it does what was fitted."""
+"""The corrected model's file keeps names and does what was fitted, or says that it does not."""
 
 from __future__ import annotations
 
@@ -10,25 +10,20 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.gap.model.effect import Effect
+from loose_env.gap import Effect, Hypothesis, exported, write_model
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
+from loose_env.gap.model.effects.drives.actuators import ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.friction import CoulombFriction, ViscousFriction
 from loose_env.gap.model.effects.joint_elasticity import JointCompliance
 from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
-from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
-from loose_env.gap.output.export_mjcf import correction_code, write_model
+from loose_env.gap.output.export_check import Exported
+from loose_env.gap.output.export_mjcf import correction_code
+from loose_env.gap.residuals.preparation.prepare import GapProblem
 from loose_env.recording import ModelColumns
-from tests.gap.cases.effect_arms import (
-    PLANAR,
-    SPATIAL,
-    clock,
-    commands,
-    machine_of,
-    simulate,
-    with_effect,
-)
+from tests.gap.cases.effect_arms import PLANAR, SPATIAL, machine_of
+from tests.gap.cases.exported_case import judged_with, prepared_arm
 
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 ARMS = {"planar": PLANAR, "spatial": SPATIAL}
@@ -44,51 +39,27 @@ def added(effect: Effect, values: Sequence[float]) -> Hypothesis:
     return Hypothesis().with_effects([(effect, np.array(values))])
 
 
-def one_of(machine: NominalModel, kind: str) -> Effect:
-    """The effect of a kind at its last place."""
-    return candidates(machine, [kind])[-1]
-
-
 @pytest.mark.parametrize("arm", ARMS)
 @pytest.mark.parametrize("kind", CATALOGUE)
-def test_the_file_compiles_keeps_its_names_and_does_what_was_fitted(
+def test_the_file_compiles_and_keeps_its_names_step_and_integrator(
     arm: str, kind: str, tmp_path: Path
 ) -> None:
     machine = stepped(arm)
-    if not CATALOGUE[kind].locations(machine) or not candidates(machine, [kind]):
+    if not (found := candidates(machine, [kind])):
         assert kind == "base_compliance" and arm == "planar"  # its base turns as its first joint
         return
-    effect = one_of(machine, kind)
-    values = np.array(effect.starts[2 if effect.is_time_shift else 0])  # several steps of time
-    written = write_model(tmp_path / "model.xml", machine, added(effect, values))
+    effect = found[-1]
+    corrected = added(effect, effect.starts[0])
+    written = write_model(tmp_path / "model.xml", machine, corrected)
     assert written == [tmp_path / "model.xml"] and list(tmp_path.iterdir()) == written
     model = mujoco.MjModel.from_xml_path(str(written[0]))
     before, after = ModelColumns.of(machine.model).known, ModelColumns.of(model).known
     assert all(after[column] == meaning for column, meaning in before.items())
     assert model.opt.timestep == 0.0005 and model.opt.integrator == RK4
-    if not effect.in_model:
-        assert effect.where in correction_code(added(effect, values))
-        return
-    fine = NominalModel(machine.spec, step=0.0005, integrator=RK4)
-    fine.model.opt.timestep = 0.0005  # the step of the clock of the test's simulations
-    simulated = with_effect(fine, type(effect)(fine, effect.where, effect.variant), values)
-    readings = simulate(model, commands(fine, clock(fine)))
-    nominal = simulate(machine.fresh().compile(), commands(fine, clock(fine)))
-    begin = 120 if kind == "sensor_delay" else 0  # MuJoCo shows 0 before the first reading
-    for name, column in simulated.items():
-        off = float(np.abs(column - readings[name])[begin:].max())
-        visible = float(np.abs(column - nominal[name])[begin:].max())
-        # Six digits are kept of each number, which impacts enlarge.
-        scale = max(float(np.abs(column).max()), 1e-2)
-        # A Runge-Kutta method reads what is late within the step too. The motion is that of half a
-        # step later, so that an accelerometer, which reads at the step, is half a step in doubt.
-        doubtful = kind in ("actuator_lag", "command_delay") and column.ndim > 1
-        half = 0.5 * float(np.abs(np.diff(column, axis=0)).max()) if doubtful else 0
-        allowed = (2e-3 if effect.adds_motion else 3e-5) * scale + 0.02 * visible + half
-        assert off <= allowed, name
+    assert effect.in_model or effect.where in correction_code(corrected)
 
 
-def test_nominal_figures_and_several_effects_stand_in_one_file(tmp_path: Path) -> None:
+def test_nominal_parameters_and_several_effects_stand_in_one_file(tmp_path: Path) -> None:
     machine = stepped("planar")
     nominal = NominalParameters(machine, tolerance=0.03)
     figures = np.linspace(0.98, 1.02, len(nominal.parameters))
@@ -191,3 +162,88 @@ def test_keyframes_keep_the_state_of_each_actuator(tmp_path: Path) -> None:
     model = mujoco.MjModel.from_xml_path(str(file))
     # servo1's filter, which is new, begins at its command; servo2's keeps its state
     assert model.key_act[0] == pytest.approx([0.1, 0.7])
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory: pytest.TempPathFactory) -> GapProblem:
+    return prepared_arm(tmp_path_factory.mktemp("exported") / "r")
+
+
+def export_of(problem: GapProblem, effect: Effect, values: list[float]) -> Exported:
+    best = judged_with(problem, effect, values)
+    return exported(problem.held_out_whole, best.fitted.hypothesis.of_model, best.held_out_residual)
+
+
+def test_what_acts_slowly_needs_no_finer_step(problem: GapProblem) -> None:
+    found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
+    assert found.parts == 1 and not found.matters and found.notes() == []
+    assert found.left == pytest.approx(found.fitted, rel=1e-3) and found.fitted < 1.1
+
+
+def export_as_fitted(problem: GapProblem, effect: Effect, value: float) -> Exported:
+    """Held against a fit that is right: the readings are its own, and it leaves nothing."""
+    held = problem.held_out_whole
+    hypothesis = judged_with(problem, effect, [value]).fitted.hypothesis.of_model
+    (shown,) = held.predict([hypothesis])
+    measured = [trial.measured.copy() for trial in held.trials]
+    try:
+        for trial, values in zip(held.trials, shown, strict=True):
+            trial.measured[:] = values
+        return exported(held, hypothesis, np.zeros(len(held)))
+    finally:
+        for trial, values in zip(held.trials, measured, strict=True):
+            trial.measured[:] = values
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "late"),
+    [
+        (ActuatorLag, "servo2", 0.0002),
+        (ActuatorLag, "servo2", 0.0011),
+        (CommandDelay, "all", 0.0004),
+    ],
+)
+def test_what_is_shorter_than_a_step_is_written_with_a_finer_one(
+    kind: type[Effect], where: str, late: float, problem: GapProblem
+) -> None:
+    found = export_as_fitted(problem, kind(problem.machine, where), late)
+    assert not found.matters and found.apart < 0.3
+    assert found.parts > 1 or late > problem.machine.step
+    if found.parts > 1:
+        assert found.step == pytest.approx(problem.machine.step / found.parts)
+        assert "has a time step of" in found.notes()[0]
+
+
+@pytest.mark.parametrize("rate", [60.0, 300.0])
+def test_samples_need_not_fall_on_steps_of_the_model(rate: float, tmp_path: Path) -> None:
+    problem = prepared_arm(tmp_path / "r", rate=rate)
+    found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
+    assert found.parts == 1 and not found.notes()
+    assert found.apart < 1e-3 and found.left == pytest.approx(found.fitted, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "late"),
+    [(CommandDelay, "all", 0.1), (ActuatorLag, "servo2", 0.15)],
+)
+def test_what_comes_late_begins_with_the_first_command(
+    kind: type[Effect], where: str, late: float, tmp_path: Path
+) -> None:
+    problem = prepared_arm(tmp_path / "r", first=0.5)
+    found = export_as_fitted(problem, kind(problem.machine, where), late)
+    assert found.parts == 1 and found.apart < 0.1 and not found.notes()
+
+
+def test_a_file_that_lacks_what_was_fitted_is_found_out(
+    problem: GapProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ViscousFriction, "export", lambda *_: None)
+    found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
+    assert found.matters and found.parts == 1 and found.left > 3 * found.fitted
+    (words,) = found.notes()
+    assert found.channel in words and "deviates from the fit" in words
+
+
+def test_what_a_file_cannot_carry_is_not_tried(problem: GapProblem) -> None:
+    found = export_of(problem, SensorGain(problem.machine, "encoder1"), [1.1])
+    assert found == Exported() and np.isnan(found.left) and found.notes() == []

@@ -64,19 +64,14 @@ def machine(text: str) -> NominalModel:
     return NominalModel(mujoco.MjSpec.from_string(text))
 
 
-def test_a_model_without_names_weighs_what_it_weighed() -> None:
-    named, unnamed = machine(NAMED), machine(bare())
-    assert np.allclose(named.model.body_mass, unnamed.model.body_mass)
-    assert np.allclose(named.model.body_inertia, unnamed.model.body_inertia)
-    assert np.allclose(named.inertias, unnamed.inertias)
-
-
 def test_links_without_name_are_called_after_their_joint_and_it_is_said() -> None:
     assert machine(NAMED).links == ("first", "second")
     assert machine(bare()).links == ("turn_link", "lift_link")
     (words,) = naming_notes(mujoco.MjSpec.from_string(bare()))
     assert "turn_link" in words and "lift_link" in words and "model.xml" in words
     assert naming_notes(mujoco.MjSpec.from_string(NAMED)) == []
+    taken = bare().replace("<body>", '<body name="lift_link">', 1)
+    assert machine(taken).links == ("lift_link", "lift_link_2")
 
 
 @pytest.mark.parametrize("kind", list(CATALOGUE))
