@@ -94,14 +94,14 @@ def test_what_readings_need_stands_in_the_code_and_runs() -> None:
     assert np.array_equal(data.sensor("shake").data, [0.5, 0.0, -0.5])
 
 
-def test_keyframes_keep_the_positions_of_the_joints_they_name(tmp_path: Path) -> None:
-    xml = PLANAR.replace(
-        "</mujoco>",
-        '<keyframe><key name="home" qpos="0.1 0.2 0.3" qvel="1 2 3"/></keyframe></mujoco>',
-    )
+def test_keyframes_keep_the_states_of_joints_and_actuators(tmp_path: Path) -> None:
+    two = PLANAR.replace('<position name="servo2"', '<position name="servo2" timeconst="0.05"')
+    key = 'name="home" qpos="0.1 0.2 0.3" qvel="1 2 3" ctrl="0.1 0.2 0.3" act="0.7"'
+    xml = two.replace("</mujoco>", f"<keyframe><key {key}/></keyframe></mujoco>")
     machine = NominalModel(mujoco.MjSpec.from_string(xml))
-    effect = JointCompliance(machine, "joint1")
-    file = write_model(tmp_path / "model.xml", machine, added(effect, effect.starts[0]))[0]
+    effects = JointCompliance(machine, "joint1"), CATALOGUE["actuator_lag"](machine, "servo1")
+    pairs = [(effect, np.array(effect.starts[0])) for effect in effects]
+    file = write_model(tmp_path / "model.xml", machine, Hypothesis().with_effects(pairs))[0]
     model = mujoco.MjModel.from_xml_path(str(file))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
@@ -110,6 +110,8 @@ def test_keyframes_keep_the_positions_of_the_joints_they_name(tmp_path: Path) ->
         assert data.joint(joint).qvel[0] == pytest.approx(speed)
     new = next(n for k in range(model.njnt) if (n := model.joint(k).name) not in machine.joints)
     assert data.joint(new).qpos[0] == 0.0
+    # servo1's filter, which is new, begins at its command; servo2's keeps its state
+    assert model.key_act[0] == pytest.approx([0.1, 0.7])
 
 
 def test_meshes_and_files_that_are_included_are_taken_along(tmp_path: Path) -> None:
@@ -151,19 +153,6 @@ def test_an_effect_that_changes_a_name_is_refused_and_leaves_no_file(tmp_path: P
     assert not list(tmp_path.iterdir())
 
 
-def test_keyframes_keep_the_state_of_each_actuator(tmp_path: Path) -> None:
-    two = PLANAR.replace('<position name="servo2"', '<position name="servo2" timeconst="0.05"')
-    xml = two.replace(
-        "</mujoco>", '<keyframe><key ctrl="0.1 0.2 0.3" act="0.7"/></keyframe></mujoco>'
-    )
-    machine = NominalModel(mujoco.MjSpec.from_string(xml))
-    lag = CATALOGUE["actuator_lag"](machine, "servo1")
-    file = write_model(tmp_path / "model.xml", machine, added(lag, [0.02]))[0]
-    model = mujoco.MjModel.from_xml_path(str(file))
-    # servo1's filter, which is new, begins at its command; servo2's keeps its state
-    assert model.key_act[0] == pytest.approx([0.1, 0.7])
-
-
 @pytest.fixture(scope="module")
 def problem(tmp_path_factory: pytest.TempPathFactory) -> GapProblem:
     return prepared_arm(tmp_path_factory.mktemp("exported") / "r")
@@ -174,10 +163,12 @@ def export_of(problem: GapProblem, effect: Effect, values: list[float]) -> Expor
     return exported(problem.held_out_whole, best.fitted.hypothesis.of_model, best.held_out_residual)
 
 
-def test_what_acts_slowly_needs_no_finer_step(problem: GapProblem) -> None:
+def test_what_acts_slowly_or_a_file_cannot_carry_needs_no_finer_step(problem: GapProblem) -> None:
     found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
     assert found.parts == 1 and not found.matters and found.notes() == []
     assert found.left == pytest.approx(found.fitted, rel=1e-3) and found.fitted < 1.1
+    found = export_of(problem, SensorGain(problem.machine, "encoder1"), [1.1])
+    assert found == Exported() and np.isnan(found.left) and found.notes() == []
 
 
 def export_as_fitted(problem: GapProblem, effect: Effect, value: float) -> Exported:
@@ -242,8 +233,3 @@ def test_a_file_that_lacks_what_was_fitted_is_found_out(
     assert found.matters and found.parts == 1 and found.left > 3 * found.fitted
     (words,) = found.notes()
     assert found.channel in words and "deviates from the fit" in words
-
-
-def test_what_a_file_cannot_carry_is_not_tried(problem: GapProblem) -> None:
-    found = export_of(problem, SensorGain(problem.machine, "encoder1"), [1.1])
-    assert found == Exported() and np.isnan(found.left) and found.notes() == []

@@ -264,17 +264,6 @@ def test_the_yaml_file_is_one_that_the_package_loads(
     assert loaded.get_non_frozen_parameter_names() == parameters.get_non_frozen_parameter_names()
 
 
-def test_every_parameter_of_every_effect_is_there_and_those_without_modifier_are_listed(
-    folder: Path,
-) -> None:
-    result = export_result(folder, "sysid")
-    listed = " ".join(result.not_expressed)
-    for name in ("backlash.wrist.gap", "stribeck_friction.elbow.speed", "sensor_gain.encoder2"):
-        assert name in listed
-        assert name in result.files["parameters.yaml"] and name in result.files["parameters.py"]
-    assert "viscous_friction" not in listed
-
-
 URDF = """<?xml version="1.0"?>
 <robot name="arm"><!-- kept --><link name="base"/><link name="upper"><inertial><mass value="1"/>
 <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>

@@ -23,14 +23,11 @@ from loose_env.gap import (
     check_motion,
     outlook,
     pair_gains,
-    rays_of,
     read_servo_arm,
     scaled_to_fit,
     signature_bank,
 )
-from loose_env.gap.experiment_design.inference.information import value_of_information
 from loose_env.gap.experiment_design.motions import MotionKind
-from loose_env.gap.simulation.torque_terms import has_terms
 from tests.gap.cases.small_bank import LIBRARY, SETTINGS, small_bank, small_models
 
 GOOD = Motion(kind="chirp", joints=(0,), amplitude=0.1, speed=1.0)
@@ -174,32 +171,10 @@ def test_expected_information_is_of_what_separates_the_open_sets() -> None:
 
 
 def test_a_motion_is_worth_what_it_adds_to_the_reward_of_the_verdict() -> None:
-    rewards, equal = 2 * np.eye(2) - 1, np.full(2, 0.5)
-    apart = [
-        value_of_information(equal, np.diag([d**2, 0.0]), rewards) for d in (0.0, 1.0, 2.0, 9.0)
-    ]
-    # of two equal sets d standard deviations apart, the right one is named with Φ(d / 2)
-    assert apart == pytest.approx([0.0, 0.383, 0.683, 1.0], abs=0.1)
-    likely = np.array([0.999, 0.001])
-    assert value_of_information(likely, np.diag([1.0, 0.0]), rewards) < 0.01
     machine = hidden("coulomb_friction@joint2")
     sure, unsure = believed(machine), believed(machine, motions=())
     gains = [outlook(each, GapPrices().named).gain for each in (sure, unsure)]
     assert gains[0].max() < 0.3 < gains[1][0] < 2.0  # right for wrong is worth 2
-
-
-def test_simulations_made_together_are_those_made_alone() -> None:
-    arm = small_bank().arm
-    rays = rays_of(arm, ["load_friction", "dead_zone", "payload"])
-    hypotheses = [ray.hypothesis(ray.values(1.0)) for ray in rays[::3]]
-    commands = [motion.commands(arm)[:200] for motion in LIBRARY]
-
-    together = arm.simulate_motions(hypotheses, commands)
-
-    assert any(map(has_terms, hypotheses)) and not all(map(has_terms, hypotheses))
-    for each, found in zip(commands, together, strict=True):
-        for k, hypothesis in enumerate(hypotheses):
-            assert np.array_equal(arm.simulate([hypothesis], each)[0], found[k])
 
 
 def test_one_seed_gives_one_machine_and_one_posterior() -> None:

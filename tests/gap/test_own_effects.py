@@ -129,15 +129,11 @@ def trial(**given: object) -> Trial:
 @pytest.mark.parametrize("form", ["forward", "free"])
 def test_a_linear_spring_is_the_catalogues_spring(form: str, integrator: int) -> None:
     own = machine(integrator, step=0.0005)
-    catalogue = CATALOGUE["joint_spring"](own, "joint2")
-    values = {"stiffness": 40.0}
-    known = of(catalogue, *(values.get(p.name, 0.0) for p in catalogue.parameters))
+    known = of(CATALOGUE["joint_spring"](own, "joint2"), 40.0, 0.0)
     given = {"resting": False, "position": np.array([0.3, -0.5, 0.2])} if form == "free" else {}
-    run = trial(form=form, **given)
-    simulator = Simulator(own, [run], CHANNELS, threads=1)
-    (term,), (spring,), (without,) = simulator.predict(
-        [of(LinearSpring(own, "joint2"), 40.0), known, NOTHING]
-    )
+    simulator = Simulator(own, [trial(form=form, **given)], CHANNELS, threads=1)
+    both = of(LinearSpring(own, "joint2"), 40.0), known
+    (term,), (spring,), (without,) = simulator.predict([*both, NOTHING])
     off = np.sqrt(np.mean((term - spring) ** 2, axis=0))
     visible = np.sqrt(np.mean((without - spring) ** 2, axis=0))
     assert np.all(off < 0.005 * visible), (off / visible).round(5)
@@ -148,8 +144,7 @@ def test_backwards_a_linear_spring_is_the_catalogues_spring() -> None:
     run = torque_run(own, own.model, np.random.default_rng(5), duration=4.0)
     channels = channels_of([run])
     inverse = InverseDynamics(own, [align_run(run, own, channels, step=0.001)], channels, threads=1)
-    catalogue = CATALOGUE["joint_spring"](own, "joint2")
-    known = of(catalogue, *(40.0 if p.name == "stiffness" else 0.0 for p in catalogue.parameters))
+    known = of(CATALOGUE["joint_spring"](own, "joint2"), 40.0, 0.0)
     term = of(LinearSpring(own, "joint2"), 40.0)
     assert inverse.shows(term.effects[0])
     (a,), (b,), (nominal,) = inverse.predict([term, known, NOTHING])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from scipy import signal
 
 from loose_env.cli.main import main
 from loose_env.errors import InvalidSetting
@@ -21,70 +22,44 @@ from loose_env.gap import (
     GapSolution,
     QuickLook,
     Stages,
+    diagnose_residuals,
     explain_gap,
     find_gap,
     key_of,
     quick_look,
+    result_of,
 )
+from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.effects.friction import make_it_stick
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.residuals.progress import counted, reported, tick
 from loose_env.gap.workflow.quick_look import FORMAT
-from loose_env.recording import Recording, Run, read_recording, write_recording
+from loose_env.recording import Recording, Run, write_recording
 from tests.gap.cases import gap_case
 from tests.gap.cases.effect_arms import PLANAR
-from tests.gap.cases.recorded_runs import PENDULUM, measurable, pendulum_run, torque_run
+from tests.gap.cases.recorded_runs import PENDULUM, pendulum_run
 
-STEP, SECONDS = 0.001, 1.5
-NOISE = np.array([5e-5] * 3 + [2e-3] + [0.03] * 3)
+STEP = 0.002
 
 
 def record(folder: Path, edit: Callable[[mujoco.MjSpec], None], *, seed: int) -> Recording:
     """Record the planar arm, its parameters 1 to 3 % off, with an edit of one's own."""
     rng = np.random.default_rng(seed)
-    spec = mujoco.MjSpec.from_string(PLANAR)
 
     def off() -> float:
         return float(1 + rng.choice([-1, 1]) * rng.uniform(0.01, 0.03))
 
-    for joint in spec.joints:
-        joint.damping = np.asarray(joint.damping) * off()
-    for actuator in spec.actuators:
-        factor = off()
-        actuator.gainprm = np.asarray(actuator.gainprm) * np.array([factor] + [1.0] * 9)
-        actuator.biasprm = np.asarray(actuator.biasprm) * np.array([1.0, factor] + [1.0] * 8)
-    edit(spec)
-    spec.option.timestep, spec.option.integrator = STEP / 2, mujoco.mjtIntegrator.mjINT_RK4
-    model = spec.compile()
-    time = np.arange(round(SECONDS / STEP)) * STEP
-    found = []
-    for k in range(3):
-        data = mujoco.MjData(model)
-        controls = (
-            sum(
-                rng.uniform(0.1, 0.5, 3) * np.sin(np.outer(time, rng.uniform(2, 12, 3)))
-                for _ in range(3)
-            )
-            * np.minimum(2 * time, 1.0)[:, None]
-        )
-        mujoco.mj_step(model, data, 2000)
-        shown = np.zeros((len(time), model.nsensordata))
-        for row, command in zip(shown, controls, strict=True):
-            data.ctrl[:3] = command
-            mujoco.mj_step(model, data)
-            row[:] = data.sensordata
-            mujoco.mj_step(model, data)
-        shown += rng.normal(0, NOISE, shown.shape)
-        names = ("encoder1", "encoder2", "encoder3", "rate3")
-        found.append(
-            Run(
-                name=f"run-{k + 1:02d}.parquet",
-                time=time,
-                controls={f"servo{j + 1}": controls[:, j] for j in range(3)},
-                sensors={n: shown[:, j] for j, n in enumerate(names)} | {"shake": shown[:, 4:]},
-            )
-        )
-    return write_recording(folder, model_xml=PLANAR, runs=found)
+    def change(spec: mujoco.MjSpec) -> None:
+        for joint in spec.joints:
+            joint.damping = np.asarray(joint.damping) * off()
+        for actuator in spec.actuators:
+            factor = off()
+            actuator.gainprm = np.asarray(actuator.gainprm) * np.array([factor] + [1.0] * 9)
+            actuator.biasprm = np.asarray(actuator.biasprm) * np.array([1.0, factor] + [1.0] * 8)
+        edit(spec)
+
+    return gap_case.record(folder, missing=False, edit=change)
 
 
 def test_nothing_is_named_where_nothing_is_missing(tmp_path: Path) -> None:
@@ -98,7 +73,7 @@ def test_nothing_is_named_where_nothing_is_missing(tmp_path: Path) -> None:
 def test_friction_is_named_with_its_place_and_its_torque(tmp_path: Path) -> None:
     def edit(spec: mujoco.MjSpec) -> None:
         spec.joint("joint2").frictionloss = 2.0
-        make_it_stick(spec.joint("joint2"), STEP / 2)
+        make_it_stick(spec.joint("joint2"), STEP)
 
     lines: list[str] = []
     recording = record(tmp_path / "r", edit, seed=4)
@@ -266,27 +241,8 @@ def test_nothing_is_ranked_where_the_residual_is_noise(tmp_path: Path) -> None:
     assert look.candidates == () and look.before < 1.25
 
 
-def test_many_short_runs_that_begin_in_motion_are_looked_at(tmp_path: Path) -> None:
-    """Windows leave runs out, whose initial states are none of the others'."""
-    rng = np.random.default_rng(1)
-    runs = [
-        pendulum_run(
-            rng, viscous=0.04, coulomb=0.0, start=(0.3 + 0.05 * number, 1.5), noise=1e-4,
-            duration=1.2, name=f"run-{number:02d}.csv",
-        )
-        for number in range(12)
-    ]  # fmt: skip
-    write_recording(tmp_path / "rod", model_xml=PENDULUM, runs=runs, file_format="csv")
-    kinds = ("viscous_friction", "link_mass")
-    look = quick_look(read_recording(tmp_path / "rod"), GapSettings(kinds=kinds, threads=1))
-    assert [each.kind for each in look.candidates[0].effects] == ["viscous_friction"]
-    assert look.candidates[0].parameters[0]["damping"] == pytest.approx(0.04, rel=0.1)
-
-
 OIL, SEAL, AIR = 0.004, 0.012, 0.002
 """What slows a pendulum down: N·m·s/rad, N·m, N·m·s²/rad²."""
-DAMPING = (30.0, 20.0, 8.0)
-"""Damping of a model of which the machine has none [N·m·s/rad]."""
 
 
 @pytest.mark.slow
@@ -310,29 +266,81 @@ def test_oil_seals_and_air_at_one_joint_are_told_apart(tmp_path: Path) -> None:
     assert found.gap.after < 1.25 and found.gap.before > 100
 
 
-def damped(damping: tuple[float, ...]) -> mujoco.MjSpec:
-    spec = measurable(mujoco.MjSpec.from_string(PLANAR))
-    for joint, value in zip(spec.joints, damping, strict=True):
-        joint.damping = np.array([value, 0.0, 0.0])
+# The plane is level, so that nothing but the motion throws a slide to and fro.
+LEVEL = PLANAR.replace('gravity="0 -9.81 0"', 'gravity="0 0 -9.81"')
+FINE, EVERY = 2e-4, 5
+"""Step [s], and steps from one sample to the next."""
+
+
+def with_effect(kind: str, where: str, values: Sequence[float]) -> mujoco.MjSpec:
+    """The level arm in fine steps, with an effect."""
+    spec = mujoco.MjSpec.from_string(LEVEL)
+    spec.option.timestep = FINE
+    machine = NominalModel(mujoco.MjSpec.from_string(LEVEL), step=FINE)
+    CATALOGUE[kind](machine, where).edit(spec, np.array(values))
     return spec
 
 
+def shaken(folder: Path, spec: mujoco.MjSpec) -> Recording:
+    """Poses that are kept while the first joint is shaken at random; readings have noise."""
+    model, rng, count = spec.compile(), np.random.default_rng(4), 1800
+    band = signal.butter(4, (10, 120), "bandpass", fs=1000, output="sos")
+    runs = []
+    for k, pose in enumerate(([0.3, 0.8, -0.5], [-0.4, 1.2, 0.6], [0.9, -0.9, 0.3])):
+        shake = signal.sosfilt(band, rng.normal(size=count + 500))[500:]
+        controls = np.tile(pose, (count, 1))
+        controls[:, 0] += 0.02 * shake / shake.std() * np.minimum(np.arange(count) / 200, 1)
+        data, shown = mujoco.MjData(model), np.zeros((count, model.nsensordata))
+        for j, angle in enumerate(pose):
+            data.joint(f"joint{j + 1}").qpos[0] = angle
+        data.ctrl[:] = pose
+        mujoco.mj_step(model, data, 2000)
+        for row, command in zip(shown, controls, strict=True):
+            data.ctrl[:] = command
+            mujoco.mj_forward(model, data)
+            row[:] = data.sensordata
+            mujoco.mj_step(model, data, EVERY)
+        shown += rng.normal(0, [2e-5, 2e-5, 2e-5, 2e-3, 0.03, 0.03, 0.03], shown.shape)
+        names = ("encoder1", "encoder2", "encoder3", "rate3")
+        runs.append(
+            Run(
+                name=f"run-{k + 1:02d}.parquet",
+                time=np.arange(count) * FINE * EVERY,
+                controls={f"servo{j + 1}": controls[:, j] for j in range(3)},
+                sensors={n: shown[:, c] for c, n in enumerate(names)} | {"shake": shown[:, 4:]},
+                excited=("joint1",),
+            )
+        )
+    return write_recording(folder, model_xml=LEVEL, runs=runs)
+
+
+@pytest.fixture(scope="module")
+def struck(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Of a link with hard stops that ring."""
+    spec = with_effect("structural_looseness", "link2", [1.0, 2e-4, 1.0, 1e6, 0.03])
+    return shaken(tmp_path_factory.mktemp("struck") / "recording", spec)
+
+
+def test_runs_that_impacts_make_chaotic_are_told_of(struck: Recording, tmp_path: Path) -> None:
+    healthy = shaken(tmp_path / "healthy", with_effect("viscous_friction", "joint1", [0.0]))
+    for recording, chaotic in ((struck, True), (healthy, False)):
+        warnings = prepare(recording, GapSettings(threads=1)).warnings
+        assert any("chaotic (impacts against stops)" in words for words in warnings) is chaotic
+
+
 @pytest.mark.slow
-def test_damping_far_above_that_of_the_machine_is_named_at_all_joints(tmp_path: Path) -> None:
-    model = damped(DAMPING)
-    machine, truth = NominalModel(model), damped((0.0, 0.0, 0.0)).compile()
-    rng = np.random.default_rng(8)
-    runs = [
-        torque_run(machine, truth, rng, rate=200.0, duration=12.0, name=f"{n}.parquet")
-        for n in ("slow-1", "slow-2", "fast-1", "fast-2")
-    ]
-    recording = write_recording(tmp_path / "arm", model_xml=model.to_xml(), runs=runs)
-    settings = GapSettings(threads=1, held_out=("fast-2",))
-    found = explain_gap(recording, settings)
+def test_the_loose_link_is_named(struck: Recording) -> None:
+    kinds = ("structural_looseness", "joint_compliance", "viscous_friction")
+    found = find_gap(struck, GapSettings(threads=1, kinds=kinds, most_effects=1))
     assert found.verdict == "named"
-    assert {(e.kind, e.where) for e in found.effects} == {
-        ("viscous_friction", joint) for joint in machine.joints
-    }
-    for effect in found.effects:
-        nominal = DAMPING[machine.joint_number(effect.where)]
-        assert effect.parameters["damping"] == pytest.approx(-nominal, rel=0.05)
+    (effect,) = found.effects
+    assert (effect.kind, effect.where) == ("structural_looseness", "link2")
+    assert found.best.held_out_rms < 0.5 * found.base.held_out_rms
+    result = result_of(found, diagnose_residuals(found))
+    assert result.gap.after < 0.5 * result.gap.before
+    assert result.effects[0].where == "link2"
+    names = {channel.name for channel in found.problem.held_out_whole.channels}
+    assert set(result.gap.by_channel) == names
+    before, after = result.gap.by_channel["sensor.shake.y"]
+    assert before > 3 and after < 0.6 * before
+    assert {left.channel for left in result.residual_tests} == names

@@ -13,7 +13,6 @@ from loose_env.gap.model.effects.mjcf.geometry import link_ends
 from loose_env.gap.model.element_names import naming_notes
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.output.export_mjcf import corrected_spec
 
 NAMED = """
@@ -94,44 +93,43 @@ def test_effects_are_the_same_with_and_without_names(kind: str) -> None:
             assert np.allclose(getattr(first, field), getattr(second, field)), (one, field)
 
 
-def test_a_payload_hangs_at_the_last_site_of_the_last_link_or_at_its_end() -> None:
-    place = Payload(machine(NAMED), "tool")
-    spec = place.machine.fresh()
-    place.edit(spec, np.array([0.5]))
-    model = spec.compile()
-    assert model.body(int(model.body("tool_payload").parentid[0])).name == "second"
-    assert np.allclose(model.body("tool_payload").pos, [0.4, 0, 0])
-    assert payload_notes(place.machine) == []
-    without = NAMED.replace('<site name="last" pos=".4 0 0"/>', "").replace(
-        '<site name="inside" pos="0.1 0 0" euler="10 0 0"/>', ""
-    )
-    bodies = Payload(machine(without), "tool")
-    spec = bodies.machine.fresh()
-    bodies.edit(spec, np.array([0.5]))
-    model = spec.compile()
-    assert model.body(int(model.body("tool_payload").parentid[0])).name == "flange"
-    (words,) = payload_notes(bodies.machine)
-    assert "flange" in words and "site" in words
-    alone = machine(without.replace('<body name="flange" pos="0.3 0 0">', "<frame>").replace(
-        'name="g5" size=".02" mass="0.1"/></body>', 'name="g5" size=".02" mass="0.1"/></frame>'
-    ))  # fmt: skip
-    end = link_ends(alone, "second")[1]
-    payload = Payload(alone, "tool")
-    spec = alone.fresh()
-    payload.edit(spec, np.array([0.5]))
-    assert np.allclose(spec.compile().body("tool_payload").pos, end)
-    assert "second" in payload_notes(alone)[0]
+SITES = (
+    '<site name="last" pos=".4 0 0"/>',
+    '<site name="inside" pos="0.1 0 0" euler="10 0 0"/>',
+)
+NO_SITES = NAMED.replace(SITES[0], "").replace(SITES[1], "")
+MIDDLE = '<site name="middle"/><camera name="eye"'
+NO_FLANGE = NO_SITES.replace('<body name="flange" pos="0.3 0 0">', "<frame>").replace(
+    'name="g5" size=".02" mass="0.1"/></body>', 'name="g5" size=".02" mass="0.1"/></frame>'
+)
 
 
-def test_a_site_of_an_inner_link_is_the_tool_only_where_there_is_no_other_and_it_is_said() -> None:
-    both = NAMED.replace('<camera name="eye"', '<site name="middle"/><camera name="eye"')
-    assert machine(both).tool == "last"
-    inner = both.replace('<site name="last" pos=".4 0 0"/>', "").replace(
-        '<site name="inside" pos="0.1 0 0" euler="10 0 0"/>', ""
-    )
-    assert machine(inner).tool == "middle"
-    (words,) = payload_notes(machine(inner))
-    assert "middle" in words and "first" in words
+@pytest.mark.parametrize(
+    ("text", "body", "words"),
+    [
+        (NAMED, "second", ""),
+        (NO_SITES, "flange", "site"),
+        (NO_FLANGE, "second", "second"),
+        # a site of an inner link is the tool only where there is no other
+        (NAMED.replace('<camera name="eye"', MIDDLE), "second", ""),
+        (NO_SITES.replace('<camera name="eye"', MIDDLE), "first", "middle"),
+    ],
+)
+def test_a_payload_hangs_at_the_last_site_of_the_last_link_or_at_its_end_and_it_is_said(
+    text: str, body: str, words: str
+) -> None:
+    own = machine(text)
+    spec = own.fresh()
+    Payload(own, "tool").edit(spec, np.array([0.5]))
+    model = spec.compile()
+    carrier = int(model.body("tool_payload").parentid[0])
+    assert model.body(carrier).name == body
+    if text == NO_FLANGE:
+        assert np.allclose(model.body("tool_payload").pos, link_ends(own, "second")[1])
+    elif body == "second":
+        assert np.allclose(model.body("tool_payload").pos, [0.4, 0, 0])
+    notes = payload_notes(own)
+    assert len(notes) == bool(words) and words in "".join(notes) and (not notes or body in notes[0])
 
 
 def test_the_model_that_is_written_carries_the_names() -> None:
@@ -145,19 +143,16 @@ def test_the_model_that_is_written_carries_the_names() -> None:
 
 @pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass' is deprecated")
 @pytest.mark.parametrize("option", ['inertiafromgeom="true"', 'settotalmass="9"'])
-def test_a_factor_on_a_mass_is_that_whatever_the_compiler_makes_of_masses(option: str) -> None:
+def test_an_added_mass_is_that_whatever_the_compiler_makes_of_masses(option: str) -> None:
     text = NAMED.replace("<mujoco>", f"<mujoco><compiler {option}/>")
     nominal, model = machine(text), mujoco.MjModel.from_xml_string(text)
     assert np.allclose(nominal.model.body_mass, model.body_mass)
     assert np.allclose(nominal.model.body_inertia, model.body_inertia)
-    figures = NominalParameters(nominal, tolerance=0.03)
-    values = np.ones(len(figures.parameters))
-    values[[p.name for p in figures.parameters].index("mass.second")] = 2.0
-    spec = corrected_spec(nominal, Hypothesis(nominal=figures, factors=values))
-    factors = np.ones(model.nbody)
-    factors[model.body("second").id] = 2.0
+    effect = CATALOGUE["link_mass"](nominal, "second")
+    spec = corrected_spec(nominal, Hypothesis().with_effects([(effect, np.array([0.5]))]))
+    added = 0.5 * (np.arange(model.nbody) == model.body("second").id)
     for found in (spec.compile(), mujoco.MjModel.from_xml_string(spec.to_xml())):
-        assert np.allclose(found.body_mass, factors * model.body_mass, rtol=1e-5)
+        assert np.allclose(found.body_mass, added + model.body_mass, rtol=1e-5)
 
 
 @pytest.mark.parametrize(

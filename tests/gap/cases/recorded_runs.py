@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -18,8 +18,6 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.recording import Run
 from loose_env.statistics import noise_floor
 from loose_env.typing import Array
-
-Friction = Callable[[Array], Array]
 
 PENDULUM = """
 <mujoco>
@@ -87,7 +85,6 @@ def torque_run(
     step: float = 1e-4,
     speeds: float | None = 2e-3,
     noise: float = 0.01,
-    friction: Friction | None = None,
     name: str = "run",
 ) -> Run:
     """A run of motion and torque: encoders of a step, speeds and torques with noise.
@@ -97,8 +94,6 @@ def torque_run(
     time = np.arange(round(rate * duration)) / rate
     position, speed, acceleration = waves(machine, time, rng)
     torque = needed(truth, position, speed, acceleration)
-    if friction is not None:
-        torque = torque + friction(speed)
     spread = noise * np.sqrt(np.mean(torque**2, axis=0))
     slides = np.array([0.1 ** (not machine.turns(j)) for j in machine.joints])
     shaken = position + slides * step * rng.normal(0, 0.5, position.shape)
