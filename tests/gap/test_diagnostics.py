@@ -34,8 +34,6 @@ from tests.gap.cases.gap_case import stated
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 
 
-# ---------------------------------------------------------------------- identifiability
-
 STEP = 0.002
 MACHINE = NominalModel(mujoco.MjSpec.from_string(PLANAR), step=STEP, integrator=RK4)
 ENCODERS = tuple(Channel(f"sensor.encoder{j}") for j in (1, 2, 3))
@@ -109,8 +107,6 @@ def test_a_longer_recording_shows_more_and_nothing_of_what_nothing_reads() -> No
         if each.additional_s is None:
             assert (each.kind, each.where) in left
 
-
-# --------------------------------------------------------- where it is, what it goes with
 
 CHANNELS = (Channel("sensor.q"), Channel("sensor.acc", 0))
 RATE, COUNT = 500.0, 5000
@@ -278,8 +274,6 @@ def test_dry_friction_shows_as_torque_that_goes_with_the_direction() -> None:
     (nothing,) = missing(time, angle + rng.normal(0, 2e-3, len(time))).joints
     assert nothing.residual < 0.02 * WEIGHT
 
-
-# ---------------------------------------------------------------------------- horizons
 
 FINE, LONG = 0.001, 2800
 READ = (*ENCODERS, Channel("sensor.rate3"), *(Channel("sensor.shake", axis) for axis in range(3)))

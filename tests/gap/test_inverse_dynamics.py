@@ -21,12 +21,6 @@ def arm(xml: str) -> NominalModel:
     return NominalModel(measurable(mujoco.MjSpec.from_string(xml)))
 
 
-def edited(machine: NominalModel, kind: str, where: str, values: list[float]) -> mujoco.MjModel:
-    spec = machine.fresh()
-    CATALOGUE[kind](machine, where).edit(spec, np.array(values))
-    return spec.compile()
-
-
 def runs_of(
     machine: NominalModel, truth: mujoco.MjModel, count: int = 2, **given: object
 ) -> list[Run]:
@@ -63,7 +57,9 @@ def test_the_true_effect_is_found_and_a_wrong_one_is_not(
     machine = arm(xml)
     effect = CATALOGUE[kind](machine, where)
     values = values[: len(effect.parameters)] + list(effect.starts[0][len(values) :])
-    comparison = compared(machine, runs_of(machine, edited(machine, kind, where, values)))
+    spec = machine.fresh()
+    effect.edit(spec, np.array(values))
+    comparison = compared(machine, runs_of(machine, spec.compile()))
     right, found = fitted(comparison, [effect])
     false, _ = fitted(comparison, [CATALOGUE[wrong[0]](machine, wrong[1])])
     assert right.rms < 1.35  # the noise is that of the nominal model, whose inertias are smaller

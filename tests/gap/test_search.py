@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 import pytest
 from scipy import signal
+from scipy.integrate import solve_ivp
 
 from loose_env.cli.main import main
 from loose_env.errors import InvalidSetting
@@ -38,7 +39,6 @@ from loose_env.gap.workflow.quick_look import FORMAT
 from loose_env.recording import Recording, Run, write_recording
 from tests.gap.cases import gap_case
 from tests.gap.cases.effect_arms import PLANAR
-from tests.gap.cases.recorded_runs import PENDULUM, pendulum_run
 
 STEP = 0.002
 
@@ -241,19 +241,37 @@ def test_nothing_is_ranked_where_the_residual_is_noise(tmp_path: Path) -> None:
     assert look.candidates == () and look.before < 1.25
 
 
+PENDULUM = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.0025" integrator="RK4" gravity="0 0 -9.81"/>
+  <worldbody>
+    <body name="rod">
+      <joint name="pivot" type="hinge" axis="0 1 0"/>
+      <inertial pos="0 0 -0.3" mass="0.5" diaginertia="0.01 0.01 0.0005"/>
+    </body>
+  </worldbody>
+  <sensor><jointpos name="encoder" joint="pivot"/></sensor>
+</mujoco>
+"""
 OIL, SEAL, AIR = 0.004, 0.012, 0.002
 """What slows a pendulum down: N·m·s/rad, N·m, N·m·s²/rad²."""
 
 
 @pytest.mark.slow
 def test_oil_seals_and_air_at_one_joint_are_told_apart(tmp_path: Path) -> None:
-    rng = np.random.default_rng(6)
-    runs = [
-        pendulum_run(
-            rng, viscous=OIL, coulomb=SEAL, drag=AIR, start=(angle, 0.0), name=f"drop-{k}.parquet"
-        )
-        for k, angle in enumerate((2.0, -1.2, 0.8, -1.7))
-    ]  # fmt: skip
+    def change(_: float, state: Array) -> list[float]:
+        angle, speed = state
+        friction = OIL * speed + SEAL * np.tanh(speed / 0.003) + AIR * speed * abs(speed)
+        return [speed, (-0.5 * 9.81 * 0.3 * np.sin(angle) - friction) / (0.01 + 0.5 * 0.3**2)]
+
+    time, rng, runs = np.arange(600) / 100, np.random.default_rng(6), []
+    for k, start in enumerate((2.0, -1.2, 0.8, -1.7)):
+        angle = solve_ivp(
+            change, (0, time[-1]), (start, 0.0), t_eval=time, rtol=1e-8, atol=1e-10, method="LSODA"
+        ).y[0]
+        sensors = {"encoder": angle + rng.normal(0, 1e-3, len(time))}
+        runs.append(Run(name=f"drop-{k}.parquet", time=time, sensors=sensors))
     recording = write_recording(tmp_path / "pendulum", model_xml=PENDULUM, runs=runs)
     found = explain_gap(recording, GapSettings(threads=1, held_out=("drop-3",)))
     values = {e.kind: next(iter(e.parameters.values())) for e in found.effects}
