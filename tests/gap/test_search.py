@@ -37,6 +37,7 @@ from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.residuals.progress import counted, reported, tick
 from loose_env.gap.workflow.quick_look import FORMAT
 from loose_env.recording import Recording, Run, write_recording
+from loose_env.typing import Array
 from tests.gap.cases import gap_case
 from tests.gap.cases.effect_arms import PLANAR
 
