@@ -309,6 +309,13 @@ def test_the_result_says_where_it_was_and_what_is_left(
     assert result.settings["tolerance"] == 0.03
 
 
+@pytest.fixture
+def known(evidence: ResidualDiagnostics, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The evidence is worked out once."""
+    monkeypatch.setattr(summary, "diagnose_residuals", lambda *_, **__: evidence)
+
+
+@pytest.mark.usefixtures("known")
 def test_what_is_written_reads_back_and_carries_the_effects(
     solution: GapSolution, tmp_path: Path
 ) -> None:
@@ -324,6 +331,7 @@ def test_what_is_written_reads_back_and_carries_the_effects(
     assert f"data.sensor('rate3').data *= {GAIN}" in json.loads(written[1].read_text())["code"]
 
 
+@pytest.mark.usefixtures("known")
 def test_what_the_corrected_model_has_without_its_being_named_is_told(
     solution: GapSolution, tmp_path: Path
 ) -> None:
@@ -360,13 +368,13 @@ def test_a_stage_cut_short_or_of_other_data_or_versions_is_made_again(
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
 
 
+@pytest.mark.usefixtures("known")
 def test_a_motion_that_cannot_be_written_costs_no_result(
     solution: GapSolution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refused(*_: object, **__: object) -> None:
         raise InvalidData("no motion fits the machine")
 
-    monkeypatch.setattr(summary, "diagnose_residuals", lambda *_, **__: ResidualDiagnostics())
     monkeypatch.setattr(summary, "choose_next", refused)
     (tmp_path / "next_motion.json").write_text("of an earlier run")
     result, written = write_gap(tmp_path, solution, next_motion=NextMotionSettings())
