@@ -78,7 +78,11 @@ def test_friction_is_named_with_its_place_and_its_torque(tmp_path: Path) -> None
 
     lines: list[str] = []
     recording = record(tmp_path / "r", edit, seed=4)
-    found = find_gap(recording, GapSettings(threads=1), say=lines.append)
+    kinds = (
+        "viscous_friction", "coulomb_friction", "stribeck_friction", "quadratic_drag",
+        "joint_spring", "rotor_inertia", "link_mass", "payload", "actuator_gain", "command_delay",
+    )  # fmt: skip
+    found = find_gap(recording, GapSettings(threads=1, kinds=kinds), say=lines.append)
     assert found.verdict == "named"
     assert [(e.kind, e.where) for e in found.effects] == [("coulomb_friction", "joint2")]
     effect = found.effects[0]
