@@ -31,6 +31,7 @@ from scripts.thesis.page import (
 )
 
 SVG = b'<svg viewBox="0 0 5 4"><g id="a"/><use href="#a"/></svg>'
+FAILED = Outcome(key="third_one", seconds=0.1, error="ValueError: a <b> c", trace="Traceback")
 ROW = ("mode", "720 Hz", "885 Hz", "from its own figures, which do not agree")
 
 
@@ -60,8 +61,7 @@ def test_the_page_holds_every_section_links_to_it_and_escapes_values() -> None:
     bad = Table(caption="<script>", columns=("<i>",), rows=(("<b>",),))
     cards = [FigureCard(image=figure, caption="f")]
     odd = outcome("odd", cards=cards, tables=[bad], title="<u>", equations={"3.41": "loose_env.b"})
-    failed = Outcome(key="third_one", seconds=0.1, error="ValueError: a <b> c", trace="Traceback")
-    html = render(outcome("first"), outcome("second"), odd, failed, command="<s> --seed 7")
+    html = render(outcome("first"), outcome("second"), odd, FAILED, command="<s> --seed 7")
     for key in ("first", "second"):
         for word in (f"Words of {key}.", f"Table of {key}", f"Figure of {key}", "885 Hz"):
             assert word in html
