@@ -88,7 +88,7 @@ ENTRY_POINTS = {
     "kinematics": ("geometric_jacobian",),
     "recording": ("Run", "read_recording"),
     "rig": ("ReducedRig", "SimulatedRig"),
-    "statistics": ("correlation_loop", "kurtosis", "transmission"),
+    "statistics": ("bandpass", "covariances", "phase_delay"),
 }  # fmt: skip
 
 

@@ -1,8 +1,6 @@
-"""Correlation and coherence of the motion of the tool with the excited joints, by direction.
+"""Coherence, transmission, apparent inertia, and the comparative index of correlation vectors.
 
-With x the joint acceleration, a the tool acceleration, c = cov(x, a) and S = cov(a), the
-correlation along the unit vector u is r(u) = u.c / (sd(x) sqrt(u.S u)). Equation numbers are
-those of the thesis.
+x are the accelerations of the excited joints, a that of the tool, u the commanded torques.
 """
 
 from __future__ import annotations
@@ -11,154 +9,14 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import as_angles, as_direction
-from loose_env.statistics.directions import axial_vector, wrap_axial
-from loose_env.statistics.moments import (
-    STILL,
-    Covariances,
-    covariances,
-    excitation_factor,
-    planar_excitation,
-    single_excitation,
-    whitener,
-)
+from loose_env.statistics.directions import axial_vector
+from loose_env.statistics.moments import Covariances, excitation_factor, whitener
 from loose_env.typing import Array
 
-
-class MaximumCorrelation(NamedTuple):
-    """Maximum correlation over all directions, and its direction."""
-
-    value: float
-    """Correlation, 0 to 1."""
-    direction: Array
-    """Unit vector in the tool frame, shape (d,)."""
-
-
-def correlation_loop(x: ArrayLike, a: ArrayLike, angles: ArrayLike) -> Array:
-    """Trace the correlation vector: the correlation at every angle of the plane (4.14).
-
-    Each is the Pearson correlation with the component along that angle (4.10 to 4.13).
-
-    Parameters
-    ----------
-    x : array, shape (N,)
-        Acceleration of the excited joint, rad/s^2.
-    a : array, shape (2, N)
-        Tool acceleration in the tool frame, m/s^2.
-    angles : array, shape (K,)
-        Angles from the tool's x axis, rad.
-
-    Returns
-    -------
-    array, shape (K,)
-        Correlation, -1 to 1; it changes sign from an angle to its opposite (4.15).
-
-    Raises
-    ------
-    InvalidData
-        If the record or the angles cannot be used, x has several rows or a not two.
-
-    Examples
-    --------
-    >>> x = [1.0, -1.0, 1.0, -1.0]
-    >>> a = [[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0]]
-    >>> correlation_loop(x, a, np.radians([0.0, 60.0, 180.0])).round(4).tolist()
-    [1.0, 0.5, -1.0]
-    """
-    return correlation_loop_from(covariances(x, a), angles)
-
-
-def correlation_loop_from(cov: Covariances, angles: ArrayLike) -> Array:
-    """`correlation_loop` on covariances."""
-    c = planar_excitation(cov)
-    phi = as_angles(angles)
-    cosine, sine = np.cos(phi), np.sin(phi)
-    s = cov.aa
-    variance = s[0, 0] * cosine**2 + 2 * s[0, 1] * cosine * sine + s[1, 1] * sine**2
-    still = variance <= STILL * (s[0, 0] + s[1, 1])
-    scale = np.sqrt(cov.xx[0, 0] * np.where(still, 1.0, variance))
-    return np.where(still, 0.0, (c[0] * cosine + c[1] * sine) / scale)
-
-
-def lowest_correlation_direction(x: ArrayLike, a: ArrayLike) -> float:
-    """Find the planar direction uncorrelated with the excited joint.
-
-    The correlation is zero perpendicular to c = cov(x, a), so no search is needed:
-    phi0 = atan2(c_y, c_x) + 90 degrees.
-
-    Parameters
-    ----------
-    x : array, shape (N,)
-        Acceleration of the excited joint, rad/s^2.
-    a : array, shape (2, N)
-        Tool acceleration in the tool frame, m/s^2.
-
-    Returns
-    -------
-    float
-        Angle from the tool's x axis in [0, pi), rad.
-
-    Raises
-    ------
-    InvalidData
-        If the record cannot be used, x has several rows, a not two, or x is correlated with no
-        direction at all.
-
-    Examples
-    --------
-    >>> x = [1.0, -1.0, 1.0, -1.0]
-    >>> round(lowest_correlation_direction(x, [x, [1.0, 1.0, -1.0, -1.0]]), 4)
-    1.5708
-    """
-    c = planar_excitation(covariances(x, a))
-    if not c.any():
-        raise InvalidData("x is uncorrelated with a in every direction; none is the lowest")
-    return wrap_axial(math.atan2(c[1], c[0]) + math.pi / 2)
-
-
-def maximum_correlation(x: ArrayLike, a: ArrayLike) -> MaximumCorrelation:
-    """Find the maximum correlation over all directions: C in the thesis's tables.
-
-    It lies along S^-1 c and is sqrt(c.S^-1 c) / sd(x).
-
-    Parameters
-    ----------
-    x : array, shape (N,)
-        Acceleration of the excited joint, rad/s^2.
-    a : array, shape (d, N)
-        Tool acceleration in the tool frame, m/s^2.
-
-    Returns
-    -------
-    MaximumCorrelation
-        Its value and its direction, the sign chosen so that the correlation is positive.
-
-    Raises
-    ------
-    InvalidData
-        If the record cannot be used, x has several rows, or x is correlated with no direction.
-
-    Examples
-    --------
-    >>> x = [1.0, -1.0, 1.0, -1.0]
-    >>> value, direction = maximum_correlation(x, [x, [1.0, 1.0, -1.0, -1.0]])
-    >>> round(value, 6), direction.round(6).tolist()
-    (1.0, [1.0, 0.0])
-    """
-    cov = covariances(x, a)
-    c = single_excitation(cov)
-    if not c.any():
-        raise InvalidData("x is uncorrelated with a in every direction; none is the highest")
-    variances, axes = np.linalg.eigh(cov.aa)
-    along = axes.T @ c
-    # A direction in which the tool does not move adds nothing but rounding.
-    moving = variances > STILL * variances[-1]
-    weights = np.where(moving, along, 0.0) / np.where(moving, variances, 1.0)
-    value = math.sqrt(float(np.sum(weights * along)) / float(cov.xx[0, 0]))
-    return MaximumCorrelation(min(value, 1.0), as_direction(axes @ weights, len(c)))
+# Correlation of command and joint acceleration below which the command instruments nothing.
+UNRELATED = 1e-9
 
 
 class LowestCoherence(NamedTuple):
@@ -198,6 +56,7 @@ def lowest_coherence_direction_from(cov: Covariances) -> LowestCoherence:
 
     Examples
     --------
+    >>> from loose_env.statistics import covariances
     >>> x = [[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0]]
     >>> a = [[1.0, -1.0, 1.0, -1.0], [2.0, 0.0, -2.0, 0.0]]
     >>> lowest = lowest_coherence_direction_from(covariances(x, a))
@@ -268,3 +127,117 @@ def comparative_index(c_n: float, phi_n: float, c_f: float, phi_f: float) -> Com
     relative = c_f / c_n
     turn = abs(math.sin(phi_n - phi_f))
     return ComparativeIndex(relative * turn, abs(1.0 - relative) * turn)
+
+
+def transmission_from(cov: Covariances) -> Array:
+    """Regress the tool acceleration on the accelerations of the excited joints.
+
+    B = C Sx^-1 with C = cov(a, x) and Sx = cov(x). Noise in x shrinks it: then use
+    `transmission_by_instrument_from`.
+
+    Parameters
+    ----------
+    cov : Covariances
+        Of the joints' accelerations with the tool's. Axes in front are those of several records.
+
+    Returns
+    -------
+    array, shape (..., d, m)
+        B, m/s^2 per rad/s^2.
+
+    Raises
+    ------
+    InvalidData
+        If the rows of x depend on each other.
+
+    Examples
+    --------
+    >>> from loose_env.statistics import covariances
+    >>> x = [1.0, -1.0, 1.0, -1.0]
+    >>> transmission_from(covariances(x, [[0.5, -0.5, 0.5, -0.5], [1, 1, -1, -1]])).tolist()
+    [[0.5], [0.0]]
+    """
+    if cov.xx.shape[-1] == 1:
+        return (cov.xa / cov.xx).mT
+    factor = excitation_factor(cov.xx)
+    b = np.linalg.solve(factor.mT, np.linalg.solve(factor, cov.xa)).mT
+    return np.asarray(b, dtype=np.float64)
+
+
+def transmission_by_instrument_from(command_x: Covariances, command_a: Covariances) -> Array:
+    """Estimate the transmission with the command as instrument: noise in x does not shrink it.
+
+    B = cov(a, u) cov(x, u)^-1, the instrumental-variable estimate (Soderstrom and Stoica,
+    Instrumental Variable Methods for System Identification, 1983).
+
+    Parameters
+    ----------
+    command_x, command_a : Covariances
+        Of the commanded torques u of the excited joints with their accelerations x, and with the
+        tool acceleration a. Axes in front are those of several records.
+
+    Returns
+    -------
+    array, shape (..., d, m)
+        B, m/s^2 per rad/s^2.
+
+    Raises
+    ------
+    InvalidData
+        If there is not one command for each row of x, or x does not follow it.
+
+    Examples
+    --------
+    >>> from loose_env.statistics import covariances
+    >>> u, noisy = [1.0, -1.0, 1.0, -1.0], [3.0, -1.0, 1.0, -3.0]
+    >>> transmission_by_instrument_from(covariances(u, noisy), covariances(u, [u, u])).tolist()
+    [[0.5], [0.5]]
+    """
+    _require_related(command_x)
+    return np.asarray(np.linalg.solve(command_x.xa, command_a.xa).mT, dtype=np.float64)
+
+
+def apparent_inertia_from(command_x: Covariances) -> Array:
+    """Estimate the apparent inertia of the excited joints, M = cov(u, u) cov(x, u)^-1.
+
+    Noise in x does not shrink it. M[i, i] is what joint i feels while the other excited joints do
+    not accelerate, M[i, j] the torque on joint i by the acceleration of joint j.
+
+    Parameters
+    ----------
+    command_x : Covariances
+        Of the commanded torques u with the joint accelerations x.
+
+    Returns
+    -------
+    array, shape (..., m, m)
+        M, N m per rad/s^2.
+
+    Raises
+    ------
+    InvalidData
+        As `transmission_by_instrument_from`.
+
+    Examples
+    --------
+    >>> from loose_env.statistics import covariances
+    >>> apparent_inertia_from(covariances([1.0, -1.0, 1.0, -1.0], [0.5, -0.5, 0.5, -0.5])).tolist()
+    [[2.0]]
+    """
+    _require_related(command_x)
+    return np.asarray(np.linalg.solve(command_x.xa, command_x.xx).mT, dtype=np.float64)
+
+
+def _require_related(command_x: Covariances) -> None:
+    uu, ux, xx = command_x.xx, command_x.xa, command_x.aa
+    if ux.shape[-2] != ux.shape[-1]:
+        raise InvalidData(
+            f"command has {ux.shape[-2]} rows and x has {ux.shape[-1]}; each excited joint needs "
+            "one"
+        )
+    commanded, moved = (np.diagonal(own, axis1=-2, axis2=-1) for own in (uu, xx))
+    scale = np.sqrt(commanded[..., :, None] * moved[..., None, :])
+    if (scale == 0.0).any() or (
+        np.linalg.svd(ux / scale, compute_uv=False)[..., -1] < UNRELATED
+    ).any():
+        raise InvalidData("x does not follow the command; the command cannot serve as instrument")

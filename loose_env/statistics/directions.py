@@ -144,33 +144,6 @@ def axial_vector(direction: ArrayLike) -> Array:
     return np.where(last[..., None] > 0.0, unit, -unit)
 
 
-def axial_angle(direction: ArrayLike) -> float:
-    """Find the angle of a planar axis.
-
-    Parameters
-    ----------
-    direction : array, shape (2,)
-        Any vector along the axis, in the tool frame.
-
-    Returns
-    -------
-    float
-        Angle in [0, pi), rad.
-
-    Raises
-    ------
-    InvalidData
-        If `direction` does not have two components, is not finite or has no length.
-
-    Examples
-    --------
-    >>> round(axial_angle([0.0, -1.0]), 4)
-    1.5708
-    """
-    unit = as_direction(direction, 2)
-    return wrap_axial(math.atan2(unit[1], unit[0]))
-
-
 def axes_grid(count: int, dimension: int = 3) -> Array:
     """Distribute axes evenly over a half circle or a half sphere.
 

@@ -1,18 +1,18 @@
 """Second to fourth moments of one record: covariances, skewness and excess kurtosis.
 
-Sums are divided by the number of samples, as in the thesis (4.16 to 4.20).
+Sums are divided by the number of samples.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import as_direction, as_record, as_records, as_samples
+from loose_env.statistics._checks import as_record, as_records, as_samples
 from loose_env.typing import Array
 
 # Below this share of the largest variance a direction counts as not moving: rounding of the
@@ -114,28 +114,6 @@ def record_covariances(command: ArrayLike, x: ArrayLike, a: ArrayLike) -> Record
     )
 
 
-def single_excitation(cov: Covariances) -> Array:
-    """Return c = cov(x, a), shape (d,), of a record with one excited joint."""
-    if len(cov.xx) != 1:
-        raise InvalidData(
-            f"x has {len(cov.xx)} rows; one excited joint is needed here, with several use "
-            "lowest_coherence_direction"
-        )
-    c: Array = cov.xa[0]
-    return c
-
-
-def planar_excitation(cov: Covariances) -> Array:
-    """Return c = cov(x, a), shape (2,), of a planar record with one excited joint."""
-    c = single_excitation(cov)
-    if len(c) != 2:
-        raise InvalidData(
-            f"a has {len(c)} rows; an angle needs two. In space one excitation leaves a whole "
-            "plane uncorrelated"
-        )
-    return c
-
-
 def whitener(aa: Array) -> Array:
     """Return W, shape (..., d, d), with W.T S W = 1 for the tool acceleration's covariance S.
 
@@ -209,63 +187,16 @@ class _Joint:
 ROUNDING = 1e-12
 
 
-@overload
-def skewness(a: ArrayLike, direction: None = None) -> Array: ...
-@overload
-def skewness(a: ArrayLike, direction: ArrayLike) -> float: ...
-def skewness(a: ArrayLike, direction: ArrayLike | None = None) -> Array | float:
-    """Measure the asymmetry of the distribution, E[(X - mu)^3] / sigma^3 (4.19).
+def shape_of(rows: ArrayLike) -> tuple[Array, Array]:
+    """Skewness and excess kurtosis of every row of a motion, shape (..., N), each of shape (...).
 
-    Zero for a Gaussian motion. Stops of unequal stiffness make it differ from zero. Mean and
-    variance of a component are those of (4.16 to 4.18).
-
-    Parameters
-    ----------
-    a : array, shape (N,) or (d, N)
-        Tool acceleration in the tool frame, m/s^2.
-    direction : array, shape (d,), optional
-        Direction in the tool frame, of any length above zero.
-
-    Returns
-    -------
-    array, shape () or (d,), or float
-        Skewness of each row of a, or of the component along `direction`.
+    E[(X - mu)^3] / sigma^3 and E[(X - mu)^4] / sigma^4 - 3: both zero for a Gaussian motion. Stops
+    of unequal stiffness skew it, impacts at the stops raise the kurtosis.
 
     Raises
     ------
     InvalidData
-        If a or the direction cannot be used, or a component asked for does not vary.
-
-    Examples
-    --------
-    >>> skewness([[0.0, 0.0, 0.0, 4.0], [-1.0, 1.0, -1.0, 1.0]]).round(4).tolist()
-    [1.1547, 0.0]
-    """
-    found = shape_of(_component(a, direction))[0]
-    return found if direction is None else float(found)
-
-
-@overload
-def kurtosis(a: ArrayLike, direction: None = None) -> Array: ...
-@overload
-def kurtosis(a: ArrayLike, direction: ArrayLike) -> float: ...
-def kurtosis(a: ArrayLike, direction: ArrayLike | None = None) -> Array | float:
-    """Measure the excess kurtosis, E[(X - mu)^4] / sigma^4 - 3 (4.20).
-
-    Zero for a Gaussian motion; impacts at the stops raise it. Parameters and errors are those of
-    `skewness`.
-
-    Examples
-    --------
-    >>> kurtosis([[-1.0, 1.0, -1.0, 1.0], [0.0, 0.0, 0.0, 1.0]], [1.0, 0.0])
-    -2.0
-    """
-    found = shape_of(_component(a, direction))[1]
-    return found if direction is None else float(found)
-
-
-def shape_of(rows: ArrayLike) -> tuple[Array, Array]:
-    """Measure `skewness` and `kurtosis` of every row (d, N) together, each (d,).
+        If a row is too short, not finite, or constant.
 
     Examples
     --------
@@ -287,15 +218,3 @@ def shape_of(rows: ArrayLike) -> tuple[Array, Array]:
     third = np.einsum("...n,...n->...", square, z) / z.shape[-1]
     fourth = np.einsum("...n,...n->...", square, square) / z.shape[-1] - 3.0
     return np.asarray(third), np.asarray(fourth)
-
-
-def _component(a: ArrayLike, direction: ArrayLike | None) -> Array:
-    """Rows of a motion (d, N), or its component along a direction (N,)."""
-    record = as_samples(a, "a")
-    if record.ndim > 2 or (direction is not None and record.ndim != 2):
-        raise InvalidData(
-            f"a has shape {record.shape}; it must be (N,) or (d, N), with a direction (d, N)"
-        )
-    if direction is None:
-        return record
-    return np.asarray(np.einsum("d,dn->n", as_direction(direction, len(record)), record))
