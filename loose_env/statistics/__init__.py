@@ -1,39 +1,28 @@
 """Statistics of one record: pure functions of arrays.
 
-Data flow: _checks -> directions -> gaussian_mixture -> moments -> correlation ->
-spectra -> transmission.
+Data flow: _checks -> transmission, correlation, spectra, gaussian_mixture.
 """
 
 from loose_env.statistics.correlation import (
     ComparativeIndex,
     LowestCoherence,
+    axes_grid,
+    axial_angle,
+    axial_difference,
+    axial_mean,
+    axial_vector,
     comparative_index,
     correlation_loop,
     correlation_loop_from,
     lowest_coherence_direction_from,
     lowest_correlation_direction,
     maximum_correlation,
-)
-from loose_env.statistics.directions import (
-    axes_grid,
-    axial_angle,
-    axial_difference,
-    axial_mean,
-    axial_vector,
     tangents,
     wrap_axial,
 )
 from loose_env.statistics.gaussian_mixture import (
     GaussianMixture,
     fit_gaussian_mixture,
-)
-from loose_env.statistics.moments import (
-    Covariances,
-    covariances,
-    kurtosis,
-    record_covariances,
-    shape_of,
-    skewness,
 )
 from loose_env.statistics.spectra import (
     PhaseDelay,
@@ -47,7 +36,13 @@ from loose_env.statistics.spectra import (
     transfer_function,
 )
 from loose_env.statistics.transmission import (
+    Covariances,
     apparent_inertia_from,
+    covariances,
+    kurtosis,
+    record_covariances,
+    shape_of,
+    skewness,
     transmission,
     transmission_by_instrument_from,
     transmission_from,
