@@ -1,34 +1,23 @@
 """Statistics of one record: pure functions of arrays.
 
-Data flow: _checks -> directions -> gaussian_mixture -> moments -> correlation -> spectra.
+Data flow: _checks -> transmission, correlation, spectra, gaussian_mixture.
 """
 
 from loose_env.statistics.correlation import (
     ComparativeIndex,
     LowestCoherence,
-    apparent_inertia_from,
-    comparative_index,
-    lowest_coherence_direction_from,
-    transmission_by_instrument_from,
-    transmission_from,
-)
-from loose_env.statistics.directions import (
     axes_grid,
     axial_difference,
     axial_mean,
     axial_vector,
+    comparative_index,
+    lowest_coherence_direction_from,
     tangents,
     wrap_axial,
 )
 from loose_env.statistics.gaussian_mixture import (
     GaussianMixture,
     fit_gaussian_mixture,
-)
-from loose_env.statistics.moments import (
-    Covariances,
-    covariances,
-    record_covariances,
-    shape_of,
 )
 from loose_env.statistics.spectra import (
     PhaseDelay,
@@ -39,6 +28,15 @@ from loose_env.statistics.spectra import (
     noise_floor,
     phase_delay,
     resolution_of,
+)
+from loose_env.statistics.transmission import (
+    Covariances,
+    apparent_inertia_from,
+    covariances,
+    record_covariances,
+    shape_of,
+    transmission_by_instrument_from,
+    transmission_from,
 )
 
 __all__ = [
