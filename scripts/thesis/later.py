@@ -22,8 +22,9 @@ from loose_env.faults import Fault, Healthy
 from loose_env.io import Count
 from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.sensors import LinkAccelerometers, SensorSuite
-from loose_env.statistics import acceleration_from_angle, bandpass, kurtosis, transfer_function
+from loose_env.statistics import acceleration_from_angle, bandpass, shape_of
 from loose_env.typing import Array
+from scripts.thesis.estimators import transfer_function
 from scripts.thesis.loose_joint import placed
 from scripts.thesis.shaken_vera import spectral_flatness
 
@@ -314,7 +315,7 @@ def indices_of(record: Measurement, twins: Twins, joint: int) -> list[float]:
     return [
         abs(float(found.inertia[joint] / nominal.inertia[0]) - 1.0),
         1.0 - float(np.mean(answer.coherence[..., inside])),
-        float(kurtosis(motion[None])[0]),
+        float(shape_of(motion)[1]),
         float(np.linalg.norm(change) / np.linalg.norm(expected)),
     ]
 
