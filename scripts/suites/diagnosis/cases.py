@@ -11,10 +11,10 @@ from loose_env.excitation import Excitation
 from loose_env.recording import Run
 from loose_env.typing import Array
 from scripts.suites.gap.arms import ARMS
-from scripts.suites.gap.catalogue import kinds
+from scripts.suites.gap.dynamics import SAMPLE, Factors
+from scripts.suites.gap.effects import KINDS as EFFECTS
 from scripts.suites.gap.effects import Effect
 from scripts.suites.gap.machine import Motion, Noise, Signals, TrueArm, add_noise
-from scripts.suites.gap.simulate import SAMPLE, Factors
 
 KINDS = ("healthy", "structural_looseness", "structural_looseness", "backlash")
 """Kinds in turn, by the case's number."""
@@ -67,7 +67,7 @@ def draw(number: int, seed: int) -> Case:
     arm = TrueArm(figures=figures, factors=Factors.draw(figures.joints, rng))
     effects: tuple[Effect, ...] = ()
     if kind != "healthy":
-        sort = kinds()[kind]
+        sort = EFFECTS[kind]
         places = sort.places(figures)
         place = places[int(rng.integers(len(places)))]
         gap = float(np.exp(rng.uniform(*np.log(GAPS[kind]))))

@@ -11,8 +11,7 @@ from scipy.optimize import minimize
 
 from loose_env.typing import Array
 from scripts.suites.gap.cases import HELD_OUT, SEED, VISIBLE, Case, Visibility, draw_case
-from scripts.suites.gap.catalogue import kinds
-from scripts.suites.gap.effects import RANDOM, Effect, Kind, Parameters, Place
+from scripts.suites.gap.effects import KINDS, RANDOM, Effect, Kind, Parameters, Place
 from scripts.suites.gap.machine import Motion
 
 PARAMETERS: Mapping[str, tuple[str, ...]] = {
@@ -371,7 +370,7 @@ class Comparison:
 
     def score(self, effect: int, named: Named) -> float:
         """Held-out excess of the best other effect in its own standard deviations."""
-        kind = kinds().get(named[0])
+        kind = KINDS.get(named[0])
         places = [] if kind is None else kind.places(self.case.arm.figures)
         place = next((p for p in places if p.name == named[1]), None)
         if kind is None or place is None:

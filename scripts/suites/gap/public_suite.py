@@ -30,9 +30,9 @@ from scripts.suites.gap.cases import (
     tolerance_of,
     write_case,
 )
+from scripts.suites.gap.dynamics import SAMPLE
 from scripts.suites.gap.effects import FREE, MIXED
 from scripts.suites.gap.grading import OTHERS, PARAMETERS, SAID
-from scripts.suites.gap.simulate import SAMPLE
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

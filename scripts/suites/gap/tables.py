@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from scripts.suites.gap.cases import ROLES
-from scripts.suites.gap.catalogue import CATALOGUE, OUTSIDE
+from scripts.suites.gap.effects import CATALOGUE, OUTSIDE
 from scripts.suites.gap.grading import FAILED, NAMED, NO_GAP, UNEXPLAINED, Grade
 
 SEVERAL = "several"

@@ -21,7 +21,7 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEffect
 from scripts.suites.gap.arms import ARMS, MACHINES, model_xml
 from scripts.suites.gap.cases import SEED, draw_case, name_of, truth_of
-from scripts.suites.gap.catalogue import CATALOGUE, kinds
+from scripts.suites.gap.effects import CATALOGUE, KINDS
 from scripts.suites.gap.grading import SAID
 from scripts.suites.gap.public import main
 from scripts.suites.gap.public_scores import (
@@ -265,7 +265,7 @@ def test_the_catalogue_has_all_that_truths_and_the_tool_name() -> None:
         for name, kind in catalogue().items():
             assert kind.scored and set(kind.scored) | set(kind.covered) <= set(kind.parameters)
             allowed = {place for group in kind.at for place in places[group]}
-            assert {place.name for place in kinds()[name].places(figures)} <= allowed
+            assert {place.name for place in KINDS[name].places(figures)} <= allowed
             for where in OF_TOOL[name].locations(model):
                 assert where in allowed
                 for variant in OF_TOOL[name].variants_at(model, where):

@@ -11,7 +11,6 @@ import pytest
 pytest.importorskip("numba")
 
 from scripts.suites.gap.arms import ARMS, GRAVITY, model_xml, planar3, spatial3
-from scripts.suites.gap.catalogue import CATALOGUE, OUTSIDE, kinds
 from scripts.suites.gap.dynamics import (
     FRICTION,
     LOADED,
@@ -19,17 +18,6 @@ from scripts.suites.gap.dynamics import (
     LOADED_SPEED,
     SMOOTH_SPEED,
     STRIBECK_SPEED,
-)
-from scripts.suites.gap.effects import Effect
-from scripts.suites.gap.machine import (
-    FAMILIES,
-    Motion,
-    TrueArm,
-    rich_motion,
-    shaken_motion,
-    steps_inside,
-)
-from scripts.suites.gap.simulate import (
     Factors,
     System,
     add_mass,
@@ -38,6 +26,15 @@ from scripts.suites.gap.simulate import (
     mass_matrix,
     simulate,
     split_link,
+)
+from scripts.suites.gap.effects import CATALOGUE, KINDS, OUTSIDE, Effect
+from scripts.suites.gap.machine import (
+    FAMILIES,
+    Motion,
+    TrueArm,
+    rich_motion,
+    shaken_motion,
+    steps_inside,
 )
 
 pytestmark = pytest.mark.slow
@@ -59,7 +56,7 @@ def exact(figures, *effects: Effect) -> TrueArm:
 
 def some_effect(name: str, figures, *, at: float = 0.7, place: int = 0) -> Effect:
     """An effect of a size inside its range (0: least, 1: largest)."""
-    kind = kinds()[name]
+    kind = KINDS[name]
     where = kind.places(figures)[place]
     drawn = kind.draw(np.random.default_rng(3), figures, where)
     low, high = kind.bounds(figures, where)
@@ -149,7 +146,7 @@ def test_a_payload_is_held_by_its_weight_times_its_lever():
 
 @pytest.mark.parametrize("name", [*CATALOGUE, *OUTSIDE])
 def test_every_kind_changes_the_readings(name):
-    kind = kinds()[name]
+    kind = KINDS[name]
     arms = [make() for make in (planar3, spatial3)]
     figures = next(arm for arm in arms if kind.places(arm))
     motion = Motion(commands=swing(figures))

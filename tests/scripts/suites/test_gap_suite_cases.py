@@ -31,8 +31,8 @@ from scripts.suites.gap.cases import (
     visible_size,
     write_case,
 )
-from scripts.suites.gap.catalogue import CATALOGUE, OUTSIDE, kinds
-from scripts.suites.gap.effects import Effect
+from scripts.suites.gap.dynamics import TOLERANCE, Factors
+from scripts.suites.gap.effects import CATALOGUE, KINDS, OUTSIDE, Effect
 from scripts.suites.gap.grading import Comparison
 from scripts.suites.gap.machine import (
     Noise,
@@ -40,7 +40,6 @@ from scripts.suites.gap.machine import (
     add_noise,
     rich_motion,
 )
-from scripts.suites.gap.simulate import TOLERANCE, Factors
 
 pytestmark = pytest.mark.slow
 
@@ -74,7 +73,7 @@ def test_the_list_holds_every_kind_and_names_say_nothing():
 
 
 def test_a_visible_size_scores_three_and_more_is_more(view):
-    kind = kinds()["coulomb_friction"]
+    kind = KINDS["coulomb_friction"]
     place = kind.places(view.arm.figures)[1]
     drawn = kind.draw(np.random.default_rng(0), view.arm.figures, place)
     size = visible_size(view, kind, place, drawn)
@@ -85,7 +84,7 @@ def test_a_visible_size_scores_three_and_more_is_more(view):
 
 def test_what_the_tolerance_explains_is_not_seen_and_a_little_more_is(view):
     """A heavier rotor is a figure of the model as far as the tolerance reaches from there."""
-    kind = kinds()["rotor_inertia"]
+    kind = KINDS["rotor_inertia"]
     for joint, place in enumerate(kind.places(view.arm.figures)):
         armature = view.arm.figures.links[joint].armature
         room = 1 + TOLERANCE - view.arm.factors.armature[joint]
@@ -105,7 +104,7 @@ def test_a_case_is_drawn_by_its_number_alone():
 
 @pytest.fixture(scope="module")
 def friction_case(arm, noise) -> Case:
-    kind = kinds()["coulomb_friction"]
+    kind = KINDS["coulomb_friction"]
     place = kind.places(arm.figures)[0]
     drawn = kind.draw(np.random.default_rng(0), arm.figures, place)
     effect = Effect(
@@ -157,7 +156,7 @@ def test_readings_have_the_noise_and_the_steps_they_are_said_to_have(arm, noise)
 
 
 def test_an_outside_effect_is_seen_beyond_what_the_catalogue_explains(view):
-    kind = kinds()["drive_hysteresis"]
+    kind = KINDS["drive_hysteresis"]
     place = kind.places(view.arm.figures)[1]
     drawn = {"stroke": 0.3}
     beyond = view.of(kind, place, drawn, 2.0)
@@ -178,7 +177,7 @@ def test_a_drawn_effect_is_seen(number):
 def test_tilt_and_first_encoder_of_a_planar_arm_are_one_and_friction_is_neither(
     arm, noise, friction_case
 ):
-    kind = kinds()["base_tilt"]
+    kind = KINDS["base_tilt"]
     place = kind.places(arm.figures)[0]
     effect = Effect(kind="base_tilt", place=place, parameters={"angle": 0.02, "x": 0.0, "y": 0.02})
     tilted = Case(

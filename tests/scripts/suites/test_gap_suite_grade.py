@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from scripts.suites.gap.catalogue import CATALOGUE
+from scripts.suites.gap.effects import CATALOGUE
 from scripts.suites.gap.grading import LISTED, PARAMETERS, grade
 from scripts.suites.gap.tables import confusion, lines_of_cases, markdown, summary, text
 
