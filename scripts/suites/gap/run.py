@@ -108,11 +108,11 @@ def exported_gap(found: GapSolution, folder: Path) -> tuple[float, float] | None
 def tool_named(name: str) -> Tool:
     """The tool under test, or another method by its name."""
     if name == "sysid":
-        from scripts.suites.gap.rival_sysid import run_sysid
+        from scripts.suites.gap.rivals import run_sysid
 
         return run_sysid
     if name == "stepwise_bic":
-        from scripts.suites.gap.rival_stepwise import run_stepwise_bic
+        from scripts.suites.gap.rivals import run_stepwise_bic
 
         return run_stepwise_bic
     return run_tool
@@ -264,9 +264,8 @@ def code_of(tool: str) -> str:
     own = [Path(loose_env.__file__).parent / part for part in ("gap", "recording", "statistics")]
     here = Path(__file__).parent
     if tool != TOOL:
-        own = [here / name for name in ("rival_data.py", f"rival_{tool.split('_')[0]}.py")]
-    suite = ("arms", "dynamics", "simulate", "machine", "effects", "drive_effects", "cases",
-             "grading")  # fmt: skip
+        own = [here / "rivals.py"]
+    suite = ("arms", "dynamics", "machine", "effects", "cases", "grading")
     return code_hash(*own, *(here / f"{name}.py" for name in suite))
 
 
