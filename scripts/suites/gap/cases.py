@@ -713,7 +713,7 @@ def write_runs(folder: Path, case: Case, runs: list[Run]) -> Path:
     """Write runs of a case with its nominal model as a recording; return its folder."""
     write_recording(
         folder,
-        model_xml=model_xml(case.arm.figures, drives=case.form != FREE),
+        model_xml=model_xml(case.arm.figures, drives="" if case.form == FREE else "position"),
         runs=runs,
         overwrite=True,
     )
@@ -733,7 +733,7 @@ def write_case(case: Case, *, recordings: Path, truth: Path) -> Path:
     return folder
 
 
-def is_written(number: int, name: str, *, recordings: Path, truth: Path) -> bool:
+def is_written(name: str, *, recordings: Path, truth: Path) -> bool:
     """Whether a case is there already, whole."""
     path = truth / f"{name}.json"
     return path.is_file() and (recordings / name / "recording.json").is_file()

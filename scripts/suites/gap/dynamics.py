@@ -448,8 +448,8 @@ class Trace:
 
 @njit(cache=True, fastmath=False)
 def _derivative(  # type: ignore[no-untyped-def]
-    bodies, laws, drives, gravity, tool, cable, fan, powered, command, time, q, v, lag, z,
-    work, mass, force, torque, rate, a, dlag, dz,
+    bodies, laws, drives, gravity, tool, cable, fan, powered, sampled, held, command, time, q, v,
+    lag, z, work, mass, force, torque, rate, a, dlag, dz,
 ):  # fmt: skip
     n = q.shape[0]
     forward(bodies, q, v, gravity, work)
@@ -469,7 +469,9 @@ def _derivative(  # type: ignore[no-untyped-def]
             target = lag[j]
             dlag[j] = (command[j] - lag[j]) / drives[j, 5]
         torque[j] = 0.0
-        if powered:
+        if sampled:
+            torque[j] = held[j]
+        elif powered:
             torque[j] = drive_torque(drives[j], target, q[k], v[k])
         load += abs(torque[j]) / drives[j, 3]
     for j in range(drives.shape[0]):
@@ -504,7 +506,7 @@ def _between(commands, j, x):  # type: ignore[no-untyped-def]
 @njit(cache=True, fastmath=False)
 def _run(  # type: ignore[no-untyped-def]
     bodies, laws, drives, gravity, tool, cable, fan, release, commands, q, v, settle, inside,
-    every, straight,
+    every, straight, servo,
 ):  # fmt: skip
     dofs, n = q.shape[0], drives.shape[0]
     samples = commands.shape[0]
@@ -522,6 +524,10 @@ def _run(  # type: ignore[no-untyped-def]
     dz = np.zeros((4, dofs))
     dlag = np.zeros((4, n))
     acceleration = np.zeros(3)
+    period, delay = int(servo[0]), int(servo[1])
+    sampled = period > 0
+    waiting, asked, held = np.zeros((8, n)), np.zeros(n), np.zeros(n)
+    before, estimate = np.zeros(n), np.zeros(n)
     row = 0
     for i in range(-settle * inside, samples * inside):
         time = i * step
@@ -539,11 +545,28 @@ def _run(  # type: ignore[no-untyped-def]
             command[j] = now + share * (commands[min(first + 1, samples - 1), j] - now)
             if straight:
                 there[j] = _between(commands, j, (time - drives[j, 6]) / 1e-3)
+        if sampled and i % period == 0:
+            turn = (i // period) % 8
+            for j in range(n):
+                k, first = int(drives[j, 0]), i == -settle * inside
+                measured = q[k]
+                if servo[3] > 0.0:
+                    measured = np.round(measured / servo[3]) * servo[3]
+                if not first:
+                    speed = (measured - before[j]) / (period * step)
+                    estimate[j] += servo[2] * (speed - estimate[j])
+                before[j] = measured
+                asked[j] = drives[j, 1] * (there[j] - measured) - drives[j, 2] * estimate[j]
+                asked[j] = min(max(asked[j], -drives[j, 3]), drives[j, 3])
+                if first:
+                    waiting[:, j] = asked[j]
+                waiting[turn, j] = asked[j]
+                held[j] = waiting[(turn - delay) % 8, j]
         if i >= 0 and i % every == 0 and row < rows:
             # sensors read what is there at their moment, not what comes within the step
             _derivative(
-                bodies, laws, drives, gravity, tool, cable, fan, on, there, time, q, v, lag,
-                z, work, mass, force, torque, rate, a[0], dlag[0], dz[0],
+                bodies, laws, drives, gravity, tool, cable, fan, on, sampled, held, there, time, q,
+                v, lag, z, work, mass, force, torque, rate, a[0], dlag[0], dz[0],
             )  # fmt: skip
             tool_acceleration(work, tool, a[0], acceleration)
             for j in range(n):
@@ -551,7 +574,7 @@ def _run(  # type: ignore[no-untyped-def]
                 error, slope = encoder(drives[j], q[k])
                 out[row, j] = q[k] + error
                 out[row, n + j] = v[k] * (1.0 + slope)
-                out[row, 2 * n + 3 + j] = torque[j]
+                out[row, 2 * n + 3 + j] = asked[j] if sampled else torque[j]
             out[row, 2 * n] = acceleration[0]
             out[row, 2 * n + 1] = acceleration[1]
             out[row, 2 * n + 2] = acceleration[2]
@@ -590,8 +613,8 @@ def _run(  # type: ignore[no-untyped-def]
                 for j in range(n):
                     command[j] = _between(commands, j, (t - drives[j, 6]) / 1e-3)
             _derivative(
-                bodies, laws, drives, gravity, tool, cable, fan, on, command, t, q1, v1, lag1,
-                z1, work, mass, force, torque, rate, a[stage], dlag[stage], dz[stage],
+                bodies, laws, drives, gravity, tool, cable, fan, on, sampled, held, command, t, q1,
+                v1, lag1, z1, work, mass, force, torque, rate, a[stage], dlag[stage], dz[stage],
             )  # fmt: skip
             va[stage] = v1
         for k in range(dofs):
@@ -613,8 +636,13 @@ def simulate(
     fine: bool = False,
     straight: bool = False,
     start: tuple[Array, Array] | None = None,
+    servo: tuple[int, int, float, float] = (0, 0, 1.0, 0.0),
 ) -> Trace:
-    """Run an arm through a list of commands, a millisecond apart."""
+    """Run an arm through a list of commands, a millisecond apart.
+
+    ``servo`` samples the drives: steps between samples (0: continuous), samples of delay (at most
+    7), share of a new velocity in the filtered one, step of the encoders [rad].
+    """
     assert system.bodies.shape[1] == BODY and system.laws.shape[1] == LAWS
     assert system.drives.shape[1] == ACTUATOR and WORK == 40
     n = system.drives.shape[0]
@@ -628,7 +656,7 @@ def simulate(
         system.bodies, system.laws, system.drives, system.gravity, system.tool, system.cable,
         system.fan, len(commands) if release is None else release,
         np.ascontiguousarray(commands), q, v, round(settle / SAMPLE), inside,
-        1 if fine else inside, straight,
+        1 if fine else inside, straight, np.array(servo, dtype=float),
     )  # fmt: skip
     return Trace(
         position=out[:, :n],
@@ -759,9 +787,9 @@ def free_link(system: System, link: int, kind: str, axis: Array) -> int:
     return at + 1
 
 
-def free_base(system: System, axis: Array) -> int:
-    """Set the whole arm on a hinge through the world's origin."""
-    base = body_row("hinge", axis, np.zeros(3), 0.0, np.zeros(3), np.zeros((3, 3)), 0.0)
+def free_base(system: System, axis: Array, kind: str = "hinge") -> int:
+    """Set the whole arm on a hinge through the world's origin, or on a slide."""
+    base = body_row(kind, axis, np.zeros(3), 0.0, np.zeros(3), np.zeros((3, 3)), 0.0)
     _insert(system, 0, base, np.zeros(LAWS))
     return 0
 
@@ -774,9 +802,8 @@ def split_link(system: System, link: int, point: Array, axis: Array, share: floa
     near = share * mass
     length = float(np.linalg.norm(point))
     along = point / length
-    bar = near * length**2 / 12 * (np.eye(3) - np.outer(along, along)) + share * inertia[
-        0, 0
-    ] * np.outer(along, along)
+    thick, turn = along @ inertia @ along, np.outer(along, along)
+    bar = near * length**2 / 12 * (np.eye(3) - turn) + share * thick * turn
     near_com = point / 2
     far = mass - near
     far_com = (mass * com - near * near_com) / far
@@ -812,8 +839,8 @@ def add_mass(system: System, body: int, mass: float, at: Array) -> None:
     row[7], row[8:11], row[11:20] = total, com, inertia.ravel()
 
 
-def mass_matrix(system: System, joints: Array) -> Array:
-    """Mass matrix with the joints at given positions and the extra ones at rest, (N, N)."""
+def at_rest(system: System, joints: Array) -> tuple[Array, Array, Array]:
+    """Mass matrix (N, N), gravity's load (N,) and working space, extra joints at zero."""
     dofs = len(system.bodies)
     q = np.zeros(dofs)
     q[system.joint_dofs] = joints
@@ -821,7 +848,12 @@ def mass_matrix(system: System, joints: Array) -> Array:
     mass, bias = np.zeros((dofs, dofs)), np.zeros(dofs)
     forward(system.bodies, q, np.zeros(dofs), system.gravity, work)
     mass_and_bias(system.bodies, work, mass, bias)
-    return mass
+    return mass, bias, work
+
+
+def mass_matrix(system: System, joints: Array) -> Array:
+    """Mass matrix with the joints at given positions and the extra ones at rest, (N, N)."""
+    return at_rest(system, joints)[0]
 
 
 def felt_inertia(system: System, dof: int, joints: Array) -> float:

@@ -210,8 +210,6 @@ class Grade:
     """Kinds and places all right, none too many; or the verdict where nothing is to be named."""
     found: int
     """How many of the true effects were named."""
-    by_alternative: bool
-    """Whether an effect counted that cannot be told from the true one."""
     ratio: float
     """Smallest size of the effects over the size that is just visible; NaN without effects."""
     parameter_error: tuple[float, ...]
@@ -275,7 +273,6 @@ def grade(
         verdict=verdict,
         right=right,
         found=len(match),
-        by_alternative=any(true[i] != said[j] for i, j in match.items()),
         ratio=min((e["size"]["ratio"] for e in truth["effects"]), default=float("nan")),
         parameter_error=tuple(error for error in errors if np.isfinite(error)),
         covered=tuple(covered),
@@ -289,26 +286,7 @@ def grade(
 
 def failed(truth: Mapping[str, Any]) -> Grade:
     """Marks of a case for which there is no result: nothing is right."""
-    nan = float("nan")
-    return Grade(
-        case=str(truth["case"]),
-        role=str(truth["role"]),
-        form=str(truth["form"]),
-        truth=tuple((str(e["kind"]), str(e["where"])) for e in truth["effects"]),
-        said=(),
-        verdict=FAILED,
-        right=False,
-        found=0,
-        by_alternative=False,
-        ratio=min((e["size"]["ratio"] for e in truth["effects"]), default=nan),
-        parameter_error=(),
-        covered=(),
-        covered_others=(),
-        gap_before=nan,
-        gap_after=nan,
-        seconds=nan,
-        exported=nan,
-    )
+    return grade({"format": "loose-gap/1", "verdict": FAILED}, truth)
 
 
 def _number(value: Any) -> float:
