@@ -17,9 +17,10 @@ from loose_env.diagnosis.directions import (
     ToolFrames,
 )
 from loose_env.diagnosis.prediction import RecordStatistics, SensorFloor, predict, shut_seats
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation, at_levels
 from loose_env.inference import overlap
+from loose_env.io import Checked, Count, NonNegative, NonNegativeCount
 from loose_env.statistics import ComparativeIndex, axial_difference, comparative_index
 from loose_env.typing import Array
 
@@ -28,40 +29,31 @@ Finding = Literal["still", "turned", "unclear"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinkFindingSettings:
+class LinkFindingSettings(Checked):
     """Thresholds and excitation of the method; the thesis prints no thresholds."""
 
     order: Order = "outward"
     """Order of the joints: from the base out, from the tool in, or halving."""
-    joint: int = 1
+    joint: Count = 1
     """Joint that is excited, from 1."""
-    level: int = 3
+    level: Count = 3
     """Excitation level, from 1."""
-    still: float = 0.35
+    still: NonNegative = 0.35
     """Threshold e_min on abs(z*): below it the direction stayed (step 6)."""
-    turned: float = 0.35
+    turned: NonNegative = 0.35
     """Threshold e_max on abs(abs(z*) - 1): below it the direction turned (step 7)."""
-    retries: int = 1
+    retries: NonNegativeCount = 1
     """Further moves of one joint when neither threshold decides (step 8)."""
     index: Literal["d", "e"] = "d"
     """Comparative index that is asked about healthy: D (6.18) or E (6.17)."""
-    healthy_index: float = 0.01
+    healthy_index: NonNegative = 0.01
     """Comparative index up to which the arm looks healthy."""
-    healthy_poses: int = 2
+    healthy_poses: Count = 2
     """Poses that must look healthy before the verdict healthy."""
-    backlash_angle: float = 20.0
+    backlash_angle: NonNegative = 20.0
     """Rms angle to a joint's own line up to which play in that joint explains it [deg]."""
     backlash_kurtosis: float = 0.5
     """Excess kurtosis along that line above which the motion is not normal."""
-
-    def __post_init__(self) -> None:
-        if self.order not in ("outward", "inward", "bisection"):
-            raise InvalidSetting(f"order is 'outward', 'inward' or 'bisection', got {self.order!r}")
-        if self.joint < 1 or self.level < 1:
-            raise InvalidSetting(f"joint and level count from 1, got {self.joint} and {self.level}")
-        for name in ("still", "turned", "healthy_index", "backlash_angle"):
-            if not np.isfinite(getattr(self, name)) or getattr(self, name) < 0:
-                raise InvalidSetting(f"{name} must be zero or more, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

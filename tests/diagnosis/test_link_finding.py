@@ -461,7 +461,7 @@ SEEN = [DirectionSighting.of(np.zeros(6), [1, 0, 0], 0.1)]
         (lambda: confusable_faults(SIX, "structural_looseness@link2"), InvalidSetting, "direction"),
         (two_moved, InvalidData, "joint 2 alone"),
         (lambda: LinkFindingSettings(order="sideways"), InvalidSetting, "sideways"),  # type: ignore[arg-type]
-        (lambda: LinkFindingSettings(joint=0), InvalidSetting, "count from 1"),
+        (lambda: LinkFindingSettings(joint=0), InvalidSetting, "1 or more"),
         (lambda: LinkFindingSettings(turned=float("nan")), InvalidSetting, "zero or more"),
     ],
 )

@@ -34,7 +34,6 @@ from loose_env.faults import (
     place_of,
     preloaded,
     seat_names,
-    seat_of,
     seat_weight,
     seated_spec,
     seats_of,
@@ -349,10 +348,10 @@ REFUSED: list[tuple[Any, dict[str, Any], dict[str, Any], str]] = [
     *(
         (CompoundLooseness, {"link": 2}, {"parts": parts}, said)
         for parts, said in (
-            ((), "two to six parts"),
-            ((SLIDING,), "for one use StructuralLooseness"),
-            ([SLIDING, ROCKING], "a tuple of two to six"),
-            ((Healthy(), ROCKING), r"parts .* are StructuralLooseness or"),
+            *(
+                (parts, "parts must be a tuple of two to six StructuralLooseness or Rotational")
+                for parts in ((), (SLIDING,), (Healthy(), ROCKING))
+            ),
             ((replace(SLIDING, link=1), ROCKING), "lie on its link 2; got one on link 1"),
             (
                 tuple(replace(SLIDING, direction=(x, y, 0)) for x, y in ((1, 0), (0, 1), (1, 1))),
@@ -364,10 +363,14 @@ REFUSED: list[tuple[Any, dict[str, Any], dict[str, Any], str]] = [
     *(
         (SeveralFaults, {}, {"faults": faults}, said)
         for faults, said in (
-            ((SLIDING,), "two or more"),
-            ([replace(SLIDING, link=1), PLAYING], "tuple"),
-            ((SLIDING, Healthy()), "each of several faults"),
-            ((SLIDING, Preload(**TIGHT)), "each of several faults"),
+            *(
+                (faults, "faults must be a tuple of two or more loose faults")
+                for faults in (
+                    (SLIDING,),
+                    (SLIDING, Healthy()),
+                    (SLIDING, Preload(**TIGHT)),
+                )
+            ),
             ((SLIDING, PLAYING), "different numbers"),
             ((SLIDING, SLIDING), "different numbers"),
         )
@@ -406,8 +409,7 @@ def seat(*kinds: Any) -> mujoco.MjModel:
             "2 loose degrees of freedom, the model's seat has 1",
         ),
         (lambda: set_seat(seat("slide", "hinge"), SLIDING), InvalidSetting, "has 1 loose"),
-        (lambda: seat_of("backlash"), UnknownName, r"Healthy, Preload.*got str: 'backlash'"),  # type: ignore[arg-type]
-        (lambda: seat_of(ROCKING), InvalidSetting, "is not dealt with here"),
+        (lambda: seats_of("backlash"), UnknownName, r"Healthy, Preload.*got str: 'backlash'"),  # type: ignore[arg-type]
         (
             lambda: seats_of(SeveralFaults(faults=(replace(SLIDING, link=1), PLAYING))),
             InvalidSetting,
