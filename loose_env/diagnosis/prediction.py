@@ -694,13 +694,13 @@ def link_readings_of_all(measurements: Sequence[Measurement]) -> LinkReadings:
     InvalidData
         If one has none, failed, or nothing moves.
     """
-    signals = [measurement.links for measurement in measurements]
-    if any(signal is None for signal in signals):
+    signals = [measured.links for measured in measurements if measured.links is not None]
+    if len(signals) < len(measurements):
         raise InvalidData(
             "the record has no accelerometers on links; set link_accelerometers to False, or "
             "take a rig that carries them"
         )
-    count, links, axes, _ = np.shape(signals)
+    count, (links, axes, _) = len(signals), signals[0].shape
     rate, band = measurements[0].rate, measurements[0].excitation.band
     motion = bandpass(np.reshape(signals, (count, links * axes, -1)), rate, band)
     cov, spread = _covariances(measurements, motion)
