@@ -330,12 +330,3 @@ def test_it_is_scipys_density_up_to_a_constant(d: int) -> None:
     )
     constant = here - there
     assert constant == pytest.approx(np.full(constant.shape, constant[0, 0, 0]), abs=1e-5)
-
-
-@pytest.mark.parametrize("d", [2, 3])
-def test_it_is_zero_where_the_expected_covariance_is_the_one_found(d: int) -> None:
-    rng = np.random.default_rng(d)
-    fixed, added = scatter(rng, d, 8), scatter(rng, d, 1)
-    fit = wishart_fit(fixed + 0.7 * added, fixed, added, np.array([0.2, 0.7, 1.9]), 30.0)
-    assert fit[1] == pytest.approx(0.0, abs=1e-9)
-    assert max(fit[0], fit[2]) < -0.1

@@ -20,7 +20,6 @@ from loose_env.arms import Arm, Holding
 from loose_env.faults import (
     Backlash,
     Fault,
-    Healthy,
     SeatKind,
     StructuralLooseness,
     seated_spec,
@@ -205,17 +204,6 @@ def random_state(rng: np.random.Generator, play: float) -> tuple[Figures, Array,
     q = np.array([*rng.uniform(-np.pi, np.pi, 2), play])
     f = Figures(*rng.uniform(LOW, HIGH))
     return f, q, rng.normal(scale=3.0, size=3), rng.normal(scale=5.0, size=3)
-
-
-def test_an_arm_with_a_shut_slide_moves_as_the_bare_one() -> None:
-    torque, start = np.array([3.0, -1.0, 0.0]), np.array([0.3, 0.9, 0.0, 1.0, -2.0, 0.0])
-    with_seat = stepped(simulated("slide", ARM, Healthy()), start, 0.2, torque)
-    bare = thesis_arm(ARM).model
-    bare.opt.timestep = 1e-4
-    without = stepped(bare, start[[0, 1, 3, 4]], 0.2, torque[:2])
-    moved = np.abs(without - without[0]).max()
-    np.testing.assert_allclose(with_seat[:, :2], without, rtol=0, atol=1e-6 * moved)
-    assert np.abs(with_seat[:, 2]).max() < 1e-9
 
 
 @pytest.mark.parametrize("friction", [0.0, 1.2])
