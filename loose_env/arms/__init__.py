@@ -59,7 +59,7 @@ from loose_env.arms.model_file import (
     read_model_file,
     require_numbers,
 )
-from loose_env.arms.sites import LinkSite, Place, ShakenArm, link_site
+from loose_env.arms.arm import LinkSite, Place, link_site
 
 __all__ = [
     "BENDING_MODE_HZ",
@@ -91,7 +91,6 @@ __all__ = [
     "ModelFile",
     "Place",
     "Response",
-    "ShakenArm",
     "Shaker",
     "add_shaker",
     "arm_from_file",

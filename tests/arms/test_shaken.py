@@ -8,7 +8,6 @@ import pytest
 
 from loose_env.arms import planar
 from loose_env.arms.arm import COIL, Shaker, add_shaker, place_shaker
-from loose_env.arms.sites import ShakenArm
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Healthy, Preload
@@ -16,6 +15,7 @@ from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
 from loose_env.statistics import transfer_function
 from scripts.thesis.rigs import PROXIMAL, SHAKEN_BAND, ShakenVeraParameters, shaken_vera
+from scripts.thesis.shaken_arm import ShakenArm
 
 RATE = 2000.0
 PERFECT = SensorSuite(
