@@ -46,19 +46,6 @@ def test_the_own_joint_moves_the_sensor_along_the_tangent_in_any_pose(
             np.testing.assert_allclose(motion / speed, tangent, atol=1e-6)
 
 
-@pytest.mark.parametrize("make", ARMS)
-def test_the_tangential_frame_is_a_rotation_that_starts_with_the_tangent(
-    make: Callable[[], Arm],
-) -> None:
-    arm = make()
-    for link in range(1, arm.n + 1):
-        site = link_site(arm, link)
-        turn = site.tangential_frame
-        np.testing.assert_allclose(turn.T @ turn, np.eye(3), atol=1e-9)
-        assert np.linalg.det(turn) > 0
-        np.testing.assert_allclose(turn[:, 0], site.tangent, atol=1e-9)
-
-
 def test_a_link_that_bends_carries_its_sensor_beyond_the_bend() -> None:
     assert link_site(vera(), 1).body == "link1_end"
     assert link_site(vera(), 1, "proximal").body == "link1"

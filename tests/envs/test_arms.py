@@ -30,7 +30,7 @@ from loose_env.envs import (
     EpisodeBatch,
     FaultSampler,
 )
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidSetting
 from loose_env.faults import KINDS, hypotheses, places_of_kind
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
@@ -264,9 +264,6 @@ def urdf_joint(name: str, kind: str, ends: tuple[str, str], axis: str, more: str
     )
 
 
-AXES = ("0 0 1", "0 1 0", "1 0 0")
-TURNS = [f'<joint name="j{k}" axis="{AXES[k % 3]}"/>' for k in range(8)]
-
 GANTRY = """<mujoco><compiler autolimits="true"/><worldbody>
   <body name="x"><joint name="x" type="slide" axis="1 0 0" range="0 1"/>
     <geom type="box" size=".5 .05 .05" mass="30"/>
@@ -394,24 +391,3 @@ def test_a_drive_too_weak_for_its_load_shakes_nothing(tmp_path: Path) -> None:
         assert not truncated
         assert info["level_share"][0] == 0
         assert np.sum(env.layout.physical(observation, "valid")) == filled
-
-
-@pytest.mark.filterwarnings("ignore:.*no torque limits:UserWarning")
-def test_what_stops_it_is_said(tmp_path: Path) -> None:
-    floating = urdf_joint("up", "floating", ("base", "l1"), "0 0 1")
-    robot = '<robot name="r"><link name="base"/>' + urdf_link("l1", 3, 0.03)
-    mimic = (
-        urdf_joint("j1", "revolute", ("base", "l1"), "0 1 0")
-        + urdf_link("l2", 2, 0.02)
-        + urdf_joint("j2", "revolute", ("l1", "l2"), "0 1 0", '<mimic joint="j1"/>')
-    )
-    on_axis = chain(['<joint axis="0 0 1"/>'], [rod(0.4)], 0.0, '<site pos="0 0 .2"/>')
-    for text, said in (
-        (f"{robot}{floating}</robot>", "stands on the ground: fix its base"),
-        (f"{robot}{mimic}</robot>", "mimics the other"),
-        (on_axis, "no joint moves its tool.*add a site beside the axis"),
-    ):
-        path = tmp_path / "arm.xml"
-        path.write_text(text)
-        with pytest.raises(InvalidData, match=said):
-            arm_from_file(path)
