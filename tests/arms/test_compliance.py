@@ -199,7 +199,13 @@ def test_other_mistakes_are_refused() -> None:
 RECORDS = 6
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("planar3", "bare") else pytest.param(name, marks=pytest.mark.slow)
+        for name in EVERY
+    ],
+)
 def test_a_healthy_arm_with_elastic_gears_answers_as_predicted(name: str, bare_file: Path) -> None:
     arm = arm_of(name, "compliant", bare_file)
     rig = SimulatedRig(arm, slots=RECORDS, sensors=SensorSuite.ideal())

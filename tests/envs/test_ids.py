@@ -20,7 +20,7 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.registration import IDS, MAX_EPISODE_STEPS, TIERS
 
 ROOT = Path(__file__).resolve().parents[2]
-SHORT: dict[str, Any] = {"durations": (0.2,), "max_records": 3, "threads": 1}
+SHORT: dict[str, Any] = {"durations": (0.1,), "max_records": 3, "threads": 1}
 FORMS: list[Any] = [
     *((env_id, {}) for env_id in IDS),
     *(pytest.param(tier, {}, marks=pytest.mark.slow) for tier in TIERS),

@@ -21,7 +21,7 @@ from loose_env.rig import Measurement
 Make = Callable[..., Any]
 
 ID = "loose_env/Planar-v0"
-SHORT: dict[str, Any] = {"n_links": 2, "durations": (0.2,), "max_records": 2, "threads": 1}
+SHORT: dict[str, Any] = {"n_links": 2, "durations": (0.1,), "max_records": 2, "threads": 1}
 SAME_STEP = AutoresetMode.SAME_STEP
 FORMS = [
     *((ID, mode, 3, 1) for mode in AutoresetMode),

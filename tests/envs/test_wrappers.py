@@ -33,7 +33,7 @@ PLAIN: list[type[Any]] = [
 
 
 def make(**arguments: Any) -> Any:
-    usual = {"n_links": 2, "durations": (0.2,), "max_records": 4, "threads": 1}
+    usual = {"n_links": 2, "durations": (0.1,), "max_records": 4, "threads": 1}
     return gymnasium.make("loose_env/Planar-v0", **{**usual, **arguments})
 
 
