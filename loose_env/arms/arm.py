@@ -90,13 +90,6 @@ def largest_reach(
     hinge's angle and a convex parabola in a slide's position, so each joint goes straight to
     its best place within its range, and no step makes the distance smaller. Several starts, the
     same ones in every call, guard against a bent arm in which no single joint gains.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> arm = planar(3)
-    >>> round(largest_reach(arm.model, arm.joints, arm.joint_ranges, arm.tool), 9)
-    0.9
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -174,13 +167,6 @@ def largest_levers(
     """Largest distance of the tool from each joint's axis over random poses [m] (n,).
 
     Infinite where a joint slides: every motion of it moves the tool.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> arm = planar(2)
-    >>> largest_levers(arm.model, arm.joints, arm.joint_ranges, arm.tool).round(2).tolist()
-    [0.6, 0.3]
     """
     data = mujoco.MjData(model)
     ids = [int(model.joint(name).id) for name in joints]
@@ -332,16 +318,7 @@ _OWN = ("id", "classname", "signature")
 
 @dataclass(frozen=True, kw_only=True)
 class PackedSpec:
-    """A spec as text and numbers.
-
-    Examples
-    --------
-    >>> spec = mujoco.MjSpec()
-    >>> body = spec.worldbody.add_body(name="rod", mass=1 / 3, inertia=[0.1, 0.2, 0.2])
-    >>> body.explicitinertial = True
-    >>> PackedSpec.of(spec).unpack().body("rod").mass
-    0.3333333333333333
-    """
+    """A spec as text and numbers."""
 
     xml: str
     """Its XML."""

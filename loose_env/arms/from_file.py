@@ -192,7 +192,7 @@ def _of_drives(arm: Arm) -> list[tuple[int, str]]:
 def _with_wheels(arm: Arm, step: float) -> Arm | None:
     """Return the arm with a step and flanges heavy enough for it; None if rotors do not suffice."""
     spec = arm.spec.copy()
-    _, own = inertias(arm)
+    _, own, _ = inertias(arm)
     m = arm.model
     for j, spring in _of_drives(arm):
         stiffness = float(m.joint(spring).stiffness[0])
