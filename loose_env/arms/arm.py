@@ -316,34 +316,24 @@ _OWN = ("id", "classname", "signature")
 """Attributes that belong to the object, not to what it describes."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PackedSpec:
-    """A spec as text and numbers."""
+def _packed(spec: mujoco.MjSpec) -> tuple[str, dict[tuple[str, int, str], Any]]:
+    """XML of a spec, and its numbers by kind of element, index and attribute: XML rounds them."""
+    written = spec.copy()
+    written.compile()
+    return written.to_xml(), dict(_spec_numbers(spec))
 
-    xml: str
-    """Its XML."""
-    numbers: dict[tuple[str, int, str], Any]
-    """Numbers by kind of element, index and attribute."""
 
-    @classmethod
-    def of(cls, spec: mujoco.MjSpec) -> PackedSpec:
-        """Pack a spec, which stays as it is."""
-        written = spec.copy()
-        written.compile()
-        return cls(xml=written.to_xml(), numbers=dict(_spec_numbers(spec)))
-
-    def unpack(self) -> mujoco.MjSpec:
-        """Build the spec."""
-        spec = mujoco.MjSpec.from_string(self.xml)
-        elements = dict(_elements(spec))
-        for (kind, index, name), value in self.numbers.items():
-            element = elements[kind, index]
-            now = getattr(element, name)
-            if isinstance(now, np.ndarray):
-                now[:] = value
-            elif now != value:
-                setattr(element, name, value)
-        return spec
+def _unpacked(xml: str, numbers: dict[tuple[str, int, str], Any]) -> mujoco.MjSpec:
+    spec = mujoco.MjSpec.from_string(xml)
+    elements = dict(_elements(spec))
+    for (kind, index, name), value in numbers.items():
+        element = elements[kind, index]
+        now = getattr(element, name)
+        if isinstance(now, np.ndarray):
+            now[:] = value
+        elif now != value:
+            setattr(element, name, value)
+    return spec
 
 
 def _elements(spec: mujoco.MjSpec) -> Iterator[tuple[tuple[str, int], Any]]:
@@ -566,11 +556,11 @@ class Arm:
     def __getstate__(self) -> dict[str, Any]:
         """Fields as plain data, for pickle."""
         found = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {**found, "spec": PackedSpec.of(self.spec)}
+        return {**found, "spec": _packed(self.spec)}
 
     def __setstate__(self, stored: dict[str, Any]) -> None:
         """Take up fields from pickle."""
-        for name, value in {**stored, "spec": stored["spec"].unpack()}.items():
+        for name, value in {**stored, "spec": _unpacked(*stored["spec"])}.items():
             object.__setattr__(self, name, value)
 
     @property

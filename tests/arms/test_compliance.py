@@ -10,11 +10,20 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, arm_from_file, planar, scara, six_axis, vera, with_compliance
-from loose_env.arms.arm import Gears
-from loose_env.arms.holding import BARE_ROTOR, compliant, fastest_turn, servoed
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms import (
+    Arm,
+    Gears,
+    LinearArm,
+    Mismatch,
+    arm_from_file,
+    planar,
+    scara,
+    servoed,
+    six_axis,
+    vera,
+    with_compliance,
+)
+from loose_env.arms.holding import BARE_ROTOR, compliant, fastest_turn
 from loose_env.diagnosis import SensorFloor, predict, statistics_of, variants
 from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidSetting, UnknownName

@@ -11,11 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import FASTEST_TURN, Arm, arm_from_file
-from loose_env.arms.from_file import describe_file
+from loose_env.arms import FASTEST_TURN, Arm, LinearArm, MismatchDraw, arm_from_file, describe_file
 from loose_env.arms.holding import fastest_turn
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import MismatchDraw
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy
