@@ -8,9 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.arms.arm import CLEARANCE, link_site
-from loose_env.arms.mismatch import Mismatch, MismatchDraw
+from loose_env.arms import Arm, Mismatch, MismatchDraw, link_site, planar, scara, six_axis, vera
+from loose_env.arms.arm import CLEARANCE
 from loose_env.errors import UnknownName
 from loose_env.typing import Array
 

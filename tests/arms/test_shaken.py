@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import planar
-from loose_env.arms.arm import COIL, Shaker, add_shaker, place_shaker
+from loose_env.arms import COIL, Shaker, add_shaker, place_shaker, planar
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Healthy, Preload

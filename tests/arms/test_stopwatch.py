@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms.arm import quiet
+from loose_env.arms import quiet
 
 MODEL = """
 <mujoco>
