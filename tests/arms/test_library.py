@@ -77,19 +77,6 @@ def inertia_at(linear: LinearArm, pose: Array) -> Array:
 # --- kinematics
 
 
-@pytest.mark.parametrize(
-    ("pose", "wrist"),
-    [
-        (np.zeros(6), (A2 + A3, D2 + D3, D4)),
-        (READY, (A3, D2 + D3, A2 + D4)),
-        (np.array([0, 0, np.pi / 2, 0, 0, 0]), (A2 + D4, D2 + D3, -A3)),
-    ],
-    ids=["zero", "ready", "stretched"],
-)
-def test_the_wrist_lies_where_its_parameters_put_it(pose: Array, wrist: tuple[float, ...]) -> None:
-    np.testing.assert_allclose(placed(PUMA, pose).body("link6").xpos, wrist, atol=1e-9)
-
-
 def test_the_tool_follows_the_denavit_hartenberg_parameters() -> None:
     rng = np.random.default_rng(1)
     for pose in (np.zeros(6), READY, *(PUMA.random_pose(rng) for _ in range(20))):

@@ -222,7 +222,6 @@ RINGING: dict[str, tuple[Arm, tuple[int, ...]]] = {
     "planar2 joint 1": (planar(2), (0,)),
     "planar2 servo joint 1": (planar(2, hold="servo"), (0,)),
     "planar4 servo joint 3": (planar(4, hold="servo"), (2,)),
-    "vera joint 1": (vera(), (0,)),
     "vera both": (vera(), (0, 1)),
     "vera servo joint 2": (vera(hold="servo"), (1,)),
 }
