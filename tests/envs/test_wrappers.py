@@ -121,7 +121,7 @@ def test_the_posterior_is_that_of_the_estimator() -> None:
     from loose_agents.base import Problem
     from loose_agents.belief import Tracker
 
-    env = PosteriorObservation(make())
+    env = PosteriorObservation(make(durations=(0.2,)))
     inner = env.unwrapped
     problem = Problem.of(inner.arm, inner.settings)
     tracker = Tracker(problem)
