@@ -1,23 +1,25 @@
 """Moments of one record: covariances, transmission, apparent inertia, skewness, kurtosis.
 
-Sums are divided by the number of samples, as in the thesis (4.16 to 4.20).
+Sums are divided by the number of samples.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import as_direction, as_record, as_records, as_samples
+from loose_env.statistics._checks import as_record, as_records, as_samples
 from loose_env.typing import Array
 
 # Below this share of the largest variance a direction counts as not moving: rounding of the
 # covariances, not the record, decides what is seen there.
 STILL = 1e-12
+# Correlation of command and joint acceleration below which the command instruments nothing.
+UNRELATED = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,28 +116,6 @@ def record_covariances(command: ArrayLike, x: ArrayLike, a: ArrayLike) -> Record
     )
 
 
-def single_excitation(cov: Covariances) -> Array:
-    """Return c = cov(x, a), shape (d,), of a record with one excited joint."""
-    if len(cov.xx) != 1:
-        raise InvalidData(
-            f"x has {len(cov.xx)} rows; one excited joint is needed here, with several use "
-            "lowest_coherence_direction"
-        )
-    c: Array = cov.xa[0]
-    return c
-
-
-def planar_excitation(cov: Covariances) -> Array:
-    """Return c = cov(x, a), shape (2,), of a planar record with one excited joint."""
-    c = single_excitation(cov)
-    if len(c) != 2:
-        raise InvalidData(
-            f"a has {len(c)} rows; an angle needs two. In space one excitation leaves a whole "
-            "plane uncorrelated"
-        )
-    return c
-
-
 def whitener(aa: Array) -> Array:
     """Return W, shape (..., d, d), with W.T S W = 1 for the tool acceleration's covariance S.
 
@@ -209,63 +189,16 @@ class _Joint:
 ROUNDING = 1e-12
 
 
-@overload
-def skewness(a: ArrayLike, direction: None = None) -> Array: ...
-@overload
-def skewness(a: ArrayLike, direction: ArrayLike) -> float: ...
-def skewness(a: ArrayLike, direction: ArrayLike | None = None) -> Array | float:
-    """Measure the asymmetry of the distribution, E[(X - mu)^3] / sigma^3 (4.19).
+def shape_of(rows: ArrayLike) -> tuple[Array, Array]:
+    """Skewness and excess kurtosis of every row of a motion, shape (..., N), each of shape (...).
 
-    Zero for a Gaussian motion. Stops of unequal stiffness make it differ from zero. Mean and
-    variance of a component are those of (4.16 to 4.18).
-
-    Parameters
-    ----------
-    a : array, shape (N,) or (d, N)
-        Tool acceleration in the tool frame, m/s^2.
-    direction : array, shape (d,), optional
-        Direction in the tool frame, of any length above zero.
-
-    Returns
-    -------
-    array, shape () or (d,), or float
-        Skewness of each row of a, or of the component along `direction`.
+    E[(X - mu)^3] / sigma^3 and E[(X - mu)^4] / sigma^4 - 3: both zero for a Gaussian motion. Stops
+    of unequal stiffness skew it, impacts at the stops raise the kurtosis.
 
     Raises
     ------
     InvalidData
-        If a or the direction cannot be used, or a component asked for does not vary.
-
-    Examples
-    --------
-    >>> skewness([[0.0, 0.0, 0.0, 4.0], [-1.0, 1.0, -1.0, 1.0]]).round(4).tolist()
-    [1.1547, 0.0]
-    """
-    found = shape_of(_component(a, direction))[0]
-    return found if direction is None else float(found)
-
-
-@overload
-def kurtosis(a: ArrayLike, direction: None = None) -> Array: ...
-@overload
-def kurtosis(a: ArrayLike, direction: ArrayLike) -> float: ...
-def kurtosis(a: ArrayLike, direction: ArrayLike | None = None) -> Array | float:
-    """Measure the excess kurtosis, E[(X - mu)^4] / sigma^4 - 3 (4.20).
-
-    Zero for a Gaussian motion; impacts at the stops raise it. Parameters and errors are those of
-    `skewness`.
-
-    Examples
-    --------
-    >>> kurtosis([[-1.0, 1.0, -1.0, 1.0], [0.0, 0.0, 0.0, 1.0]], [1.0, 0.0])
-    -2.0
-    """
-    found = shape_of(_component(a, direction))[1]
-    return found if direction is None else float(found)
-
-
-def shape_of(rows: ArrayLike) -> tuple[Array, Array]:
-    """Measure `skewness` and `kurtosis` of every row (d, N) together, each (d,).
+        If a row is too short, not finite, or constant.
 
     Examples
     --------
@@ -289,56 +222,33 @@ def shape_of(rows: ArrayLike) -> tuple[Array, Array]:
     return np.asarray(third), np.asarray(fourth)
 
 
-def _component(a: ArrayLike, direction: ArrayLike | None) -> Array:
-    """Rows of a motion (d, N), or its component along a direction (N,)."""
-    record = as_samples(a, "a")
-    if record.ndim > 2 or (direction is not None and record.ndim != 2):
-        raise InvalidData(
-            f"a has shape {record.shape}; it must be (N,) or (d, N), with a direction (d, N)"
-        )
-    if direction is None:
-        return record
-    return np.asarray(np.einsum("d,dn->n", as_direction(direction, len(record)), record))
-
-
-# Correlation of command and joint acceleration below which the command instruments nothing.
-UNRELATED = 1e-9
-
-
-def transmission(x: ArrayLike, a: ArrayLike) -> Array:
-    """Regress the tool acceleration on the excited joints' accelerations.
+def transmission_from(cov: Covariances) -> Array:
+    """Regress the tool acceleration on the accelerations of the excited joints.
 
     B = C Sx^-1 with C = cov(a, x) and Sx = cov(x). Noise in x shrinks it: then use
     `transmission_by_instrument_from`.
 
     Parameters
     ----------
-    x : array, shape (N,) or (m, N)
-        Accelerations of the excited joints, motor side, rad/s^2.
-    a : array, shape (d, N)
-        Tool acceleration in the tool frame, m/s^2.
+    cov : Covariances
+        Of the joints' accelerations with the tool's. Axes in front are those of several records.
 
     Returns
     -------
-    array, shape (d, m)
+    array, shape (..., d, m)
         B, m/s^2 per rad/s^2.
 
     Raises
     ------
     InvalidData
-        If the record cannot be used or the rows of x depend on each other.
+        If the rows of x depend on each other.
 
     Examples
     --------
     >>> x = [1.0, -1.0, 1.0, -1.0]
-    >>> transmission(x, [[0.5, -0.5, 0.5, -0.5], [1.0, 1.0, -1.0, -1.0]]).tolist()
+    >>> transmission_from(covariances(x, [[0.5, -0.5, 0.5, -0.5], [1, 1, -1, -1]])).tolist()
     [[0.5], [0.0]]
     """
-    return transmission_from(covariances(x, a))
-
-
-def transmission_from(cov: Covariances) -> Array:
-    """`transmission` on covariances; of several records (..., d, m)."""
     if cov.xx.shape[-1] == 1:
         return (cov.xa / cov.xx).mT
     factor = excitation_factor(cov.xx)

@@ -17,9 +17,10 @@ from loose_env.arms import LinearArm, planar, vera
 from loose_env.errors import InvalidData
 from loose_env.faults import Backlash, Healthy, StructuralLooseness
 from loose_env.kinematics import Chain, geometric_jacobian, reactions
-from loose_env.statistics import axial_difference, kurtosis
+from loose_env.statistics import axial_difference
 from scripts.thesis import loose_joint as loose_joints
 from scripts.thesis import matching, planar_motion, signals
+from scripts.thesis.estimators import kurtosis
 from scripts.thesis.link_finding import (
     JOINTS,
     SLIDES,
