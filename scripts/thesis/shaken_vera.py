@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import welch
 from scipy.stats import gmean
 
-from loose_env.arms import BENDING_MODE_HZ, COIL, Arm, LinearArm, ShakenArm
+from loose_env.arms import BENDING_MODE_HZ, COIL, Arm, LinearArm
 from loose_env.envs import FAINT, INK, MUTED
 from loose_env.excitation import Excitation
 from loose_env.faults import Backlash, Fault, Healthy
@@ -56,6 +56,7 @@ from scripts.thesis.rigs import (
     loosened,
     shaken_vera,
 )
+from scripts.thesis.shaken_arm import ShakenArm
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -37,7 +37,7 @@ from scripts.thesis.planar_motion import (
 from scripts.thesis.rigs import cylindrical, slide_rig
 from scripts.thesis.shaken_vera import poses
 from scripts.thesis.sizing import arm_loads, two_link_loads, two_links
-from tests.faults.thesis_equations import Figures, healthy_torques, thesis_arm
+from tests.faults.test_equations import HIGH, LOW, Figures, thesis_arm
 
 PLANE, POSE = [0, 1, 5], np.array([0.3, 0.9, -0.7])
 SLIDE = StructuralLooseness(
@@ -205,10 +205,31 @@ def test_a_line_gives_its_own_direction_by_all_three_ways() -> None:
     np.testing.assert_allclose(own, motion, atol=0.05)
 
 
+def healthy_torques(f: Figures, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Joint torques of the healthy arm, equation 3.41 with its slips mended."""
+    m2 = f.m2 + f.m3
+    lc2 = f.m3 * f.lg3 / m2
+    i2 = f.i2 + f.m2 * lc2**2 + f.i3 + f.m3 * (f.lg3 - lc2) ** 2
+    s2, c2 = np.sin(q[1]), np.cos(q[1])
+    v12, a12 = v[0] + v[1], a[0] + a[1]
+    torque2 = lc2 * m2 * (lc2 * a12 + f.l1 * (s2 * v[0] ** 2 + c2 * a[0])) + i2 * a12
+    torque1 = (
+        (f.i1 + f.m1 * f.lg1**2) * a[0]
+        + f.l1
+        * m2
+        * (
+            s2 * (-lc2 * v12**2 - c2 * f.l1 * v[0] ** 2 + s2 * f.l1 * a[0])
+            + c2 * (lc2 * a12 + s2 * f.l1 * v[0] ** 2 + c2 * f.l1 * a[0])
+        )
+        + torque2
+    )
+    return np.array([torque1, torque2])
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_three_derivations_of_joint_loads_agree(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    figures = Figures.draw(rng)
+    figures = Figures(*rng.uniform(LOW, HIGH))
     arm = thesis_arm(figures)
     q, v, a = rng.uniform(-3, 3, (3, 2))
     closed = two_link_loads(two_links(arm), q[1], v, a, gravity=0.0)
