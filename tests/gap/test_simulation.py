@@ -25,10 +25,10 @@ from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Run
 from loose_env.typing import Array
 from scripts.suites.gap.arms import ARMS, Figures, model_xml
-from scripts.suites.gap.catalogue import kinds
+from scripts.suites.gap.dynamics import Factors
+from scripts.suites.gap.effects import KINDS
 from scripts.suites.gap.effects import Effect as TrueEffect
 from scripts.suites.gap.machine import Motion, Signals, TrueArm
-from scripts.suites.gap.simulate import Factors
 from tests.gap.cases.effect_arms import PLANAR
 
 COUNT = 1500
@@ -78,7 +78,7 @@ class Compared:
     def __init__(self, case: Case, *, torques: bool = False, lacking: bool = True) -> None:
         kind, name, where, parameters, variant, values = case
         figures = ARMS[name]()
-        place = next(p for p in kinds()[kind].places(figures) if p.name == where)
+        place = next(p for p in KINDS[kind].places(figures) if p.name == where)
         true = (TrueEffect(kind=kind, place=place, parameters=parameters),) if lacking else ()
         factors = Factors.ones(figures.joints)
         arm = TrueArm(figures=figures, factors=factors, effects=true)

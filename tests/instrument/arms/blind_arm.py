@@ -11,9 +11,9 @@ import numpy as np
 from loose_env.recording import Run
 from scripts.suites.diagnosis.cases import Case, motion, taken
 from scripts.suites.gap.arms import model_xml, planar3
+from scripts.suites.gap.dynamics import Factors
 from scripts.suites.gap.effects import Effect, Place
 from scripts.suites.gap.machine import Noise, TrueArm
-from scripts.suites.gap.simulate import Factors
 
 STOPS = {"stop_mode": 110.0, "stop_damping_ratio": 0.3}
 SLIDE = Effect(
