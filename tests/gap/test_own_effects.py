@@ -295,7 +295,7 @@ MODEL = """
 """
 
 
-def sprung(folder: Path, *, runs: int = 3, seconds: float = 2.1) -> Recording:
+def sprung(folder: Path, *, runs: int = 3, seconds: float = 2.4) -> Recording:
     """Write a recording, integrated ten times as finely as its samples."""
     model = mujoco.MjModel.from_xml_string(MODEL)
     model.opt.timestep = 0.0004
