@@ -21,9 +21,12 @@ import importlib
 import io
 import json
 import math
+import os
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path, PurePath
 from typing import Any, Literal, TextIO
@@ -92,12 +95,15 @@ def results_of(
     chosen = settings or BackendSettings()
     joblib = _installed("joblib", "scale")
     done: set[int] = set()
+    here = os.getpid()
     with ExitStack() as stack:
         died = _begun(chosen, stack)
 
         def run(positions: Sequence[int], workers: int) -> Iterator[tuple[int, Any]]:
-            inner = {"inner_max_num_threads": 1} if chosen.backend == "loky" else {}
-            with joblib.parallel_config(chosen.backend, **inner):
+            own: dict[str, Any] = {}
+            if chosen.backend == "loky":
+                own = {"inner_max_num_threads": 1, "initializer": _end_with, "initargs": (here,)}
+            with joblib.parallel_config(chosen.backend, **own):
                 parallel = joblib.Parallel(
                     workers, batch_size=1, pre_dispatch="n_jobs", return_as="generator_unordered"
                 )
@@ -120,6 +126,17 @@ def results_of(
                 yield from run([position], 2)
             except died as error:
                 raise WorkerDied(position, words) from error
+
+
+def _end_with(parent: int) -> None:
+    """End this worker once the process that started it is gone, be it killed: nobody listens."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _numbered(work: Callable[[Any], Any], position: int, task: Any) -> tuple[int, Any]:
@@ -160,18 +177,15 @@ def _begun(settings: BackendSettings, stack: ExitStack) -> tuple[type[BaseExcept
     return (TerminatedWorkerError,)
 
 
-class _refused:
+@contextmanager
+def _refused(noun: str, address: str | None, start: str) -> Iterator[None]:
     """Say in one line that no cluster answers."""
-
-    def __init__(self, noun: str, address: str | None, start: str) -> None:
-        self.words = f"no {noun} answers at {address}; start one with '{start}', or give no address"
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if isinstance(error, (ConnectionError, OSError, ValueError, RuntimeError)):
-            raise InvalidSetting(f"{self.words}: {error}") from error
+    try:
+        yield
+    except (ConnectionError, OSError, ValueError, RuntimeError) as error:
+        raise InvalidSetting(
+            f"no {noun} answers at {address}; start one with '{start}', or give no address: {error}"
+        ) from error
 
 
 def _installed(module: str, extra: str) -> Any:
