@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 
 from loose_agents.base import Agent, EpisodeAgent, Problem
 from loose_env.diagnosis import Belief, LinkReadings, link_axes
-from loose_env.envs import DiagnosisSettings, ObservationLayout, difficulty_named
+from loose_env.envs import DiagnosisSettings, EpisodeBatch, ObservationLayout, difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import UNSURE
 from loose_env.wrappers import Posterior, analytic_posterior, record_from
@@ -148,8 +148,8 @@ class BeliefAgent(EpisodeAgent):
         self,
         problem: Problem,
         estimator: Estimator,
-        policy: Policy,
-        stopping: StoppingRule,
+        policy: Any,
+        stopping: Any,
         *,
         seed: int = 0,
         surprising: float = SURPRISING,
@@ -164,27 +164,28 @@ class BeliefAgent(EpisodeAgent):
 
     def act(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.int64]:
         """Take a measurement, or give the verdict of highest expected reward."""
-        problem = self.problem
-        probabilities = self.estimator.follow(observation, memory.estimate)
-        memory.probabilities = probabilities
-        situation = Situation(
-            observation=observation,
-            pose=problem.layout.pose_of(observation),
-            records=records_taken(problem, observation),
-            probabilities=probabilities,
-            memory=memory.estimate,
-            rng=memory.rng,
-        )
-        done = situation.records >= problem.settings.max_records
+        situation = self.situation(observation, memory)
         if situation.records > 0 and (
-            done
+            situation.records >= self.problem.settings.max_records
             or self.stopping.stop(situation)
             or surprise_of(situation.memory) < DECISIVE * self.surprising
         ):
-            named = verdict_of(problem, situation, self.surprising)
+            named = verdict_of(self.problem, situation, self.surprising)
             if named is not None:
-                return problem.verdict(named)
+                return self.problem.verdict(named)
         return self.policy.choose(situation)
+
+    def situation(self, observation: NDArray[np.float32], memory: _Memory) -> Situation:
+        """Take the new records in; return what is known now."""
+        memory.probabilities = self.estimator.follow(observation, memory.estimate)
+        return Situation(
+            observation=observation,
+            pose=self.problem.layout.pose_of(observation),
+            records=records_taken(self.problem, observation),
+            probabilities=memory.probabilities,
+            memory=memory.estimate,
+            rng=memory.rng,
+        )
 
 
 def records_taken(problem: Problem, observation: NDArray[np.float32]) -> int:
@@ -225,21 +226,20 @@ def verdict_of(
 
 
 def best_verdict(
-    problem: Problem, probabilities: NDArray[np.float64], *, unsure: bool = True
+    problem: Problem | EpisodeBatch, probabilities: NDArray[np.float64], *, unsure: bool = True
 ) -> str:
     """Verdict of the highest expected reward under the environment's rewards.
 
     "unsure" only where it may be said and is worth more than every name.
     """
-    prices = problem.settings.prices
-    worth = [
-        sum(
-            p * prices.verdict(named, truth)
-            for p, truth in zip(probabilities, problem.hypotheses, strict=True)
+    prices, names = problem.settings.prices, problem.hypotheses
+    worth = {
+        named: sum(
+            p * prices.verdict(named, truth) for p, truth in zip(probabilities, names, strict=True)
         )
-        for named in (problem.verdicts if unsure else problem.hypotheses)
-    ]
-    return problem.verdicts[int(np.argmax(worth))]
+        for named in (*names, *([UNSURE] if unsure else []))
+    }
+    return max(worth, key=lambda named: worth[named])
 
 
 WEIGHTS = Path(__file__).parent / "weights"

@@ -15,7 +15,6 @@ oracle too, which is told direction and friction, it hardly can, and is lower.
 
 from __future__ import annotations
 
-import json
 import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -47,7 +46,7 @@ from loose_env.evaluation import Row, by_agent, configuration_hash, standings, w
 from loose_env.typing import Array
 from loose_env.wrappers import PROBABILITY_FLOOR
 
-_THREAD = threading.local()  # agents and problems already made, in each thread of a worker
+_THREAD = threading.local()  # the agent already made, in each thread of a worker
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,12 +76,16 @@ class EvaluationTask:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Return every setting that determines the rows."""
+        """Every setting that determines the rows."""
         named = asdict(self)
-        for name in ("width", "threads"):
+        for name in ("count", "width", "threads"):
             del named[name]
         content = content_of(self.agent)  # what it is made of counts, not its name alone
         return {**named, "version": loose_env.__version__, "content": content}
+
+    def make(self, problem: Problem) -> Agent:
+        """Make the agent."""
+        return make_agent(self.agent, problem, seed=self.agent_seed)
 
 
 def evaluate_shard(
@@ -150,16 +153,15 @@ def _play_here(task: EvaluationTask, store: Store, missing: Sequence[range]) -> 
 
 
 def _ready(task: EvaluationTask) -> tuple[Problem, Agent, Arm]:
-    """Problem, agent and true arm of a task, cached per thread."""
-    made: dict[str, tuple[Problem, Agent, Arm]] = _THREAD.__dict__.setdefault("made", {})
-    key = json.dumps([task.env_id, task.arguments, task.agent, task.agent_seed], sort_keys=True)
-    if key not in made:
+    """Problem, agent and true arm of a task, kept for its further shards in each thread."""
+    made = _THREAD.__dict__
+    key = replace(task, first=0, count=1, threads=1)
+    if made.get("task") != key:
         env = diagnosis_env(task.env_id, task.arguments)
         problem = Problem.of(env.arm, env.settings)
-        made.clear()  # one at a time: a task's shards follow each other
-        agent = make_agent(task.agent, problem, seed=task.agent_seed)
-        made[key] = problem, agent, env.batch.true_arm
-    return made[key]
+        made.update(task=key, made=(problem, task.make(problem), env.batch.true_arm))
+    found: tuple[Problem, Agent, Arm] = made["made"]
+    return found
 
 
 STAR = "*"

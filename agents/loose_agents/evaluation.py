@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import loose_env  # noqa: F401  (registers the ids)
 from loose_agents.base import Agent, Problem
-from loose_agents.belief import goes_on
+from loose_agents.belief import best_verdict, goes_on
 from loose_env.arms import Arm
 from loose_env.envs import (
     BatchRig,
@@ -191,6 +191,8 @@ class EpisodeRow:
     """Its probability."""
     trail_truth: tuple[float, ...] = ()
     """Probability of the truth after each record."""
+    trail_verdict: tuple[str, ...] = ()
+    """Verdict that was worth most after each record."""
     trail_price: tuple[float, ...] = ()
     """Cost of the records so far."""
     trail_seconds: tuple[float, ...] = ()
@@ -207,7 +209,7 @@ class _Run:
     excited: int = 0
     price: float = 0.0
     probabilities: NDArray[np.float64] | None = None
-    trail: list[tuple[str, float, float]] = field(default_factory=list)
+    trail: list[tuple[str, float, float, str]] = field(default_factory=list)
     spent: list[tuple[float, float]] = field(default_factory=list)
     actions: list[str] = field(default_factory=list)
 
@@ -336,7 +338,9 @@ def _note(batch: EpisodeBatch, slot: int, run: _Run) -> None:
     if p is not None:
         best = int(np.argmax(p))
         truth = _at(p, batch.hypotheses, episode.fault.hypothesis)
-        run.trail.append((batch.hypotheses[best], float(p[best]), truth or 0.0))
+        unsure = batch.actions.allows_unsure(episode.records, episode.measured)
+        named = best_verdict(batch, p, unsure=unsure)
+        run.trail.append((batch.hypotheses[best], float(p[best]), truth or 0.0, named))
 
 
 def _row(
@@ -375,6 +379,7 @@ def _row(
         trail_best=_column(run.trail, 0),
         trail_confidence=_column(run.trail, 1),
         trail_truth=_column(run.trail, 2),
+        trail_verdict=_column(run.trail, 3),
         trail_price=_column(run.spent, 0),
         trail_seconds=_column(run.spent, 1),
     )

@@ -25,7 +25,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path, PurePath
@@ -100,15 +100,22 @@ def results_of(
         died = _begun(chosen, stack)
 
         def run(positions: Sequence[int], workers: int) -> Iterator[tuple[int, Any]]:
-            own: dict[str, Any] = {}
-            if chosen.backend == "loky":
-                own = {"inner_max_num_threads": 1, "initializer": _end_with, "initargs": (here,)}
-            with joblib.parallel_config(chosen.backend, **own):
-                parallel = joblib.Parallel(
-                    workers, batch_size=1, pre_dispatch="n_jobs", return_as="generator_unordered"
-                )
             calls = (joblib.delayed(_numbered)(work, k, tasks[k]) for k in positions)
-            for position, result in parallel(calls):
+            if chosen.backend == "ray":
+                found = _on_ray(calls)
+            else:
+                own: dict[str, Any] = {}
+                if chosen.backend == "loky":
+                    own = {"inner_max_num_threads": 1}
+                    own |= {"initializer": _end_with, "initargs": (here,)}
+                with joblib.parallel_config(chosen.backend, **own):
+                    found = joblib.Parallel(
+                        workers,
+                        batch_size=1,
+                        pre_dispatch="n_jobs",
+                        return_as="generator_unordered",
+                    )(calls)
+            for position, result in found:
                 done.add(position)
                 yield position, result
 
@@ -126,6 +133,16 @@ def results_of(
                 yield from run([position], 2)
             except died as error:
                 raise WorkerDied(position, words) from error
+
+
+def _on_ray(calls: Iterable[tuple[Any, Any, Any]]) -> Iterator[tuple[int, Any]]:
+    """Results of calls on a Ray cluster as they come; ray's own backend gives them at the end."""
+    ray = importlib.import_module("ray")
+    on_a_worker = ray.remote(max_retries=0)
+    waiting = [on_a_worker(function).remote(*given, **named) for function, given, named in calls]
+    while waiting:
+        (ready,), waiting = ray.wait(waiting)
+        yield ray.get(ready)
 
 
 def _end_with(parent: int) -> None:
@@ -147,7 +164,6 @@ def _begun(settings: BackendSettings, stack: ExitStack) -> tuple[type[BaseExcept
     """Join or start the cluster of a backend; errors by which a dead worker shows."""
     if settings.backend == "ray":
         ray = _installed("ray", "ray")
-        ray_joblib = _installed("ray.util.joblib", "ray")
         if not ray.is_initialized():
             given = {"runtime_env": {"env_vars": ONE_THREAD}, "log_to_driver": False}
             if settings.ray_address is None:
@@ -156,7 +172,6 @@ def _begun(settings: BackendSettings, stack: ExitStack) -> tuple[type[BaseExcept
             with _refused("Ray cluster", settings.ray_address, "ray start --head"):
                 ray.init(settings.ray_address or "local", **given)
             stack.callback(ray.shutdown)
-        ray_joblib.register_ray()
         gone = ray.exceptions
         return gone.WorkerCrashedError, gone.RayActorError, gone.OutOfMemoryError
     if settings.backend == "dask":

@@ -207,7 +207,6 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
         "the learned posterior, always all joints, random poses",
     ),
     "greedy": (_of("amortised", "greedy"), "the learned posterior, the most telling record next"),
-    "look_ahead": (_of("amortised", "look_ahead"), "the same, two records ahead"),
     **{
         f"fixed_{k}": (_fixed(k), f"the same {k} record{'s' * (k > 1)} on every arm, then a name")
         for k in range(1, FIXED_RECORDS + 1)

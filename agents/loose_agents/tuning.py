@@ -9,37 +9,31 @@ from __future__ import annotations
 
 import hashlib
 import json
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-import loose_env
-from loose_agents.base import Agent, EpisodeAgent, Problem
+from loose_agents.base import Agent, Problem
 from loose_agents.belief import (
     ESTIMATORS,
     BeliefAgent,
     Policy,
     Sure,
-    best_verdict,
-    goes_on,
     make_estimator,
     setting_name,
     weights_path,
 )
-from loose_agents.evaluation import problem_of
-from loose_agents.jobs import BackendSettings, Store, canonical, run_stored, spans
+from loose_agents.comparison import EvaluationTask, play_task
+from loose_agents.jobs import BackendSettings
 from loose_agents.policies.choice import POLICIES, ConstantPolicy, FixedPolicy, Records
 from loose_agents.policies.oracle import oracle_agent
-from loose_agents.registry import LEARNED, belief_agent, make_agent
-from loose_env.envs import EpisodeBatch
+from loose_agents.registry import LEARNED, make_agent
+from loose_env.envs import Prices
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.evaluation import configuration_hash
 from loose_env.io import write_text
 from loose_env.typing import Array
 
@@ -89,84 +83,18 @@ class Trails:
         return Trails(**{name: values[chosen] for name, values in vars(self).items()})
 
     @classmethod
-    def joined(cls, parts: Sequence[dict[str, Any]]) -> Trails:
-        """Concatenate the outcomes of several ranges of episodes."""
-        return cls(**{name: np.concatenate([p[name] for p in parts]) for name in parts[0]})
-
-
-def play_trails(
-    agent: Agent,
-    problem: Problem,
-    *,
-    episodes: int,
-    seed: int,
-    records: int,
-    first: int = 0,
-    width: int = 32,
-) -> Trails:
-    """Play episodes to the last record and store the outcome of each earlier stop."""
-    most = problem.settings.max_records
-    if episodes < 1 or not 1 <= records <= most:
-        raise InvalidSetting(
-            f"trails need 1 or more episodes of 1 to {most} records (the settings' max_records), "
-            f"got {episodes} of {records}"
-        )
-    player = goes_on(agent, records)
-    if isinstance(player, BeliefAgent):
-        player.surprising = 0.0  # nor does a surprising episode end before the last record
-    batch = EpisodeBatch(problem.arm, problem.settings, num=min(width, episodes), threads=1)
-    stop = first + episodes
-    parts = [
-        _group(player, problem, batch, range(k, min(k + batch.num, stop)), seed, records)
-        for k in range(first, stop, batch.num)
-    ]
-    return Trails.joined(parts)
-
-
-def _group(
-    agent: Any, problem: Problem, batch: EpisodeBatch, numbers: range, seed: int, records: int
-) -> dict[str, Any]:
-    """Play one batch of episodes, one per arm."""
-    confidence = np.full((len(numbers), records), DIVERGED)
-    reward = np.zeros((len(numbers), records))
-    right = np.zeros((len(numbers), records), dtype=bool)
-    price = np.zeros(len(numbers))
-    states: list[Any] = [None] * len(numbers)
-    for slot, number in enumerate(numbers):
-        batch.start(slot, seed=seed, number=number)
-        if hasattr(agent, "informed"):
-            states[slot] = agent.informed(batch.episode(slot).fault, batch.observe(slot))
-    going = list(range(len(numbers)))
-    for taken in range(records + 1):
-        if not going:
-            break
-        actions, after = agent.predict(
-            np.stack([batch.observe(slot) for slot in going]),
-            [states[slot] for slot in going],
-            np.array([states[slot] is None for slot in going]),
-            deterministic=True,
-        )
-        for slot, state in zip(going, after, strict=True):
-            states[slot] = state
-            if taken > 0:
-                p = state.probabilities
-                episode = batch.episode(slot)
-                unsure = problem.actions.allows_unsure(episode.records, episode.measured)
-                named = best_verdict(problem, p, unsure=unsure)
-                truth = episode.fault.hypothesis
-                worth = problem.settings.prices.verdict(named, truth)
-                confidence[slot, taken - 1] = p.max()
-                reward[slot, taken - 1 :] = worth - price[slot]
-                right[slot, taken - 1 :] = named == truth
-        if taken == records:
-            break
-        outcomes = batch.step(going, list(actions))
-        for slot, outcome in zip(going, outcomes, strict=True):
-            price[slot] -= outcome.reward
-            reward[slot, taken:] = -price[slot]  # stays so where the simulation diverged
-            right[slot, taken:] = False
-        going = [slot for slot, o in zip(going, outcomes, strict=True) if not o.truncated]
-    return {"confidence": confidence, "reward": reward, "right": right}
+    def of(cls, rows: Sequence[Mapping[str, Any]], prices: Prices, records: int) -> Trails:
+        """Outcomes of played episodes of so many records, fewer where the simulation diverged."""
+        shape = (len(rows), records)
+        confidence, right = np.full(shape, DIVERGED), np.zeros(shape, dtype=bool)
+        reward = np.array([[-row["price"]] * records for row in rows], dtype=float)
+        for k, row in enumerate(rows):
+            named = row["trail_verdict"]
+            worth = [prices.verdict(name, row["truth"]) for name in named]
+            confidence[k, : len(named)] = row["trail_confidence"]
+            reward[k, : len(named)] = np.subtract(worth, row["trail_price"])
+            right[k, : len(named)] = [name == row["truth"] for name in named]
+        return cls(confidence=confidence, reward=reward, right=right)
 
 
 def best_threshold(
@@ -314,32 +242,39 @@ def write_tuned(
 
 ORACLE = "oracle"
 """Stands for the estimator in the name of an oracle."""
-_THREAD = threading.local()  # the agent already made, in each thread of a worker
 
 
 @dataclass(frozen=True, kw_only=True)
-class Player:
-    """Serialisable description of an agent and the problem that it plays."""
+class Player(EvaluationTask):
+    """Serialisable description of an agent, estimator/policy or oracle/policy, that plays on."""
 
-    agent: str
-    """Estimator and policy, or ``oracle/policy``."""
     levels: tuple[int, ...] | None = None
     """Levels of all joints, in place of those that the constant policy was tuned to."""
     sequence: tuple[tuple[int, ...], ...] | None = None
     """Records of the fixed policy, in place of those that it was tuned to."""
-    env_id: str
-    """Id of the environment."""
-    arguments: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments of the environment."""
-    seed: int
-    """Seed of the episodes."""
-    records: int
-    """Records an episode."""
-    agent_seed: int = 0
-    """Seed of what the agent draws."""
+    count: int = 1
     posterior: str
     """Digest of the trained posterior, see `trained`: it must not change while episodes are
     played."""
+
+    @property
+    def configuration(self) -> dict[str, Any]:
+        """Every setting that determines the rows; tuned settings, which tuning writes, do not."""
+        found = super().configuration
+        del found["content"]
+        return found
+
+    def make(self, problem: Problem) -> Agent:
+        """Make the agent; not even a surprising episode ends before the last record."""
+        if trained(problem) != self.posterior:
+            raise InvalidData(
+                f"the trained posterior of {setting_name(problem)} has changed since the tuning "
+                "began: begin it again; episodes played with the other one are left alone"
+            )
+        agent = agent_of(self, problem)
+        if isinstance(agent, BeliefAgent):
+            agent.surprising = 0.0
+        return agent
 
 
 def names_of(agent: str) -> tuple[str, str]:
@@ -361,18 +296,13 @@ def names_of(agent: str) -> tuple[str, str]:
     return estimator, policy
 
 
-def agent_of(player: Player, problem: Problem) -> EpisodeAgent:
+def agent_of(player: Player, problem: Problem) -> Agent:
     """Make the agent."""
     estimator, policy = names_of(player.agent)
-    if estimator in LEARNED:
-        learned: Any = make_agent(estimator, problem, seed=player.agent_seed)
-        learned.stopping = Sure()
-        stopped: EpisodeAgent = learned
-        return stopped
     if estimator == ORACLE:
         return oracle_agent(problem, policy=policy, seed=player.agent_seed)
     if player.levels is None and player.sequence is None:
-        return belief_agent(estimator, policy, problem, seed=player.agent_seed)
+        return make_agent(player.agent, problem, seed=player.agent_seed)
     made = make_estimator(estimator, problem)
     given: Policy
     if player.sequence is not None:
@@ -391,7 +321,7 @@ def trained(problem: Problem) -> str:
 
 def play_player(
     player: Player,
-    problem: Problem,
+    prices: Prices,
     *,
     episodes: int,
     folder: Path,
@@ -403,30 +333,6 @@ def play_player(
     What lies in the folder is not played again, be it from an interrupted call or from one for
     fewer episodes.
     """
-    kept = {**asdict(player), "settings": problem.settings, "version": loose_env.__version__}
-    where = folder / configuration_hash(canonical(kept))[:16]
-    store, parts = Store(where, kept, arrays=True), spans(episodes, shard)
-    run_stored(partial(_play, player), parts, store, settings)
-    return Trails.joined([store.read(part) for part in parts])
-
-
-def _play(player: Player, span: range) -> dict[str, Any]:
-    """Play the episodes of a shard; the agent is cached per thread."""
-    made = _THREAD.__dict__
-    if made.get("player") != player:
-        problem = problem_of(player.env_id, player.arguments)
-        if trained(problem) != player.posterior:
-            raise InvalidData(
-                f"the trained posterior of {setting_name(problem)} has changed since the tuning "
-                "began: begin it again; episodes played with the other one are left alone"
-            )
-        made.update(problem=problem, agent=agent_of(player, problem), player=player)
-    trails = play_trails(
-        made["agent"],
-        made["problem"],
-        episodes=len(span),
-        first=span.start,
-        seed=player.seed,
-        records=player.records,
-    )
-    return vars(trails)
+    task = replace(player, count=episodes)
+    rows = play_task(task, folder, settings=settings, shard=shard, keep=True)
+    return Trails.of(rows, prices, player.records or 0)

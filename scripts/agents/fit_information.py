@@ -4,8 +4,7 @@ Usage: python scripts/agents/fit_information.py --env loose_env/Planar-v0 --out 
 
 The bank must be there (scripts/agents/build_bank.py), and a posterior trained on it
 (scripts/agents/train_posterior.py). The factors go to
-agents/loose_agents/weights/<arm>-<difficulty>.json, where the greedy and the look-ahead policy
-read them.
+agents/loose_agents/weights/<arm>-<difficulty>.json, where the greedy policy reads them.
 """
 
 from __future__ import annotations

@@ -127,10 +127,7 @@ def tune(options: Options) -> None:
     stop, lines = {}, []
 
     def play(
-        agent: str,
-        levels: tuple[int, ...] | None,
-        episodes: int,
-        sequence: Records | None = None,
+        agent: str, levels: tuple[int, ...] | None, episodes: int, sequence: Records | None = None
     ) -> Trails:
         """Trails of the first episodes."""
         player = Player(
@@ -148,7 +145,7 @@ def tune(options: Options) -> None:
         print(f"{words}, {episodes} episodes", file=sys.stderr, flush=True)
         return play_player(
             player,
-            problem,
+            problem.settings.prices,
             episodes=episodes,
             folder=Path(options.folder),
             settings=options,

@@ -21,7 +21,6 @@ from loose_agents.policies.choice import (
     poses,
 )
 from loose_agents.registry import make_agent
-from loose_agents.tuning import Trails, best_sequences
 
 from loose_env.arms import planar
 from loose_env.envs import DiagnosisSettings, EpisodeBatch, Prices
@@ -187,17 +186,3 @@ def test_fixed_agents_need_their_sequences_and_take_so_many_records(
         make_agent("fixed_2", problem), "fixed_2", arm, RULES, episodes=3, seed=1, threads=1
     )
     assert [row.records for row in rows] == [2, 2, 2]
-
-
-def test_halving_finds_the_best_sequences() -> None:
-    worth = {((k,),) * 2: (0.1 * k, 1.0 - 0.1 * k) for k in range(8)}
-
-    def play(sequence: Any, episodes: int) -> Trails:
-        reward = np.tile(worth[sequence], (episodes, 1))
-        sure = np.full(reward.shape, 0.4)
-        return Trails(confidence=sure, reward=reward, right=reward > 0.5)
-
-    found = best_sequences(list(worth), play, episodes=8, lengths=2)
-    assert found["stopping"] == ((0,), (0,))  # the last record counts: no threshold is reached
-    assert found["2"] == found["stopping"]
-    assert found["1"] == ((1,),)  # the better of the two of the last round

@@ -8,7 +8,7 @@ records are unlike all that the posterior was made for.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from loose_agents.base import EpisodeAgent, Problem
 from loose_agents.belief import (
+    BeliefAgent,
     Estimator,
-    Situation,
     StoppingRule,
     best_verdict,
     feature_size,
@@ -33,6 +33,7 @@ from loose_agents.rl.model_files import (
     TRAINED_ON,
     StoredModel,
     network_arguments,
+    one_line,
     read_model,
 )
 from loose_agents.rl.networks import (
@@ -153,17 +154,7 @@ class PolicyForm:
         return np.concatenate([measuring, [not last, stop]])
 
 
-@dataclass
-class _Memory:
-    """State of one episode: generator and estimator state."""
-
-    rng: np.random.Generator
-    estimate: Any
-    probabilities: NDArray[np.float64] | None = None
-    """Of the hypotheses, after the latest record (hypotheses,); read by the evaluator."""
-
-
-class LearnedAgent(EpisodeAgent):
+class LearnedAgent(BeliefAgent):
     """Plays a trained policy."""
 
     def __init__(
@@ -175,27 +166,16 @@ class LearnedAgent(EpisodeAgent):
         *,
         seed: int = 0,
     ) -> None:
-        super().__init__(problem, seed=seed)
-        self.estimator = make_estimator("posterior", problem) if estimator is None else estimator
-        self.form = PolicyForm(problem, feature_size(self.estimator))
-        self.network, self.stopping = network, stopping
+        made = make_estimator("posterior", problem) if estimator is None else estimator
+        super().__init__(problem, made, None, stopping, seed=seed)
+        self.network, self.form = network, PolicyForm(problem, feature_size(made))
 
     @classmethod
     def load(cls, problem: Problem, folder: str | Path) -> LearnedAgent:
         """Load the weights that `scripts/agents/train.py` wrote."""
         where = Path(folder)
-        described = where / CONFIGURATION
-        if not described.is_file():
-            raise InvalidData(
-                f"no trained policy for arm {problem.arm.name!r} in {where}; train one with "
-                f"scripts/agents/train.py --export {where}"
-            )
-        try:
-            configuration = json.loads(described.read_text(encoding="utf-8"))
-            found, arm = configuration["format"], configuration["arm"]
-        except (ValueError, RecursionError, KeyError, TypeError, OSError) as error:
-            reason = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-            raise InvalidData(f"{described} describes no trained policy: {reason}") from error
+        described = described_run(where)
+        found, arm = described.get("format"), described.get("arm")
         if found != FORMAT:
             raise InvalidData(
                 f"{where} holds a policy of format {found!r:.60}, this version reads {FORMAT!r}; "
@@ -203,41 +183,26 @@ class LearnedAgent(EpisodeAgent):
             )
         if arm != problem.arm.name:
             raise InvalidData(f"{where} was trained for arm {arm!r:.60}, not {problem.arm.name!r}")
-        estimator = make_estimator(configuration.get("estimator", "posterior"), problem)
+        estimator = make_estimator(str(described.get("estimator", "posterior")), problem)
         form = PolicyForm(problem, feature_size(estimator))
         return cls(problem, load_network(where, form), estimator)
 
-    def begin(self, rng: np.random.Generator) -> Any:
-        """Start from the prior."""
-        return _Memory(rng=rng, estimate=self.estimator.begin())
-
-    def act(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.int64]:
+    def act(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.int64]:
         """Evaluate the policy."""
         problem, form = self.problem, self.form
-        probabilities = self.estimator.follow(observation, memory.estimate)
-        memory.probabilities = probabilities
+        now = self.situation(observation, memory)
         further = further_features(self.estimator, observation, memory.estimate)
-        pose = problem.layout.pose_of(observation)
-        records = records_taken(problem, observation)
         choice = self.network.choose(
-            form.features(observation, probabilities, further),
-            form.mask(pose, records, records_measured(problem, observation)),
-        )
-        situation = Situation(
-            observation=observation,
-            pose=pose,
-            records=records,
-            probabilities=probabilities,
-            memory=memory.estimate,
-            rng=memory.rng,
+            form.features(observation, now.probabilities, further),
+            form.mask(now.pose, now.records, records_measured(problem, observation)),
         )
         if self.stopping is None:
-            done = form.stops(choice, records)
+            done = form.stops(choice, now.records)
         else:
-            done = records > 0 and (
-                records >= problem.settings.max_records or self.stopping.stop(situation)
+            done = now.records > 0 and (
+                now.records >= problem.settings.max_records or self.stopping.stop(now)
             )
-        named = verdict_of(problem, situation) if done else None
+        named = verdict_of(problem, now, self.surprising) if done else None
         return form.measuring(choice) if named is None else problem.verdict(named)
 
 
@@ -332,11 +297,8 @@ def _require_same_problem(stored: StoredModel, beside: dict[str, Any], problem: 
 
 def _beside(stored: StoredModel) -> dict[str, Any]:
     """Configuration of the run that a model file lies in; empty where there is none."""
-    try:
-        found = json.loads((stored.path.parent / CONFIGURATION).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
+    folder = stored.path.parent
+    return described_run(folder) if (folder / CONFIGURATION).is_file() else {}
 
 
 def described_run(folder: Path) -> dict[str, Any]:
@@ -344,8 +306,11 @@ def described_run(folder: Path) -> dict[str, Any]:
     path = folder / CONFIGURATION
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InvalidData(f"no configuration of a run at {path}") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise InvalidData(
+            f"no trained policy in {folder}: {path.name} cannot be read ({one_line(error)}); "
+            f"scripts/agents/train.py --export {folder} writes one"
+        ) from error
     if not isinstance(found, dict):
         raise InvalidData(f"{path} must hold a JSON object")
     return found

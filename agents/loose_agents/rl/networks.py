@@ -16,6 +16,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from torch import nn
 
+from loose_agents.rl.model_files import one_line
 from loose_env.envs import ObservationLayout
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import write_bytes
@@ -147,7 +148,7 @@ def load_network(folder: str | Path, form: _Form) -> PolicyNetwork:
             described = file.metadata() or {}
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
     except SafetensorError as error:
-        raise InvalidData(f"{path} is no safetensors file: {_one_line(error)}") from error
+        raise InvalidData(f"{path} is no safetensors file: {one_line(error)}") from error
     if described.get("format") != FORMAT:
         raise InvalidData(
             f"{path} has the format {described.get('format', 'loose-policy/1')!r}, this version "
@@ -172,11 +173,7 @@ def load_network(folder: str | Path, form: _Form) -> PolicyNetwork:
             tensors, form.nvec, activation=activation, masked=masked == "true"
         )
     except (KeyError, IndexError, ValueError, RuntimeError) as error:
-        raise InvalidData(f"{path} holds no policy of this kind: {_one_line(error)}") from error
-
-
-def _one_line(error: Exception) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        raise InvalidData(f"{path} holds no policy of this kind: {one_line(error)}") from error
 
 
 def record_set_arguments(layout: ObservationLayout) -> dict[str, Any]:
@@ -295,5 +292,5 @@ def _extractor_of(
     try:
         extractor.load_state_dict(own)
     except RuntimeError as error:
-        raise ValueError(_one_line(error)) from error
+        raise ValueError(one_line(error)) from error
     return extractor

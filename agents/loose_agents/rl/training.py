@@ -185,11 +185,11 @@ class RunFolder:
     def __init__(self, root: Path) -> None:
         self.root, self.configuration, self.best = root, root / CONFIGURATION, root / "best"
         self.checkpoint, self.best_model = root / "checkpoint.zip", root / "best_model.zip"
-        self.evaluations, self.curve = root / "evaluations.npz", root / "curve.csv"
+        self.curve = root / "curve.csv"
 
     def clear(self) -> None:
         """Remove the files of an earlier run, the checkpoint first."""
-        for path in (self.checkpoint, self.evaluations, self.curve, self.best_model):
+        for path in (self.checkpoint, self.curve, self.best_model):
             path.unlink(missing_ok=True)
         (self.root / WEIGHTS).unlink(missing_ok=True)
         shutil.rmtree(self.best, ignore_errors=True)
@@ -258,15 +258,7 @@ class RunState:
     """State of a run stored in its checkpoint beside the model."""
 
     generators: dict[str, Any] = field(default_factory=dict)
-    """States of the generators of Python, numpy and torch."""
-    steps: list[int] = field(default_factory=list)
-    """When the evaluations took place."""
-    returns: list[list[float]] = field(default_factory=list)
-    """Unshaped returns of their episodes."""
-    lengths: list[list[int]] = field(default_factory=list)
-    """Steps of their episodes."""
-    successes: list[list[bool]] = field(default_factory=list)
-    """Correctness of their verdicts."""
+    """States of the generators of Python, numpy and torch: tensors and plain values."""
     points: list[dict[str, Any]] = field(default_factory=list)
     """Points of the learning curve."""
     best: float = -np.inf
@@ -278,10 +270,11 @@ class RunState:
 
     def remember_generators(self) -> None:
         """Store the states of the global random generators."""
+        kind, keys, *rest = np.random.get_state()
         self.generators = {
             "python": random.getstate(),
-            "numpy": np.random.get_state(),
-            "torch": torch.get_rng_state().numpy().copy(),
+            "numpy": (kind, torch.from_numpy(np.asarray(keys, dtype=np.int64)), *rest),
+            "torch": torch.get_rng_state(),
         }
 
     def restore_generators(self) -> None:
@@ -289,8 +282,9 @@ class RunState:
         if self.generators:
             try:
                 random.setstate(self.generators["python"])
-                np.random.set_state(self.generators["numpy"])
-                torch.set_rng_state(torch.from_numpy(self.generators["torch"]))
+                kind, keys, *rest = self.generators["numpy"]
+                np.random.set_state((kind, keys.numpy().astype(np.uint32), *rest))
+                torch.set_rng_state(self.generators["torch"])
             except (KeyError, TypeError, ValueError, RuntimeError) as error:
                 raise InvalidData(
                     f"the generators of the run cannot be restored ({error}); --restart begins anew"
@@ -374,7 +368,7 @@ class RunCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         self._saved, self._due = self.model.num_timesteps, self._number()
-        if self.run.last_episodes is not None and not self.state.steps:
+        if self.run.last_episodes is not None and not self.state.points:
             self._evaluate(self.run.eval_episodes)
 
     def _on_rollout_start(self) -> None:
@@ -393,6 +387,10 @@ class RunCallback(BaseCallback):
                 self._returns.append(float(info["episode"]["r"]))
         return not self.budget.timed_out()
 
+    def _last_point(self) -> int:
+        """Steps at the last evaluation, -1 before the first."""
+        return int(self.state.points[-1]["steps"]) if self.state.points else -1
+
     def _number(self) -> int:
         """Number of evaluations that are due."""
         left = self.budget.left(1.0 - self.model.num_timesteps / self.budget.steps)
@@ -405,7 +403,7 @@ class RunCallback(BaseCallback):
         )
         if run.evaluations > 0:
             due, self._due = self._number() > self._due, self._number()
-            if last and (run.last_episodes is not None or self.state.steps[-1:] != [steps]):
+            if last and (run.last_episodes is not None or self._last_point() != steps):
                 self._evaluate(run.last_episodes or run.eval_episodes)
             elif due and not last:
                 self._evaluate(run.eval_episodes)
@@ -429,14 +427,9 @@ class RunCallback(BaseCallback):
 
     def _evaluate(self, episodes: int) -> None:
         rows, state, steps = self.evaluate(episodes), self.state, self.model.num_timesteps
-        if state.steps[-1:] == [steps]:  # the last one, of more episodes
-            for kept in (state.steps, state.returns, state.lengths, state.successes, state.points):
-                kept.pop()
-        state.steps.append(steps)
-        state.returns.append([row.reward for row in rows])
-        state.lengths.append([row.records + (not row.truncated) for row in rows])
-        state.successes.append([row.success for row in rows])
-        returns = np.array(state.returns[-1])
+        if self._last_point() == steps:  # the last one, of more episodes
+            state.points.pop()
+        returns = np.array([row.reward for row in rows])
         point = CurvePoint(
             steps=steps,
             records=state.records,
@@ -444,25 +437,15 @@ class RunCallback(BaseCallback):
             episodes=len(rows),
             mean_return=float(returns.mean()),
             return_error=float(returns.std() / np.sqrt(len(returns))),
-            right=float(np.mean(state.successes[-1])),
+            right=float(np.mean([row.success for row in rows])),
             unsure=float(np.mean([row.verdict == UNSURE for row in rows])),
             records_per_episode=float(np.mean([row.records for row in rows])),
         )
         state.points.append(asdict(point))
         write_curve(self.folder.curve, [CurvePoint(**each) for each in state.points])
-        buffer = io.BytesIO()
-        if len({*map(len, state.returns)}) == 1:  # as the rl-zoo has it: a table
-            np.savez(
-                buffer,
-                timesteps=state.steps,
-                results=state.returns,
-                ep_lengths=state.lengths,
-                successes=state.successes,
-            )
-            write_bytes(self.folder.evaluations, buffer.getvalue())
         found = {
             "mean_reward": point.mean_return,
-            "mean_ep_length": float(np.mean(state.lengths[-1])),
+            "mean_ep_length": float(np.mean([row.records + (not row.truncated) for row in rows])),
             "success_rate": point.right,
         }
         for name, value in found.items():
