@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -161,8 +161,7 @@ def _action(
 ) -> NDArray[np.int64]:
     """Sample a record: random moves, excited joints and levels, and duration."""
     n = problem.arm.n
-    allowed = problem.actions.allowed_moves(batch.episode(slot).pose)
-    moves = np.array([rng.choice(np.flatnonzero(row)) for row in allowed])
+    moves = problem.random_moves(batch.episode(slot).pose, rng)
     kind = rng.random()
     on = np.ones(n, dtype=bool)
     if kind < settings.alone:
@@ -256,12 +255,14 @@ class BankOptions:
     @property
     def plan(self) -> BankPlan:
         """Description of the bank."""
+        arguments = arguments_of(self.arguments)
+        axes = len(problem_of(self.env, arguments).arm.axes)
         return BankPlan(
             env_id=self.env,
-            arguments=arguments_of(self.arguments),
+            arguments=arguments,
             episodes=self.episodes,
             seed=check_training_seed(self.seed),
-            directions=self.directions,
+            directions=self.directions or (24 if axes == 2 else 100),
         )
 
 
@@ -273,15 +274,14 @@ class BankPlan:
     """Id of the environment."""
     arguments: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of the environment."""
-    episodes: int = 12_000
+    episodes: int
     """Number of episodes."""
     seed: int = BANK_SEED
     """Seed of the episodes."""
     records: BankSettings = field(default_factory=BankSettings)
     """Sampling of the records."""
-    directions: int = 0
-    """Sliding directions of a link for which features are computed; 0: 24 in the plane, 100 in
-    space."""
+    directions: int
+    """Sliding directions of a link for which features are computed."""
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -325,7 +325,7 @@ def build_bank(plan: BankPlan, folder: Path, settings: BackendSettings | None = 
 def build_features(plan: BankPlan, folder: Path, settings: BackendSettings | None = None) -> Store:
     """Compute the missing features of a bank, which must exist."""
     configuration = plan.configuration | {
-        "directions": directions_of(plan),
+        "directions": plan.directions,
         "place": LOCATION_FEATURES,
         "record": RECORD_FEATURES,
     }
@@ -346,11 +346,6 @@ def read_features(store: Store, shards: list[range]) -> RecordFeatures:
     return RecordFeatures.joined([RecordFeatures(**store.read(span)) for span in shards])
 
 
-def directions_of(plan: BankPlan) -> int:
-    """Sliding directions of a link for which features are computed."""
-    return plan.directions or (24 if len(_problem(plan).arm.axes) == 2 else 100)
-
-
 def seat_features(problem: Problem, directions: int) -> SeatFeatures:
     """Build the feature extractor of a problem's records."""
     return SeatFeatures(
@@ -361,14 +356,15 @@ def seat_features(problem: Problem, directions: int) -> SeatFeatures:
     )
 
 
-_PROBLEMS: dict[str, Problem] = {}
+_MADE: dict[str, Any] = {}  # in each worker: problem and features of the bank at hand
 
 
 def _problem(plan: BankPlan) -> Problem:
-    key = f"{plan.env_id} {sorted(plan.arguments.items())}"
-    if key not in _PROBLEMS:
-        _PROBLEMS[key] = plan.problem()
-    return _PROBLEMS[key]
+    if _MADE.get("plan") != plan:
+        _MADE.clear()
+        _MADE.update(plan=plan, problem=plan.problem())
+    found: Problem = _MADE["problem"]
+    return found
 
 
 def _bank_shard(plan: BankPlan, span: range) -> dict[str, np.ndarray]:
@@ -380,11 +376,7 @@ def _bank_shard(plan: BankPlan, span: range) -> dict[str, np.ndarray]:
 
 def _features_shard(plan: BankPlan, folder: Path, span: range) -> dict[str, np.ndarray]:
     problem = _problem(plan)
-    store = Store(folder / "records", plan.configuration, arrays=True)
-    features = _features(problem, directions_of(plan))
-    return vars(features_of_bank(problem, features, RecordBank(**store.read(span))))
-
-
-@lru_cache(maxsize=1)
-def _features(problem: Problem, directions: int) -> SeatFeatures:
-    return seat_features(problem, directions)
+    if "features" not in _MADE:
+        _MADE["features"] = seat_features(problem, plan.directions)
+    bank = read_bank(plan, folder, [span])
+    return vars(features_of_bank(problem, _MADE["features"], bank))

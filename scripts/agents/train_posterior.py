@@ -36,7 +36,6 @@ from loose_agents.record_bank import (
     BankPlan,
     build_bank,
     build_features,
-    directions_of,
     read_bank,
     read_features,
     seat_features,
@@ -84,7 +83,7 @@ def train(options: Options) -> None:
     build_bank(plan, folder, options)
     store = build_features(plan, folder, options)
     out = Path(options.weights or WEIGHTS / f"posterior-{setting_name(problem)}")
-    directions = axes_grid(directions_of(plan), len(problem.arm.axes))
+    directions = axes_grid(plan.directions, len(problem.arm.axes))
     if options.reference_only:
         add_reference(out, plan, folder)
         return
@@ -113,7 +112,7 @@ def train(options: Options) -> None:
         {
             "arm": problem.arm.name,
             "difficulty": str(problem.settings.difficulty),
-            "directions": directions_of(plan),
+            "directions": plan.directions,
             "friction": list(difficulty.friction),
             "bank": {**_described(plan), "held_out": len(held_shards), "hash": store.hash},
             "training": asdict(training.settings),
@@ -135,7 +134,7 @@ def reference_of(
 ) -> NoveltyReference:
     """Work the reference out from the bank's records."""
     held_shards, training_shards = plan.split
-    problem, directions = plan.problem(), directions_of(plan)
+    problem, directions = plan.problem(), plan.directions
     features = seat_features(problem, directions)
 
     def episodes(shards: list[range]) -> Iterator[list[Seen]]:
@@ -153,10 +152,10 @@ def reference_of(
 def add_reference(folder: Path, plan: BankPlan, bank: Path) -> None:
     """Work the reference of trained weights out and store it beside them."""
     configuration, tensors = read_network(folder)
-    if configuration["directions"] != directions_of(plan):
+    if configuration["directions"] != plan.directions:
         raise InvalidSetting(
             f"the weights in {folder} have {configuration['directions']} directions a link, the "
-            f"bank's figures {directions_of(plan)}; give --directions"
+            f"bank's figures {plan.directions}; give --directions"
         )
     reference = reference_of(tensors, plan, bank)
     write_network(folder, configuration, with_reference(tensors, reference))

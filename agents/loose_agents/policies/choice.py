@@ -53,8 +53,7 @@ class RandomPolicy:
 
 def random_moves(problem: Problem, situation: Situation) -> NDArray[np.intp]:
     """Sample an allowed move for every joint (n,)."""
-    allowed = problem.actions.allowed_moves(situation.pose)
-    drawn = np.array([situation.rng.choice(np.flatnonzero(row)) for row in allowed])
+    drawn = problem.random_moves(situation.pose, situation.rng)
     return problem.actions.few_moves(drawn, situation.rng)
 
 
