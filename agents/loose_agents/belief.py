@@ -464,11 +464,7 @@ def belief_of(situation: Situation) -> Belief:
     return belief
 
 
-def _posterior(problem: Problem) -> Estimator:
-    return Tracker(problem)
-
-
-def _amortised(problem: Problem) -> Estimator:
+def _amortised(problem: Problem) -> Tracker:
     from loose_env.diagnosis import AmortisedPosterior
 
     difficulty = difficulty_named(problem.settings.difficulty)
@@ -482,14 +478,14 @@ def _amortised(problem: Problem) -> Estimator:
     return Tracker(problem, posterior)
 
 
-ESTIMATORS: dict[str, tuple[Callable[[Problem], Estimator], str]] = {
-    "posterior": (_posterior, "the analytic posterior over the faults"),
+ESTIMATORS: dict[str, tuple[Callable[[Problem], Tracker], str]] = {
+    "posterior": (Tracker, "the analytic posterior over the faults"),
     "amortised": (_amortised, "the posterior with a learned likelihood"),
 }
 """Constructor and short description of each estimator."""
 
 
-def make_estimator(name: str, problem: Problem) -> Estimator:
+def make_estimator(name: str, problem: Problem) -> Tracker:
     """Make an estimator for a problem.
 
     Raises
@@ -507,25 +503,3 @@ def make_estimator(name: str, problem: Problem) -> Estimator:
     if name not in ESTIMATORS:
         raise UnknownName(f"unknown estimator {name!r}; estimators are {list(ESTIMATORS)}")
     return ESTIMATORS[name][0](problem)
-
-
-def feature_size(estimator: Estimator) -> int:
-    """Number of an estimator's features beyond its probabilities; 0 by default.
-
-    An estimator that has more to say, such as what the next record could show under each
-    hypothesis, has an attribute ``feature_size`` and a method
-    ``features(observation, memory)`` that returns so many numbers of the order of one.
-    """
-    return int(getattr(estimator, "feature_size", 0))
-
-
-def further_features(
-    estimator: Estimator, observation: NDArray[np.float32], memory: Any
-) -> NDArray[np.float32]:
-    """Features of an estimator beyond its probabilities (feature_size,)."""
-    if not feature_size(estimator):
-        return np.zeros(0, dtype=np.float32)
-    return np.asarray(
-        estimator.features(observation, memory),  # type: ignore[attr-defined]
-        dtype=np.float32,
-    )

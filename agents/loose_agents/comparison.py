@@ -8,9 +8,8 @@ that k records allow to get right. Neither is known. Both are taken from whoever
 - Success: the largest share of right best guesses after k records, at the upper end of its
   interval.
 
-So the bound holds for whoever gets no more out of a record than the best player counted. Taken
-from the agents it can be beaten by a better posterior or better records than theirs. Taken from the
-oracle too, which is told direction and friction, it hardly can, and is lower.
+So the bound holds for whoever gets no more out of a record than the best player counted; a better
+posterior or better records can beat it.
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import stats
 
 import loose_env
@@ -164,9 +162,6 @@ def _ready(task: EvaluationTask) -> tuple[Problem, Agent, Arm]:
     return found
 
 
-STAR = "*"
-"""End of the names that are no agents."""
-
 FEWEST = 30
 """Episodes that a mean is taken of, at least."""
 
@@ -188,17 +183,10 @@ class RecordBound:
     success: Array
     """Highest share of right verdicts after 1, 2, ... records."""
 
-    def by_information(self, error: ArrayLike) -> Array:
-        """Bound from the information gained per record."""
-        return least_records(error, self.prior, information=self.information)
-
-    def by_success(self, error: ArrayLike) -> Array:
-        """Bound from the accuracy reached after k records."""
-        return least_records(error, self.prior, success=self.success)
-
-    def records(self, error: ArrayLike) -> Array:
-        """Larger of the two bounds, as plotted in records against success."""
-        return np.maximum(self.by_information(error), self.by_success(error))
+    def records(self, error: float) -> float:
+        """Larger of the bounds by the information per record and by the success after k records."""
+        found = least_records(error, self.prior, information=self.information)
+        return float(max(found, least_records(error, self.prior, success=self.success)))
 
 
 def record_bound(problem: Problem, rows: Sequence[Row]) -> RecordBound | None:
@@ -234,22 +222,13 @@ def bound_of(
 
 
 def bound_line(problem: Problem, rows: Sequence[Row]) -> str:
-    """Format the lower bounds at the best agent's error rate, by difficulty.
-
-    The best agent is the one of the highest mean return among those that are told nothing. The
-    bound is that of the agents; where an oracle plays, what is left of it with the oracle's
-    records is said too.
-    """
+    """Format the lower bounds at the error rate of the best agent by return, by difficulty."""
     parts = []
     levels = dict.fromkeys(str(row.get("difficulty", "own")) for row in rows)
     for level in levels:
         some = [row for row in rows if str(row.get("difficulty", "own")) == level]
         where = f" ({level})" if len(levels) > 1 else ""
-        best = next((s for s in standings(some) if not s.agent.endswith(STAR)), None)
-        if best is None:
-            continue
-        own = [row for row in some if not str(row["agent"]).endswith(STAR)]
-        bound = record_bound(problem, own)
+        best, bound = standings(some)[0], record_bound(problem, some)
         if bound is None:
             parts.append(
                 f"Bound on records{where}: 1; more cannot be said, for no agent here keeps "
@@ -257,27 +236,18 @@ def bound_line(problem: Problem, rows: Sequence[Row]) -> str:
             )
             continue
         error = 1 - best.success
-        told = "" if len(own) == len(some) else _told(record_bound(problem, some), error)
+        by_information = float(least_records(error, bound.prior, information=bound.information))
+        by_success = float(least_records(error, bound.prior, success=bound.success))
         parts.append(
-            f"Bound on records{where}: {float(bound.records(error)):.2f} on average at the error "
-            f"of {best.agent}, {100 * error:.1f} %, which took {best.records:.2f}. By information "
-            f"(Fano) {float(bound.by_information(error)):.2f}, if no record says more than "
+            f"Bound on records{where}: {max(by_information, by_success):.2f} on average at the "
+            f"error of {best.agent}, {100 * error:.1f} %, which took {best.records:.2f}. By "
+            f"information (Fano) {by_information:.2f}, if no record says more than "
             f"{bound.information:.2f} nat, the most that one says to an agent here "
-            f"({bound.teller}, record {bound.record}); by success "
-            f"{float(bound.by_success(error)):.2f}, if k records allow no more right verdicts than "
-            f"the agents here reached. Both with the upper ends of 95 % intervals.{told}"
+            f"({bound.teller}, record {bound.record}); by success {by_success:.2f}, if k records "
+            "allow no more right verdicts than the agents here reached. Both with the upper ends "
+            "of 95 % intervals."
         )
     return "\n".join(parts)
-
-
-def _told(bound: RecordBound | None, error: float) -> str:
-    """Bound that also covers the oracle."""
-    if bound is None:
-        return ""
-    return (
-        f" With the oracle's records, of up to {bound.information:.2f} nat, it is "
-        f"{float(bound.records(error)):.2f}."
-    )
 
 
 def _prior(problem: Problem, level: str) -> Array:

@@ -238,8 +238,7 @@ def evaluate(
     at any ``width`` (number of arms side by side) and thread count, and in whatever range.
 
     The agent is known by ``predict`` alone. A state that has ``probabilities`` of the hypotheses
-    (hypotheses,) is read for the trails. What has a method ``informed(fault, observation)`` is no
-    agent: it is told the hidden fault and returns its first state.
+    (hypotheses,) is read for the trails.
 
     Parameters
     ----------
@@ -295,10 +294,7 @@ def evaluate(
         if number is None:
             return
         batch.start(slot, seed=seed, number=number, options=options)
-        run = running[slot] = _Run(number=number)
-        if hasattr(agent, "informed"):
-            episode = batch.episode(slot)
-            run.state, run.begun = agent.informed(episode.fault, batch.observe(slot)), True
+        running[slot] = _Run(number=number)
 
     for slot in range(width):
         begin(slot)

@@ -53,7 +53,6 @@ from loose_agents.policies.link_finding import (
     SpaceLinkFindingAgent,
     SpaceLinkFindingSettings,
 )
-from loose_agents.policies.oracle import oracle_agent
 from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
 from loose_env.faults import UNSURE
@@ -215,10 +214,6 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     "open_loop": (_usual("open_loop"), "records chosen by the model, blind to their results"),
     "always_healthy": (_blind("healthy"), "blind: healthy, after the cheapest record"),
     "always_unsure": (_blind(UNSURE), "blind: unsure, after the cheapest records that allow it"),
-    "oracle": (
-        lambda problem, seed: oracle_agent(problem, seed=seed),
-        "no agent: greedy, told the hidden direction and friction",
-    ),
     "ppo": (_learned("ppo"), "a policy trained by PPO on the learned posterior"),
     "maskable_ppo": (_learned("maskable_ppo"), "the same, allowed choices only"),
 }

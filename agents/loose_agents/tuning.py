@@ -30,7 +30,6 @@ from loose_agents.belief import (
 from loose_agents.comparison import EvaluationTask, play_task
 from loose_agents.jobs import BackendSettings
 from loose_agents.policies.choice import POLICIES, ConstantPolicy, FixedPolicy, Records
-from loose_agents.policies.oracle import oracle_agent
 from loose_agents.registry import LEARNED, make_agent
 from loose_env.envs import Prices
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
@@ -240,13 +239,9 @@ def write_tuned(
     write_text(path, json.dumps(known, indent=1, sort_keys=True) + "\n")
 
 
-ORACLE = "oracle"
-"""Stands for the estimator in the name of an oracle."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Player(EvaluationTask):
-    """Serialisable description of an agent, estimator/policy or oracle/policy, that plays on."""
+    """Serialisable description of an agent that plays on, however sure it is."""
 
     levels: tuple[int, ...] | None = None
     """Levels of all joints, in place of those that the constant policy was tuned to."""
@@ -282,15 +277,15 @@ def names_of(agent: str) -> tuple[str, str]:
 
     Examples
     --------
-    >>> names_of("oracle/together")
-    ('oracle', 'together')
+    >>> names_of("amortised/together")
+    ('amortised', 'together')
     """
     if agent in LEARNED:
         return agent, ""
     estimator, _, policy = agent.partition("/")
-    if estimator not in (*ESTIMATORS, ORACLE) or policy not in POLICIES:
+    if estimator not in ESTIMATORS or policy not in POLICIES:
         raise UnknownName(
-            f"cannot tune {agent!r}: give an estimator of {[*ESTIMATORS, ORACLE]} and a policy of "
+            f"cannot tune {agent!r}: give an estimator of {list(ESTIMATORS)} and a policy of "
             f"{list(POLICIES)}, as in amortised/greedy, or one of {list(LEARNED)}"
         )
     return estimator, policy
@@ -298,9 +293,7 @@ def names_of(agent: str) -> tuple[str, str]:
 
 def agent_of(player: Player, problem: Problem) -> Agent:
     """Make the agent."""
-    estimator, policy = names_of(player.agent)
-    if estimator == ORACLE:
-        return oracle_agent(problem, policy=policy, seed=player.agent_seed)
+    estimator, _ = names_of(player.agent)
     if player.levels is None and player.sequence is None:
         return make_agent(player.agent, problem, seed=player.agent_seed)
     made = make_estimator(estimator, problem)

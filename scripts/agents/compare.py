@@ -62,9 +62,6 @@ CLASSICAL = ("classical", "classical_literal", "images", "always_healthy", "alwa
 """Reference first, then what every comparison shows beside it: the method's letter, its way by
 predicted directions, and the constant baselines."""
 
-NO_AGENTS = {"oracle": "knows the hidden direction and friction, which no agent is told"}
-"""Rows that are no agents, and why; their names get a star."""
-
 LINES: list[Callable[[Problem, Sequence[Row]], str]] = [
     bound_line,
     lambda problem, rows: unfelt_words(problem.arm),
@@ -196,8 +193,6 @@ def play(
 def words_of(name: str) -> str:
     """Short description of an agent."""
     plain = name.partition(SEPARATOR)[0]
-    if plain in NO_AGENTS:
-        return f"{starred(name)}: no agent; it {NO_AGENTS[plain]}."
     if plain in AGENTS:
         return f"{name}: {AGENTS[plain][1]}."
     if is_outside(name):
@@ -206,16 +201,6 @@ def words_of(name: str) -> str:
     if estimator in ESTIMATORS and policy in POLICIES:
         return f"{name}: estimator, {ESTIMATORS[estimator][1]}; poses, {POLICIES[policy][1]}."
     return f"{name}: estimator {estimator}, poses chosen by {policy}."
-
-
-def starred(name: str) -> str:
-    """Mark what is no agent."""
-    return f"{name}*" if name.partition(SEPARATOR)[0] in NO_AGENTS else name
-
-
-def shown(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows as tables and page show them: what is no agent gets its star."""
-    return [{**row, "agent": starred(row["agent"])} for row in rows]
 
 
 def write_page(
@@ -231,7 +216,7 @@ def write_page(
     """Write the page: what was played, who won, tables, figures, one episode in pictures."""
     from loose_env.report import episode_timeline, write_comparison
 
-    best = next(s.agent for s in standings(rows) if not s.agent.endswith("*"))
+    best = standings(rows)[0].agent
     told = _told(rows, best, problem)
     timeline = None
     if told is not None:
@@ -251,7 +236,7 @@ def write_page(
             f"was sure. There are {len(problem.hypotheses)} hypotheses. A right verdict earns 1, a "
             "wrong one loses 1, and every record costs a little. Simulated by "
             f"{engine_words(problem)}.",
-            *(words_of(name.removesuffix("*")) for name in own),
+            *(words_of(name) for name in own),
         ],
         chance=max(truths.values()) / len(own[best]),
         forced=forced,
@@ -299,10 +284,8 @@ def compare(options: Options) -> None:
         raise ValueError(
             f"--curve must be 1 to {problem.settings.max_records}, got {options.curve}"
         )
-    played = play(names, levels, options)
-    more = [] if options.curve is None else play(goers, levels, options, records=options.curve)
-    rows, forced = shown(played), shown(more)
-    reference = None if reference is None else starred(reference)
+    rows = play(names, levels, options)
+    forced = [] if options.curve is None else play(goers, levels, options, records=options.curve)
     configuration = canonical(
         {
             "env": options.env,
@@ -325,18 +308,17 @@ def compare(options: Options) -> None:
         f"{', '.join(options.difficulties) or problem.settings.difficulty}: {options.episodes} "
         f"episodes for each agent\nseed {options.seed} ({frozen}), configuration {digest[:12]}"
     )
-    stars = [f"* {words_of(name)}" for name in names if starred(name) != name]
     told = comparison_text(
         rows,
         forced,
         reference=reference,
         rng=np.random.default_rng(BOOTSTRAP_SEED),
-        said=[*stars, *filter(None, (line(problem, rows) for line in LINES))],
+        said=[said for line in LINES if (said := line(problem, rows))],
     )
     print(f"\n{title}\n\n{told}\n")
-    print(f"Rows: {write_rows(out, 'rows', played, configuration, form=form)}")
-    if more:
-        print(f"Rows of the curve: {write_rows(out, 'curve', more, configuration, form=form)}")
+    print(f"Rows: {write_rows(out, 'rows', rows, configuration, form=form)}")
+    if forced:
+        print(f"Rows of the curve: {write_rows(out, 'curve', forced, configuration, form=form)}")
     if options.page:
         made_by = f"Made by: {command_of(options)}. Configuration {digest[:12]}."
         page = write_page(

@@ -8,7 +8,6 @@ Takes the runs of scripts/agents/train.py, or any folder with trained weights:
 
 from __future__ import annotations
 
-import importlib
 import io
 import re
 from collections.abc import Sequence
@@ -48,8 +47,6 @@ class Options:
     """The best policy, not the last."""
     env_kwargs: tuple[str, ...] = ()
     """Arguments of the environment that override the run's, key:value."""
-    gym_packages: tuple[str, ...] = ()
-    """Packages to import for their ids."""
     seed: NonNegativeCount = 0
     """Seed of the episodes."""
     n_episodes: Count = 5
@@ -140,8 +137,6 @@ def play_episode(
 
 def enjoy(options: Options) -> None:
     """Play the episodes."""
-    for package in options.gym_packages:
-        importlib.import_module(package)
     folder = run_folder(options)
     if options.env not in gymnasium.registry:
         raise UnknownName(f"unknown environment {options.env!r}; they are {', '.join(IDS)}")

@@ -43,7 +43,6 @@ from loose_agents.policies.choice import (
     make_policy,
 )
 from loose_agents.tuning import (
-    ORACLE,
     Player,
     Trails,
     best_constant,
@@ -75,7 +74,7 @@ class Options(BackendSettings):
     arguments: str = '{"engine": "reduced"}'
     """Its arguments, as JSON."""
     agents: tuple[str, ...]
-    """Estimator/policy, or oracle/policy."""
+    """Estimator/policy, or a learned agent."""
     episodes: Count = 4000
     """Training episodes for each agent."""
     records: Count = 12
@@ -173,13 +172,13 @@ def tune(options: Options) -> None:
     for agent in agents:
         estimator, policy = names_of(agent)
         levels = None
-        if policy == "constant" and estimator != ORACLE:
+        if policy == "constant":
             if constant is None:  # the first estimator's best serves the others too
                 constant = best_constant(
                     candidates, partial(play, agent), episodes=options.episodes
                 )
             levels = constant
-        if policy == "fixed" and estimator != ORACLE:
+        if policy == "fixed":
             if fixed is None:  # the first estimator's best serves the others too
                 fixed = best_sequences(
                     sequences(estimator),

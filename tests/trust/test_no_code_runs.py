@@ -163,20 +163,6 @@ def test_tensors_of_a_stored_model_are_tensors(tmp_path: Path, trap: bytes) -> N
         read_model(file)
 
 
-def test_a_training_is_not_continued_from_a_model_that_would_run_something(
-    tmp_path: Path, trap: bytes
-) -> None:
-    pytest.importorskip("sb3_contrib")
-    pytest.importorskip("yaml")
-    from scripts.agents import train
-
-    described = {"policy_kwargs": {":serialized:": base64.b64encode(trap).decode()}}
-    file = zipped(tmp_path, tensors={"a": Trap(tmp_path / "executed")}, described=described)
-    words = ["--env", "loose_env/Planar-v0", "--env-kwargs", "n_links:2", "-n", "8"]
-    with pytest.raises(SystemExit, match=r"cannot continue .* holds no model"):
-        train.main([*words, "-f", str(tmp_path / "runs"), "-i", str(file)])
-
-
 def test_the_posterior_s_checkpoint_is_read_without_its_code(tmp_path: Path, trap: bytes) -> None:
     torch = pytest.importorskip("torch")
     from loose_agents.posterior_training import PosteriorTraining

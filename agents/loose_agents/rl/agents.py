@@ -19,11 +19,9 @@ from numpy.typing import NDArray
 from loose_agents.base import EpisodeAgent, Problem
 from loose_agents.belief import (
     BeliefAgent,
-    Estimator,
     StoppingRule,
+    Tracker,
     best_verdict,
-    feature_size,
-    further_features,
     make_estimator,
     records_measured,
     records_taken,
@@ -161,14 +159,14 @@ class LearnedAgent(BeliefAgent):
         self,
         problem: Problem,
         network: PolicyNetwork,
-        estimator: Estimator | None = None,
+        estimator: Tracker | None = None,
         stopping: StoppingRule | None = None,
         *,
         seed: int = 0,
     ) -> None:
         made = make_estimator("posterior", problem) if estimator is None else estimator
         super().__init__(problem, made, None, stopping, seed=seed)
-        self.network, self.form = network, PolicyForm(problem, feature_size(made))
+        self.network, self.form = network, PolicyForm(problem, made.feature_size)
 
     @classmethod
     def load(cls, problem: Problem, folder: str | Path) -> LearnedAgent:
@@ -184,14 +182,14 @@ class LearnedAgent(BeliefAgent):
         if arm != problem.arm.name:
             raise InvalidData(f"{where} was trained for arm {arm!r:.60}, not {problem.arm.name!r}")
         estimator = make_estimator(str(described.get("estimator", "posterior")), problem)
-        form = PolicyForm(problem, feature_size(estimator))
+        form = PolicyForm(problem, estimator.feature_size)
         return cls(problem, load_network(where, form), estimator)
 
     def act(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.int64]:
         """Evaluate the policy."""
         problem, form = self.problem, self.form
         now = self.situation(observation, memory)
-        further = further_features(self.estimator, observation, memory.estimate)
+        further = self.estimator.features(observation, memory.estimate)
         choice = self.network.choose(
             form.features(observation, now.probabilities, further),
             form.mask(now.pose, now.records, records_measured(problem, observation)),
@@ -247,7 +245,7 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
     if seen is None or seen == layout.size:
         return ModelAgent(problem, _network(stored, problem, problem.actions.nvec), seed=seed)
     estimator = make_estimator(str(beside.get("estimator", "posterior")), problem)
-    form = PolicyForm(problem, feature_size(estimator))
+    form = PolicyForm(problem, estimator.feature_size)
     sees = form.observation_space.shape[0]
     if seen != sees:
         raise InvalidData(

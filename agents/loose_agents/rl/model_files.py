@@ -101,18 +101,6 @@ def restore(stored: StoredModel, model: Any, kind: type[Any]) -> Any:
     """Load tensors and counters into a new model; return the run state."""
     if stored.run is None:
         raise InvalidData(f"{stored.path} is no checkpoint of this version: it has no {RUN}")
-    put_parameters(stored, model)
-    try:
-        counters, given = stored.run["counters"], stored.run["state"]
-        for name in _COUNTERS:
-            setattr(model, name, int(counters[name]))
-        return kind(**{each.name: given[each.name] for each in fields(kind)})
-    except (KeyError, TypeError, ValueError) as error:
-        raise InvalidData(f"{stored.path}: {RUN}: {one_line(error)}") from error
-
-
-def put_parameters(stored: StoredModel, model: Any) -> None:
-    """Load a file's tensors into a model."""
     for name, value in stored.parameters["policy"].items():
         if not isinstance(value, torch.Tensor) or not bool(torch.isfinite(value).all()):
             raise InvalidData(f"{stored.path}: the weights {name!r} are not finite numbers")
@@ -120,6 +108,13 @@ def put_parameters(stored: StoredModel, model: Any) -> None:
         model.set_parameters(dict(stored.parameters), exact_match=True, device=model.device)
     except Exception as error:  # torch and stable-baselines3 raise several kinds
         raise InvalidData(f"{stored.path} does not fit: {one_line(error)}") from error
+    try:
+        counters, given = stored.run["counters"], stored.run["state"]
+        for name in _COUNTERS:
+            setattr(model, name, int(counters[name]))
+        return kind(**{each.name: given[each.name] for each in fields(kind)})
+    except (KeyError, TypeError, ValueError) as error:
+        raise InvalidData(f"{stored.path}: {RUN}: {one_line(error)}") from error
 
 
 def network_arguments(stored: StoredModel) -> dict[str, Any]:

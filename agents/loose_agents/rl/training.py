@@ -17,7 +17,6 @@ import shutil
 import subprocess
 import sys
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -30,8 +29,7 @@ from stable_baselines3.common.logger import Logger
 
 from loose_agents.base import CURVE_SEED, Problem
 from loose_agents.belief import (
-    Estimator,
-    feature_size,
+    Tracker,
     make_estimator,
 )
 from loose_agents.evaluation import EpisodeRow, evaluate, make_environments
@@ -49,8 +47,6 @@ from loose_agents.rl.hyperparameters import (
 )
 from loose_agents.rl.model_files import (
     TRAINED_ON,
-    network_arguments,
-    put_parameters,
     read_model,
     restore,
     zipped,
@@ -127,8 +123,6 @@ class Training:
     """Records before which stopping is refused at the start."""
     forced_share: float = 0.0
     """Share of the steps after which it is refused no more."""
-    trained_agent: str = ""
-    """Model file to continue in a new run."""
     device: str = "cpu"
     """Device of torch."""
     threads: int = 1
@@ -165,7 +159,6 @@ class Training:
                 "forced_records": self.forced_records,
                 "forced_share": self.forced_share,
                 "eval_episodes": self.eval_episodes,
-                "trained_agent": self.trained_agent,
             },
             "settings": asdict(problem.settings),
             **more,
@@ -356,9 +349,6 @@ class RunCallback(BaseCallback):
         super().__init__()
         self.run, self.vec, self.budget, self.configuration = run, vec, budget, configuration
         self.evaluate, self.show, self.folder = evaluate, show, RunFolder(run.folder)
-        self._episodes = 0
-        self._successes: deque[bool] = deque(maxlen=500)
-        self._returns: deque[float] = deque(maxlen=500)
 
     @property
     def state(self) -> RunState:
@@ -380,11 +370,6 @@ class RunCallback(BaseCallback):
     def _on_step(self) -> bool:
         # A step is a record or ends the episode with a verdict.
         self.state.records += int(np.count_nonzero(~self.locals["dones"]))
-        for info in self.locals["infos"]:
-            if "is_success" in info:
-                self._episodes += 1
-                self._successes.append(bool(info["is_success"]))
-                self._returns.append(float(info["episode"]["r"]))
         return not self.budget.timed_out()
 
     def _last_point(self) -> int:
@@ -409,12 +394,10 @@ class RunCallback(BaseCallback):
                 self._evaluate(run.eval_episodes)
         if last or steps - self._saved >= max(run.save_freq, 1):
             self.save()
-        if self._successes:
-            self.show(
-                steps,
-                f"{self._episodes} episodes, success {np.mean(self._successes):.3f}, "
-                f"return {np.mean(self._returns):+.3f}",
-            )
+        if self.model.ep_info_buffer:
+            returns = [each["r"] for each in self.model.ep_info_buffer]
+            right = np.mean(self.model.ep_success_buffer)
+            self.show(steps, f"last episodes: success {right:.3f}, return {np.mean(returns):+.3f}")
 
     def save(self) -> None:
         """Write the policy with its configuration, then the checkpoint."""
@@ -500,7 +483,7 @@ def train(
     )
     problem = Problem.of(env.arm, env.settings)
     estimator = None if run.estimator is None else make_estimator(run.estimator, problem)
-    further = 0 if estimator is None else feature_size(estimator)
+    further = 0 if estimator is None else estimator.feature_size
     configuration = run.configuration(problem, further_features=further, **described)
     folder = RunFolder(run.folder)
     vec: Any = (
@@ -528,15 +511,7 @@ def train(
             model = _checkpointed(run, folder, configuration, model_class, vec, given, problem)
             say(f"resumed from {folder.checkpoint} at {model.num_timesteps} steps")
         else:
-            if (
-                run.trained_agent
-                and folder.root.resolve() in Path(run.trained_agent).resolve().parents
-            ):
-                raise InvalidSetting(
-                    f"{run.trained_agent} lies in the folder of the run itself; choose another "
-                    "--log-folder or --seed for the run that continues it"
-                )
-            model = _new_model(run, model_class, vec, given, run.trained_agent, problem)
+            model = _new_model(run, model_class, vec, given, problem)
             model.run_state = RunState()
             folder.clear()  # only now: what was refused has taken nothing away
         setattr(model, TRAINED_ON, problem.fingerprint)
@@ -579,7 +554,7 @@ def evaluate_model(
     run: Training,
     model: Any,
     problem: Problem,
-    estimator: Estimator | None,
+    estimator: Tracker | None,
     env: DiagnosisVectorEnv,
     episodes: int,
 ) -> list[EpisodeRow]:
@@ -627,10 +602,8 @@ def _checkpointed(
     try:
         stored = read_model(folder.checkpoint, given["device"])
         # Made with the options of the run, which are those of its start: only tensors, counts and
-        # the states of generators come from the file. A run that continued a model has its network.
-        if run.trained_agent:
-            given = given | {"policy_kwargs": network_arguments(stored)}
-        model = _new_model(run, model_class, vec, given, "", problem)
+        # the states of generators come from the file.
+        model = _new_model(run, model_class, vec, given, problem)
         model.run_state = restore(stored, model, RunState)
     except InvalidData as error:
         raise InvalidData(
@@ -640,33 +613,21 @@ def _checkpointed(
 
 
 def _new_model(
-    run: Training,
-    model_class: type[Any],
-    vec: Any,
-    given: dict[str, Any],
-    path: str,
-    problem: Problem,
+    run: Training, model_class: type[Any], vec: Any, given: dict[str, Any], problem: Problem
 ) -> Any:
-    """Make a model, or load the one that is to be continued."""
+    """Make a model; on a posterior it begins with long, strong records and seldom stops."""
     try:
-        if not path:
-            model = model_class(env=vec, **given)
-            if run.estimator is not None:
-                # Start from shaking the most joints at the top level for long, seldom stopping.
-                with torch.no_grad():
-                    bias = model.policy.action_net.bias
-                    bias[torch.as_tensor(problem.actions.strongest_options())] += LEVEL_BIAS
-                    bias[-1] += STOP_BIAS
-            return model
-        # The network stays as it is; what remains are the settings of the algorithm.
-        stored = read_model(path, given["device"])
-        model = model_class(env=vec, **given | {"policy_kwargs": network_arguments(stored)})
-        put_parameters(stored, model)
-        return model
+        model = model_class(env=vec, **given)
     except (AssertionError, TypeError, ValueError, KeyError, RuntimeError) as error:
-        what = f"cannot continue {path}" if path else "hyperparameters refused"
-        reason = " ".join(str(error).split())
-        raise InvalidSetting(f"{what} by {model_class.__name__}: {reason}") from error
+        raise InvalidSetting(
+            f"hyperparameters refused by {model_class.__name__}: {' '.join(str(error).split())}"
+        ) from error
+    if run.estimator is not None:
+        with torch.no_grad():
+            bias = model.policy.action_net.bias
+            bias[torch.as_tensor(problem.actions.strongest_options())] += LEVEL_BIAS
+            bias[-1] += STOP_BIAS
+    return model
 
 
 def _standardise(model: Any, vec: Any, seed: int, max_records: int) -> int:

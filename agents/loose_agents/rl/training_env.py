@@ -11,9 +11,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from loose_agents.base import Problem
 from loose_agents.belief import (
-    Estimator,
-    feature_size,
-    further_features,
+    Tracker,
     make_estimator,
     records_measured,
     records_taken,
@@ -93,7 +91,7 @@ class TrackedVecEnv(VecEnvWrapper):
         self,
         env: DiagnosisVectorEnv,
         problem: Problem,
-        estimator: Estimator | None = None,
+        estimator: Tracker | None = None,
         *,
         shaping: float = 0.0,
     ) -> None:
@@ -101,7 +99,7 @@ class TrackedVecEnv(VecEnvWrapper):
             raise InvalidSetting(f"the shaping's weight is a number, 0 or more; got {shaping!r}")
         self.problem, self.shaping = problem, shaping
         self.estimator = make_estimator("posterior", problem) if estimator is None else estimator
-        self.form = PolicyForm(problem, feature_size(self.estimator))
+        self.form = PolicyForm(problem, self.estimator.feature_size)
         self.least_records = 1
         """Records before which stopping is refused."""
         self.diagnosis = env
@@ -188,7 +186,7 @@ class TrackedVecEnv(VecEnvWrapper):
         self._probabilities[i] = self.estimator.follow(row, memory)
         self._records[i] = records_taken(self.problem, row)
         self._rows[i] = row
-        further = further_features(self.estimator, row, memory)
+        further = self.estimator.features(row, memory)
         return self.form.features(row, self._probabilities[i], further)
 
     def _potential(self, i: int) -> float:
