@@ -33,13 +33,7 @@ MOST_SHOWN = 300
 
 
 def arguments_of(text: str) -> dict[str, Any]:
-    """Parse the environment's arguments from the option ``--arguments``.
-
-    Examples
-    --------
-    >>> arguments_of('{"n_links": 3}')
-    {'n_links': 3}
-    """
+    """Parse the environment's arguments from the option ``--arguments``."""
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -90,17 +84,7 @@ def diagnosis_env(
 
 @contextmanager
 def refused_in_words(env_id: str, arguments: Mapping[str, Any]) -> Iterator[None]:
-    """Name the arguments that an environment does not accept, in a readable error.
-
-    Examples
-    --------
-    >>> with refused_in_words("loose_env/Vera-v0", {"durations": 0.2}):
-    ...     tuple(0.2)
-    Traceback (most recent call last):
-        ...
-    loose_env.errors.InvalidSetting: loose_env/Vera-v0 does not take {'durations': 0.2}: 'float'
-    object is not iterable
-    """
+    """Name the arguments that an environment does not accept, in a readable error."""
     try:
         yield
     except (TypeError, OverflowError) as error:

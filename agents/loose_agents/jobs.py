@@ -214,13 +214,7 @@ def _installed(module: str, extra: str) -> Any:
 
 
 def spans(total: int, size: int) -> list[range]:
-    """Divide the episodes 0 to ``total - 1``; the last part may be shorter.
-
-    Examples
-    --------
-    >>> spans(5, 2)
-    [range(0, 2), range(2, 4), range(4, 5)]
-    """
+    """Divide the episodes 0 to ``total - 1``; the last part may be shorter."""
     if total < 0 or size < 1:
         raise InvalidSetting(f"{total} episodes in parts of {size}: give a size of 1 or more")
     return [range(start, min(start + size, total)) for start in range(0, total, size)]
@@ -373,14 +367,7 @@ def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
 
 
 class ProgressLine(tqdm):  # type: ignore[misc]
-    """Progress of counted work: one line on a terminal, a line for every tenth in a log.
-
-    Examples
-    --------
-    >>> with ProgressLine(100, stream=sys.stdout) as line:
-    ...     line.advance(50, "loss 0.1")
-     50%|#####     | 50/100 [00:00<00:00, ... episodes/s, loss 0.1]
-    """
+    """Progress of counted work: one line on a terminal, a line for every tenth in a log."""
 
     monitor_interval = 0  # no thread that shortens the distance of a log's lines
 

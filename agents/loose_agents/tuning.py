@@ -144,15 +144,7 @@ def unseen_return(trails: Trails, rng: np.random.Generator) -> float:
 
 
 def single_joints(problem: Problem, levels: Sequence[int] | None = None) -> list[tuple[int, ...]]:
-    """Enumerate single-joint excitations at every level; 0 is off.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> from loose_env.envs import DiagnosisSettings
-    >>> single_joints(Problem.of(planar(2), DiagnosisSettings()), [3])
-    [(3, 0), (0, 3)]
-    """
+    """Enumerate single-joint excitations at every level; 0 is off."""
     n, top = problem.arm.n, len(problem.arm.levels)
     tried = range(top, 0, -1) if levels is None else levels
     if not len(tried) or not all(1 <= level <= top for level in tried):
@@ -273,13 +265,7 @@ class Player(EvaluationTask):
 
 
 def names_of(agent: str) -> tuple[str, str]:
-    """Estimator and policy of an agent; the name alone of a learned one.
-
-    Examples
-    --------
-    >>> names_of("amortised/together")
-    ('amortised', 'together')
-    """
+    """Estimator and policy of an agent; the name alone of a learned one."""
     if agent in LEARNED:
         return agent, ""
     estimator, _, policy = agent.partition("/")

@@ -10,23 +10,25 @@ from loose_agents.base import Problem
 from loose_agents.belief import BeliefAgent, Situation, Sure, Tracker
 from loose_agents.evaluation import evaluate
 from loose_agents.policies.pose_sets import (
-    GREEDY,
-    Directions,
     GreedySeparation,
     MovesOf,
     PoseSetPolicy,
-    Records,
-    Task,
-    directions_block,
     image_posterior,
-    link_log_likelihoods,
-    records_block,
 )
 from loose_agents.registry import make_agent
 
 from loose_env.arms import Arm, planar, six_axis
 from loose_env.diagnosis import DirectionSighting, ToolFrames, link_posterior
 from loose_env.envs import DiagnosisSettings, EpisodeBatch
+from scripts.studies.pose_sets import (
+    GREEDY,
+    Directions,
+    Records,
+    Task,
+    directions_block,
+    link_log_likelihoods,
+    records_block,
+)
 
 RULES = DiagnosisSettings()
 

@@ -196,13 +196,7 @@ SETS: Mapping[str, EpisodeSet] = MappingProxyType(
 
 
 def set_named(name: str) -> EpisodeSet:
-    """Look up a set.
-
-    Examples
-    --------
-    >>> set_named("test").episodes
-    320
-    """
+    """Look up a set."""
     if name not in SETS:
         raise UnknownName(f"unknown set {name!r}; sets are {list(SETS)}")
     return SETS[name]

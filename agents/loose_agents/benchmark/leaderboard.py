@@ -18,16 +18,6 @@ from loose_env.evaluation import Interval, bootstrap_mean, expected_calibration_
 from loose_env.faults import UNSURE
 from loose_env.typing import Array
 
-__all__ = [
-    "ADAPTIVE",
-    "RESULTS",
-    "agent_rows",
-    "leaderboard",
-    "outside_table",
-    "results_path",
-    "stored_results",
-    "value_tables",
-]
 
 RESULTS = Path(__file__).resolve().parents[3] / "docs" / "benchmark_results"
 """Results files of the repository."""

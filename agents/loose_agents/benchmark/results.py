@@ -234,13 +234,7 @@ def write_results(path: Path, results: Results) -> Path:
 
 
 def results_schema() -> dict[str, Any]:
-    """JSON Schema (2020-12) of a results file; lists are checked against the set beside it.
-
-    Examples
-    --------
-    >>> results_schema()["properties"]["format"]
-    {'const': 'loose-benchmark/1'}
-    """
+    """JSON Schema (2020-12) of a results file; lists are checked against the set beside it."""
     schema = TypeAdapter(Results).json_schema()
     own = {"format": {"const": FORMAT}, "task": {"enum": list(TASKS)}, "set": {"enum": list(SETS)}}
     return {

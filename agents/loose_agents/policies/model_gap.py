@@ -15,7 +15,6 @@ from loose_env.errors import UnknownName
 from loose_env.gap import battery
 from loose_env.typing import Array
 
-__all__ = ["GAP_AGENTS", "NAT", "SETUP_S", "GapAgent", "make_gap_agent"]
 
 GAP_AGENTS = ("random", "battery", "brief", "greedy")
 """Names of the agents."""

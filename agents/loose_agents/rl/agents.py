@@ -58,15 +58,6 @@ class PolicyForm:
 
     It chooses moves, levels and a record length by the entries of the environment's action, and
     in place of the verdict whether to stop.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> from loose_env.envs import DiagnosisSettings
-    >>> PolicyForm(Problem.of(planar(2), DiagnosisSettings())).nvec.tolist()
-    [5, 5, 4, 4, 3, 2]
-    >>> PolicyForm(Problem.of(planar(2), DiagnosisSettings(max_excited=1))).nvec.tolist()
-    [5, 5, 7, 3, 2]
     """
 
     def __init__(self, problem: Problem, further: int = 0) -> None:

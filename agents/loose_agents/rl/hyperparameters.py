@@ -23,13 +23,7 @@ _GIVEN = ("self", "env", "tensorboard_log", "verbose", "seed", "device", "_init_
 
 
 class LinearSchedule:
-    """Linear schedule from an initial value to zero over the training.
-
-    Examples
-    --------
-    >>> LinearSchedule(3e-4)(0.5)
-    0.00015
-    """
+    """Linear schedule from an initial value to zero over the training."""
 
     def __init__(self, first: float) -> None:
         self.first = float(first)
@@ -75,13 +69,6 @@ def value_of(text: str) -> Any:
     """Parse a Python literal or ``dict(...)``; words and paths without brackets are strings.
 
     Nothing is run.
-
-    Examples
-    --------
-    >>> value_of("dict(net_arch=[64, 64])")
-    {'net_arch': [64, 64]}
-    >>> value_of("brake"), value_of("lin_3e-4"), value_of("'brake'"), value_of("-1e-3")
-    ('brake', 'lin_3e-4', 'brake', -0.001)
     """
     plain = text.strip()
     try:
@@ -115,13 +102,7 @@ class _Literals(ast.NodeTransformer):
 
 
 def key_values(words: Sequence[str], option: str) -> dict[str, Any]:
-    """Parse ``key:value`` words in the syntax of rl-zoo's command line.
-
-    Examples
-    --------
-    >>> key_values(["n_links:3", 'hold:"servo"'], "--env-kwargs")
-    {'n_links': 3, 'hold': 'servo'}
-    """
+    """Parse ``key:value`` words in the syntax of rl-zoo's command line."""
     found = {}
     for word in words:
         key, colon, value = word.partition(":")

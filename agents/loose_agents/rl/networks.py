@@ -177,16 +177,7 @@ def load_network(folder: str | Path, form: _Form) -> PolicyNetwork:
 
 
 def record_set_arguments(layout: ObservationLayout) -> dict[str, Any]:
-    """Arguments of the set network for an environment's observation.
-
-    Examples
-    --------
-    >>> import gymnasium, loose_env
-    >>> env = gymnasium.make("loose_env/Vera-v0").unwrapped
-    >>> given = record_set_arguments(env.layout)
-    >>> given["slots"], given["slot_size"], len(given["pairs"])
-    (12, 58, 20)
-    """
+    """Arguments of the set network for an environment's observation."""
     names = [each.name for each in layout.slot_elements]
     twins = [(k, names.index(_NOMINAL + n)) for k, n in enumerate(names) if _NOMINAL + n in names]
     return {"slots": layout.slots, "slot_size": len(names), "pairs": twins}
@@ -200,18 +191,6 @@ class RecordSetExtractor(nn.Module):
     adds up: the log-posterior of a hypothesis is a sum over independent records. An embedding sees
     a record's elements and the differences from their nominal twins, each standardised as
     `standardise` has measured it.
-
-    Examples
-    --------
-    >>> import gymnasium, loose_env
-    >>> from stable_baselines3 import PPO
-    >>> env = gymnasium.make("loose_env/Vera-v0", engine="reduced")
-    >>> kwargs = dict(
-    ...     features_extractor_class=RecordSetExtractor,
-    ...     features_extractor_kwargs=record_set_arguments(env.unwrapped.layout),
-    ... )
-    >>> PPO("MlpPolicy", env, policy_kwargs=kwargs, device="cpu").policy.features_dim
-    72
     """
 
     own: torch.Tensor

@@ -33,11 +33,6 @@ def training_seed(seed: int, steps: int) -> int:
     A run that is resumed so meets faults that it has not met. It is a number of 62 bits, from
     which those of the environments are spawned: they do not meet the small ones that people choose,
     nor those of the evaluation.
-
-    Examples
-    --------
-    >>> training_seed(1, 0) != training_seed(1, 512) != evaluation_seed(1)
-    True
     """
     return _seed(seed, _TRAINING, steps)
 
@@ -58,11 +53,6 @@ def forced_records(done: float, *, first: int = 3, until: float = 0.4) -> int:
     A policy that knows nothing stops early, is mostly wrong, and never sees what a later record
     would have told. So it is made to go on at first: before ``first`` records, then before
     fewer, down to one from the share ``until`` of the training on.
-
-    Examples
-    --------
-    >>> [forced_records(share) for share in (0.0, 0.19, 0.21, 0.4, 1.0)]
-    [3, 3, 2, 1, 1]
     """
     if done >= until:
         return 1
