@@ -22,7 +22,6 @@ from typing import Any
 from loose_agents.base import Agent, Problem
 from loose_agents.belief import (
     ESTIMATORS,
-    WEIGHTS,
     AfterRecords,
     BeliefAgent,
     Sure,

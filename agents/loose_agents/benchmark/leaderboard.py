@@ -18,7 +18,6 @@ from loose_env.evaluation import Interval, bootstrap_mean, expected_calibration_
 from loose_env.faults import UNSURE
 from loose_env.typing import Array
 
-
 RESULTS = Path(__file__).resolve().parents[3] / "docs" / "benchmark_results"
 """Results files of the repository."""
 ADAPTIVE = "greedy"
