@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import i0e
 
 from loose_env.arms import Arm, Mismatch
-from loose_env.diagnosis.prediction import Prediction, SensorFloor
-from loose_env.diagnosis.records import RecordStatistics
+from loose_env.diagnosis.prediction import Prediction, RecordStatistics, SensorFloor
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.statistics import axial_vector
 from loose_env.typing import Array

@@ -17,6 +17,7 @@ from loose_env.arms import Arm, LinearArm, Mismatch
 from loose_env.diagnosis.posterior import transmission_errors, unexplained
 from loose_env.diagnosis.prediction import (
     INERTIA_ERROR,
+    RecordStatistics,
     SeatPrediction,
     SensorFloor,
     channel_noise,
@@ -25,7 +26,6 @@ from loose_env.diagnosis.prediction import (
     seat_drives,
     stiffness_errors,
 )
-from loose_env.diagnosis.records import RecordStatistics
 from loose_env.excitation import SeatReference
 from loose_env.inference import whitener
 from loose_env.sensors import SensorSuite

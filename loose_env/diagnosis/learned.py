@@ -24,7 +24,7 @@ from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.features import LOCATION_FEATURES, RECORD_FEATURES, SeatFeatures
 from loose_env.diagnosis.novelty import NOVELTY_STATISTICS, NoveltyReference, Seen, sights
 from loose_env.diagnosis.posterior import Belief, friction_nodes, log_prior
-from loose_env.diagnosis.records import RecordStatistics
+from loose_env.diagnosis.prediction import RecordStatistics
 from loose_env.errors import InvalidData
 from loose_env.faults import DEFAULT_KINDS, hypotheses
 from loose_env.sensors import SensorSuite

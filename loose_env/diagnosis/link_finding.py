@@ -16,8 +16,7 @@ from loose_env.diagnosis.directions import (
     LinkPosterior,
     ToolFrames,
 )
-from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.diagnosis.records import RecordStatistics
+from loose_env.diagnosis.prediction import RecordStatistics, SensorFloor, predict
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation, at_levels
 from loose_env.inference import overlap

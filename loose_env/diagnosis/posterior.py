@@ -23,6 +23,7 @@ from loose_env.diagnosis.prediction import (
     INERTIA_ERROR,
     LINEAR_ERROR,
     POWER_ERROR,
+    RecordStatistics,
     SeatPrediction,
     SensorFloor,
     channel_noise,
@@ -32,7 +33,6 @@ from loose_env.diagnosis.prediction import (
     seat_drives,
     sensor_errors,
 )
-from loose_env.diagnosis.records import RecordStatistics
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import SeatReference
 from loose_env.faults import DEFAULT_KINDS, hypotheses, places_of_kind

@@ -30,7 +30,7 @@ from loose_env.diagnosis.features import (
     TransmissionChange,
     sampling_covariance,
 )
-from loose_env.diagnosis.records import LinkReadings, RecordStatistics, sensed_arms
+from loose_env.diagnosis.prediction import LinkReadings, RecordStatistics, sensed_arms
 from loose_env.errors import InvalidSetting
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array

@@ -22,8 +22,9 @@ from loose_env.diagnosis import statistics_of
 from loose_env.excitation import Excitation, Shaping
 from loose_env.io import Count
 from loose_env.rig import Measurement
-from loose_env.statistics import acceleration_from_angle, transfer_function
+from loose_env.statistics import acceleration_from_angle
 from loose_env.typing import Array
+from scripts.thesis.estimators import transfer_function
 from scripts.thesis.shaken_vera import spectral_flatness
 from scripts.thesis.twins import Twins, angle_deg, change_of
 

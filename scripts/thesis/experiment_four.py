@@ -11,14 +11,14 @@ import numpy as np
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy
 from loose_env.rig import Measurement
-from loose_env.statistics import (
-    axial_difference,
+from loose_env.statistics import axial_difference
+from loose_env.typing import Array
+from scripts.thesis.estimators import (
     kurtosis,
     lowest_correlation_direction,
     maximum_correlation,
     skewness,
 )
-from loose_env.typing import Array
 from scripts.thesis.page import Section, printed, section
 from scripts.thesis.plots import LoopPanel, by_category, loop_panels
 from scripts.thesis.rigs import (
@@ -88,12 +88,12 @@ class Trial:
 
     def maximum(self) -> Spread:
         """Maximum correlation over directions."""
-        return Spread.of([maximum_correlation(x, a).value for x, a in self.pairs()])
+        return Spread.of([maximum_correlation(x, a) for x, a in self.pairs()])
 
     def moments(self, *, third: bool) -> list[float]:
         """Skewness or kurtosis along the joint, record by record."""
         moment = skewness if third else kurtosis
-        return [float(moment(a, _ALONG[:2])) for _, a in self.pairs()]
+        return [moment(a, _ALONG[:2]) for _, a in self.pairs()]
 
 
 @lru_cache(maxsize=8)

@@ -24,8 +24,9 @@ from loose_env.diagnosis import SensorFloor, predict, statistics_of
 from loose_env.io import Count
 from loose_env.rig import Measurement
 from loose_env.sensors import SensorSuite
-from loose_env.statistics import acceleration_from_angle, kurtosis, transfer_function
+from loose_env.statistics import acceleration_from_angle, shape_of
 from loose_env.typing import Array
+from scripts.thesis.estimators import transfer_function
 from scripts.thesis.twins import Twins
 
 INDICES = ("apparent inertia", "incoherence", "kurtosis of the joint", "tool, transmission")
@@ -58,7 +59,7 @@ def indices_of(record: Measurement, twins: Twins, joint: int) -> list[float]:
     return [
         abs(float(found.inertia[joint] / nominal.inertia[0]) - 1.0),
         1.0 - float(np.mean(answer.coherence[..., inside])),
-        float(kurtosis(motion[None])[0]),
+        float(shape_of(motion)[1]),
         float(np.linalg.norm(change) / np.linalg.norm(expected)),
     ]
 

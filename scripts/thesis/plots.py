@@ -9,8 +9,8 @@ import numpy as np
 
 from loose_env.envs import FAINT, INK, MUTED
 from loose_env.report import WIDTH, new_figure, quiet_axes
-from loose_env.statistics import correlation_loop
 from loose_env.typing import Array
+from scripts.thesis.estimators import correlation_loop
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

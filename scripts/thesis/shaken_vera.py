@@ -22,14 +22,17 @@ from loose_env.statistics import (
     axial_mean,
     bandpass,
     comparative_index,
+    covariances,
+    transmission_from,
+)
+from loose_env.typing import Array
+from scripts.thesis.estimators import (
     kurtosis,
     lowest_correlation_direction,
     maximum_correlation,
     skewness,
     transfer_function,
-    transmission,
 )
-from loose_env.typing import Array
 from scripts.thesis.page import Rows, Section, printed, section
 from scripts.thesis.planar_motion import contour_levels, histogram
 from scripts.thesis.plots import (
@@ -149,7 +152,7 @@ class Case:
     @property
     def maximum(self) -> Spread:
         """Maximum correlation over directions (the thesis's C)."""
-        return Spread.of([maximum_correlation(x, a).value for x, a in self.pairs])
+        return Spread.of([maximum_correlation(x, a) for x, a in self.pairs])
 
     @property
     def peaks(self) -> tuple[float, float]:
@@ -169,7 +172,7 @@ class Case:
         c_n, phi_n = healthy.maximum.mean, healthy.lowest.mean
         found = []
         for x, a in self.pairs:
-            c, phi = maximum_correlation(x, a).value, lowest_correlation_direction(x, a)
+            c, phi = maximum_correlation(x, a), lowest_correlation_direction(x, a)
             found.append(comparative_index(c_n, phi_n, c, phi).mag_d)
         return Spread.of(found)
 
@@ -263,8 +266,8 @@ def direction_errors(case: Case, healthy: Case, direction: float) -> Errors:
         return np.degrees(axial_difference(np.array(found), direction))
 
     def low(x: Array, a: Array) -> Array:
-        b = transmission(bandpass(x, RATE, LOW_BAND), bandpass(a, RATE, LOW_BAND))
-        return np.asarray(b).reshape(2)
+        cov = covariances(bandpass(x, RATE, LOW_BAND), bandpass(a, RATE, LOW_BAND))
+        return transmission_from(cov).reshape(2)
 
     reference = np.mean([low(x, a) for x, a in healthy.pairs], axis=0)
     changes = np.array([low(x, a) - reference for x, a in case.pairs])
@@ -555,7 +558,7 @@ def experiment_six(seed: int) -> Section:
 def moment_points(cases: Sequence[Case], direction: float, name: str, *, third: bool) -> Points:
     """Skewness (third moment) or kurtosis of the tool along a direction, pose by pose."""
     unit, moment = [np.cos(direction), np.sin(direction)], skewness if third else kurtosis
-    return points_of(name, [[float(moment(a, unit)) for _, a in case.pairs] for case in cases])
+    return points_of(name, [[moment(a, unit) for _, a in case.pairs] for case in cases])
 
 
 def points_of(name: str, values: Sequence[Sequence[float]]) -> Points:

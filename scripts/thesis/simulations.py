@@ -11,13 +11,9 @@ import numpy as np
 
 from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.report import AGENTS, new_figure, quiet_axes
-from loose_env.statistics import (
-    axial_difference,
-    correlation_loop,
-    kurtosis,
-    lowest_correlation_direction,
-)
+from loose_env.statistics import axial_difference
 from loose_env.typing import Array
+from scripts.thesis.estimators import correlation_loop, kurtosis, lowest_correlation_direction
 from scripts.thesis.matching import (
     ANGLE,
     HALF_WIDTH,

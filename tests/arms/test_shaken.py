@@ -14,7 +14,7 @@ from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Healthy, Preload
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
-from loose_env.statistics import transfer_function
+from scripts.thesis.estimators import transfer_function
 from scripts.thesis.rigs import PROXIMAL, SHAKEN_BAND, ShakenVeraParameters, shaken_vera
 
 RATE = 2000.0

@@ -8,8 +8,8 @@ import pytest
 from loose_env.arms import LinearArm, planar, scara
 from loose_env.diagnosis import SensorFloor, predict, statistics_of
 from loose_env.excitation import Excitation, at_levels
-from loose_env.rig import SimulatedRig
-from loose_env.sensors import Encoder, SensorSuite, read_encoder
+from loose_env.rig import SimulatedRig, read_encoder
+from loose_env.sensors import Encoder, SensorSuite
 
 POSE = np.array([0.5, 0.9, -0.08, -0.4])
 
