@@ -143,17 +143,11 @@ def unseen_return(trails: Trails, rng: np.random.Generator) -> float:
     return float(np.mean(np.concatenate(found)))
 
 
-def single_joints(problem: Problem, levels: Sequence[int] | None = None) -> list[tuple[int, ...]]:
-    """Enumerate single-joint excitations at every level; 0 is off."""
-    n, top = problem.arm.n, len(problem.arm.levels)
-    tried = range(top, 0, -1) if levels is None else levels
-    if not len(tried) or not all(1 <= level <= top for level in tried):
-        raise InvalidSetting(
-            f"levels of arm {problem.arm.name!r} are 1 to {top}, got {list(tried)}"
-        )
-    return [
-        tuple(level if k == joint else 0 for k in range(n)) for level in tried for joint in range(n)
-    ]
+def single_joints(problem: Problem) -> list[tuple[int, ...]]:
+    """Enumerate single-joint excitations, the highest level first; 0 is off."""
+    alone = np.eye(problem.arm.n, dtype=int)
+    levels = range(len(problem.arm.levels), 0, -1)
+    return [tuple((level * one).tolist()) for level in levels for one in alone]
 
 
 def best_constant(

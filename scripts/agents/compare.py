@@ -15,7 +15,7 @@ import shlex
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,14 +38,12 @@ from loose_agents.comparison import EvaluationTask, bound_line, play_task
 from loose_agents.evaluation import arguments_of, problem_of
 from loose_agents.jobs import BackendSettings, canonical
 from loose_agents.policies.choice import POLICIES
-from loose_agents.registry import AGENTS, describe, is_outside, make_agent
+from loose_agents.registry import AGENTS, describe, make_agent
 
 import loose_env
 from loose_env.arms import unfelt_words
 from loose_env.cli.command import command
 from loose_env.evaluation import (
-    SEPARATOR,
-    Row,
     by_agent,
     configuration_hash,
     need_format,
@@ -61,12 +59,6 @@ EPISODES = 4000
 CLASSICAL = ("classical", "classical_literal", "images", "always_healthy", "always_unsure")
 """Reference first, then what every comparison shows beside it: the method's letter, its way by
 predicted directions, and the constant baselines."""
-
-LINES: list[Callable[[Problem, Sequence[Row]], str]] = [
-    bound_line,
-    lambda problem, rows: unfelt_words(problem.arm),
-]
-"""Lines below the table, such as a bound on records."""
 
 BOOTSTRAP_SEED = 0
 """Seed of the resamples behind the intervals."""
@@ -190,19 +182,6 @@ def play(
     return rows
 
 
-def words_of(name: str) -> str:
-    """Short description of an agent."""
-    plain = name.partition(SEPARATOR)[0]
-    if plain in AGENTS:
-        return f"{name}: {AGENTS[plain][1]}."
-    if is_outside(name):
-        return f"{name}: {describe(name)}."
-    estimator, _, policy = plain.partition("/")
-    if estimator in ESTIMATORS and policy in POLICIES:
-        return f"{name}: estimator, {ESTIMATORS[estimator][1]}; poses, {POLICIES[policy][1]}."
-    return f"{name}: estimator {estimator}, poses chosen by {policy}."
-
-
 def write_page(
     path: Path,
     rows: Sequence[dict[str, Any]],
@@ -210,8 +189,10 @@ def write_page(
     *,
     problem: Problem,
     options: Options,
-    made_by: str,
+    notes: str,
     reference: str | None,
+    said: Sequence[str],
+    engine: str,
 ) -> Path:
     """Write the page: what was played, who won, tables, figures, one episode in pictures."""
     from loose_env.report import episode_timeline, write_comparison
@@ -234,18 +215,17 @@ def write_page(
             "slides on its flange, or a joint with play. Every agent met the same arms. It moved "
             "joints, shook them, saw how the tool followed, and named the fault when it "
             f"was sure. There are {len(problem.hypotheses)} hypotheses. A right verdict earns 1, a "
-            "wrong one loses 1, and every record costs a little. Simulated by "
-            f"{engine_words(problem)}.",
-            *(words_of(name) for name in own),
+            f"wrong one loses 1, and every record costs a little. Simulated by {engine}.",
+            *(f"{name}: {describe(name)}." for name in own),
         ],
         chance=max(truths.values()) / len(own[best]),
         forced=forced,
         reference=reference,
         rng=np.random.default_rng(BOOTSTRAP_SEED),
-        said=[said for line in LINES if (said := line(problem, rows))],
+        said=said,
         timeline=timeline,
         timeline_agent=best,
-        notes=made_by,
+        notes=notes,
     )
 
 
@@ -255,12 +235,6 @@ def _told(rows: Sequence[dict[str, Any]], best: str, problem: Problem) -> dict[s
     own = [r for r in rows if r["agent"] == best and r["difficulty"] in (level, "own")]
     right = (r for r in own if r["success"] and r["truth"] != "healthy" and r["records"] > 1)
     return next(right, own[0] if own else None)
-
-
-def engine_words(problem: Problem) -> str:
-    """Simulation engine of the arms."""
-    engine = getattr(problem.settings, "engine", "mujoco")
-    return "MuJoCo" if engine == "mujoco" else f"the {engine} engine"
 
 
 def compare(options: Options) -> None:
@@ -289,7 +263,7 @@ def compare(options: Options) -> None:
     configuration = canonical(
         {
             "env": options.env,
-            "engine": getattr(problem.settings, "engine", "mujoco"),
+            "engine": problem.settings.engine,
             "arguments": list(levels),
             "agents": list(names),
             "agent_seed": options.agent_seed,
@@ -302,9 +276,12 @@ def compare(options: Options) -> None:
         }
     )
     digest = configuration_hash(configuration)
+    engine = problem.settings.engine
+    engine = "MuJoCo" if engine == "mujoco" else f"the {engine} engine"
+    said = [*filter(None, (bound_line(problem, rows), unfelt_words(problem.arm)))]
     frozen = "the frozen one" if options.seed == EVALUATION_SEED else "for trials"
     title = (
-        f"{options.env}, {engine_words(problem)}, "
+        f"{options.env}, {engine}, "
         f"{', '.join(options.difficulties) or problem.settings.difficulty}: {options.episodes} "
         f"episodes for each agent\nseed {options.seed} ({frozen}), configuration {digest[:12]}"
     )
@@ -313,22 +290,23 @@ def compare(options: Options) -> None:
         forced,
         reference=reference,
         rng=np.random.default_rng(BOOTSTRAP_SEED),
-        said=[said for line in LINES if (said := line(problem, rows))],
+        said=said,
     )
     print(f"\n{title}\n\n{told}\n")
     print(f"Rows: {write_rows(out, 'rows', rows, configuration, form=form)}")
     if forced:
         print(f"Rows of the curve: {write_rows(out, 'curve', forced, configuration, form=form)}")
     if options.page:
-        made_by = f"Made by: {command_of(options)}. Configuration {digest[:12]}."
         page = write_page(
             out / "index.html",
             rows,
             forced,
             problem=problem,
             options=options,
-            made_by=made_by,
+            notes=f"Made by: {command_of(options)}. Configuration {digest[:12]}.",
             reference=reference,
+            said=said,
+            engine=engine,
         )
         print(f"Page: {page}")
     print(f"Took {time.perf_counter() - begin:.0f} s.")

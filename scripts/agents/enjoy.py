@@ -51,8 +51,6 @@ class Options:
     """Seed of the episodes."""
     n_episodes: Count = 5
     """Episodes to play."""
-    n_timesteps: Annotated[Count, arg(aliases=["-n"])] = 1000
-    """Steps after which no episode begins."""
     render: Path | None = None
     """Folder for a picture of each record."""
 
@@ -149,11 +147,9 @@ def enjoy(options: Options) -> None:
         options.render.mkdir(parents=True, exist_ok=True)
     print(f"{folder}: {options.env} {arguments or ''}")
     played: list[dict[str, Any]] = []
-    while len(played) < options.n_episodes:
+    for number in range(1, options.n_episodes + 1):
         env.reset(seed=None if played else options.seed)
-        played.append(play_episode(env, agent, len(played) + 1, options.render))
-        if sum(row["records"] + 1 for row in played) >= options.n_timesteps:
-            break
+        played.append(play_episode(env, agent, number, options.render))
     env.close()
     print(
         f"\n{len(played)} episodes: success {np.mean([r['success'] for r in played]):.3f}, "

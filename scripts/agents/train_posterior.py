@@ -7,7 +7,7 @@ episodes is held out: half of them set the tempers, the table at the end is of t
 at any moment, the same command goes on from the last checkpoint. Weights go to
 agents/loose_agents/weights, or to
 --weights. With them goes what arms of the trained kind leave unexplained, by which an agent knows
-an arm of another kind; --reference-only adds that to weights that were trained before.
+an arm of another kind.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from loose_agents.record_bank import (
 from numpy.typing import NDArray
 
 from loose_env.cli.command import command
-from loose_env.diagnosis import NoveltyReference, Seen, read_network, write_network
+from loose_env.diagnosis import NoveltyReference, Seen, write_network
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.faults import DEFAULT_KINDS, hypotheses
@@ -63,8 +63,6 @@ class Options(BankOptions, BackendSettings):
     """Its seed."""
     weights: str | None = None
     """Folder of the trained weights."""
-    reference_only: bool = False
-    """Train nothing; add to the weights what trained-kind arms leave unexplained."""
 
 
 def train(options: Options) -> None:
@@ -84,9 +82,6 @@ def train(options: Options) -> None:
     store = build_features(plan, folder, options)
     out = Path(options.weights or WEIGHTS / f"posterior-{setting_name(problem)}")
     directions = axes_grid(plan.directions, len(problem.arm.axes))
-    if options.reference_only:
-        add_reference(out, plan, folder)
-        return
     difficulty = difficulty_named(problem.settings.difficulty)
     seen = read_features(store, training_shards)
     training = PosteriorTraining(
@@ -114,7 +109,7 @@ def train(options: Options) -> None:
             "difficulty": str(problem.settings.difficulty),
             "directions": plan.directions,
             "friction": list(difficulty.friction),
-            "bank": {**_described(plan), "held_out": len(held_shards), "hash": store.hash},
+            "bank": {**asdict(plan), "held_out": len(held_shards), "hash": store.hash},
             "training": asdict(training.settings),
             "held_out": found,
         },
@@ -147,30 +142,6 @@ def reference_of(
         episodes(held_shards),
         directions=axes_grid(directions, len(problem.arm.axes)),
     )
-
-
-def add_reference(folder: Path, plan: BankPlan, bank: Path) -> None:
-    """Work the reference of trained weights out and store it beside them."""
-    configuration, tensors = read_network(folder)
-    if configuration["directions"] != plan.directions:
-        raise InvalidSetting(
-            f"the weights in {folder} have {configuration['directions']} directions a link, the "
-            f"bank's figures {plan.directions}; give --directions"
-        )
-    reference = reference_of(tensors, plan, bank)
-    write_network(folder, configuration, with_reference(tensors, reference))
-    ranked = ", ".join(str(len(scores)) for scores in reference.scores)
-    print(f"Reference added to {folder}; held-out episodes after 1, 2, ... records: {ranked}")
-
-
-def _described(plan: BankPlan) -> dict[str, object]:
-    return {
-        "env": plan.env_id,
-        "arguments": dict(plan.arguments),
-        "episodes": plan.episodes,
-        "seed": plan.seed,
-        "records": asdict(plan.records),
-    }
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

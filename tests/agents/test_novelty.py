@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +30,10 @@ from loose_env.diagnosis import (
 )
 from loose_env.diagnosis.features import TransmissionChange
 from loose_env.envs import DiagnosisSettings, EpisodeBatch
-from loose_env.errors import InvalidSetting
 from loose_env.faults import UNSURE, Fault, Healthy
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
+from scripts.agents.train_posterior import reference_of
 
 JOINTS, DIRECTIONS = 2, 6
 PLACES = JOINTS * DIRECTIONS + JOINTS
@@ -177,13 +177,10 @@ def test_episodes_of_the_trained_kind_do_not_surprise_and_others_do(
     assert (surprises(far, posterior(None)) == 1.0).all()
 
 
-def test_a_reference_is_added_to_weights_that_stay_as_they_are(
+def test_weights_are_stored_with_the_reference_of_their_bank(
     tensors: dict[str, np.ndarray], tmp_path: Path
 ) -> None:
     pytest.importorskip("safetensors")
-    pytest.importorskip("torch")
-    from scripts.agents.train_posterior import add_reference
-
     plan = BankPlan(
         env_id="loose_env/Planar-v0",
         arguments={"engine": "reduced", "n_links": JOINTS},
@@ -198,23 +195,15 @@ def test_a_reference_is_added_to_weights_that_stay_as_they_are(
             problem, plan.records, seed=plan.seed, start=shard.start, stop=shard.start + 20
         )
         store.write(shard, vars(bank))
+    reference = reference_of(tensors, plan, tmp_path / "bank")
     configuration = {"arm": "planar2", "directions": DIRECTIONS, "friction": [0.02, 1.0]}
-    weights = tmp_path / "weights"
-    write_network(weights, configuration, tensors)
-
-    def load() -> AmortisedPosterior:
-        return AmortisedPosterior.load(weights, problem.linear, SensorSuite(), Mismatch())
-
-    assert load().reference is None
-    add_reference(weights, plan, tmp_path / "bank")
-    after, stored = read_network(weights)
-    assert {name: after[name] for name in configuration} == configuration
+    write_network(tmp_path / "weights", configuration, with_reference(tensors, reference))
+    _, stored = read_network(tmp_path / "weights")
     assert all(np.array_equal(stored[name], values) for name, values in tensors.items())
-    reference = load().reference
-    assert reference is not None
-    assert len(reference.scores[0]) == 20
-    with pytest.raises(InvalidSetting, match="directions"):
-        add_reference(weights, replace(plan, directions=4), tmp_path / "bank")
+    loaded = AmortisedPosterior.load(
+        tmp_path / "weights", problem.linear, SensorSuite(), Mismatch()
+    ).reference
+    assert loaded is not None and len(loaded.scores[0]) == 20
 
 
 class _Mounted:
