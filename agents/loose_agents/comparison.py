@@ -282,7 +282,8 @@ def success_limits(rows: Sequence[Row]) -> list[float]:
 
     Who has stopped keeps the last guess.
     """
-    trails = [(row["truth"], list(best)) for row in rows if _has(best := row.get("trail_best"))]  # type: ignore[arg-type]
+    trails = [(row["truth"], list(row.get("trail_best") or ())) for row in rows]  # type: ignore[call-overload]
+    trails = [trail for trail in trails if trail[1]]
     if len(trails) < FEWEST:
         return []
     longest = max(len(best) for _, best in trails)
@@ -290,7 +291,3 @@ def success_limits(rows: Sequence[Row]) -> list[float]:
         wilson(sum(best[min(k, len(best) - 1)] == truth for truth, best in trails), len(trails))[1]
         for k in range(longest)
     ]
-
-
-def _has(trail: Any) -> bool:
-    return trail is not None and len(trail) > 0

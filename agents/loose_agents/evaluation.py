@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -27,9 +28,6 @@ from loose_env.envs import (
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.evaluation import FaultParameters, fault_parameters
 from loose_env.registration import IDS, TIERS
-
-MOST_SHOWN = 300
-"""Letters of the arguments that an error repeats."""
 
 
 def arguments_of(text: str) -> dict[str, Any]:
@@ -90,9 +88,9 @@ def refused_in_words(env_id: str, arguments: Mapping[str, Any]) -> Iterator[None
     except (TypeError, OverflowError) as error:
         # Gymnasium adds the arguments once more.
         reason = " ".join(str(error).split()).partition(" was raised from the environment")[0]
-        shown = str(dict(arguments))
-        shown = shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
-        raise InvalidSetting(f"{env_id} does not take {shown}: {reason}") from error
+        raise InvalidSetting(
+            f"{env_id} does not take {dict(arguments)!s:.300}: {reason}"
+        ) from error
 
 
 def problem_of(env_id: str, arguments: Mapping[str, Any]) -> Problem:
@@ -193,8 +191,7 @@ class _Run:
     excited: int = 0
     price: float = 0.0
     probabilities: NDArray[np.float64] | None = None
-    trail: list[tuple[str, float, float, str]] = field(default_factory=list)
-    spent: list[tuple[float, float]] = field(default_factory=list)
+    trails: dict[str, list[Any]] = field(default_factory=lambda: defaultdict(list))
     actions: list[str] = field(default_factory=list)
 
 
@@ -214,7 +211,6 @@ def evaluate(
     true_arm: Arm | None = None,
     options: Mapping[str, Any] | None = None,
     progress: Callable[[int], None] | None = None,
-    deterministic: bool = True,
 ) -> list[EpisodeRow]:
     """Play episodes ``first`` to ``first + episodes - 1`` of a seed.
 
@@ -249,8 +245,6 @@ def evaluate(
         Options of every episode, as `loose_env.envs.batch` has them.
     progress : callable, optional
         Called with the number of finished episodes.
-    deterministic : bool
-        Passed on to the agent.
 
     Raises
     ------
@@ -288,7 +282,7 @@ def evaluate(
         observations = np.stack([batch.observe(s) for s in slots])
         starts = np.array([not run.begun for run in runs])
         states = None if starts.all() else [run.state for run in runs]
-        actions, after = agent.predict(observations, states, starts, deterministic=deterministic)
+        actions, after = agent.predict(observations, states, starts, deterministic=True)
         for k, run in enumerate(runs):
             run.state, run.begun = (None if after is None else after[k]), True
             _note(batch, slots[k], run)
@@ -313,14 +307,17 @@ def _note(batch: EpisodeBatch, slot: int, run: _Run) -> None:
     run.probabilities = None if found is None else np.array(found, dtype=float)
     if episode.records == 0:
         return
-    run.spent.append((run.price, episode.seconds))
+    told: dict[str, Any] = {"price": run.price, "seconds": episode.seconds}
     p = run.probabilities
     if p is not None:
         best = int(np.argmax(p))
         truth = _at(p, batch.hypotheses, episode.fault.hypothesis)
         unsure = batch.actions.allows_unsure(episode.records, episode.measured)
         named = best_verdict(batch, p, unsure=unsure)
-        run.trail.append((batch.hypotheses[best], float(p[best]), truth or 0.0, named))
+        told |= {"best": batch.hypotheses[best], "confidence": float(p[best])}
+        told |= {"truth": truth or 0.0, "verdict": named}
+    for name, value in told.items():
+        run.trails[name].append(value)
 
 
 def _row(
@@ -356,17 +353,8 @@ def _row(
         confidence=_at(p, names, verdict),
         truth_probability=_at(p, names, truth),
         actions=" ".join(run.actions),
-        trail_best=_column(run.trail, 0),
-        trail_confidence=_column(run.trail, 1),
-        trail_truth=_column(run.trail, 2),
-        trail_verdict=_column(run.trail, 3),
-        trail_price=_column(run.spent, 0),
-        trail_seconds=_column(run.spent, 1),
+        **{f"trail_{name}": tuple(values) for name, values in run.trails.items()},
     )
-
-
-def _column(entries: Sequence[tuple[Any, ...]], k: int) -> tuple[Any, ...]:
-    return tuple(entry[k] for entry in entries)
 
 
 def _at(p: NDArray[np.float64] | None, names: Sequence[str], name: str | None) -> float | None:

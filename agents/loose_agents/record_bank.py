@@ -74,25 +74,6 @@ class RecordBank:
             slots[:count] = episode
             yield [record_from(layout, observation, slot) for slot in range(count)]
 
-    def part(self, chosen: Any) -> RecordBank:
-        """Return a subset of the episodes."""
-        return RecordBank(**{name: values[chosen] for name, values in vars(self).items()})
-
-    @classmethod
-    def joined(cls, parts: list[RecordBank]) -> RecordBank:
-        """Concatenate banks of one problem."""
-        most = max(part.slots.shape[1] for part in parts)
-
-        def padded(values: NDArray[np.float32]) -> NDArray[np.float32]:
-            return np.pad(values, ((0, 0), (0, most - values.shape[1]), (0, 0)))
-
-        columns = {
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in vars(parts[0])
-            if name != "slots"
-        }
-        return cls(slots=np.concatenate([padded(part.slots) for part in parts]), **columns)
-
 
 def play_episodes(
     problem: Problem, settings: BankSettings, *, seed: int, start: int, stop: int, width: int = 32
@@ -193,16 +174,6 @@ class RecordFeatures:
     """Sliding direction, zero for other faults (E, 3)."""
     ratio: NDArray[np.float32]
     """Drive of the top level over friction; infinite on healthy arms (E,)."""
-
-    @classmethod
-    def joined(cls, parts: list[RecordFeatures]) -> RecordFeatures:
-        """Concatenate the features of several shards."""
-        return cls(
-            **{
-                name: np.concatenate([getattr(part, name) for part in parts])
-                for name in vars(parts[0])
-            }
-        )
 
     @property
     def first(self) -> NDArray[np.int64]:
@@ -338,12 +309,17 @@ def read_bank(plan: BankPlan, folder: Path, shards: list[range] | None = None) -
     """Read a bank, or a subset of its shards."""
     store = Store(folder / "records", plan.configuration, arrays=True)
     chosen = plan.shards if shards is None else shards
-    return RecordBank.joined([RecordBank(**store.read(span)) for span in chosen])
+    return RecordBank(**_joined([store.read(span) for span in chosen]))
 
 
 def read_features(store: Store, shards: list[range]) -> RecordFeatures:
     """Read the features of some shards."""
-    return RecordFeatures.joined([RecordFeatures(**store.read(span)) for span in shards])
+    return RecordFeatures(**_joined([store.read(span) for span in shards]))
+
+
+def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
+    """Arrays of several shards, one after the other."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def seat_features(problem: Problem, directions: int) -> SeatFeatures:

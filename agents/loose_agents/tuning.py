@@ -12,7 +12,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,9 +96,7 @@ class Trails:
         return cls(confidence=confidence, reward=reward, right=right)
 
 
-def best_threshold(
-    trails: Trails, rng: np.random.Generator, *, resamples: int = RESAMPLES
-) -> float:
+def best_threshold(trails: Trails, rng: np.random.Generator) -> float:
     """Find the stopping probability with the highest mean return.
 
     The return is flat about its top and noisy, so its highest point on the episodes at hand is
@@ -110,19 +108,10 @@ def best_threshold(
     References
     ----------
     Breiman, Bagging Predictors, Machine Learning 24 (1996).
-
-    Examples
-    --------
-    >>> sure = np.array([[0.6, 0.99], [0.95, 0.99], [0.97, 0.99]] * 30)
-    >>> right = np.array([[False, True], [True, True], [True, True]] * 30)
-    >>> reward = np.where(right, 1.0, -1.0) - [0.1, 0.2]
-    >>> trails = Trails(confidence=sure, reward=reward, right=right)
-    >>> 0.6 < best_threshold(trails, np.random.default_rng(0)) < 0.95
-    True
     """
     returns = np.stack([trails.returns(t) for t in THRESHOLDS], axis=1)  # (E, T)
     count = len(trails)
-    times = rng.multinomial(count, np.full(count, 1 / count), size=resamples)
+    times = rng.multinomial(count, np.full(count, 1 / count), size=RESAMPLES)
     means = times @ returns / count
     top = means >= means.max(1, keepdims=True) - 1e-9
     last = len(THRESHOLDS) - 1 - top[:, ::-1].argmax(1)
@@ -150,26 +139,41 @@ def single_joints(problem: Problem) -> list[tuple[int, ...]]:
     return [tuple((level * one).tolist()) for level in levels for one in alone]
 
 
+T = TypeVar("T")
+
+
+def halved(
+    candidates: Sequence[T],
+    play: Callable[[T, int], Trails],
+    *,
+    episodes: int,
+    keep: int,
+    least: int,
+) -> tuple[list[T], list[Trails]]:
+    """Candidates of the last round of successive halving, best first, and their trails.
+
+    All play a quarter of the episodes, the best ``1 / keep`` of them, ``least`` or more, half of
+    these, and so on; those who are left play all. Each counts at the threshold that suits it best.
+    """
+    left, share = list(candidates), max(1, episodes // 4)
+    while True:
+        trails = [play(candidate, share) for candidate in left]
+        values = [max(t.returns(threshold).mean() for threshold in THRESHOLDS) for t in trails]
+        order = [int(k) for k in np.argsort(np.negative(values), kind="stable")]
+        if share == episodes or len(left) == 1:
+            return [left[k] for k in order], [trails[k] for k in order]
+        left = [left[k] for k in order[: max(least, -(-len(left) // keep))]]
+        share = min(2 * share, episodes)
+
+
 def best_constant(
     candidates: Sequence[tuple[int, ...]],
     play: Callable[[tuple[int, ...], int], Trails],
     *,
     episodes: int,
 ) -> tuple[int, ...]:
-    """Find the constant excitation with the highest return by successive halving.
-
-    All candidates play a quarter of the episodes, the better half of them half of these, and so
-    on; whoever is left plays all. Each is judged at the threshold that suits it best.
-    """
-    left = list(candidates)
-    share = max(1, episodes // 4)
-    while True:
-        values = [_top_return(play(candidate, share)) for candidate in left]
-        order = np.argsort(values, kind="stable")[::-1]
-        if share == episodes or len(left) == 1:
-            return left[int(order[0])]
-        left = [left[int(k)] for k in order[: max(1, (len(left) + 1) // 2)]]
-        share = min(2 * share, episodes)
+    """Find the constant excitation with the highest return."""
+    return halved(candidates, play, episodes=episodes, keep=2, least=1)[0][0]
 
 
 def best_sequences(
@@ -179,30 +183,13 @@ def best_sequences(
     episodes: int,
     lengths: int,
 ) -> dict[str, Records]:
-    """Choose fixed sequences by successive halving, as `best_constant` does.
-
-    Those of the last round, four or fewer, give the best for each number of records without
-    stopping, and the best with a stopping probability that suits it.
-    """
-    left, share = list(candidates), max(1, episodes // 4)
-    found: dict[str, Records] = {}
-    while True:
-        trails = [play(candidate, share) for candidate in left]
-        by_stop = np.array([_top_return(t) for t in trails])
-        order = np.argsort(-by_stop, kind="stable")
-        if share == episodes:
-            break
-        left = [left[int(k)] for k in order[: max(2, (len(left) + 3) // 4)]]
-        share = min(2 * share, episodes)
-    found["stopping"] = left[int(order[0])]
+    """Find the best sequence with stopping, and the best of each number of records without."""
+    left, trails = halved(candidates, play, episodes=episodes, keep=4, least=2)
+    found = {"stopping": left[0]}
     for k in range(1, lengths + 1):
         best = int(np.argmax([t.reward[:, k - 1].mean() for t in trails]))
         found[str(k)] = left[best][:k]
     return found
-
-
-def _top_return(trails: Trails) -> float:
-    return max(float(trails.returns(threshold).mean()) for threshold in THRESHOLDS)
 
 
 def write_tuned(

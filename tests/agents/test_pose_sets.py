@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loose_agents.base import Problem
-from loose_agents.belief import BeliefAgent, Situation, Sure, Tracker
-from loose_agents.evaluation import evaluate
+from loose_agents.belief import Situation, Tracker
 from loose_agents.policies.pose_sets import (
     GreedySeparation,
     MovesOf,
@@ -117,16 +116,6 @@ def test_another_agents_moves_are_played_without_its_excitation_and_verdict() ->
         moved += int(np.sum(decoded.moves != RULES.stay))
         batch.step([0], [action])
     assert moved > 0
-
-
-def test_policies_find_easy_faults_with_any_estimator_and_stopping_rule() -> None:
-    arm, rules = planar(3), DiagnosisSettings(difficulty="easy")
-    problem = Problem.of(arm, rules)
-    agent = BeliefAgent(
-        problem, Tracker(problem), GreedySeparation(problem, excited="first"), Sure(probability=0.9)
-    )
-    rows = evaluate(agent, "greedy", arm, rules, episodes=16, seed=3, width=16, threads=1)
-    assert np.mean([row.success for row in rows]) > 0.7
 
 
 @pytest.mark.parametrize("arm", [planar(3), six_axis()])

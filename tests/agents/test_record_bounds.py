@@ -87,39 +87,31 @@ def test_the_most_telling_record_and_the_best_success_count(problem: Problem) ->
         row("a", k, trail_truth=[0.5, 0.9], trail_best=["healthy" if k % 2 else "x", "healthy"])
         for k in range(100)
     ]
-    rows += [
-        row("oracle*", k, trail_truth=[0.8, 0.9], trail_best=["healthy"] * 2) for k in range(100)
-    ]
+    rows += [row("b", k, trail_truth=[0.8, 0.9], trail_best=["healthy"] * 2) for k in range(100)]
     bound = record_bound(problem, rows)
     assert bound is not None
-    assert (bound.teller, bound.record) == ("oracle*", 1)
+    assert (bound.teller, bound.record) == ("b", 1)
     assert bound.information == pytest.approx(np.log(0.8 * 3))
     assert bound.success.min() == bound.success.max() > 0.98
     assert entropy(bound.prior) == pytest.approx(np.log(3) + 2 / 3 * np.log(2))
-    assert float(bound.by_information(0.0)) == pytest.approx(entropy(bound.prior) / np.log(2.4))
+    assert bound.records(0.0) >= entropy(bound.prior) / np.log(2.4) - 1e-9
     some = record_bound(problem, rows[:100])
     assert some is not None and some.record == 2  # 0.5 to 0.9 says more than a third to 0.5
     assert some.success[0] == pytest.approx(0.596, abs=0.01)  # Wilson's upper end of 50 of 100
-    assert float(some.by_success(0.1)) == pytest.approx(1.304, abs=0.01)
+    by_success = least_records(0.1, some.prior, success=some.success)
+    assert float(by_success) == pytest.approx(1.304, abs=0.01)
 
 
-def test_the_line_is_about_the_best_agent_that_is_told_nothing(problem: Problem) -> None:
+def test_the_line_is_about_the_best_agent(problem: Problem) -> None:
+    trails: dict[str, Any] = {"trail_truth": [0.6, 0.8], "trail_best": ["healthy"] * 2}
     rows = [
-        row(
-            name,
-            k,
-            reward=reward,
-            success=k % 10 > 0,
-            trail_truth=[0.6, 0.8],
-            trail_best=["healthy"] * 2,
-        )
-        for name, reward in (("good", 0.5), ("bad", 0.1), ("oracle*", 0.9))
+        row(name, k, reward=reward, success=k % 10 > 0, **trails)
+        for name, reward in (("good", 0.5), ("bad", 0.1))
         for k in range(50)
     ]
     line = bound_line(problem, rows)
     assert "at the error of good, 10.0 %, which took 2.00" in line
-    assert "bad" not in line and line.count("\n") == 0 and "With the oracle's" in line
-    assert "oracle" not in bound_line(problem, rows[:100])
+    assert "bad" not in line and line.count("\n") == 0
     both = [*rows, *({**r, "difficulty": "hard"} for r in rows)]
     assert bound_line(problem, both).count("Bound on records (") == 2
     silent = [row("thesis", k, trail_truth=(), trail_best=()) for k in range(50)]

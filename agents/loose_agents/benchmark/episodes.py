@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from loose_agents.base import BANK_SEED, BENCHMARK_SEED, TUNING_SEED, Agent, Problem
+from loose_agents.base import BENCHMARK_SEED, Agent, Problem
 from loose_agents.evaluation import EpisodeRow, evaluate, problem_of
 from loose_env.arms import Drift, MismatchDraw
 from loose_env.envs import BatchRig, DiagnosisSettings, difficulty_named
@@ -163,9 +163,6 @@ TASKS = (*TIERS, "loose_env/Planar-v0", "loose_env/SixAxis-v0")
 
 ENGINE = "reduced"
 """Simulation engine of the episodes; two faults at once need MuJoCo."""
-
-TRAINING_SEEDS = (BANK_SEED, TUNING_SEED)
-"""Seeds of the frozen training set and of the frozen set for tuning."""
 
 
 @dataclass(frozen=True, kw_only=True)

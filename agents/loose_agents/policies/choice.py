@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from loose_agents.belief import (
     belief_of,
     tuned,
 )
+from loose_agents.evaluation import evaluate
 from loose_env.diagnosis import (
     AmortisedPosterior,
     Belief,
@@ -28,7 +28,7 @@ from loose_env.diagnosis import (
     RecordInformation,
     SeatFeatures,
 )
-from loose_env.envs import EpisodeBatch, difficulty_named
+from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import at_levels
 from loose_env.typing import Array
@@ -399,17 +399,11 @@ def designed_sequences(
     policy: OpenLoopPolicy, estimator: Estimator, count: int, length: int, *, seed: int
 ) -> list[Records]:
     """Sequences that the model chooses in open loop, each from another first pose."""
-    problem, stopping = policy.problem, AfterRecords(records=length + 1)
+    problem, stopping = policy.problem, AfterRecords(records=length)
     agent = BeliefAgent(problem, estimator, policy, stopping, surprising=0.0)
-    batch = EpisodeBatch(problem.arm, problem.settings, threads=1)
-    found = []
-    for number in range(count):
-        batch.start(0, seed=seed, number=number, options={"fault": "healthy"})
-        state: Any = None
-        sequence: list[tuple[int, ...]] = []
-        for _ in range(length):
-            action, state = agent.predict(batch.observe(0), state)
-            sequence.append(tuple(action.tolist()))
-            batch.step([0], [action])
-        found.append(tuple(sequence))
-    return found
+    rows = evaluate(
+        agent, "", problem.arm, problem.settings, episodes=count, seed=seed, threads=1,
+        options={"fault": "healthy"},
+    )  # fmt: skip
+    taken = [row.actions.split()[:length] for row in rows]
+    return [tuple(tuple(problem.actions.from_code(c).tolist()) for c in own) for own in taken]

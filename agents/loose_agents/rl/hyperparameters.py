@@ -23,14 +23,14 @@ _GIVEN = ("self", "env", "tensorboard_log", "verbose", "seed", "device", "_init_
 
 
 class LinearSchedule:
-    """Linear schedule from an initial value to zero over the training."""
+    """Linear schedule to zero, over the steps or over what runs out first of a budget."""
 
-    def __init__(self, first: float) -> None:
-        self.first = float(first)
+    def __init__(self, first: float, budget: Any = None) -> None:
+        self.first, self.budget = float(first), budget
 
     def __call__(self, left: float) -> float:
-        """Value at a remaining fraction of the training."""
-        return left * self.first
+        """Value at a remaining fraction of the steps."""
+        return self.first * (left if self.budget is None else self.budget.left(left))
 
     def __repr__(self) -> str:
         return f"LinearSchedule({self.first})"

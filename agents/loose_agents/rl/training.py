@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import importlib
-import io
 import json
 import os
 import random
@@ -18,7 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, astuple, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -32,7 +31,7 @@ from loose_agents.belief import (
     Tracker,
     make_estimator,
 )
-from loose_agents.evaluation import EpisodeRow, evaluate, make_environments
+from loose_agents.evaluation import evaluate, make_environments
 from loose_agents.rl.agents import (
     CONFIGURATION,
     LearnedAgent,
@@ -65,11 +64,11 @@ from loose_agents.rl.training_env import (
     forced_records,
     training_seed,
 )
-from loose_env.envs import DiagnosisVectorEnv
+from loose_env.envs import EpisodeBatch
 from loose_env.envs.sb3 import Sb3VecEnv
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.faults import UNSURE
-from loose_env.io import write_bytes
+from loose_env.io import write_bytes, write_text
 
 ROOT = Path(__file__).resolve().parents[3]
 STOP_BIAS = -1.5
@@ -223,14 +222,10 @@ class CurvePoint:
 
 def write_curve(path: Path, points: Sequence[CurvePoint]) -> None:
     """Write the points of a curve as CSV, one a line."""
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, [each.name for each in fields(CurvePoint)], lineterminator="\n")
-    writer.writeheader()
+    lines = [[each.name for each in fields(CurvePoint)]]
     for point in points:
-        writer.writerow(
-            {k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(point).items()}
-        )
-    write_bytes(path, text.getvalue().encode())
+        lines.append([f"{v:.6g}" if isinstance(v, float) else str(v) for v in astuple(point)])
+    write_text(path, "".join(",".join(line) + "\n" for line in lines))
 
 
 def read_curve(path: Path) -> list[CurvePoint]:
@@ -317,17 +312,6 @@ class Budget:
         return max(0.0, min(steps_left, 1.0 - self.elapsed / self.seconds))
 
 
-class BudgetSchedule:
-    """Schedule over the budget that runs out first, in place of one over the steps."""
-
-    def __init__(self, schedule: Callable[[float], float], budget: Budget) -> None:
-        self.schedule, self.budget = schedule, budget
-
-    def __call__(self, left: float) -> float:
-        """Value at a remaining fraction of the steps."""
-        return self.schedule(self.budget.left(left))
-
-
 class RunCallback(BaseCallback):
     """Saves checkpoints, evaluates, advances the curriculum and shows progress.
 
@@ -343,12 +327,14 @@ class RunCallback(BaseCallback):
         vec: Any,
         budget: Budget,
         configuration: dict[str, Any],
-        evaluate: Callable[[int], Sequence[EpisodeRow]],
+        batch: EpisodeBatch,
+        estimator: Tracker | None,
         show: Callable[[int, str], None],
     ) -> None:
         super().__init__()
+        self.batch, self.estimator = batch, estimator
         self.run, self.vec, self.budget, self.configuration = run, vec, budget, configuration
-        self.evaluate, self.show, self.folder = evaluate, show, RunFolder(run.folder)
+        self.show, self.folder = show, RunFolder(run.folder)
 
     @property
     def state(self) -> RunState:
@@ -409,7 +395,19 @@ class RunCallback(BaseCallback):
         self._saved = steps
 
     def _evaluate(self, episodes: int) -> None:
-        rows, state, steps = self.evaluate(episodes), self.state, self.model.num_timesteps
+        state, steps, batch = self.state, self.model.num_timesteps, self.batch
+        problem = Problem.of(batch.arm, batch.settings)
+        network = network_of(self.model, problem.layout)
+        agent: Any = (
+            ModelAgent(problem, network)
+            if self.estimator is None
+            else LearnedAgent(problem, network, self.estimator)
+        )
+        rows = evaluate(
+            agent, "policy", problem.arm, problem.settings, episodes=episodes,
+            seed=self.run.eval_seed, width=self.run.eval_width, threads=batch.threads,
+            true_arm=batch.true_arm,
+        )  # fmt: skip
         if self._last_point() == steps:  # the last one, of more episodes
             state.points.pop()
         returns = np.array([row.reward for row in rows])
@@ -494,7 +492,7 @@ def train(
     budget = Budget(steps=run.steps, seconds=run.seconds)
     for name in ("learning_rate", "clip_range"):
         if isinstance(given.get(name), LinearSchedule):
-            given[name] = BudgetSchedule(given[name], budget)
+            given[name].budget = budget
     if run.network == "set":
         own = dict(given.get("policy_kwargs") or {})
         own["features_extractor_kwargs"] = {
@@ -536,7 +534,8 @@ def train(
             vec,
             budget,
             configuration,
-            lambda episodes: evaluate_model(run, model, problem, estimator, env, episodes),
+            env.batch,
+            estimator,
             show or (lambda steps, words: None),
         )
         model.learn(
@@ -548,34 +547,6 @@ def train(
     finally:
         vec.close()
     return folder
-
-
-def evaluate_model(
-    run: Training,
-    model: Any,
-    problem: Problem,
-    estimator: Tracker | None,
-    env: DiagnosisVectorEnv,
-    episodes: int,
-) -> list[EpisodeRow]:
-    """Play the first held-out episodes with the most probable actions, on the true arm."""
-    network = network_of(model, problem.layout)
-    agent: Any = (
-        ModelAgent(problem, network)
-        if estimator is None
-        else LearnedAgent(problem, network, estimator)
-    )
-    return evaluate(
-        agent,
-        "policy",
-        problem.arm,
-        problem.settings,
-        episodes=episodes,
-        seed=run.eval_seed,
-        width=run.eval_width,
-        threads=env.batch.threads,
-        true_arm=env.batch.true_arm,
-    )
 
 
 def _checkpointed(
@@ -646,23 +617,17 @@ def _standardise(model: Any, vec: Any, seed: int, max_records: int) -> int:
 
 
 def git_commit(folder: Path) -> str | None:
-    """Git commit of a folder, with "+" if dirty; None outside a repository."""
-
-    def ask(*words: str) -> str:
-        return subprocess.run(
-            ["git", "-C", str(folder), *words],
-            capture_output=True,
-            text=True,
-            check=True,
-            # It only looks: no lock that would stay behind if it were cut short.
-            env=os.environ | {"GIT_OPTIONAL_LOCKS": "0"},
-        ).stdout.strip()
-
+    """Git commit of a folder, with "+" if dirty; None outside a repository of its own."""
+    # Not that of somebody else around it; and it only looks: no lock stays behind a kill.
+    git = ["git", f"--git-dir={folder / '.git'}", f"--work-tree={folder}"]
+    environment = os.environ | {"GIT_OPTIONAL_LOCKS": "0"}
     try:
-        # The folder may lie in somebody else's repository.
-        if Path(ask("rev-parse", "--show-toplevel")).resolve() != folder.resolve():
-            return None
-        changed = ask("status", "--porcelain", "--untracked-files=no")
-        return ask("rev-parse", "HEAD") + ("+" if changed else "")
+        head, changed = (
+            subprocess.run(
+                [*git, *words.split()], capture_output=True, text=True, check=True, env=environment
+            ).stdout.strip()
+            for words in ("rev-parse HEAD", "status --porcelain --untracked-files=no")
+        )
     except (OSError, subprocess.CalledProcessError):
         return None
+    return head + ("+" if changed else "")
