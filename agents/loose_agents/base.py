@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from loose_env.arms import Arm, LinearArm
 from loose_env.envs import ActionLayout, DiagnosisSettings, ObservationLayout
@@ -71,7 +71,7 @@ class Problem:
         """Moves that leave every joint where it is (n,)."""
         return np.full(self.arm.n, self.settings.stay, dtype=np.intp)
 
-    def random_moves(self, pose: ArrayLike, rng: np.random.Generator) -> NDArray[np.intp]:
+    def random_moves(self, pose: Array, rng: np.random.Generator) -> NDArray[np.intp]:
         """Draw an allowed move of every joint (n,)."""
         allowed = self.actions.allowed_moves(pose)
         return np.array([rng.choice(np.flatnonzero(row)) for row in allowed])

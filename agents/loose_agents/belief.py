@@ -148,14 +148,16 @@ class BeliefAgent(EpisodeAgent):
         self,
         problem: Problem,
         estimator: Estimator,
-        policy: Any,
-        stopping: Any,
+        policy: Policy | None,
+        stopping: StoppingRule | None,
         *,
         seed: int = 0,
         surprising: float = SURPRISING,
     ) -> None:
         super().__init__(problem, seed=seed)
-        self.estimator, self.policy, self.stopping = estimator, policy, stopping
+        self.estimator = estimator
+        self.policy: Any = policy
+        self.stopping: Any = stopping
         self.surprising = surprising
 
     def begin(self, rng: np.random.Generator) -> Any:
@@ -173,7 +175,8 @@ class BeliefAgent(EpisodeAgent):
             named = verdict_of(self.problem, situation, self.surprising)
             if named is not None:
                 return self.problem.verdict(named)
-        return self.policy.choose(situation)
+        action: NDArray[np.int64] = self.policy.choose(situation)
+        return action
 
     def situation(self, observation: NDArray[np.float32], memory: _Memory) -> Situation:
         """Take the new records in; return what is known now."""

@@ -28,14 +28,7 @@ from scipy import stats
 import loose_env
 from loose_agents.base import Agent, Problem, hypothesis_prior
 from loose_agents.evaluation import diagnosis_env, evaluate
-from loose_agents.jobs import (
-    BackendSettings,
-    ProgressLine,
-    Store,
-    canonical,
-    run_stored,
-    spans,
-)
+from loose_agents.jobs import BackendSettings, ProgressLine, Store, canonical, run_stored, spans
 from loose_agents.registry import content_of, make_agent
 from loose_env.arms import Arm
 from loose_env.diagnosis import least_records
@@ -57,10 +50,8 @@ class EvaluationTask:
     """Id of the environment."""
     arguments: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of the environment."""
-    first: int = 0
-    """First episode."""
     count: int
-    """Number of episodes."""
+    """Number of episodes, from number 0."""
     seed: int
     """Seed of the episodes."""
     agent_seed: int = 0
@@ -87,17 +78,17 @@ class EvaluationTask:
 
 
 def evaluate_shard(
-    task: EvaluationTask, progress: Callable[[int], None] | None = None
+    task: EvaluationTask, span: range, progress: Callable[[int], None] | None = None
 ) -> list[dict[str, Any]]:
-    """Play the episodes of a task; return their rows as dictionaries, in order."""
+    """Play some episodes of a task; return their rows as dictionaries, in order."""
     problem, agent, true_arm = _ready(task)
     rows = evaluate(
         agent,
         task.agent,
         problem.arm,
         problem.settings,
-        episodes=task.count,
-        first=task.first,
+        episodes=len(span),
+        first=span.start,
         seed=task.seed,
         records=task.records,
         width=task.width,
@@ -128,7 +119,7 @@ def play_task(
     if settings is None or (settings.backend == "loky" and settings.workers == 1):
         _play_here(task, store, store.missing(parts))
     else:
-        run_stored(partial(_part, replace(task, threads=1)), parts, store, settings)
+        run_stored(partial(evaluate_shard, replace(task, threads=1)), parts, store, settings)
     rows = [row for part in parts for row in store.read(part)]
     if not keep:
         # Renamed first: half a folder of shards would be taken for somebody else's.
@@ -137,23 +128,16 @@ def play_task(
     return rows
 
 
-def _part(
-    task: EvaluationTask, span: range, progress: Callable[[int], None] | None = None
-) -> list[dict[str, Any]]:
-    part = replace(task, first=task.first + span.start, count=len(span))
-    return evaluate_shard(part, progress=progress)
-
-
 def _play_here(task: EvaluationTask, store: Store, missing: Sequence[range]) -> None:
     with ProgressLine(task.count, done=task.count - sum(map(len, missing))) as line:
         for span in missing:
-            store.write(span, _part(task, span, lambda _: line.advance(1)))
+            store.write(span, evaluate_shard(task, span, lambda _: line.advance(1)))
 
 
 def _ready(task: EvaluationTask) -> tuple[Problem, Agent, Arm]:
     """Problem, agent and true arm of a task, kept for its further shards in each thread."""
     made = _THREAD.__dict__
-    key = replace(task, first=0, count=1, threads=1)
+    key = replace(task, count=1, threads=1)
     if made.get("task") != key:
         env = diagnosis_env(task.env_id, task.arguments)
         problem = Problem.of(env.arm, env.settings)
@@ -282,7 +266,7 @@ def success_limits(rows: Sequence[Row]) -> list[float]:
 
     Who has stopped keeps the last guess.
     """
-    trails = [(row["truth"], list(row.get("trail_best") or ())) for row in rows]  # type: ignore[call-overload]
+    trails = [(row["truth"], list(row.get("trail_best") or ())) for row in rows]
     trails = [trail for trail in trails if trail[1]]
     if len(trails) < FEWEST:
         return []

@@ -175,10 +175,10 @@ class RecordFeatures:
     ratio: NDArray[np.float32]
     """Drive of the top level over friction; infinite on healthy arms (E,)."""
 
-    @property
-    def first(self) -> NDArray[np.int64]:
-        """Index of the first record of each episode (E,)."""
-        return np.asarray(np.cumsum(self.count) - self.count)
+    def rows(self, episodes: NDArray[np.intp], records: int) -> NDArray[np.intp]:
+        """Indices of the first records of episodes (episodes * records,)."""
+        first = (np.cumsum(self.count) - self.count)[episodes]
+        return np.asarray((first[:, None] + np.arange(records)).ravel())
 
 
 def features_of_bank(problem: Problem, features: SeatFeatures, bank: RecordBank) -> RecordFeatures:

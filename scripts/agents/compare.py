@@ -27,13 +27,7 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
 from loose_agents.base import EVALUATION_SEED, Problem
-from loose_agents.belief import (
-    ESTIMATORS,
-    OWN_WEIGHTS,
-    setting_name,
-    weights_digest,
-    weights_path,
-)
+from loose_agents.belief import ESTIMATORS, OWN_WEIGHTS, setting_name, weights_digest, weights_path
 from loose_agents.comparison import EvaluationTask, bound_line, play_task
 from loose_agents.evaluation import arguments_of, problem_of
 from loose_agents.jobs import BackendSettings, canonical
@@ -43,13 +37,7 @@ from loose_agents.registry import AGENTS, describe, make_agent
 import loose_env
 from loose_env.arms import unfelt_words
 from loose_env.cli.command import command
-from loose_env.evaluation import (
-    by_agent,
-    configuration_hash,
-    need_format,
-    standings,
-    write_rows,
-)
+from loose_env.evaluation import by_agent, configuration_hash, need_format, standings, write_rows
 from loose_env.io import Count, NonNegativeCount
 from loose_env.report import comparison_text
 
@@ -276,8 +264,8 @@ def compare(options: Options) -> None:
         }
     )
     digest = configuration_hash(configuration)
-    engine = problem.settings.engine
-    engine = "MuJoCo" if engine == "mujoco" else f"the {engine} engine"
+    reduced = problem.settings.engine != "mujoco"
+    engine = f"the {problem.settings.engine} engine" if reduced else "MuJoCo"
     said = [*filter(None, (bound_line(problem, rows), unfelt_words(problem.arm)))]
     frozen = "the frozen one" if options.seed == EVALUATION_SEED else "for trials"
     title = (

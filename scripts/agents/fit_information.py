@@ -13,6 +13,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -33,7 +34,7 @@ def fit(options: BankOptions) -> None:
     """Fit, store, and print what was expected and what came true."""
     plan = options.plan
     problem = plan.problem()
-    posterior = make_estimator("amortised", problem).posterior  # type: ignore[attr-defined]
+    posterior: Any = make_estimator("amortised", problem).posterior
     bank = read_bank(plan, Path(options.out), plan.shards[:SHARDS])
     found = transitions_of(problem, posterior, bank, np.random.default_rng(0))
     factors = fit_factors(found)

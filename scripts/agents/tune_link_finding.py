@@ -23,20 +23,12 @@ import numpy as np
 from loose_agents.base import Agent, Problem
 from loose_agents.evaluation import arguments_of, evaluate, problem_of
 from loose_agents.jobs import ProgressLine
-from loose_agents.policies.classical import (
-    ClassicalAgent,
-    ClassicalSettings,
-    Level,
-    arm_class,
-)
+from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings, Level, arm_class
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.registry import classical_settings
 
 from loose_env.cli.command import command
-from loose_env.diagnosis import (
-    LinkFindingSettings,
-    Order,
-)
+from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.errors import InvalidSetting
 from loose_env.io import Count, write_text
 from loose_env.typing import Array
@@ -58,8 +50,8 @@ def play(problem: Problem, agents: Sequence[Agent], first: int, count: int) -> t
         evaluate(agent, "", arm, settings, episodes=count, seed=TRAINING_SEED, first=first)
         for agent in agents
     ]
-    returns, right = np.moveaxis([[(row.reward, row.success) for row in p] for p in played], -1, 0)
-    return returns, right
+    told = np.array([[(row.reward, row.success) for row in rows] for rows in played])
+    return told[..., 0], told[..., 1]
 
 
 Method = Literal["classical", "classical_literal"]

@@ -181,5 +181,6 @@ def test_a_task_is_played_on_the_true_arm(monkeypatch: pytest.MonkeyPatch) -> No
         "loose_agents.comparison.diagnosis_env",
         lambda env_id, given: diagnosis_env(env_id, arguments),
     )
-    evaluate_shard(EvaluationTask(agent="random", env_id="loose_env/Planar-v0", count=1, seed=0))
+    task = EvaluationTask(agent="random", env_id="loose_env/Planar-v0", count=1, seed=0)
+    evaluate_shard(task, range(1))
     assert seen == [("planar2", "another")]

@@ -99,7 +99,7 @@ def test_the_pass_in_numpy_is_that_of_torch(problem, bank, features, figures):
         for k in range(2):
             belief = posterior.update(belief, record_from(problem.layout, observation, k))
             with torch.no_grad():
-                log, _, _ = made.posterior(made.rows(np.array([episode]), 2), 2)
+                log, _ = made.posterior(figures, figures.rows(np.array([episode]), 2), 2)
             # Figures are stored in half precision.
             assert np.allclose(belief.probabilities, np.exp(log[0, k].numpy()), atol=0.01)
 

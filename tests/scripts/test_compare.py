@@ -96,11 +96,11 @@ def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.M
     played: list[int] = []
     real = evaluation_shards.evaluate_shard
 
-    def counted(task: Any, progress: Any = None) -> Any:
+    def counted(task: Any, span: range, progress: Any = None) -> Any:
         if len(played) == 1:
             raise KeyboardInterrupt
-        played.append(task.first)
-        return real(task, progress)
+        played.append(span.start)
+        return real(task, span, progress)
 
     monkeypatch.setattr(evaluation_shards, "evaluate_shard", counted)
     with pytest.raises(SystemExit) as stopped:

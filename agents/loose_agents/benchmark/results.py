@@ -17,11 +17,7 @@ from pydantic import ConfigDict, TypeAdapter
 
 import loose_env
 from loose_agents.base import Agent, EpisodeAgent, Problem
-from loose_agents.belief import (
-    setting_name,
-    usual_estimator,
-    weights_path,
-)
+from loose_agents.belief import setting_name, usual_estimator, weights_path
 from loose_agents.benchmark.episodes import (
     SETS,
     TASKS,

@@ -8,7 +8,6 @@ records are unlike all that the posterior was made for.
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,7 @@ from loose_agents.belief import (
 from loose_agents.rl.model_files import (
     TRAINED_ON,
     StoredModel,
-    network_arguments,
+    activation_of,
     one_line,
     read_model,
 )
@@ -146,6 +145,8 @@ class PolicyForm:
 class LearnedAgent(BeliefAgent):
     """Plays a trained policy."""
 
+    estimator: Tracker
+
     def __init__(
         self,
         problem: Problem,
@@ -249,19 +250,13 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
 
 def _network(stored: StoredModel, problem: Problem, nvec: NDArray[np.int64]) -> PolicyNetwork:
     """Actor of a model file."""
-    given = stored.described.get("policy_kwargs")
-    plain = given if isinstance(given, dict) else {}
-    # The set network's own arguments are in the tensors.
-    kept = {k: v for k, v in plain.items() if not k.startswith("features_extractor")}
-    rest = replace(stored, described={**stored.described, "policy_kwargs": kept})
-    activation = network_arguments(rest).get("activation_fn")
     kind = stored.described.get("policy_class")
     module = kind.get("__module__", "") if isinstance(kind, dict) else ""
     try:
         return network_from_tensors(
             stored.parameters["policy"],
             nvec,
-            activation="tanh" if activation is None else activation.__name__.lower(),
+            activation=activation_of(stored),
             masked="maskable" in str(module),
             layout=problem.layout,
         )

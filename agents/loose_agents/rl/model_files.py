@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import nn
 
 from loose_env.errors import InvalidData
 
@@ -30,15 +29,6 @@ _COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
 _NOT_KEPT = ("_last_obs", "_last_original_obs", "_last_episode_starts")
 """State of the environments: a resumed run begins new episodes."""
 _MOST_BYTES = 2**31
-_ACTIVATIONS = ("Tanh", "ReLU")
-_NETWORK = (
-    "net_arch",
-    "ortho_init",
-    "log_std_init",
-    "share_features_extractor",
-    "normalize_images",
-)
-"""Plain arguments of a policy's network; ``activation_fn`` besides."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,28 +107,11 @@ def restore(stored: StoredModel, model: Any, kind: type[Any]) -> Any:
         raise InvalidData(f"{stored.path}: {RUN}: {one_line(error)}") from error
 
 
-def network_arguments(stored: StoredModel) -> dict[str, Any]:
-    """Keyword arguments of the policy's network that are plain values."""
-    given = stored.described.get("policy_kwargs") or {}
-    if not isinstance(given, dict):
-        raise InvalidData(f"{stored.path}: policy_kwargs is no object")
-    found: dict[str, Any] = {}
-    for name, value in given.items():
-        if name.startswith(":"):
-            continue  # the pickled form of the same
-        if name == "activation_fn":
-            kind = str(value).rpartition(".")[2].rstrip("'>")
-            if kind not in _ACTIVATIONS:
-                raise InvalidData(f"{stored.path}: activation_fn is one of {list(_ACTIVATIONS)}")
-            found[name] = getattr(nn, kind)
-        elif name in _NETWORK and not isinstance(value, str):
-            found[name] = value
-        else:
-            raise InvalidData(
-                f"{stored.path}: the network was made with {name!r}, which is not read; known are "
-                f"{[*_NETWORK, 'activation_fn']}"
-            )
-    return found
+def activation_of(stored: StoredModel) -> str:
+    """Name of the network's activation in small letters; pickled arguments are not read."""
+    given = stored.described.get("policy_kwargs")
+    kind = given.get("activation_fn", "Tanh") if isinstance(given, dict) else "Tanh"
+    return str(kind).rpartition(".")[2].rstrip("'>").lower()
 
 
 def one_line(error: Exception) -> str:

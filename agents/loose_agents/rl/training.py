@@ -27,29 +27,11 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from loose_agents.base import CURVE_SEED, Problem
-from loose_agents.belief import (
-    Tracker,
-    make_estimator,
-)
+from loose_agents.belief import Tracker, make_estimator
 from loose_agents.evaluation import evaluate, make_environments
-from loose_agents.rl.agents import (
-    CONFIGURATION,
-    LearnedAgent,
-    ModelAgent,
-    described_run,
-)
-from loose_agents.rl.hyperparameters import (
-    LinearSchedule,
-    algorithm_named,
-    model_arguments,
-    whole,
-)
-from loose_agents.rl.model_files import (
-    TRAINED_ON,
-    read_model,
-    restore,
-    zipped,
-)
+from loose_agents.rl.agents import CONFIGURATION, LearnedAgent, ModelAgent, described_run
+from loose_agents.rl.hyperparameters import LinearSchedule, algorithm_named, model_arguments, whole
+from loose_agents.rl.model_files import TRAINED_ON, read_model, restore, zipped
 from loose_agents.rl.networks import (
     FORMAT,
     WEIGHTS,

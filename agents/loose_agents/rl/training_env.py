@@ -10,12 +10,7 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from loose_agents.base import Problem
-from loose_agents.belief import (
-    Tracker,
-    make_estimator,
-    records_measured,
-    records_taken,
-)
+from loose_agents.belief import Tracker, make_estimator, records_measured, records_taken
 from loose_agents.rl.agents import PolicyForm
 from loose_env.envs import DiagnosisVectorEnv
 from loose_env.envs.sb3 import Sb3VecEnv
