@@ -117,7 +117,10 @@ def play_task(
     shutil.rmtree(gone, ignore_errors=True)  # left by a run that was killed while it tidied up
     store = Store(where, task.configuration)
     if settings is None or (settings.backend == "loky" and settings.workers == 1):
-        _play_here(task, store, store.missing(parts))
+        missing = store.missing(parts)
+        with ProgressLine(task.count, done=task.count - sum(map(len, missing))) as line:
+            for span in missing:
+                store.write(span, evaluate_shard(task, span, lambda _: line.advance(1)))
     else:
         run_stored(partial(evaluate_shard, replace(task, threads=1)), parts, store, settings)
     rows = [row for part in parts for row in store.read(part)]
@@ -126,12 +129,6 @@ def play_task(
         where.rename(gone)
         shutil.rmtree(gone)
     return rows
-
-
-def _play_here(task: EvaluationTask, store: Store, missing: Sequence[range]) -> None:
-    with ProgressLine(task.count, done=task.count - sum(map(len, missing))) as line:
-        for span in missing:
-            store.write(span, evaluate_shard(task, span, lambda _: line.advance(1)))
 
 
 def _ready(task: EvaluationTask) -> tuple[Problem, Agent, Arm]:

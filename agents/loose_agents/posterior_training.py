@@ -487,8 +487,8 @@ def transitions_of(
                 max(before[truth], PROBABILITY_FLOOR)
             )
             rows.append((expected.information, gained, record.duration, record.excited))
-    expected, gained, seconds, excited = (np.array(column) for column in zip(*rows, strict=True))
-    return Transitions(expected=expected, gained=gained, seconds=seconds, excited=excited)
+    forecast, gained, seconds, excited = (np.array(column) for column in zip(*rows, strict=True))
+    return Transitions(expected=forecast, gained=gained, seconds=seconds, excited=excited)
 
 
 def fit_factors(found: Transitions) -> InformationFactors:

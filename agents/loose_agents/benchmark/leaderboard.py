@@ -137,7 +137,7 @@ def _row(results: Results, greedy: Array | None) -> str:
     training = results.training_records
     return _line(
         [
-            _name(results),
+            results.entry.replace("|", "\\|"),
             str(count),
             _signed(results.returns),
             over,
@@ -219,10 +219,6 @@ def _difference(first: Array | None, second: Array | None) -> str:
 def _signed(values: Array) -> str:
     found: Interval = bootstrap_mean(values, rng=np.random.default_rng(0))
     return f"{found.estimate:+.3f} ± {found.half:.3f}"
-
-
-def _name(results: Results) -> str:
-    return results.entry.replace("|", "\\|")
 
 
 def _short(task: str) -> str:

@@ -30,7 +30,7 @@ from loose_agents.comparison import information_limits, success_limits
 from loose_agents.jobs import Store, spans
 from loose_agents.registry import AGENTS, LEARNED, content_of, is_outside, make_agent
 from loose_env.errors import InvalidAction, InvalidData, InvalidSetting
-from loose_env.io import NonNegativeCount, read_result_file, restored, whole_of, write_text
+from loose_env.io import NonNegativeCount, read_result_file, restored, whole_of
 from loose_env.typing import Array
 
 _UNTRAINED = ("always_healthy", "always_unsure", "random", "classical", "classical_literal",
@@ -222,11 +222,6 @@ def _check(results: Results) -> None:
         raise InvalidData("results.reward: returns are finite numbers")
     if not results.entry.strip():
         raise InvalidData("results.entry: give the entry a name")
-
-
-def write_results(path: Path, results: Results) -> Path:
-    """Write a results file; it is renamed into place."""
-    return write_text(path, results.to_json())
 
 
 def results_schema() -> dict[str, Any]:

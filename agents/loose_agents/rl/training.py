@@ -373,7 +373,7 @@ class RunCallback(BaseCallback):
         self._write_policy(self.folder.root, {"steps": steps})
         self.state.seconds = self.budget.elapsed
         self.state.remember_generators()
-        write_model(self.folder.checkpoint, self.model)
+        write_bytes(self.folder.checkpoint, zipped(self.model, self.state))
         self._saved = steps
 
     def _evaluate(self, episodes: int) -> None:
@@ -425,17 +425,12 @@ class RunCallback(BaseCallback):
             state.best = point.mean_return
             self.folder.best.mkdir(exist_ok=True)
             self._write_policy(self.folder.best, {"steps": steps, **found})
-            write_model(self.folder.best_model, self.model)
+            write_bytes(self.folder.best_model, zipped(self.model, self.state))
 
     def _write_policy(self, folder: Path, trained: dict[str, Any]) -> None:
         if self.run.estimator is not None:
             save_network(network_of(self.model), folder)
         write_json(folder / CONFIGURATION, {**self.configuration, "trained": trained})
-
-
-def write_model(path: Path, model: Any) -> None:
-    """Write a stable-baselines3 model with the run state."""
-    write_bytes(path, zipped(model, model.run_state))
 
 
 def write_json(path: Path, content: object) -> None:
