@@ -203,32 +203,24 @@ def bound_of(
 
 
 def bound_line(problem: Problem, rows: Sequence[Row]) -> str:
-    """Format the lower bounds at the error rate of the best agent by return, by difficulty."""
-    parts = []
-    levels = dict.fromkeys(str(row.get("difficulty", "own")) for row in rows)
-    for level in levels:
-        some = [row for row in rows if str(row.get("difficulty", "own")) == level]
-        where = f" ({level})" if len(levels) > 1 else ""
-        best, bound = standings(some)[0], record_bound(problem, some)
-        if bound is None:
-            parts.append(
-                f"Bound on records{where}: 1; more cannot be said, for no agent here keeps "
-                f"probabilities on {FEWEST} arms or more."
-            )
-            continue
-        error = 1 - best.success
-        by_information = float(least_records(error, bound.prior, information=bound.information))
-        by_success = float(least_records(error, bound.prior, success=bound.success))
-        parts.append(
-            f"Bound on records{where}: {max(by_information, by_success):.2f} on average at the "
-            f"error of {best.agent}, {100 * error:.1f} %, which took {best.records:.2f}. By "
-            f"information (Fano) {by_information:.2f}, if no record says more than "
-            f"{bound.information:.2f} nat, the most that one says to an agent here "
-            f"({bound.teller}, record {bound.record}); by success {by_success:.2f}, if k records "
-            "allow no more right verdicts than the agents here reached. Both with the upper ends "
-            "of 95 % intervals."
+    """Format the lower bounds at the error rate of the best agent by return."""
+    best, bound = standings(rows)[0], record_bound(problem, rows)
+    if bound is None:
+        return (
+            "Bound on records: 1; more cannot be said, for no agent here keeps probabilities on "
+            f"{FEWEST} arms or more."
         )
-    return "\n".join(parts)
+    error = 1 - best.success
+    by_information = float(least_records(error, bound.prior, information=bound.information))
+    by_success = float(least_records(error, bound.prior, success=bound.success))
+    return (
+        f"Bound on records: {max(by_information, by_success):.2f} on average at the error of "
+        f"{best.agent}, {100 * error:.1f} %, which took {best.records:.2f}. By information (Fano) "
+        f"{by_information:.2f}, if no record says more than {bound.information:.2f} nat, the most "
+        f"that one says to an agent here ({bound.teller}, record {bound.record}); by success "
+        f"{by_success:.2f}, if k records allow no more right verdicts than the agents here "
+        "reached. Both with the upper ends of 95 % intervals."
+    )
 
 
 def _prior(problem: Problem, level: str) -> Array:

@@ -38,7 +38,7 @@ import loose_env
 from loose_env.arms import unfelt_words
 from loose_env.cli.command import command
 from loose_env.evaluation import by_agent, configuration_hash, need_format, standings, write_rows
-from loose_env.io import Count, NonNegativeCount
+from loose_env.io import Count
 from loose_env.report import comparison_text
 
 EPISODES = 4000
@@ -78,20 +78,12 @@ class Options(BackendSettings):
     """Policies to cross with the estimators."""
     reference: str | None = None
     """Agent whose return is subtracted; default: classical, or the first agent."""
-    difficulties: tuple[str, ...] = ()
-    """Play all episodes at each of these."""
     curve: Count | None = None
     """Play again, K records each: success after 1 to K."""
     episodes: Count = EPISODES
     """Episodes for each agent and difficulty."""
     seed: int = EVALUATION_SEED
     """Seed of the episodes."""
-    agent_seed: int = 0
-    """Seed of what agents draw."""
-    width: Count = 64
-    """Arms simulated side by side in a process."""
-    threads: NonNegativeCount = 0
-    """Simulation threads with --workers 1, 0 for all."""
     shard: Count = 200
     """Episodes that a worker plays at a time."""
     out: str = "out"
@@ -128,19 +120,9 @@ def reference_of(options: Options, names: Sequence[str]) -> str | None:
     return CLASSICAL[0] if CLASSICAL[0] in names else names[0]
 
 
-def levels_of(options: Options) -> list[dict[str, Any]]:
-    """Arguments of the environment, once for each difficulty."""
-    arguments = arguments_of(options.arguments)
-    if not options.difficulties:
-        return [arguments]
-    if "difficulty" in arguments:
-        raise ValueError("give the difficulty by --difficulties or by --arguments, not by both")
-    return [{**arguments, "difficulty": name} for name in options.difficulties]
-
-
 def play(
     names: Sequence[str],
-    levels: Sequence[Mapping[str, Any]],
+    arguments: Mapping[str, Any],
     options: Options,
     *,
     records: int | None = None,
@@ -148,25 +130,19 @@ def play(
     """Let every agent play the same episodes; progress goes to standard error."""
     rows = []
     for name in names:
-        for arguments in levels:
-            level = f", {arguments['difficulty']}" if len(levels) > 1 else ""
-            made = "" if records is None else f", {records} records each"
-            print(f"{name}{level}{made}", file=sys.stderr, flush=True)
-            task = EvaluationTask(
-                agent=name,
-                env_id=options.env,
-                arguments=arguments,
-                count=options.episodes,
-                seed=options.seed,
-                agent_seed=options.agent_seed,
-                records=records,
-                width=options.width,
-                threads=options.threads,
-            )
-            folder = Path(options.out) / "shards"
-            rows += play_task(
-                task, folder, settings=options, shard=options.shard, keep=options.keep
-            )
+        made = "" if records is None else f", {records} records each"
+        print(f"{name}{made}", file=sys.stderr, flush=True)
+        task = EvaluationTask(
+            agent=name,
+            env_id=options.env,
+            arguments=arguments,
+            count=options.episodes,
+            seed=options.seed,
+            records=records,
+            threads=0,
+        )
+        folder = Path(options.out) / "shards"
+        rows += play_task(task, folder, settings=options, shard=options.shard, keep=options.keep)
     return rows
 
 
@@ -186,12 +162,9 @@ def write_page(
     from loose_env.report import episode_timeline, write_comparison
 
     best = standings(rows)[0].agent
-    told = _told(rows, best, problem)
-    timeline = None
-    if told is not None:
-        agent = make_agent(best, problem, seed=options.agent_seed)
-        arm, settings = problem.arm, problem.settings
-        timeline = episode_timeline(agent, arm, settings, seed=told["seed"], number=told["episode"])
+    told, agent = _told(rows, best), make_agent(best, problem)
+    arm, settings = problem.arm, problem.settings
+    timeline = episode_timeline(agent, arm, settings, seed=told["seed"], number=told["episode"])
     own = by_agent(rows)
     truths = Counter(row["truth"] for row in own[best])
     return write_comparison(
@@ -217,12 +190,11 @@ def write_page(
     )
 
 
-def _told(rows: Sequence[dict[str, Any]], best: str, problem: Problem) -> dict[str, Any] | None:
+def _told(rows: Sequence[dict[str, Any]], best: str) -> dict[str, Any]:
     """The first faulty arm that the best agent got right after more than one record."""
-    level = problem.settings.difficulty
-    own = [r for r in rows if r["agent"] == best and r["difficulty"] in (level, "own")]
+    own = [row for row in rows if row["agent"] == best]
     right = (r for r in own if r["success"] and r["truth"] != "healthy" and r["records"] > 1)
-    return next(right, own[0] if own else None)
+    return next(right, own[0])
 
 
 def compare(options: Options) -> None:
@@ -233,32 +205,30 @@ def compare(options: Options) -> None:
             raise ValueError(f"--weights {options.weights} is no folder")
         os.environ[OWN_WEIGHTS] = str(Path(options.weights).resolve())  # for the workers too
     form = need_format(options.rows)  # whatever is wrong shows now, not after an hour of play
-    levels = levels_of(options)
-    problems = [problem_of(options.env, arguments) for arguments in levels]
-    problem = problems[0]
+    arguments = arguments_of(options.arguments)
+    problem = problem_of(options.env, arguments)
     names = names_of(options, problem)
     reference = reference_of(options, names)
     out = Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
-    made = {name: make_agent(name, problem, seed=options.agent_seed) for name in names}
+    made = {name: make_agent(name, problem) for name in names}
     goers = [name for name in names if hasattr(made[name], "stopping")]
     if options.curve is not None and not 1 <= options.curve <= problem.settings.max_records:
         raise ValueError(
             f"--curve must be 1 to {problem.settings.max_records}, got {options.curve}"
         )
-    rows = play(names, levels, options)
-    forced = [] if options.curve is None else play(goers, levels, options, records=options.curve)
+    rows = play(names, arguments, options)
+    forced = [] if options.curve is None else play(goers, arguments, options, records=options.curve)
     configuration = canonical(
         {
             "env": options.env,
             "engine": problem.settings.engine,
-            "arguments": list(levels),
+            "arguments": arguments,
             "agents": list(names),
-            "agent_seed": options.agent_seed,
             "episodes": options.episodes,
             "seed": options.seed,
             "curve": options.curve,
-            "settings": [problem.settings for problem in problems],
+            "settings": problem.settings,
             "version": loose_env.__version__,
             **({"weights": weights_digest()} if options.weights else {}),
         }
@@ -269,9 +239,8 @@ def compare(options: Options) -> None:
     said = [*filter(None, (bound_line(problem, rows), unfelt_words(problem.arm)))]
     frozen = "the frozen one" if options.seed == EVALUATION_SEED else "for trials"
     title = (
-        f"{options.env}, {engine}, "
-        f"{', '.join(options.difficulties) or problem.settings.difficulty}: {options.episodes} "
-        f"episodes for each agent\nseed {options.seed} ({frozen}), configuration {digest[:12]}"
+        f"{options.env}, {engine}, {problem.settings.difficulty}: {options.episodes} episodes for "
+        f"each agent\nseed {options.seed} ({frozen}), configuration {digest[:12]}"
     )
     told = comparison_text(
         rows,
@@ -303,13 +272,10 @@ def compare(options: Options) -> None:
 def command_of(options: Options) -> str:
     """The command that gives the same rows."""
     given: list[str] = []
-    for name in (
-        "env", "arguments", "episodes", "seed", "agent_seed", "curve", "reference", "weights"
-    ):  # fmt: skip
-        value = getattr(options, name)
-        if value is not None:
-            given += [f"--{name.replace('_', '-')}", str(value)]
-    for name in ("agents", "estimators", "policies", "difficulties"):
+    for name in ("env", "arguments", "episodes", "seed", "curve", "reference", "weights"):
+        if (value := getattr(options, name)) is not None:
+            given += [f"--{name}", str(value)]
+    for name in ("agents", "estimators", "policies"):
         if getattr(options, name):
             given += [f"--{name}", *getattr(options, name)]
     return shlex.join(["python", "scripts/agents/compare.py", "--page", *given])

@@ -63,6 +63,8 @@ from loose_env.io import Count
 
 BOOTSTRAP_SEED = 0
 """Seed of all resamples."""
+SEQUENCES = 12
+"""Sequences of each kind for the fixed policy to choose from."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,14 +81,8 @@ class Options(BackendSettings):
     """Training episodes for each agent."""
     records: Count = 12
     """Records an episode, at most the rules' own."""
-    sequences: Count = 24
-    """Sequences for the fixed policy to choose from."""
     seed: int = TUNING_SEED
     """Seed of the training episodes."""
-    agent_seed: int = 0
-    """Seed of what agents draw."""
-    shard: Count = 100
-    """Episodes that a worker plays at a time."""
     folder: str = "runs/tuning"
     """Folder of the shards."""
     out: str = str(WEIGHTS)
@@ -134,7 +130,6 @@ def tune(options: Options) -> None:
             arguments=arguments,
             seed=options.seed,
             records=records,
-            agent_seed=options.agent_seed,
             posterior=posterior,
         )
         words = agent if levels is None else f"{agent} {list(levels)}"
@@ -145,7 +140,6 @@ def tune(options: Options) -> None:
             episodes=episodes,
             folder=Path(options.folder),
             settings=options,
-            shard=options.shard,
         )
 
     def sequences(estimator: str) -> list[Records]:
@@ -153,12 +147,8 @@ def tune(options: Options) -> None:
         made = make_estimator(estimator, problem)
         policy = make_policy("open_loop", problem, made)
         assert isinstance(policy, OpenLoopPolicy)
-        half = options.sequences // 2
-        rng = np.random.default_rng(options.agent_seed)
-        return [
-            *drawn_sequences(problem, options.sequences - half, records, rng),
-            *designed_sequences(policy, made, half, records, seed=options.seed),
-        ]
+        drawn = drawn_sequences(problem, SEQUENCES, records, np.random.default_rng(0))
+        return drawn + designed_sequences(policy, made, SEQUENCES, records, seed=options.seed)
 
     constant: tuple[int, ...] | None = None
     fixed: dict[str, Records] | None = None

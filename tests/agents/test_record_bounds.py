@@ -112,7 +112,5 @@ def test_the_line_is_about_the_best_agent(problem: Problem) -> None:
     line = bound_line(problem, rows)
     assert "at the error of good, 10.0 %, which took 2.00" in line
     assert "bad" not in line and line.count("\n") == 0
-    both = [*rows, *({**r, "difficulty": "hard"} for r in rows)]
-    assert bound_line(problem, both).count("Bound on records (") == 2
     silent = [row("thesis", k, trail_truth=(), trail_best=()) for k in range(50)]
     assert "more cannot be said" in bound_line(problem, silent)

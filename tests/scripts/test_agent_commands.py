@@ -55,7 +55,7 @@ REFUSED = [
     ("compare", ["--arguments", "["], "must be JSON"),
     ("compare", ["--rows", "csv"], "parquet or json"),
     ("compare", ["--curve", "14"], "--curve must be 1 to 12"),
-    ("compare", ["--difficulties", "grim"], "unknown difficulty 'grim'"),
+    ("compare", ["--arguments", '{"difficulty": "grim"}'], "unknown difficulty 'grim'"),
     ("submit", [*MAKE, "--agents", "nobody"], "unknown agent"),
     ("submit", [*MAKE, "--agents", "random", "--episodes", "9999"], "1 to 320"),
     ("submit", [*MAKE, "--agents", "random", "fixed", "--entry", "mine"], "names one agent"),

@@ -47,7 +47,7 @@ def test_agents_meet_the_same_arms(whole: Path) -> None:
     assert by_agent["random"] == by_agent["classical"]
     assert [row[1] for row in by_agent["random"]] == list(range(5))
     assert configuration["engine"] == "mujoco"
-    assert configuration["settings"][0]["durations"] == [0.2]
+    assert configuration["settings"]["durations"] == [0.2]
 
 
 def test_agents_that_may_not_stop_take_every_record(whole: Path) -> None:
@@ -65,14 +65,12 @@ def test_the_page_says_how_to_make_it_again(whole: Path) -> None:
     assert list((whole / "shards").iterdir()) == []
 
 
-def test_rows_are_the_same_for_any_worker_count_shard_and_width(
-    whole: Path, tmp_path: Path
-) -> None:
+def test_rows_are_the_same_for_any_worker_count_and_shard(whole: Path, tmp_path: Path) -> None:
     pytest.importorskip("joblib")
     expected = [row for row in read_rows(whole / "rows.json")[0] if row["agent"] == "random"]
     threads = run(tmp_path, "--agents", "random", "--backend", "threading", "--workers", "2")
     assert threads == expected
-    narrow = ["--agents", "random", "--workers", "1", "--shard", "5", "--width", "2"]
+    narrow = ["--agents", "random", "--workers", "1", "--shard", "5"]
     assert run(tmp_path, *narrow, name="b") == expected
 
 

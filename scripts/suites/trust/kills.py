@@ -191,7 +191,7 @@ def _compare(out: Path) -> Sequence[str]:
     return (
         *("scripts/agents/compare.py", "--env", "loose_env/Planar-v0", "--out", str(out)),
         *("--arguments", '{"n_links": 2}', "--agents", "random", "posterior/random"),
-        *("--episodes", str(EPISODES), "--shard", "4", "--threads", "1", "--workers", "1"),
+        *("--episodes", str(EPISODES), "--shard", "4", "--workers", "1"),
     )
 
 
