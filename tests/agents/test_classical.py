@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 import pytest
-from loose_agents.base import Problem
+from loose_agents.base import EpisodeAgent, Problem
 from loose_agents.evaluation import EpisodeRow, evaluate
 from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings
 from loose_agents.registry import make_agent
 
 from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar, scara, six_axis, vera
-from loose_env.envs import DiagnosisSettings, EpisodeBatch
+from loose_env.envs import DiagnosisSettings, EpisodeBatch, Outcome
 from loose_env.errors import InvalidSetting
 from loose_env.sensors import LinkAccelerometers, SensorSuite
 
@@ -59,42 +62,37 @@ def test_blind_rows_take_the_cheapest_record_and_say_one_thing() -> None:
             assert row.seconds == pytest.approx(records * min(SETTINGS.durations))
 
 
-@pytest.mark.parametrize("order", ["outward", "inward", "bisection"])
-def test_once_something_is_seen_one_joint_moves_at_a_time(order: str) -> None:
-    arm = planar(4)
-    agent = ClassicalAgent(Problem.of(arm, SETTINGS), ClassicalSettings(order=order))  # type: ignore[arg-type]
-    batch = EpisodeBatch(arm, SETTINGS, num=1, threads=1)
-    batch.start(0, seed=1, number=3, options={"fault": "structural_looseness@link2"})
-    state, found = None, 0
-    while True:
+def steps(agent: EpisodeAgent, fault: str, number: int = 0) -> Iterator[tuple[Any, Any, Outcome]]:
+    """Action, state and outcome of every step of an episode."""
+    problem = agent.problem
+    batch = EpisodeBatch(problem.arm, problem.settings, threads=1)
+    batch.start(0, seed=1, number=number, options={"fault": fault})
+    state, outcome = None, None
+    while outcome is None or not outcome.terminated:
         action, state = agent.predict(batch.observe(0), state)
         outcome = batch.step([0], [action])[0]
-        if outcome.terminated:
-            break
-        if state[0].left:
+        yield action, state[0], outcome
+
+
+@pytest.mark.parametrize("order", ["outward", "inward", "bisection"])
+def test_once_something_is_seen_one_joint_moves_at_a_time(order: Any) -> None:
+    arm, found = planar(4), 0
+    agent = ClassicalAgent(Problem.of(arm, SETTINGS), ClassicalSettings(order=order))
+    for action, state, outcome in steps(agent, "structural_looseness@link2", 3):
+        if state.left and not outcome.terminated:
             found += 1
             moved = np.flatnonzero(action[: arm.n] != SETTINGS.stay)
-            assert moved.tolist() == [state[0].moved - 1]
-    assert found
-    assert outcome.info["is_success"]
+            assert moved.tolist() == [state.moved - 1]
+    assert found and outcome.info["is_success"]
 
 
 def test_a_slide_that_may_be_play_is_told_by_driving_that_joint_alone() -> None:
     arm = planar(4)
     agent = ClassicalAgent(Problem.of(arm, SETTINGS), ClassicalSettings(driven=1e6))
-    batch = EpisodeBatch(arm, SETTINGS, num=1, threads=1)
-    batch.start(0, seed=1, number=0, options={"fault": "backlash@joint3"})
-    state, driven = None, None
-    while True:
-        action, state = agent.predict(batch.observe(0), state)
-        if state[0].driven is not None and driven is None:
-            driven = action[arm.n : 2 * arm.n]
-        outcome = batch.step([0], [action])[0]
-        if outcome.terminated:
-            break
-    assert driven is not None
+    played = list(steps(agent, "backlash@joint3"))
+    driven = next(action[arm.n : 2 * arm.n] for action, state, _ in played if state.driven)
     assert np.flatnonzero(driven).tolist() == [2]
-    assert outcome.info["is_success"]
+    assert played[-1][2].info["is_success"]
 
 
 def test_one_exciter_shakes_the_joint_that_opens_most_and_rarely_alarms() -> None:
@@ -183,25 +181,14 @@ def test_every_link_finding_agent_plays_arms_in_space(arm: Arm, name: str) -> No
 
 
 def test_turns_move_one_joint_and_images_move_several() -> None:
-    arm = six_axis()
-    problem = Problem.of(arm, EASY)
-    most = {}
+    arm, most = six_axis(), {}
     for name in ("classical_literal", "images"):
-        agent = make_agent(name, problem)
-        batch = EpisodeBatch(arm, EASY, num=1, threads=1)
+        agent: Any = make_agent(name, Problem.of(arm, EASY))
+        moved = []
         # The seat at link 6 carries little weight: it opens.
-        batch.start(0, seed=1, number=3, options={"fault": "structural_looseness@link6"})
-        state, moved = None, []
-        for _ in range(EASY.max_records + 1):
-            action, state = agent.predict(batch.observe(0), state)
-            search = state[0]
+        for action, search, outcome in steps(agent, "structural_looseness@link6", 3):
             loose = search.pool.stands_out(agent.settings.significance, np.random.default_rng(0))
-            seen = loose if name == "images" else bool(search.sightings)
-            outcome = batch.step([0], [action])[0]
-            if outcome.terminated:
-                break
-            if seen:
+            if not outcome.terminated and (loose if name == "images" else search.sightings):
                 moved.append(int(np.sum(action[: arm.n] != EASY.stay)))
         most[name] = max(moved, default=0)
-    assert most["classical_literal"] <= 1
-    assert most["images"] > 1
+    assert most["classical_literal"] <= 1 < most["images"]

@@ -30,7 +30,7 @@ from loose_agents.tuning import (
 )
 
 from loose_env.arms import planar
-from loose_env.envs import DiagnosisSettings, EpisodeBatch, Outcome, Prices
+from loose_env.envs import DiagnosisSettings, Prices
 from loose_env.errors import InvalidData, UnknownName
 
 RECORDS = 3
@@ -69,32 +69,12 @@ def test_a_threshold_is_worth_what_playing_with_it_brings(problem: Problem) -> N
     assert len({tuple(trails.ends(t)) for t in THRESHOLDS}) > 1  # there was something to choose
 
 
-def test_an_episode_that_diverged_ends_there(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    agent = belief_agent("posterior", "random", problem, seed=1)
-    real = EpisodeBatch.step
-
-    def step(self: EpisodeBatch, slots: list[int], actions: list[object]) -> list[Outcome]:
-        """Let the first episode fail in its second record."""
-        outcomes = real(self, slots, actions)
-        for k, slot in enumerate(slots):
-            episode = self.episode(slot)
-            assert episode is not None
-            if (episode.number, episode.records) == (0, 2) and not outcomes[k].terminated:
-                outcomes[k] = replace(
-                    outcomes[k], truncated=True, info=outcomes[k].info | self._truth(episode, None)
-                )
-        return outcomes
-
-    monkeypatch.setattr(EpisodeBatch, "step", step)
-    trails = trails_of(agent, 3)
-    agent.stopping = Sure(probability=1.1)
-    rows = evaluate(agent, "a", problem.arm, SETTINGS, episodes=3, seed=9, threads=1)
-    assert rows[0].truncated and rows[0].records == 2
-    assert [row.reward for row in rows] == pytest.approx(trails.returns(1.1))
-    assert [row.records for row in rows] == (1 + trails.ends(1.1)).tolist()
-    assert not trails.success(1.1)[0]
+def test_an_episode_that_diverged_ends_there_whatever_the_threshold() -> None:
+    row = {"truth": "healthy", "price": 0.3, "trail_verdict": ["healthy"], "trail_price": [0.1]}
+    trails = Trails.of([{**row, "trail_confidence": [0.7]}], Prices(), 3)
+    assert trails.ends(0.6).tolist() == [0] and trails.returns(0.6) == pytest.approx([0.9])
+    assert trails.ends(1.1).tolist() == [1] and trails.returns(1.1) == pytest.approx([-0.3])
+    assert trails.success(0.6)[0] and not trails.success(1.1)[0]
 
 
 def made_trails(count: int, seed: int) -> Trails:

@@ -84,7 +84,7 @@ def commands(out: Path, recording: Path) -> dict[str, Callable[[], None]]:
     """Every command that writes, as short as it can be."""
     two = ["--arguments", '{"n_links": 2}']
     agents = ["--agents", "posterior/random", "--episodes", "160", "--workers", "1"]
-    short = ["--threads", "1", "--shard", "1"]
+    short = ["--shard", "1"]
     training = [
         *("--env-kwargs", "n_links:2", "durations:[0.2]", "threads:1", "-n", "8", "-params"),
         *("n_envs:2", "n_steps:4", "batch_size:8", "n_epochs:1", "policy_kwargs:dict()"),
