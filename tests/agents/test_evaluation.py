@@ -11,6 +11,7 @@ from loose_agents.comparison import bound_line, record_bound
 from loose_agents.evaluation import EpisodeRow, arguments_of, diagnosis_env, evaluate
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.registry import AGENTS, make_agent
+from scipy.special import softmax
 
 from loose_env.arms import planar
 from loose_env.diagnosis import LinkFindingSettings, least_records
@@ -135,46 +136,18 @@ def test_arguments_that_the_environment_does_not_take_are_refused_in_words(
     assert "\n" not in str(caught.value)
 
 
-PRIOR = np.array([0.4, 0.3, 0.2, 0.1])
-FLIP = 0.45
-"""Share of records that show another hypothesis than the true one."""
-
-
-def channel() -> np.ndarray:
-    """Probability that a record shows hypothesis j where i is true."""
-    count = len(PRIOR)
-    return np.where(np.eye(count) > 0, 1 - FLIP, FLIP / (count - 1))
-
-
-def played(threshold: float, arms: int = 4000) -> tuple[float, float]:
-    """Error and mean records of the exact posterior that stops at a probability."""
-    rng, show = np.random.default_rng(5), channel()
-    truth = rng.choice(len(PRIOR), size=arms, p=PRIOR)
-    log = np.tile(np.log(PRIOR), (arms, 1))
-    records, going = np.zeros(arms, dtype=int), np.ones(arms, dtype=bool)
-    while going.any():
-        at = np.flatnonzero(going)
-        seen = (show[truth[at]].cumsum(1) < rng.random(len(at))[:, None]).sum(1)
-        log[at] += np.log(show[:, np.minimum(seen, len(PRIOR) - 1)]).T
-        records[at] += 1
-        p = np.exp(log[at] - log[at].max(1, keepdims=True))
-        going[at] = (p / p.sum(1, keepdims=True)).max(1) < threshold
-    return float((log.argmax(1) != truth).mean()), float(records.mean())
-
-
 def test_the_exact_posterior_does_not_beat_the_bound_by_success() -> None:
-    rng, show = np.random.default_rng(6), channel()
-    truth = rng.choice(len(PRIOR), size=20_000, p=PRIOR)
-    log = np.tile(np.log(PRIOR), (len(truth), 1))
-    success = []
-    for _ in range(12):
-        seen = (show[truth].cumsum(1) < rng.random(len(truth))[:, None]).sum(1)
-        log += np.log(show[:, np.minimum(seen, len(PRIOR) - 1)]).T
-        success.append(float((log.argmax(1) == truth).mean()))
-    best = np.maximum.accumulate(success)
+    rng, prior, arms = np.random.default_rng(6), np.array([0.4, 0.3, 0.2, 0.1]), 8000
+    show = np.where(np.eye(4) > 0, 0.55, 0.15)  # a record shows the truth, or another hypothesis
+    truth = rng.choice(4, size=arms, p=prior)
+    seen = (show[truth].cumsum(1) < rng.random((80, arms, 1))).sum(-1).clip(max=3)
+    log = np.log(prior) + np.log(show[seen]).cumsum(0)
+    right, sure = log.argmax(-1) == truth, softmax(log, axis=-1).max(-1)
+    best = np.maximum.accumulate(right[:12].mean(1))
     for threshold in (0.6, 0.8, 0.95):
-        error, records = played(threshold)
-        bound = float(least_records(error, PRIOR, success=best))
+        end = (sure >= threshold).argmax(0)
+        error, records = 1 - right[end, np.arange(arms)].mean(), 1 + end.mean()
+        bound = float(least_records(error, prior, success=best))
         assert 0.3 * records < bound < records + 0.05
 
 

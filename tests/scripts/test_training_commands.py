@@ -64,21 +64,17 @@ def steps_of(checkpoint: Path) -> int:
 @pytest.mark.parametrize("rules", [{}, {"max_excited": 1, "max_moved": 1}])
 def test_the_first_policy_prefers_the_top_level_of_any_joint(rules: dict[str, int]) -> None:
     problem = Problem.of(planar(3), DiagnosisSettings(**rules))
-    actions, nvec = problem.actions, problem.actions.nvec
-    options = actions.strongest_options()
-    starts = np.cumsum(nvec) - nvec
-    for entry in range(actions.most_excited):
-        own = options[(options >= starts[actions.excitation][entry])][: 3 if rules else 1]
-        for joint, option in enumerate(own if rules else [own[0]]):
-            action = actions.encode()
-            action[actions.excitation.start + entry] = (
-                option - starts[actions.excitation.start + entry]
-            )
-            levels = actions.decode(action).levels
-            assert levels[joint if rules else entry] == len(problem.arm.levels)
-    longest = int(np.argmax(problem.settings.durations))
-    assert options[-1] - starts[-2] == longest
-    assert len(options) == (3 if rules else actions.most_excited) + 1
+    actions, top = problem.actions, len(problem.arm.levels)
+    starts = np.cumsum(actions.nvec) - actions.nvec
+    *strongest, last = actions.strongest_options()
+    assert last - starts[-2] == int(np.argmax(problem.settings.durations))
+    levels = []
+    for option in strongest:
+        entry = int(np.searchsorted(starts, option, side="right")) - 1
+        action = actions.encode()
+        action[entry] = option - starts[entry]
+        levels.append(actions.decode(action).levels.tolist())
+    assert levels == (top * np.eye(3, dtype=int)).tolist()
 
 
 @pytest.mark.slow
