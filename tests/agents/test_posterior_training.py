@@ -14,7 +14,7 @@ import torch
 from loose_agents.base import Problem
 from loose_agents.belief import BeliefAgent, Sure
 from loose_agents.benchmark.episodes import OFF, OtherArmRig
-from loose_agents.jobs import Store
+from loose_agents.jobs import BackendSettings, Store
 from loose_agents.policies.choice import RandomPolicy
 from loose_agents.posterior_training import (
     NoveltySettings,
@@ -166,8 +166,9 @@ def test_banks_on_disk_resume_and_read_back(tmp_path):
         records=BankSettings(records=2, long_every=0),
         directions=6,
     )
-    build_bank(plan, tmp_path)
-    store = build_features(plan, tmp_path)
+    here = BackendSettings(backend="threading", workers=1)
+    build_bank(plan, tmp_path, here)
+    store = build_features(plan, tmp_path, here)
     bank = read_bank(plan, tmp_path)
     assert len(bank) == 12
     found = read_features(store, plan.shards)
