@@ -36,8 +36,7 @@ from loose_env.report import (
 from tests.browser.chromium import Page
 from tests.browser.looks import WIDTHS, browser, fits_on_paper, is_in_order, pictures
 from tests.gap.cases.gap_case import record, solution_for
-from tests.instrument.arms.plan_arms import SERVOED, written
-from tests.instrument.trend.sessions_of_an_arm import named, session
+from tests.instrument.arms import SERVOED, named, session, written
 from tests.report.diagnosis_case import CASES, LONG
 from tests.report.test_comparison import ROWS, Guesser
 from tests.scripts.test_reproduce_thesis import FAILED, outcome, render

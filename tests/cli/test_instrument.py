@@ -26,8 +26,7 @@ from loose_env.instrument.model.instrumented_arm import read_arm
 from loose_env.recording import read_recording, write_csv, write_recording
 from scripts.suites.diagnosis.months import machine, session_runs
 from scripts.suites.gap.arms import model_xml
-from tests.instrument.arms.plan_arms import MOTORS, SERVOED, URDF, written
-from tests.instrument.trend.sessions_of_an_arm import named, session
+from tests.instrument.arms import MOTORS, SERVOED, URDF, named, session, written
 
 STEP = 2e-4
 MONTHS = 5

@@ -7,7 +7,7 @@ import pytest
 
 from loose_env.instrument import TrendSettings, change_since
 from scripts.suites.diagnosis.months import PLAY, alarms_of, as_found, machine, table
-from tests.instrument.trend.sessions_of_an_arm import named, session
+from tests.instrument.arms import named, session
 
 pytestmark = pytest.mark.slow
 
