@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from mcap.writer import CompressionType
 
 from loose_env.cli.main import main
 from loose_env.errors import InvalidData
-from loose_env.importing import ImportSettings, import_recording
+from loose_env.importing import import_recording
 from loose_env.recording import Run, read_recording, write_recording
 from tests.importing.sample_files import (
     ARM,
@@ -291,32 +290,6 @@ def test_many_runs_take_their_files_in_turn(home: Path, mapping: Mapped) -> None
     found = import_recording(files, mapped, home / "out")
     assert [run.pose for run in found.runs] == [{"elbow": 0.0}, {"elbow": 1.0}, {"elbow": 2.0}]
     assert [list(run.torques) for run in found.runs] == [[], [], ["elbow"]]
-
-
-def test_a_mapping_may_be_json_and_a_model_lie_elsewhere(home: Path, tmp_path: Path) -> None:
-    write_csv(home / "log.csv", np.stack([np.arange(20) / 10, np.ones(20)], 1), ["t", "q"])
-    mapping = home / "map.json"
-    mapping.write_text(
-        json.dumps(
-            {
-                "format": "loose-mapping/1",
-                "sources": {"log": {"time": {"column": "t"}}},
-                "runs": [{"columns": {"sensor.elbow_angle": {"channel": "q"}}}],
-            }
-        )
-    )
-    elsewhere = tmp_path / "models"
-    elsewhere.mkdir()
-    (elsewhere / "other.xml").write_text(ARM)
-    found = import_recording(
-        [home / "log.csv"],
-        mapping,
-        home / "out",
-        ImportSettings(file_format="csv"),
-        model=elsewhere / "other.xml",
-    )
-    assert found.model_path == home / "out" / "other.xml"
-    assert found.runs[0].name == "run-01.csv"
 
 
 def test_a_gap_stays_a_gap(home: Path, mapping: Mapped) -> None:

@@ -22,7 +22,7 @@ from mcap.writer import CompressionType
 
 from loose_env.cli.main import main
 from loose_env.errors import LooseEnvError
-from loose_env.importing import ImportSettings, describe_sources, import_recording, read_mapping
+from loose_env.importing import ImportSettings, describe_sources, import_recording
 from tests.importing import arm_log
 from tests.importing.sample_files import (
     IMU,
@@ -75,14 +75,10 @@ def refused(home: Path, files: Path | list[Path], mapped: Path) -> str:
         ('channel = "position[elbow]"', "say which by topic"),
         ('topic = "/joint_states", channel = "positon[elbow]"', "did you mean 'position'"),
         ('topic = "/joint_states", channel = "position[wrist]"', "none of its 100 messages"),
-        ('topic = "/joint_states", channel = "position[9]"', "none of its 100 messages"),
         ('topic = "/joint_states", channel = "header"', "is no number; it holds stamp"),
-        ('topic = "/joint_states", channel = "header.frame_id"', "is no number"),
         ('topic = "/imu", channel = "linear_acceleration[0]"', "is no array"),
         ('topic = "/commands", channel = "data[lift]"', "have no names; take one by its number"),
-        ('topic = "/imu", channel = "a..b"', "no way to a number"),
         ('topic = "/imu", channel = "linear_acceleration.x", unit = "g"', "measures acceleration"),
-        ('topic = "/imu", channel = "linear_acceleration.x", unit = "furlong"', "unknown unit"),
     ],
 )
 def test_channels_that_are_not_there(home: Path, mapping: Mapped, channel: str, words: str) -> None:
@@ -99,20 +95,15 @@ def test_channels_that_are_not_there(home: Path, mapping: Mapped, channel: str, 
         (one('channel = "q"', run='pose = { wrist = 1 }'), "no hinge or slide"),
         (one('channel = "q"', run='pose = { elbow = "3 kg" }'), "unknown unit 'kg'"),
         (one('channel = "q"', run='file = "../../run"'), "leaves the folder"),
-        (one('channel = "q"', run='file = "/etc/run"'), "is absolute"),
         (one('channel = "q"', run="start = 1.7e9"), "give a date in quotes"),
         (one('channel = "q"', run="start = 0.3\nstop = 0.1"), "start is not before stop"),
         (one('channel = "q"', run="start = 0.1\nstop = 7"), "not within what all its channels"),
         (one('channel = "q"', run="rate_hz = 1e9"), "more than"),
-        (one('channel = "q"', run="rate_hz = 5"), "at least 10"),
         (one('channel = "q"', run='condition = "sound"'), "'suspect', 'healthy'"),
         (one('channel = "q", sign = 2'), "sign is 1 or -1"),
-        (one('channel = "q", scale = 0'), "leaves nothing"),
         (one('channel = "q", topic = "/a"'), "has no topics"),
         (one('channel = "w"'), "there is no column 'w'"),
         (one('channel = "q", sources = "x"'), "did you mean 'source'"),
-        (one('channel = "q", source = "t"'), "there is no source 't'"),
-        (one('channel = "q"', source='separator = ";"\ndecimal = ";"'), "is one of '.', ','"),
         (one('channel = "q"', source='time = { column = "t", unit = "g" }'), "no unit of time"),
         ("[sources.s]\n", "runs is a list"),
         ("[[runs]]\n", "[sources.NAME] is missing"),
@@ -182,13 +173,10 @@ def test_the_command_line_needs_a_mapping(
         (["t,q", "0,1", "2,2", "1,3"], "line 4: time runs backwards"),
         (["t,q", "0,1", "1,2", "1,3"], "line 4: time stands still"),
         (["t,q", "0,1", ",2", "1,3"], "line 3, column 't': '' is no time"),
-        (["t,q", "0,1", "1e999,2", "1,3"], "line 3, column 't'"),
         (["t,q", "0,1", "1,inf", "2,3"], "line 3: the value is infinite"),
-        (["t,q", "0,", "1,", "2,nan"], "it has 0 samples"),
         (["t,q,q", "0,1,1"], "is there 2 times; take one by its number, #2 or #3"),
         ([], "there is no table"),
         (["t,q", '0,"1', "1,2"], "not a table"),
-        (["t,q", "0,\0"], "no"),
         (["t,q" + "x" * 2**20, "0,1"], "longer than"),
     ],
 )
@@ -275,12 +263,9 @@ def chunk(size: int, kind: bytes, packed: bytes) -> bytes:
         ("a.bag", b"#ROSBAG V2.0", "mcap convert"),
         ("a.pkl", b"\x80\x04", "can hold code"),
         ("a.xyz", b"hello", "of what kind is it"),
-        ("a.mcap", b"SQLite format 3", "does not start with"),
         ("a.mcap", chunk(2**62, b"zstd", b"x"), "byte 8: .*declares 4611686018427387904 bytes"),
         ("a.mcap", chunk(100, b"zstd", zstandard.compress(bytes(2**24))),
          "its size is not the one declared"),
-        ("a.mcap", chunk(100, b"lz4", b"nonsense"), "the chunk is damaged"),
-        ("a.mcap", chunk(3, b"bz2", b"abc"), "compressed as 'bz2'"),
         ("a.mcap", chunk(3, b"", b"abc"), "the last record of the chunk is cut"),
         ("a.mcap", chunk(9, b"", struct.pack("<BQ", 5, 2**60)), "a record inside the chunk is"),
         ("a.mcap", chunk(31, b"", struct.pack("<BQHIQQ", 5, 22, 7, 0, 0, 0)),
@@ -289,7 +274,6 @@ def chunk(size: int, kind: bytes, packed: bytes) -> bytes:
         ("a.mcap", b"\x89MCAP0\r\n", "cut short"),
         ("a.uff", b"hello", "no lines '    -1'"),
         ("a.uff", b"    -1\n    58\nNONE\n", "cut short"),
-        ("a.uff", b"    -1\n   151\nNONE\n    -1\n", "has no data set 58"),
         ("a.uff", b"    -1\n    58\nNONE\n    -1\n", "damaged"),
     ],
 )  # fmt: skip
@@ -306,13 +290,11 @@ def test_files_that_are_something_else_or_of_a_hostile_hand(
     ("messages", "words"),
     [
         ([(0, {"q": 1}), (1, {"q": "two"})], "message 2: 'q' is no number"),
-        ([(0, {"q": 1}), (1, b"{")], "message 2: it is damaged"),
         ([(0, {"q": 1}), (1, b"[" * 100000)], "message 2: it is damaged"),
         ([(0, {"q": 1}), (1, b'{"q": 1' + b"0" * 400 + b"}")], "too large a number"),
         ([(0, {"q": 1}), (1, b'{"q": Infinity}')], "message 2: the value is infinite"),
         ([(5, {"q": 1}), (4, {"q": 1})], "message 2: time runs backwards"),
         ([(5, {"q": 1}), (2**63, {"q": 1})], "which is no date"),
-        ([(0, [1, 2]), (1, [1])], "has no fields"),
         ([(0, {"w": 1})], "there is no field 'q'; there are 'w'"),
     ],
 )
@@ -419,21 +401,15 @@ SPOILT: list[tuple[str, Callable[[Path], object], str]] = [
     ("lerobot", lambda f: (f / "meta/info.json").unlink(), "meta/info.json"),
     ("lerobot", lambda f: cut(f / "meta/info.json"), "not JSON"),
     ("lerobot", lambda f: info(f, codebase_version="v9.0"), "read are v2.0, v2.1, v3.0"),
-    ("lerobot", lambda f: info(f, features={}), "features is missing"),
     ("lerobot", lambda f: info(f, data_path="../x.parquet"), "no path within the folder"),
-    ("lerobot", lambda f: info(f, data_path="{x:03d}.parquet"), "data_path names 'x'"),
     ("lerobot", lambda f: shutil.rmtree(f / "meta/episodes"), "no Parquet files"),
-    ("lerobot", lambda f: shutil.rmtree(f / "data"), "there is no file"),
     ("lerobot", lambda f: cut(f / FRAMES), "cut short or damaged"),
     ("lerobot", no_rows_of_episode, "episode_000000: it has 0 frames"),
-    ("lerobot", lambda f: drop(f, "timestamp"), "there is no column 'timestamp'"),
     ("lerobot", lambda f: drop(f, "observation.state"), "no column 'observation.state'"),
     ("bag", lambda f: (f / "metadata.yaml").unlink(), "ros2 bag reindex"),
-    ("bag", lambda f: (f / "metadata.yaml").write_text("a: [\n"), "not YAML"),
     ("bag", lambda f: (f / "metadata.yaml").write_text("a: 1\n"), "is it a ROS 2 bag"),
     ("bag", lambda f: metadata(f, "version: 9", "version: 99"), "read are 1 to 9"),
     ("bag", lambda f: metadata(f, *TAPE), "read are mcap and sqlite3"),
-    ("bag", lambda f: database(f).unlink(), "there is no file"),
     ("bag", lambda f: cut(database(f)), "cannot be read as a ROS 2 bag in SQLite"),
     ("demos.hdf5", cut, "cut short or damaged"),
     ("demos.hdf5", lambda f: positions(f, value=None, at="data"), "no group 'data'"),
@@ -443,7 +419,6 @@ SPOILT: list[tuple[str, Callable[[Path], object], str]] = [
     ("demos.hdf5", lambda f: arm_log.write_robomimic(f, SHORT, rate=None),
      "give the rate of control"),
     ("sensors.npz", lambda f: cut(f, 0.1), "cut short or damaged"),
-    ("sensors.npz", lambda f: cut(f, 0.97), "cut short or damaged"),
     ("sensors.npz", lambda f: np.savez(f, a=np.zeros(3)), "neither a TimeSeries"),
     ("sensors.npz", lambda f: np.savez(f, times=np.arange(3.0), data=np.array([{}] * 3)),
      "holds objects"),
@@ -469,12 +444,9 @@ def test_datasets_that_are_incomplete_damaged_or_unknown(
         ('channel = "observation.state[elbow.pos]", unit = "V"', "", "measures voltage"),
         ('channel = "observation.state[elbo.pos]", unit = "deg"', "", "did you mean"),
         ('channel = "observation.state[7]", unit = "deg"', "", "[0] to [2]"),
-        ('channel = "observation.stat[0]", unit = "deg"', "", "did you mean"),
-        ('channel = "observation.images.top", unit = "deg"', "", "no feature"),
         ('topic = "t", channel = "action[0]", unit = "deg"', "", "has no topics"),
         (COLUMN["lerobot"], 'episodes = "7"', "there is no episode 7"),
         (COLUMN["lerobot"], 'episodes = "first"', "is no episode"),
-        (COLUMN["lerobot"], 'episodes = ","', "chooses no episode"),
     ],
 )
 def test_columns_and_episodes_that_a_dataset_lacks(
@@ -548,62 +520,3 @@ def test_files_that_were_cut_or_whose_bytes_were_flipped(
     else:
         assert not shortened
         assert all(np.isfinite(run.time).all() for run in found.runs)
-
-
-WORDS = """format model sources columns runs file kind time topics align column unit stamp
-rate_hz even channel topic source scale sign offset method pose excited condition start stop to
-band_hz separator decimal skip header missing to_channel s"""
-KEYS = st.sampled_from(WORDS.split())
-VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.just(10**400) | st.floats()
-    | st.text(max_size=20)
-    | st.sampled_from(["s", "csv", "g", "measured", "30 deg", "../x", "loose-mapping/1"]),
-    lambda inside: st.lists(inside, max_size=4)
-    | st.dictionaries(KEYS | st.text(max_size=8), inside, max_size=6),
-    max_leaves=25,
-)  # fmt: skip
-SOUND = {
-    "format": "loose-mapping/1",
-    "model": "arm.xml",
-    "sources": {"s": {"time": {"column": "t"}, "topics": {"/a": {"stamp": "header"}}}},
-    "columns": {"sensor.elbow_angle": {"channel": "q", "unit": "deg"}},
-    "runs": [{"pose": {"elbow": "3 deg"}, "start": 0.1, "stop": 2}],
-}
-
-
-def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    found = [path] if path else []
-    if isinstance(value, (dict, list)):
-        for key, each in value.items() if isinstance(value, dict) else enumerate(value):
-            found += places(each, (*path, key))
-    return found
-
-
-@pytest.mark.slow
-@settings(FREELY, max_examples=200)
-@given(data=st.data())
-def test_mappings_of_any_content(tmp_path: Path, data: st.DataObject) -> None:
-    whole: Any = json.loads(json.dumps(SOUND))
-    for _ in range(data.draw(st.integers(1, 3))):
-        *way, last = data.draw(st.sampled_from(places(whole)))
-        here = whole
-        for key in way:
-            here = here[key]
-        here[last] = data.draw(VALUES)
-    path = tmp_path / "map.json"
-    path.write_text(json.dumps(whole))
-    try:
-        read_mapping(path)
-    except LooseEnvError as error:
-        assert "map.json" in str(error) and "\n" not in str(error)
-
-
-@pytest.mark.slow
-@FREELY
-@given(content=st.binary(max_size=200) | VALUES.map(lambda value: json.dumps(value).encode()))
-@pytest.mark.parametrize("ending", ["toml", "json"])
-def test_anything_in_the_place_of_a_mapping(tmp_path: Path, ending: str, content: bytes) -> None:
-    path = tmp_path / f"map.{ending}"
-    path.write_bytes(content)
-    with pytest.raises(LooseEnvError, match=r"map\."):
-        read_mapping(path)

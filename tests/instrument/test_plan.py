@@ -101,31 +101,6 @@ TACHO = '<velocity name="lift_speed" joint="lift" kv="7"/>'
 STIFF = '<general name="lift_spring" joint="lift" gainprm="0" biastype="affine" biasprm="3 -50 0"/>'
 
 
-def test_a_servo_behind_a_gear_is_told_at_the_joint(servoed: Path) -> None:
-    elbow = read_arm(servoed).drives[2]
-    assert elbow is not None
-    assert (elbow.gain, elbow.stiffness, elbow.damping) == (900.0, 1800.0, 48.0)
-    assert (elbow.limit, elbow.lag, elbow.command_range) == (50.0, 0.002, (-5.3, 5.3))
-
-
-@pytest.mark.parametrize(
-    ("actuator", "why"),
-    [
-        ('<intvelocity name="a" joint="pan" kp="5" actrange="-1 1"/>', "INTEGRATOR"),
-        ('<general name="a" joint="pan" gaintype="affine" gainprm="1 2 0"/>', "depends on the"),
-        ('<motor name="a" joint="pan" gear="0"/>', "no gain"),
-    ],
-)
-def test_an_actuator_that_is_no_spring_and_gain_is_passed_over(
-    tmp_path: Path, actuator: str, why: str
-) -> None:
-    start, end = SERVOED.index('<position name="pan_servo"'), SERVOED.index('<position name="lift')
-    found = read_arm(written(tmp_path, SERVOED[:start] + actuator + SERVOED[end:]))
-    drive = found.drives[0]
-    assert drive is None or drive.actuator != "a"
-    assert any(why in note for note in found.notes)
-
-
 def test_all_actuators_of_a_joint_hold_together_and_none_is_sent_to_zero(tmp_path: Path) -> None:
     path = written(tmp_path, doubled(MOTOR, SECOND, TACHO, STIFF))
     made = plan(path, choice=FEW, own=POSE)

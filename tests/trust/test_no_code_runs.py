@@ -143,11 +143,6 @@ def test_the_settings_of_a_stored_model_are_not_unpickled(tmp_path: Path, trap: 
         stored = read_model(zipped(tmp_path, tensors={}, described={"policy_kwargs": odd}))
         with pytest.raises(InvalidData, match="activation_fn"):
             network_arguments(stored)
-
-
-def test_tensors_of_a_stored_model_are_tensors(tmp_path: Path, trap: bytes) -> None:
-    from loose_agents.rl.model_files import read_model
-
     file = zipped(tmp_path, tensors={"a": Trap(tmp_path / "executed")}, described={})
     with pytest.raises(InvalidData, match=r"model\.zip holds no model that can be read"):
         read_model(file)

@@ -235,19 +235,6 @@ def test_any_numbers_are_written_and_read_to_the_last_bit_or_refused(
     assert np.isnan(found.sensors["angle"]).sum() <= 0.2 * count
 
 
-@many
-@given(st.text(max_size=40))
-def test_any_text_is_a_value_or_is_refused(text: str) -> None:
-    from loose_agents.evaluation import arguments_of
-    from loose_agents.rl.hyperparameters import key_values, value_of
-
-    for read in (value_of, arguments_of, lambda word: key_values([word], "--env-kwargs")):
-        try:
-            read(text)
-        except LooseEnvError as error:
-            assert str(error)
-
-
 # ---- plans and diagnoses
 
 
