@@ -1,6 +1,6 @@
 """Diagnosis from several records: posteriors, directions, link finding, experiment design.
 
-Data flow: prediction -> records -> posterior -> features -> novelty -> learned ->
+Data flow: prediction -> posterior -> features -> novelty -> learned ->
 experiment_design -> directions -> link_finding -> scatter -> pose_sets.
 """
 
@@ -83,21 +83,20 @@ from loose_env.diagnosis.posterior import (
     variants,
 )
 from loose_env.diagnosis.prediction import (
+    LinkReadings,
+    NominalLinks,
     Prediction,
+    RecordStatistics,
     SensorFloor,
+    link_axes,
+    link_readings_of_all,
     predict,
     predict_seats,
     predictions,
-    stiffness_errors,
-)
-from loose_env.diagnosis.records import (
-    LinkReadings,
-    NominalLinks,
-    RecordStatistics,
-    link_axes,
-    link_readings_of_all,
+    shut_seats,
     statistics_of,
     statistics_of_all,
+    stiffness_errors,
 )
 from loose_env.diagnosis.scatter import (
     PlaceDirections,
@@ -179,6 +178,7 @@ __all__ = [
     "scattered_axes",
     "shape_of_motion",
     "shipped_table",
+    "shut_seats",
     "sight_change",
     "statistics_of",
     "statistics_of_all",

@@ -42,9 +42,7 @@ from loose_env.report.page import (
     template,
     to_svg,
 )
-from loose_env.report.plan import plan_commands, plan_steps, summary, write_plan_page
-from loose_env.report.plan import summary as tool_summary
-from loose_env.report.plan import write_plan_page as write_tool_page
+from loose_env.report.plan import plan_commands, summary, write_plan_page
 from loose_env.report.rerun import require_rerun, write_rerun
 from loose_env.report.studies import (
     pyplot,
@@ -55,7 +53,7 @@ from loose_env.report.studies import (
     study_head,
     write_study,
 )
-from loose_env.report.trend import trend_headline, write_trend_page
+from loose_env.report.trend import write_trend_page
 
 __all__ = [
     "AGENTS",
@@ -83,7 +81,6 @@ __all__ = [
     "new_figure",
     "paragraphs",
     "plan_commands",
-    "plan_steps",
     "pyplot",
     "quick_text",
     "quiet_axes",
@@ -100,8 +97,6 @@ __all__ = [
     "summary",
     "template",
     "to_svg",
-    "tool_summary",
-    "trend_headline",
     "write_comparison",
     "write_diagnosis",
     "write_gap_report",
@@ -109,6 +104,5 @@ __all__ = [
     "write_plan_page",
     "write_rerun",
     "write_study",
-    "write_tool_page",
     "write_trend_page",
 ]

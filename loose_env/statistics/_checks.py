@@ -68,15 +68,6 @@ def as_directions(directions: ArrayLike, name: str = "direction") -> Array:
     return np.asarray(vectors / length)
 
 
-def as_angles(angles: ArrayLike) -> Array:
-    """Return `angles` as a finite array of shape (K,)."""
-    values = np.atleast_1d(as_floats(angles, "angles"))
-    if values.ndim != 1:
-        raise InvalidData(f"angles has shape {values.shape}; it must be (K,)")
-    require_finite(values, "angles")
-    return values
-
-
 def require_finite(values: Array, name: str) -> None:
     """Raise unless every value is finite."""
     if not np.isfinite(values).all():

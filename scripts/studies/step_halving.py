@@ -36,7 +36,7 @@ from loose_env.faults import Fault, hypotheses
 from loose_env.io import Count
 from loose_env.report import INK, MUTED, pyplot, save_figure
 from loose_env.rig import Job, SimulatedRig
-from loose_env.statistics import axial_angle, axial_difference, axial_mean
+from loose_env.statistics import axial_difference, axial_mean, wrap_axial
 from loose_env.typing import Array
 from scripts.study import ROOT, Row, arm_named, study_rows
 
@@ -192,7 +192,10 @@ def changes(ladder: Sequence[Sequence[RecordStatistics]], rung: int) -> dict[str
         scatter = np.sqrt(np.mean(np.var(values, axis=1, ddof=1), axis=0))
         change = np.abs(values[rung].mean(axis=0) - values[rung + 1].mean(axis=0))
         found[statistic] = change / (TWO_SIDED * scatter)
-    angles = [np.array([axial_angle(r.lowest_direction) for r in records]) for records in ladder]
+    angles = [
+        wrap_axial(np.array([np.arctan2(*r.lowest_direction[::-1]) for r in records]))
+        for records in ladder
+    ]
     means = [axial_mean(a) for a in angles]
     squares = [
         np.sum(axial_difference(a, m) ** 2) / (len(a) - 1)

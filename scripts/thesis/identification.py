@@ -13,7 +13,8 @@ from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
 from loose_env.kinematics import Chain, geometric_jacobian
 from loose_env.report import WIDTH, new_figure
-from loose_env.sensors import Encoder, read_encoder
+from loose_env.rig import read_encoder
+from loose_env.sensors import Encoder
 from loose_env.typing import Array
 from scripts.thesis.loose_joint import (
     Jig,

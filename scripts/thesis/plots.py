@@ -9,8 +9,8 @@ import numpy as np
 
 from loose_env.envs import FAINT, INK, MUTED
 from loose_env.report import WIDTH, new_figure, quiet_axes
-from loose_env.statistics import correlation_loop
 from loose_env.typing import Array
+from scripts.thesis.estimators import correlation_loop
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,6 +45,22 @@ class Curve(NamedTuple):
     name: str
     angles: Array
     values: Array
+
+
+def note(
+    axes: Axes,
+    x: float,
+    y: float,
+    text: str,
+    *,
+    color: str = INK,
+    size: float = 9,
+    inside: bool = False,
+    **look: Any,
+) -> None:
+    """Write into axes, at a place in the data, or ``inside`` as a share of the axes."""
+    place = {"transform": axes.transAxes} if inside else {}
+    axes.text(x, y, text, color=color, fontsize=size, **place, **look)
 
 
 def square_panels(count: int, names: Sequence[str], columns: int = 3) -> tuple[Figure, list[Axes]]:
@@ -153,15 +169,8 @@ def curves_by_direction(
         marked = (np.degrees(direction) - 90) % 180
         axes.axvline(marked, color=INK, linewidth=1.0)
         if k == 0:
-            axes.text(
-                marked,
-                1.03,
-                label,
-                transform=axes.get_xaxis_transform(),
-                color=INK,
-                fontsize=8.5,
-                ha="center",
-            )
+            place = axes.get_xaxis_transform()
+            note(axes, marked, 1.03, label, size=8.5, ha="center", transform=place)
         axes.set_xlim(0, 180)
         axes.set_xticks(range(0, 181, 30))
         if k < len(panels) - 1:
@@ -189,16 +198,7 @@ def panels(
             (_LEFT / WIDTH, bottom / total, 1 - (_LEFT + _RIGHT) / WIDTH, height / total)
         )
         quiet_axes(axes, grid="both", width=0.6)
-        axes.text(
-            0.0,
-            1 + 0.07 / height,
-            title,
-            transform=axes.transAxes,
-            color=INK,
-            fontsize=9,
-            ha="left",
-            va="bottom",
-        )
+        note(axes, 0.0, 1 + 0.07 / height, title, inside=True, ha="left", va="bottom")
         axes.set_ylabel(label, color=MUTED, fontsize=8.5)
         axes.yaxis.set_label_coords(-0.095, 0.5)
         found.append(axes)

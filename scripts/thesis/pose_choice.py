@@ -25,6 +25,7 @@ from loose_env.report import WIDTH, new_figure, quiet_axes
 from loose_env.typing import Array
 from scripts.thesis.loose_joint import mass_matrix, placed
 from scripts.thesis.page import Section, printed, section
+from scripts.thesis.plots import note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -143,8 +144,8 @@ class Trial(NamedTuple):
     """Set chosen per energy [rad] (P, n)."""
     pushes: Array
     """Push of the last link's seat from each joint in those, in its axes (P, 2, n)."""
-    rows: Sequence[tuple[str, ...]]
-    moves: Sequence[tuple[str, ...]]
+    rows: Sequence[tuple[Any, ...]]
+    moves: Sequence[tuple[Any, ...]]
     wins: dict[str, float]
     """Share of random sets driven less, by score and drive, as the next two [1]."""
     gains: dict[str, float]
@@ -181,8 +182,7 @@ def trial(arm: Arm, seed: list[int]) -> Trial:
             sine = float(np.abs(np.sin(angle)).min())
             if by == "energy":
                 least_sine[difference] = sine
-            turns = (f"{np.degrees(turn):.0f}°" for turn in (angle.min(), angle.mean()))
-            moves.append((arm.name, by, difference, *turns, f"{sine:.2f}"))
+            moves.append((arm.name, by, difference, angle.min(), angle.mean(), sine))
     narrow = [submanipulator(arm, q, arm.n).lengths[-1] for q in drawn]
     for per, unit in _PER:
         drive = np.array([_worst(linear, q, per) for q in drawn])
@@ -195,18 +195,8 @@ def trial(arm: Arm, seed: list[int]) -> Trial:
             gains[key] = own / float(drive.mean())
             follows[key] = float(spearmanr(scores_drawn[by], drive).statistic)
             marks.append((f"per {by}", own))
-            rows.append(
-                (
-                    arm.name,
-                    by,
-                    unit,
-                    f"{drive.mean():.2g}",
-                    f"{own:.2g}",
-                    f"{gains[key]:.2f}",
-                    f"{100 * wins[key]:.0f} %",
-                    f"{follows[key]:.2f}",
-                )
-            )
+            scores_of = (gains[key], wins[key], follows[key])
+            rows.append((arm.name, by, unit, drive.mean(), own, *scores_of))
         last = [seat_drive(linear, q, arm.n, per=per)[0] for q in drawn]
         proximal[per] = float(spearmanr(narrow, last).statistic)
         comparisons.append(Comparison(f"{arm.name}, per {unit}", sets, marks))
@@ -265,16 +255,9 @@ def pose_choice(seed: int) -> Section:
         agree_line += abs(axis_difference_deg(line, here_line)) <= AGREES_DEG
         if not same:
             slips.append((theta, major, abs(axis_difference_deg(major, 0.0))))
+        told_axis, ratio = f"{major}" + " (slip)" * (not same), found.lengths[0] / found.lengths[1]
         ellipsoid_rows.append(
-            (
-                f"{theta}°",
-                f"{line}",
-                like(here_line, line),
-                f"{major}" if same else f"{major} (slip)",
-                like(here, major),
-                f"{off:+.1f}",
-                f"{found.lengths[0] / found.lengths[1]:.2f}",
-            )
+            (theta, line, like(here_line, line), told_axis, like(here, major), off, ratio)
         )
         tilt, name = np.radians(major), f"θ₂ = {theta}°"
         panels.append(
@@ -304,15 +287,7 @@ def pose_choice(seed: int) -> Section:
         shares.append(along / float(np.linalg.norm(one)))
         rank, values = wrench_rank(push[:2])
         ranks.append(rank)
-        push_rows.append(
-            (
-                f"{theta}°",
-                f"{direction_deg(one) % 180:.0f}",
-                f"{100 * shares[-1]:.0f} %",
-                str(rank),
-                f"{values[-1]:.2f}",
-            )
-        )
+        push_rows.append((theta, direction_deg(one) % 180, shares[-1], rank, values[-1]))
     least, most, order = min(shares), max(shares), np.argsort(shares)
     worst_pose = told["theta2_deg"][order[0]]
     errors = np.abs(told["direction_error_deg"])[order]
@@ -383,20 +358,11 @@ def set_figure(arms: Sequence[tuple[Arm, Array, Array]]) -> Figure:
                 (column / columns, bottom, 1 / columns, side / height), aspect="equal"
             )
             _arm(axes, points)
+            look: dict[str, Any] = {"arrowstyle": "-|>", "color": TRUTH, "linewidth": 1.4}
+            look |= {"shrinkA": 0, "shrinkB": 0}
             for end in ends:
-                axes.annotate(
-                    "",
-                    xy=(float(end[0]), float(end[1])),
-                    xytext=(float(points[-2, 0]), float(points[-2, 1])),
-                    arrowprops={
-                        "arrowstyle": "-|>",
-                        "color": TRUTH,
-                        "linewidth": 1.4,
-                        "shrinkA": 0,
-                        "shrinkB": 0,
-                    },
-                    zorder=4,
-                )
+                seat = (float(points[-2, 0]), float(points[-2, 1]))
+                axes.annotate("", xy=tuple(end), xytext=seat, arrowprops=look, zorder=4)
             x, y = (low[column] + high[column]) / 2
             axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
             axes.axis("off")
@@ -436,7 +402,7 @@ def comparison_figure(comparisons: Sequence[Comparison], *, columns: int = 2) ->
             axes.text(at + shift, 1.32, name, color=colour, fontsize=8.5, ha=side, va="top")
         most = max([2.0, *(value / unit for _, value in item.chosen)])
         axes.set(xlim=(0.0, 1.12 * most), ylim=(0, 1.35))
-        axes.text(0, 1.1, item.title, transform=axes.transAxes, color=INK, fontsize=9)
+        note(axes, 0, 1.1, item.title, inside=True)
         axes.set_yticks([])
         quiet_axes(axes, grid=None, pad=4, size=8)
         if row == rows - 1:

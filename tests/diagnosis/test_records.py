@@ -22,7 +22,7 @@ from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Backlash, StructuralLooseness
 from loose_env.rig import Measurement, SimulatedRig
 from loose_env.sensors import SensorSuite
-from loose_env.statistics import kurtosis, skewness
+from loose_env.statistics import shape_of
 
 POSE = np.array([0.5, 0.9, -0.08, -0.4])
 
@@ -53,8 +53,9 @@ def test_what_stands_still_follows_nothing_and_has_no_shape() -> None:
     assert record.skewness[:2].tolist() == record.kurtosis[:2].tolist() == [0.0, 0.0]
     assert (record.lowest_skewness, record.lowest_kurtosis) == (0.0, 0.0)
     # The moving axis keeps the moments it has by itself.
-    assert record.skewness[2] == pytest.approx(skewness(measurement.tool[2]))
-    assert record.kurtosis[2] == pytest.approx(kurtosis(measurement.tool[2]))
+    skewness, kurtosis = shape_of(measurement.tool[2])
+    assert record.skewness[2] == pytest.approx(skewness)
+    assert record.kurtosis[2] == pytest.approx(kurtosis)
 
 
 def test_a_bent_arm_in_a_symmetric_pose_is_no_trap() -> None:

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 __all__ = ["browser"]
 
 WRITTEN = sorted(page.stem for page in (ROOT / "docs").glob("*.md"))
-REFERENCE = ["api/index", "api/loose_env.arms", "api/loose_env.statistics.transmission"]
+REFERENCE = ["api/index", "api/loose_env.arms", "api/loose_env.statistics.spectra"]
 
 
 @pytest.fixture(scope="session")
@@ -54,8 +54,8 @@ def test_the_reference_has_every_public_name(site: Path) -> None:
     for package in (loose_env.arms, loose_env.statistics):
         page = (site / "api" / f"{package.__name__}.html").read_text(encoding="utf-8")
         assert [name for name in package.__all__ if name not in page] == []
-    text = (site / "api" / "loose_env.statistics.transmission.html").read_text(encoding="utf-8")
-    assert 'id="loose_env.statistics.transmission.transmission"' in text
+    text = (site / "api" / "loose_env.statistics.spectra.html").read_text(encoding="utf-8")
+    assert 'id="loose_env.statistics.spectra.bandpass"' in text
 
 
 def test_nothing_comes_from_a_network(site: Path) -> None:

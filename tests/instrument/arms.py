@@ -22,9 +22,9 @@ from loose_env.instrument import (
 from loose_env.recording import Run
 from scripts.suites.diagnosis.cases import Case, motion, taken
 from scripts.suites.gap.arms import model_xml, planar3
+from scripts.suites.gap.dynamics import Factors
 from scripts.suites.gap.effects import Effect, Place
 from scripts.suites.gap.machine import Noise, TrueArm
-from scripts.suites.gap.simulate import Factors
 
 # ------------------------------------------------------------------------- model files
 

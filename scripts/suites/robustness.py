@@ -1,11 +1,30 @@
-"""Generated arms and recordings, and the commands that are tried on them."""
+"""Try the commands on generated arms and recordings, and count results, refusals and tracebacks.
+
+    python -m scripts.suites.robustness --examples 500
+
+Each case runs in a process of its own, with its peak memory measured. Rows are kept in the output
+folder, and a case that is there is not run again. The exit code is 1 where a case ended with a
+traceback, without a clear line, late, or with more memory than allowed.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import io
+import json
+import multiprocessing
+import resource
+import sys
+import tempfile
+import traceback
 import warnings
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Annotated
 
 import hypothesis
 import mujoco
@@ -14,8 +33,10 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from loose_env.arms import quiet
-from loose_env.recording import Run, write_csv
+from loose_env.cli.command import command, one_of
+from loose_env.recording import write_csv
 from loose_env.typing import Array
+from scripts.suites.rows import Row, run_cases
 
 ACTUATORS: dict[str, str] = {
     "motor": '<motor name="a_{j}" joint="{j}" gear="{gear}"/>',
@@ -211,38 +232,36 @@ def run_plans() -> st.SearchStrategy[RunPlan]:
     )
 
 
-def make_run(model: mujoco.MjModel, plan: RunPlan, number: int) -> Run:
-    """Make the run of a recipe; the same recipe and model give the same run."""
+def make_run(model: mujoco.MjModel, plan: RunPlan, number: int) -> dict[str, Array]:
+    """Columns of a recipe's run by their names in a file; the same recipe gives the same run."""
     rng = np.random.default_rng([plan.seed, number])
     time = np.arange(plan.samples) / plan.rate
-    controls, readings, torques = _simulated(model, plan, time, rng)
-    columns = {f"ctrl.{name}": v for name, v in controls.items()}
-    columns |= {f"sensor.{name}": v for name, v in readings.items()}
-    columns |= {f"torque.{name}": v for name, v in torques.items()}
+    columns = _simulated(model, plan, time, rng)
     for damage in plan.damages:
         name = str(rng.choice(list(columns)))
         columns[name] = _damaged(columns[name], damage, rng)
     for name in list(columns):
         if len(columns) > 1 and rng.random() < plan.without:
             del columns[name]
-
-    def group(prefix: str) -> dict[str, Array]:
-        head = f"{prefix}."
-        return {n.removeprefix(head): v for n, v in columns.items() if n.startswith(head)}
-
-    return Run(
-        name=f"run-{number}.csv",
-        time=_stamped(time, plan, rng),
-        controls=group("ctrl") if plan.columns in ("ctrl", "both") else {},
-        sensors=group("sensor"),
-        torques=group("torque") if plan.columns in ("torque", "both") else {},
-    )
+    kept = {"free": ("sensor",), "both": ("ctrl", "sensor", "torque")}
+    groups = kept.get(plan.columns, (plan.columns, "sensor"))
+    found = {"time": _stamped(time, plan, rng)}
+    for group in ("ctrl", "sensor", "torque"):
+        for name, values in columns.items():
+            if group in groups and name.startswith(f"{group}."):
+                axes = (
+                    {name: values}
+                    if values.ndim == 1
+                    else {f"{name}.{axis}": values[:, i] for i, axis in enumerate("xyz")}
+                )
+                found |= axes
+    return found
 
 
 def _simulated(
     model: mujoco.MjModel, plan: RunPlan, time: Array, rng: np.random.Generator
-) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:
-    """Commands, readings and joint torques at the times (T,), with noise."""
+) -> dict[str, Array]:
+    """Commands, readings and joint torques at the times (T,), with noise, by their columns."""
     count = len(time)
     sines = np.array(
         [
@@ -271,15 +290,15 @@ def _simulated(
         torque[k] = data.qfrc_actuator + data.qfrc_applied
     read += 1e-4 * (1 + np.abs(read).max(axis=0)) * rng.normal(size=read.shape)
     torque += 0.1 * sines[:, : model.nv] + 1e-3 * rng.normal(size=torque.shape)
-    controls = {model.actuator(a).name: sines[:, a] for a in range(model.nu)}
-    readings = {}
+    columns = {f"ctrl.{model.actuator(a).name}": sines[:, a] for a in range(model.nu)}
     for s in range(model.nsensor):
         at, width = int(model.sensor_adr[s]), int(model.sensor_dim[s])
         values = read[:, at : at + width]
-        readings[model.sensor(s).name] = values[:, 0] if width == 1 else values
-    joints = [j for j in range(model.njnt) if int(model.jnt_type[j]) in (2, 3)]
-    torques = {model.joint(j).name: torque[:, int(model.jnt_dofadr[j])] for j in joints}
-    return controls, readings, torques
+        columns[f"sensor.{model.sensor(s).name}"] = values[:, 0] if width == 1 else values
+    for j in range(model.njnt):
+        if int(model.jnt_type[j]) in (2, 3):
+            columns[f"torque.{model.joint(j).name}"] = torque[:, int(model.jnt_dofadr[j])]
+    return columns
 
 
 def _damaged(values: Array, damage: str, rng: np.random.Generator) -> Array:
@@ -393,43 +412,135 @@ def write_case(case: Case, folder: Path) -> list[str]:
     folder.mkdir(parents=True, exist_ok=True)
     model_file = folder / f"model.{case.arm.ending}"
     model_file.write_text(case.arm.text, encoding="utf-8")
-    out = ["--quiet"]
+    out = ["--out", str(folder / "out")]
     if case.command not in _RECORDED:
-        more = ["--out", str(folder / "out")] if case.command == "plan" else []
-        return [case.command, str(model_file), *more, *out]
-    with quiet():
-        return _written(case, folder, model_file, out)
-
-
-def write_unchecked(folder: Path, model: str, runs: Mapping[str, Mapping[str, Array]]) -> None:
-    """Write a recording as any recorder might: columns of each run by its file, unchecked."""
-    for name, columns in runs.items():
-        write_csv(folder / name, dict(columns))
-    entries = ", ".join(f'{{"file": "{name}"}}' for name in runs)
-    folder.joinpath("recording.json").write_text(
-        f'{{"format": "loose-recording/1", "model": "{model}", "runs": [{entries}]}}',
-        encoding="utf-8",
-    )
-
-
-def _written(case: Case, folder: Path, model_file: Path, out: list[str]) -> list[str]:
-    """Write the recording beside its model."""
-    with warnings.catch_warnings():
+        return [case.command, str(model_file), *(out if case.command == "plan" else ()), "--quiet"]
+    with quiet(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         model = mujoco.MjModel.from_xml_string(case.arm.text)
-    runs = {}
-    for k, plan in enumerate(case.runs):
-        run = make_run(model, plan, k)
-        columns = {"time": run.time} | {f"ctrl.{n}": v for n, v in run.controls.items()}
-        for name, values in run.sensors.items():
-            if values.ndim == 1:
-                columns[f"sensor.{name}"] = values
-            else:
-                columns |= {f"sensor.{name}.{a}": values[:, i] for i, a in enumerate("xyz")}
-        columns |= {f"torque.{n}": v for n, v in run.torques.items()}
-        runs[run.name] = columns
-    write_unchecked(folder, model_file.name, runs)
-    more = [] if case.command == "doctor" else ["--out", str(folder / "out"), "--ignore-doctor"]
+        for k, plan in enumerate(case.runs):
+            write_csv(folder / f"run-{k}.csv", make_run(model, plan, k))
+    runs = [{"file": f"run-{k}.csv"} for k in range(len(case.runs))]
+    whole = {"format": "loose-recording/1", "model": model_file.name, "runs": runs}
+    folder.joinpath("recording.json").write_text(json.dumps(whole), encoding="utf-8")
+    more = [] if case.command == "doctor" else [*out, "--ignore-doctor"]
     if case.command == "gap":
         more += ["--kinds", *case.kinds, "--threads", "1"]
-    return [case.command, str(folder), *more, *out]
+    return [case.command, str(folder), *more, "--quiet"]
+
+
+OUTCOMES = ("result", "refused", "traceback", "unclear", "late", "died")
+"""Outcomes of a case. "unclear" is a refusal of several lines or none."""
+MOST_BYTES = 4 * 1024**3
+"""Memory that a process may have [byte]; beyond it allocations fail."""
+
+
+def run_case(case: Case, folder: Path) -> tuple[str, str]:
+    """Run a case in this process; return its outcome and what was said."""
+    from loose_env.cli.main import main
+
+    words = write_case(case, folder)
+    said, shown = io.StringIO(), io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(shown):
+            code = main(words)
+    except BaseException:
+        return "traceback", traceback.format_exc()
+    if code == 0 or shown.getvalue().strip():  # findings of the doctor end with 1
+        return "result", ""
+    head = f"loose {case.command}: "
+    lines = [line for line in said.getvalue().splitlines() if line.startswith(head)]
+    last = said.getvalue().strip().splitlines()[-1:] or [""]
+    clear = len(lines) == 1 and lines == last and len(lines[0]) > len(head)
+    return "refused" if clear else "unclear", "\n".join(lines or last)
+
+
+def tried(case: Case, *, seconds: float) -> Row:
+    """Run a case in a forked process with a limit of memory and of time [s]."""
+    fork = multiprocessing.get_context("fork")
+    reading, writing = fork.Pipe(duplex=False)
+    child = fork.Process(target=_child, args=(case, writing))
+    child.start()
+    writing.close()
+    found = ("late", f"no end within {seconds:g} s", seconds, 0.0)
+    try:
+        if reading.poll(seconds):
+            found = reading.recv()
+    except EOFError:
+        found = ("died", "the process ended without a word", 0.0, 0.0)
+    child.kill()
+    child.join()
+    names = ("command", "case", "outcome", "words", "seconds", "peak_mb")
+    return dict(zip(names, (case.command, case.words, *found), strict=True))
+
+
+def _child(case: Case, writing: Connection) -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (3 * MOST_BYTES, 3 * MOST_BYTES))
+    with tempfile.TemporaryDirectory() as place:
+        outcome, words = run_case(case, Path(place) / "case")
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    writing.send((outcome, words, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024))
+
+
+FINE = OUTCOMES[:2]
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Counts of outcomes by command, as a table in Markdown."""
+    head = ["command", "cases", *OUTCOMES, "slowest [s CPU]", "peak memory [MB]"]
+    lines = [f"| {' | '.join(head)} |", f"|{' --- |' * len(head)}"]
+    for name in dict.fromkeys(row["command"] for row in rows):
+        own = [row for row in rows if row["command"] == name]
+        counts = Counter(row["outcome"] for row in own)
+        cells = [f"`loose {name}`", str(len(own)), *(str(counts[o]) for o in OUTCOMES)]
+        cells += [f"{max(r['seconds'] for r in own):.1f}", f"{max(r['peak_mb'] for r in own):.0f}"]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def line_of(row: Row) -> str:
+    """A case in a line, with what it said where that is not fine."""
+    said = "" if row["outcome"] in FINE else f"\n  {row['words'].strip()[-600:]}"
+    return f"{row['outcome']}: {row['case']}{said}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuiteSettings:
+    """Which cases, and their limits."""
+
+    examples: int = 100
+    """Number of cases."""
+    first: int = 1
+    """Number of the first case."""
+    seconds: float = 120.0
+    """Limit of one case [s]."""
+    commands: tuple[Annotated[str, one_of(COMMANDS)], ...] = COMMANDS
+    """Commands that are tried."""
+    out: Path = Path("out/robustness")
+    """Folder of the rows."""
+
+
+def row_of(number: int, given: SuiteSettings) -> Row:
+    """Row of a case by its number."""
+    return tried(case_of(number, given.commands), seconds=given.seconds) | {"number": number}
+
+
+def run(given: SuiteSettings) -> None:
+    """Run the cases and print the table."""
+    import loose_env.cli.main  # noqa: F401  loaded once, before processes are forked
+
+    numbers = range(given.first, given.first + given.examples)
+    work = partial(row_of, given=given)
+    rows = run_cases(numbers, work, given.out / "rows.jsonl", say=line_of)
+    print(table(rows))
+    if any(r["outcome"] not in FINE or r["peak_mb"] * 1024**2 > MOST_BYTES for r in rows):
+        sys.exit(1)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command."""
+    command("robustness", __doc__, SuiteSettings, run, arguments)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,13 +1,14 @@
-"""The thesis's equations against closed forms, derivatives and simulations."""
+"""The thesis's equations against closed forms, derivatives, simulations and the source's tables."""
 
 from __future__ import annotations
 
+import csv
 import inspect
 import math
 import re
-import string
 from dataclasses import replace
 from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,13 +16,21 @@ import pytest
 from loose_env.arms import LinearArm, planar, vera
 from loose_env.errors import InvalidData
 from loose_env.faults import Backlash, Healthy, StructuralLooseness
-from loose_env.kinematics import Chain, geometric_jacobian
-from loose_env.statistics import axial_difference, kurtosis
+from loose_env.kinematics import Chain, geometric_jacobian, reactions
+from loose_env.statistics import axial_difference
 from scripts.thesis import loose_joint as loose_joints
 from scripts.thesis import matching, planar_motion, signals
-from scripts.thesis.index_tables import error_summary, index_rows
-from scripts.thesis.link_finding import predicted_slides
-from scripts.thesis.page import SECTIONS, text_of
+from scripts.thesis.estimators import kurtosis
+from scripts.thesis.link_finding import (
+    JOINTS,
+    SLIDES,
+    chance_of,
+    named,
+    pair_count,
+    predicted_slides,
+    scatter,
+)
+from scripts.thesis.page import SECTIONS, printed, text_of
 from scripts.thesis.planar_motion import (
     LoosePlanarArm,
     MonteCarlo,
@@ -33,10 +42,11 @@ from scripts.thesis.planar_motion import (
     tool_position,
     tool_velocity,
 )
-from scripts.thesis.pose_choice import axis_difference_deg, direction_deg, ellipsoid, rotation_line
+from scripts.thesis.pose_choice import seat_drive
 from scripts.thesis.rigs import cylindrical, slide_rig
-from scripts.thesis.sizing import TwoLinks, arm_loads, peak_force, two_link_loads, two_links
-from tests.faults.thesis_equations import Figures, healthy_torques, thesis_arm
+from scripts.thesis.shaken_vera import poses
+from scripts.thesis.sizing import arm_loads, two_link_loads, two_links
+from tests.faults.test_equations import HIGH, LOW, Figures, thesis_arm
 
 PLANE, POSE = [0, 1, 5], np.array([0.3, 0.9, -0.7])
 SLIDE = StructuralLooseness(
@@ -65,26 +75,6 @@ def test_every_equation_has_a_function_that_cites_it(key: str) -> None:
             break
         assert callable(found)
         assert set(numbers.split()) <= cited(inspect.getdoc(found) or ""), path
-
-
-def strings(consts: object) -> set[str]:
-    """All strings among the constants of a function, those of its dictionaries too."""
-    if isinstance(consts, str):
-        return {consts}
-    return set().union(*map(strings, consts)) if isinstance(consts, tuple) else set()
-
-
-@pytest.mark.parametrize("key", list(SECTIONS))
-def test_the_text_uses_names_that_its_section_has(key: str) -> None:
-    module = import_module(f"scripts.thesis.{SECTIONS[key]}")
-    code, text = getattr(module, key).__code__, text_of(key)
-    known = {*vars(module), *text.get("printed", {}), *code.co_varnames, *code.co_cellvars}
-    pages = [text["finding"], text["words"], text.get("left_out", "")]
-    for block in (*text.get("table", ()), *text.get("figure", ())):
-        pages += [block["caption"], block.get("title", ""), *block.get("columns", ())]
-    used = {name for page in pages for _, name, *_ in string.Formatter().parse(page) if name}
-    first = {re.split(r"[.\[]", name)[0] for name in used}
-    assert first <= known | strings(code.co_consts)
 
 
 def test_the_looseness_joint_is_a_column_that_locates_its_link() -> None:
@@ -199,28 +189,6 @@ def test_a_docked_arm_moves_only_if_it_is_loose_or_has_a_joint_to_spare() -> Non
     assert power == pytest.approx(np.array([3.0, -2.0, 0.5]) @ nominal @ velocity)  # (3.10)
 
 
-@pytest.mark.slow
-def test_a_simulated_docked_arm_shows_its_seat_by_force_and_motion() -> None:
-    arm, rng, directions, frames = planar(3), np.random.default_rng(7), [], []
-    push = 0.03 * np.array(arm.torque_limits)[:, None]
-    for _ in range(3):
-        pose = rng.uniform(-1.8, 1.8, 3)
-        wave = np.sin(np.outer([9.0, 15.0, 23.0], np.arange(0, 1, arm.timestep)))
-        healthy = loose_joints.simulate_docked(arm, pose, Healthy(), push * wave, every=10)
-        nominal, _ = nominal_and_loose(3, pose)
-        wrench = np.vstack([healthy.forces, healthy.moments])
-        rest = healthy.torques + loose_joints.joint_torques(nominal, wrench)
-        assert np.abs(rest).max() < 0.005 * np.abs(healthy.torques).max()
-        found = loose_joints.simulate_docked(arm, pose, SLIDE, push * wave, every=10)
-        twist = loose_joints.seat_twist(nominal, found.angles)
-        axis = (loose_joints.link_frames(arm, pose)[1] @ SLIDE.direction)[:2]
-        assert abs(twist[:2] @ axis) > np.cos(np.radians(1.0))
-        directions.append(twist[:2])
-        frames.append(loose_joints.link_frames(arm, pose)[:, :2, :2])
-    misfit, best = loose_joints.compatible_links(directions, frames)
-    assert best == 2 and misfit[1] < 0.02 < 0.2 < np.delete(misfit, 1).min()
-
-
 def test_tool_motion_is_the_derivative_of_the_one_before() -> None:
     arm, speed = LoosePlanarArm(length1=0.5, length2=0.3, beta=0.7), np.array([[1.3], [-0.8]])
     t, h = np.linspace(0.0, 2.0, 25), 1e-6
@@ -272,21 +240,6 @@ def test_the_assumed_seat_leaves_its_stops_and_holds_their_probabilities() -> No
         assert abs(kurtosis(loose, slide)) > 0.2
 
 
-def test_contours_and_marginals_of_a_gaussian() -> None:
-    samples = np.random.default_rng(3).normal(size=(2, 1_000_000))
-    found, shares = histogram(samples, bins=60), np.array([0.5, 0.9, 0.99])
-    peak = 1_000_000 * found.width**2 / (2 * math.pi)
-    levels = planar_motion.contour_levels(found, shares)
-    np.testing.assert_allclose(levels / peak, 1 - shares, rtol=0.06)
-    found = histogram(samples * [[1.0], [2.0]], bins=50)
-    for axis, sd in enumerate((1.0, 2.0)):
-        gauss = np.exp(-0.5 * (found.centres(axis) / sd) ** 2) / (sd * math.sqrt(2 * math.pi))
-        density = planar_motion.marginal(found, axis)  # (3.70)
-        np.testing.assert_allclose(density, gauss, atol=0.03 * gauss.max())
-    with pytest.raises(InvalidData, match="vary"):
-        histogram(np.ones((2, 10)))
-
-
 @pytest.mark.parametrize("factors", [(1.1, 1.1, 1.1), (0.9, 0.9, 0.9), (1.1, 0.9, 1.1)])
 def test_matching_is_as_accurate_as_printed(factors: tuple[float, ...]) -> None:
     pytest.importorskip("odrpack")
@@ -313,23 +266,6 @@ def test_several_starts_find_directions_in_the_plane_and_in_space() -> None:
     assert matching.variance_trial(round_motion) == pytest.approx(0.25, rel=0.03)  # (4.7)
 
 
-@pytest.mark.parametrize(("rules", "orders"), [("QUADRATURES", (3, 5)), ("DIFFERENCES", (1, 2))])
-def test_rules_have_the_order_and_the_noise_they_claim(rules: str, orders: tuple[int, int]) -> None:
-    noise = np.random.default_rng(1).standard_normal((40, 5000))
-    for (rule, weights), order in zip(getattr(signals, rules).items(), orders, strict=True):
-        errors = []
-        for dt in (0.02, 0.01) if rules == "QUADRATURES" else (0.002, 0.001):
-            g = np.sin(1.0 + dt * np.arange(5))
-            if rules == "QUADRATURES":
-                exact, found = np.cos(1.0 - dt) - np.cos(1.0), signals.quadrature_steps(g, dt, rule)
-            else:
-                exact, found = np.cos(1.0), signals.differentiate(g, dt, rule)
-            errors.append(abs(found[0] - exact))
-        assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.05)
-        through = signals._filter(noise, weights).std()
-        assert through == pytest.approx(signals.noise_gain(weights), rel=0.02)
-
-
 def test_a_line_gives_its_own_direction_by_all_three_ways() -> None:
     rng = np.random.default_rng(3)
     motion, noise = rng.standard_normal((2, 200_000))
@@ -348,10 +284,31 @@ def test_a_line_gives_its_own_direction_by_all_three_ways() -> None:
     np.testing.assert_allclose(own, motion, atol=0.05)
 
 
+def healthy_torques(f: Figures, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Joint torques of the healthy arm, equation 3.41 with its slips mended."""
+    m2 = f.m2 + f.m3
+    lc2 = f.m3 * f.lg3 / m2
+    i2 = f.i2 + f.m2 * lc2**2 + f.i3 + f.m3 * (f.lg3 - lc2) ** 2
+    s2, c2 = np.sin(q[1]), np.cos(q[1])
+    v12, a12 = v[0] + v[1], a[0] + a[1]
+    torque2 = lc2 * m2 * (lc2 * a12 + f.l1 * (s2 * v[0] ** 2 + c2 * a[0])) + i2 * a12
+    torque1 = (
+        (f.i1 + f.m1 * f.lg1**2) * a[0]
+        + f.l1
+        * m2
+        * (
+            s2 * (-lc2 * v12**2 - c2 * f.l1 * v[0] ** 2 + s2 * f.l1 * a[0])
+            + c2 * (lc2 * a12 + s2 * f.l1 * v[0] ** 2 + c2 * f.l1 * a[0])
+        )
+        + torque2
+    )
+    return np.array([torque1, torque2])
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_three_derivations_of_joint_loads_agree(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    figures = Figures.draw(rng)
+    figures = Figures(*rng.uniform(LOW, HIGH))
     arm = thesis_arm(figures)
     q, v, a = rng.uniform(-3, 3, (3, 2))
     closed = two_link_loads(two_links(arm), q[1], v, a, gravity=0.0)
@@ -363,38 +320,6 @@ def test_three_derivations_of_joint_loads_agree(seed: int) -> None:
         np.testing.assert_allclose(one, other, atol=1e-9)
 
 
-def test_the_printed_slip_of_the_inertia_would_show() -> None:
-    links = TwoLinks(0.5, (3.0, 1.0), (0.3, 0.2), (0.1, 0.05))
-    found = two_link_loads(links, 0.0, [0.0, 0.0], [1.0, 0.0]).torque[0]
-    assert found == pytest.approx(0.1 + 3.0 * 0.3**2 + 0.05 + 1.0 * 0.7**2)
-    force = two_link_loads(links, 0.0, [2.0, 0.0], [0.0, 0.0]).force
-    np.testing.assert_allclose(force[:, 0], [-4 * (3 * 0.3 + 0.7), -4 * 0.7])
-    peak = peak_force(np.array([[1.0, 0.0, 9.0], [-3.0, 4.0, 9.0]]), np.array([10.0, 20.0]))
-    assert peak == (5.0, -3.0, 4.0, 20.0) and peak.direction == "tangential"
-
-
-@pytest.mark.parametrize(
-    ("theta", "line", "major", "agrees"),
-    [
-        (122, 299, 260, False),
-        (98, 311, 328, True),
-        (56, 332, 338, True),
-        (28, 346, 349, True),
-        (302, 29, 215, False),
-    ],
-)
-def test_lines_and_major_axes_printed_for_vera(
-    theta: float, line: float, major: float, agrees: bool
-) -> None:
-    pose = np.radians([0.0, theta])
-    found = direction_deg(rotation_line(vera(), pose))
-    assert abs(axis_difference_deg(found, line)) < 0.1
-    plain = ellipsoid(geometric_jacobian(Chain.of(vera(), pose), "tool")[:2])
-    off = axis_difference_deg(direction_deg(plain.axes[:, 0]), major)
-    assert (abs(off) < 1.5) is agrees
-    assert np.prod(plain.lengths) == pytest.approx(0.16 * abs(np.sin(pose[1])))
-
-
 def test_a_slide_is_carried_along_by_the_joints_beyond_it() -> None:
     from loose_env.diagnosis import ToolFrames
 
@@ -402,21 +327,6 @@ def test_a_slide_is_carried_along_by_the_joints_beyond_it() -> None:
     found = predicted_slides(frames, before, after, np.array([1.0, 0.0]))  # (4.27)
     turned = [np.cos(0.7), -np.sin(0.7)]
     np.testing.assert_allclose(found, [turned, [1.0, 0.0], [1.0, 0.0]], atol=1e-12)
-
-
-def test_the_index_follows_from_the_tables_and_their_slips_are_found() -> None:
-    conditions = ("looseness", "low_preload", "backlash")
-    rows = {condition: index_rows(condition) for condition in conditions}
-    for row in (row for own in rows.values() for row in own):
-        product = row.change_printed * abs(math.sin(math.radians(row.turn_printed)))
-        assert row.mag_d_columns == pytest.approx(product, abs=1e-12)
-        assert abs(row.mag_d_columns - row.mag_d_printed) < 0.0051
-    assert rows["looseness"][0].mag_d == pytest.approx(0.375 * math.sin(math.radians(80)))
-    assert rows["backlash"][3].mag_d == pytest.approx(11 / 15 * math.sin(math.radians(70)))
-    assert rows["low_preload"][2].remark == "angle one step off"
-    assert rows["looseness"][0].remark == "agrees"
-    assert error_summary([350.0], [175.0]).mean == pytest.approx(-5.0)
-    assert error_summary([1.0, 179.0], [180.0, 0.0]) == (0.0, 1.0, 1.0)
 
 
 def test_the_cylindrical_arm_moves_in_cylindrical_coordinates_and_carries_its_weight() -> None:
@@ -431,3 +341,61 @@ def test_the_cylindrical_arm_moves_in_cylindrical_coordinates_and_carries_its_we
     loads = arm_loads(arm, np.array([0.3, 0.4, 0.5, 0.1, 0.2, -0.1]), still, still)
     assert loads.torque[1] == pytest.approx(9.81 * carried)
     assert slide_rig(looseness_angle=1.0).shaker.stand == "bench"
+
+
+SOURCE = Path(__file__).resolve().parents[3] / "shared" / "thesis"
+
+
+@pytest.mark.skipif(not SOURCE.is_dir(), reason="the tables of the source do not lie beside it")
+def test_printed_tables_are_those_of_the_source() -> None:
+    def read(name: str) -> list[dict[str, str]]:
+        with (SOURCE / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+            return list(csv.DictReader(file))
+
+    figures = printed("index_tables")
+    for name in ("C_n", "C_f", "C_b"):
+        said = [float(row[name]) for row in read("table_6_4_max_correlation")]
+        assert said == figures["table_6_4"][name.lower()]
+    rows = read("tables_6_5_to_6_7_comparative_index")
+    columns = {"one_minus_C_star": "one_minus_c", "delta_phi_deg": "turn_deg", "mag_D": "mag_d"}
+    for row, theta2 in zip(rows, 3 * figures["theta2_deg"], strict=True):
+        assert int(row["theta2_deg"]) == theta2
+        table = figures[f"table_{row['table'].replace('.', '_')}_{row['condition']}"]
+        for column, key in columns.items():
+            assert float(row[column]) == table[key][figures["theta2_deg"].index(theta2)]
+    found: dict[str, list[list[float]]] = {}
+    for row in read("tables_6_1_6_2_histogram_ranges_g"):
+        found.setdefault(row["condition"], []).append([float(row["min_g"]), float(row["max_g"])])
+    first, second = figures["table_6_1_histogram_range_g"], figures["table_6_2_histogram_range_g"]
+    assert found == first | {"backlash": second["backlash"]}
+    names = {
+        "direction_error_deg": "error_deg",
+        "phi_n_high_preload_deg": "lowest_high_preload_deg",
+        "phi_f_fault_deg": "lowest_{}_deg",
+        "actual_fault_dir_deg": "{}_deg",
+    }
+    for fault in ("looseness", "backlash"):
+        own = [row for row in read("vera_cases") if row["fault"] == fault]
+        for row, case in zip(own, figures[f"{fault}_cases"], strict=True):
+            for column, key in names.items():
+                said = float(row[column]) if row[column] else None
+                assert case.get(key.format(fault)) == said
+
+
+def test_the_link_is_the_one_in_whose_frame_a_direction_is_fixed() -> None:
+    theta2 = np.array(poses())
+    assert named(0.4 - theta2) == SLIDES[0] and pair_count(0.4 - theta2)[0] == 0
+    assert scatter(0.4 - theta2)[SLIDES[0]] == pytest.approx(0.0, abs=1e-9)
+    assert named([0.4] * 5) == SLIDES[1] and pair_count([0.4] * 5)[0] == 9
+    # Play in joint 2 moves the tool across link 2; the line of joint 1 lies half its angle on.
+    assert scatter(np.full(5, np.pi / 2))[JOINTS[1]] == pytest.approx(0.0, abs=1e-9)
+    assert scatter(np.pi / 2 - theta2 / 2)[JOINTS[0]] == pytest.approx(0.0, abs=1e-6)
+    assert chance_of(np.radians(60.0), 0) > 0.95 and chance_of(np.radians(10.0), 0) < 0.01
+
+
+def test_a_stiff_arm_passes_on_what_the_rigid_one_does() -> None:
+    arm, pose = planar(3), np.array([0.3, 0.8, -0.6])
+    push = reactions(arm, pose).per_torque[1, :2]
+    worst, whole = seat_drive(LinearArm(arm), pose, 2)
+    assert whole == pytest.approx(np.linalg.norm(push), rel=0.06)
+    assert worst == pytest.approx(np.linalg.svd(push, compute_uv=False)[-1], rel=0.06)
