@@ -240,15 +240,14 @@ def test_records_say_how_a_run_was_taken(spoilt: Diagnosis) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("source", ["commands", "torques", "positions"])
+@pytest.mark.parametrize("source", ["commands", "torques"])
 def test_pose_and_joint_are_taken_from_the_data_with_a_warning(
     shaken: Recording, source: str
 ) -> None:
     run = shaken.runs[0]
     bare = replace(run, pose=None, excited=())
-    if source != "commands":
-        torques = {"j1": run.controls["s1"]} if source == "torques" else {}
-        bare = replace(bare, controls={}, torques=torques)
+    if source == "torques":
+        bare = replace(bare, controls={}, torques={"j1": run.controls["s1"]})
     found = of_shaken(shaken, bare)
     assert found.records[0].excited == run.excited
     for words in ("no 'pose' is noted", "no 'excited' is noted", f"taken from the {source}: "):
