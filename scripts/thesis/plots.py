@@ -63,20 +63,31 @@ def note(
     axes.text(x, y, text, color=color, fontsize=size, **place, **look)
 
 
-def square_panels(count: int, names: Sequence[str], columns: int = 3) -> tuple[Figure, list[Axes]]:
-    """Square panels without frames, so many side by side, below a legend of the states."""
-    rows, side, head = -(-count // columns), WIDTH / columns, 0.32
-    height = rows * (side + 0.1) + head
-    figure = new_figure(height)
-    legend_row(figure, names, height)
-    found: list[Axes] = []
+def bare_panels(
+    count: int, columns: int, *, flat: float = 1.0, above: float = 0.1, head: float = 0.0
+) -> tuple[Figure, list[Axes]]:
+    """Panels without frames, so many side by side; ``flat``: height over width.
+
+    There is room above each panel, and a head above all of them [inch].
+    """
+    side, height = flat * WIDTH / columns, head
+    height += -(-count // columns) * (side + above)
+    figure, found = new_figure(height), []
     for k in range(count):
         row, column = divmod(k, columns)
-        bottom = (height - head - (row + 1) * (side + 0.1)) / height
+        bottom = (height - head - (row + 1) * (side + above)) / height
         axes = figure.add_axes((column / columns, bottom, 1 / columns, side / height))
+        axes.set(aspect="equal")
         axes.set_axis_off()
         axes.patch.set_alpha(0.0)
         found.append(axes)
+    return figure, found
+
+
+def square_panels(count: int, names: Sequence[str], columns: int = 3) -> tuple[Figure, list[Axes]]:
+    """Square panels without frames, so many side by side, below a legend of the states."""
+    figure, found = bare_panels(count, columns, head=0.32)
+    legend_row(figure, names, float(figure.get_figheight()))
     return figure, found
 
 

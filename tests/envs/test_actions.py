@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms import Mismatch, planar, six_axis
+from loose_env.arms import planar, six_axis
 from loose_env.envs import (
     ActionLayout,
     DiagnosisEnv,
     DiagnosisSettings,
-    Difficulty,
 )
 from loose_env.errors import InvalidAction
-from loose_env.faults import Healthy
-from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
 
 Make = Callable[..., Any]
@@ -153,55 +150,6 @@ def test_a_joint_told_to_pass_its_limit_stays_and_the_others_move(
     observation, _, _, _, info = env.step(env.actions.encode(moves=np.array([3, 4, 0])))
     assert info["move_ignored"].tolist() == [False, True, False]
     np.testing.assert_allclose(pose_of(env, observation), [45.0, 140.0, -110.0], atol=1e-4)
-
-
-NOMINAL = Difficulty(mismatch=Mismatch().scaled(0.0))
-"""True arms equal to the nominal one."""
-
-
-@pytest.mark.parametrize(
-    ("name", "arguments"),
-    [
-        ("planar", {"n_links": 3, "vertical": True}),
-        pytest.param("vera", {}, marks=pytest.mark.slow),
-        *(
-            pytest.param(name, {"hold": hold}, marks=pytest.mark.slow)
-            for name in ("planar", "six_axis", "scara", "desk")
-            for hold in ("brake", "servo")
-        ),
-    ],
-)
-def test_a_level_is_the_rms_acceleration_of_the_nominal_tool_and_its_share_of_it_where_clipped(
-    make_env: Make, name: str, arguments: dict[str, Any]
-) -> None:
-    env = make_env(
-        name,
-        **arguments,
-        difficulty=NOMINAL,
-        sensors=SensorSuite.ideal(),
-        raw=True,
-        max_records=150,
-    )
-    env.reset(seed=0, options={"fault": Healthy()})
-    rng = np.random.default_rng(1)
-    n = env.arm.n
-    reached: dict[bool, list[float]] = {True: [], False: []}
-    for k in range(150):
-        if min(len(found) for found in reached.values()) >= 6:
-            break
-        levels, level, joint = np.zeros(n, dtype=int), 2 + k % 2, k // 2 % n
-        levels[joint] = level
-        action = env.actions.encode(moves=rng.integers(0, 5, n), levels=levels, duration=2)
-        info = env.step(action)[-1]
-        share = info["level_share"][joint]
-        rms = np.sqrt(info["measurement"].tool.var(axis=1).sum())
-        reached[share < 1].append(rms / (share * env.arm.levels[level - 1]))
-    for found in reached.values():
-        # One record of 1.2 s scatters by 5 %.
-        assert len(found) >= 6
-        assert np.sqrt(np.mean(np.square(found))) == pytest.approx(
-            1.0, abs=4 * 0.05 / np.sqrt(len(found))
-        )
 
 
 def test_a_clipped_level_shows_in_the_observation(make_env: Make) -> None:

@@ -212,7 +212,10 @@ def test_raw_gives_the_signals_of_the_latest_record(make_env: Make) -> None:
             assert not observation[name][:, count:].any()
 
 
-@pytest.mark.parametrize(("name", "levels"), [("planar", [0, 3, 0, 2]), ("vera", [3, 3])])
+@pytest.mark.parametrize(
+    ("name", "levels"),
+    [("planar", [0, 3, 0, 2]), pytest.param("vera", [3, 3], marks=pytest.mark.slow)],
+)
 def test_the_nominal_arm_shows_what_is_predicted_of_it(
     make_env: Make, name: str, levels: list[int]
 ) -> None:
@@ -237,16 +240,16 @@ def test_the_nominal_arm_shows_what_is_predicted_of_it(
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("other", ["healthy", "structural_looseness@link1", "backlash@joint2"])
 def test_the_same_readings_make_the_same_observation_whatever_the_truth(
-    make_env: Make, name: str, other: str
+    make_env: Make, name: str
 ) -> None:
     pose = make_env(name).arm.random_pose(np.random.default_rng(4))
     measurements, observations, actions = recorded(make_env, name, pose=pose)
-    env = make_env(name, difficulty="hard", rig=Playback(measurements))
-    env.reset(seed=99, options={"pose": pose, "fault": other})
-    for action, expected in zip(actions, observations, strict=True):
-        np.testing.assert_array_equal(env.step(action)[0], expected)
+    for other in ("healthy", "structural_looseness@link1", "backlash@joint2"):
+        env = make_env(name, difficulty="hard", rig=Playback(measurements))
+        env.reset(seed=99, options={"pose": pose, "fault": other})
+        for action, expected in zip(actions, observations, strict=True):
+            np.testing.assert_array_equal(env.step(action)[0], expected)
 
 
 def environment(arm: Arm, links: bool | LinkAccelerometers, **settings: Any) -> DiagnosisEnv:

@@ -23,7 +23,6 @@ from loose_env.evaluation import (
     write_rows,
 )
 from loose_env.evaluation.hidden_faults import SeatOpenness
-from loose_env.evaluation.success import paired_values
 from loose_env.faults import Backlash, CompoundLooseness, Healthy, StructuralLooseness
 from loose_env.inference import log_score
 from loose_env.report.outcomes import (
@@ -34,7 +33,6 @@ from loose_env.report.outcomes import (
     pareto_front,
     runs_of,
     stratified_interval,
-    success_after,
     trained_agents,
     who_won,
 )
@@ -151,37 +149,12 @@ def test_estimators_stand_across_and_policies_down() -> None:
     assert not crossing(standings(rows_of("thesis", right=3)))
 
 
-def test_the_curve_counts_a_trail_that_was_cut_short_with_its_last_entry() -> None:
-    rows = [
-        {"agent": "a", "truth": "x", "trail_best": ["y", "x", "x"]},
-        {"agent": "a", "truth": "x", "trail_best": ["x"]},
-        {"agent": "a", "truth": "x", "trail_best": []},
-        {"agent": "b", "truth": "x", "trail_best": []},
-    ]
-    assert success_after(rows) == {"a": [1 / 3, 2 / 3, 2 / 3]}
-    assert success_after([]) == {}
-
-
 def test_the_error_weighs_each_bin_by_its_claims() -> None:
     # Ten claims of 0.9, all right: off by 0.1. Thirty of 0.6, a third right: off by 0.2667.
     confidence = [0.9] * 10 + [0.6] * 30
     right = [True] * 10 + [True] * 10 + [False] * 20
     expected = (10 * 0.1 + 30 * (0.6 - 1 / 3)) / 40
     assert expected_calibration_error(confidence, right) == pytest.approx(expected)
-
-
-def test_errors_of_opposite_sign_in_two_bins_do_not_cancel_and_in_one_they_do() -> None:
-    right = [True, False]
-    assert expected_calibration_error([0.55, 0.95], right) == pytest.approx(0.5 * 0.45 + 0.5 * 0.95)
-    assert expected_calibration_error([0.45, 0.55], right, bins=1) == pytest.approx(0.0)
-
-
-def test_a_calibrated_source_shows_no_more_than_its_sampling_error() -> None:
-    rng = np.random.default_rng(3)
-    p = rng.uniform(0.2, 1.0, size=20_000)
-    right = rng.random(len(p)) < p
-    assert expected_calibration_error(p, right) < 0.012  # sqrt(15 / 20000) / 3 is 0.009
-    assert expected_calibration_error(np.minimum(1.0, p + 0.1), right) > 0.07
 
 
 def test_a_confidence_of_one_lies_in_the_last_bin_and_no_claim_is_lost() -> None:
@@ -229,16 +202,6 @@ def rows_with(rewards: Any, *, truth: str = "healthy", seed: int = 1) -> list[di
     ]
 
 
-def test_the_interval_of_a_mean_holds_the_truth_as_often_as_it_says() -> None:
-    rng = np.random.default_rng(1)
-    held = 0
-    for _ in range(300):
-        found = bootstrap_mean(rng.exponential(size=120), rng=rng, resamples=400)
-        held += found.low <= 1.0 <= found.high
-    # 95 % of 300 is 285; the standard deviation of the count is 3.8, skewness costs some more.
-    assert 268 <= held <= 297
-
-
 def test_the_paired_interval_holds_the_difference_and_is_narrower_than_the_arms_differ() -> None:
     rng = np.random.default_rng(2)
     held, widths = 0, []
@@ -255,23 +218,11 @@ def test_the_paired_interval_holds_the_difference_and_is_narrower_than_the_arms_
     assert np.mean(widths) == pytest.approx(2 * 1.96 * np.sqrt(2 / 150), rel=0.1)
 
 
-def test_rows_are_paired_by_episode_not_by_order() -> None:
-    first, second = rows_with([1, 2, 3]), rows_with([0, 0, 3])
-    assert paired_values(first, second[::-1], "reward").tolist() == [1, 2, 0]
-
-
 def test_a_quarter_of_the_scores_is_cut_at_each_end() -> None:
     rng = np.random.default_rng(0)
     middle = stratified_interval([[9, 1, 2, 3], [4, 5, -100, 80]], rng=rng)
     assert middle.estimate == (2 + 3 + 4 + 5) / 4
     assert stratified_interval([[5, 1, 2, 3, 100]], rng=rng).estimate == pytest.approx(10 / 3)
-
-
-def test_runs_are_drawn_within_their_task() -> None:
-    # Each task has the same score in every run: whatever is drawn, nothing changes.
-    scores = np.array([[0.0, 1.0, 5.0]] * 4)
-    found = stratified_interval(scores, rng=np.random.default_rng(0), resamples=50)
-    assert found.estimate == found.low == found.high == np.mean([0, 1, 1, 1, 1, 5])
 
 
 def test_the_interval_of_two_runs_is_that_of_the_enumerated_resamples() -> None:
