@@ -52,9 +52,9 @@ from loose_env.evaluation import wilson
 from loose_env.faults import StructuralLooseness
 from loose_env.io import Count, written_beside
 from loose_env.report import AGENTS as PALETTE
-from loose_env.report import FAINT, INK, MUTED, pyplot, read_study, save_figure
+from loose_env.report import FAINT, INK, MUTED
 from loose_env.typing import Array
-from scripts.study import ROOT, Row, study_rows, write_between
+from scripts.study import ROOT, Row, pyplot, read_study, save_figure, study_rows, write_between
 
 ARMS: dict[str, Callable[[], Arm]] = {
     **{f"planar{n}": functools.partial(planar, n) for n in range(2, 8)},

@@ -12,10 +12,11 @@ from loose_agents.evaluation import EpisodeRow, arguments_of, diagnosis_env, eva
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.registry import AGENTS, make_agent
 from scipy.special import softmax
+from scipy.stats import entropy
 
 from loose_env.arms import planar
 from loose_env.diagnosis import LinkFindingSettings, least_records
-from loose_env.diagnosis.experiment_design import entropy, needed_information
+from loose_env.diagnosis.experiment_design import needed_information
 from loose_env.envs import DiagnosisSettings
 from loose_env.errors import InvalidSetting, LooseEnvError, UnknownName
 

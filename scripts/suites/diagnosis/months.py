@@ -36,9 +36,9 @@ from loose_env.recording import Run, read_recording, write_recording
 from loose_env.report import write_trend_page
 from scripts.suites.diagnosis.cases import Case, motion, taken
 from scripts.suites.gap.arms import model_xml, planar3
+from scripts.suites.gap.dynamics import Factors
 from scripts.suites.gap.effects import Effect, Place
 from scripts.suites.gap.machine import Noise, TrueArm
-from scripts.suites.gap.simulate import Factors
 
 SEED = 81_247
 """Of the printed numbers; nothing was developed on it."""

@@ -24,10 +24,10 @@ from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Run
 from loose_env.typing import Array
 from scripts.suites.gap.arms import ARMS, Figures, model_xml
-from scripts.suites.gap.catalogue import kinds
+from scripts.suites.gap.dynamics import Factors
+from scripts.suites.gap.effects import KINDS
 from scripts.suites.gap.effects import Effect as TrueEffect
 from scripts.suites.gap.machine import Motion, Signals, TrueArm
-from scripts.suites.gap.simulate import Factors
 
 STEP = 5e-4
 COUNT = 1500
@@ -68,7 +68,7 @@ def signals_of(figures: Figures, *effects: TrueEffect) -> tuple[Signals, Array]:
 
 
 def true_effect(kind: str, figures: Figures, where: str, parameters: dict) -> TrueEffect:
-    place = next(p for p in kinds()[kind].places(figures) if p.name == where)
+    place = next(p for p in KINDS[kind].places(figures) if p.name == where)
     return TrueEffect(kind=kind, place=place, parameters=parameters)
 
 

@@ -21,38 +21,41 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEffect
 from scripts.suites.gap.arms import ARMS, MACHINES, model_xml
 from scripts.suites.gap.cases import SEED, draw_case, name_of, truth_of
-from scripts.suites.gap.catalogue import CATALOGUE, kinds
+from scripts.suites.gap.effects import CATALOGUE, KINDS
 from scripts.suites.gap.grading import SAID
-from scripts.suites.gap.public import main
-from scripts.suites.gap.public_scores import (
+from scripts.suites.gap.public import (
     PAGE,
-    leaderboard,
-    mark_case,
-    read_score,
-    score,
-    stored_scores,
-    total,
-)
-from scripts.suites.gap.public_suite import (
     UNPUBLISHED,
     Answer,
     Answered,
-    MakeSettings,
+    Made,
     answer_of,
     answer_schema,
     catalogue,
     drawn_numbers,
+    leaderboard,
+    main,
     make,
+    mark_case,
     open_truths,
     places_of,
     read_answer,
+    read_score,
     read_suite,
+    score,
+    stored_scores,
+    total,
 )
 
 pytestmark = pytest.mark.slow
 
 PHRASE = "of the tests"
-SETTINGS = MakeSettings(numbers=(310, 1910), seed_phrase=PHRASE, name="tests")
+
+
+def made(folder: Path, *numbers: str, phrase: str = PHRASE) -> Made:
+    return Made(folder=folder, numbers=numbers or ("310", "1910"), seed_phrase=phrase, name="tests")
+
+
 PUBLISHED = {"drag": 0.006733232600739404}
 """Parameters of case 1003 before suites had seeds of their own."""
 
@@ -60,7 +63,7 @@ PUBLISHED = {"drag": 0.006733232600739404}
 @pytest.fixture(scope="session")
 def suite_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("suite")
-    make(folder, SETTINGS)
+    make(made(folder))
     return folder
 
 
@@ -117,7 +120,7 @@ def test_numbers_are_drawn_by_the_seed_from_those_not_published() -> None:
 
 
 def test_making_is_deterministic_and_resumes(suite_folder: Path, tmp_path: Path) -> None:
-    again = make(tmp_path / "again", SETTINGS)
+    again = make(made(tmp_path / "again"))
     assert again == read_suite(suite_folder)
     for pattern in ("recordings/*/*", "sealed/truth/*.json"):
         files = sorted(path.relative_to(suite_folder) for path in suite_folder.glob(pattern))
@@ -127,13 +130,13 @@ def test_making_is_deterministic_and_resumes(suite_folder: Path, tmp_path: Path)
     name = next(iter(again.cases))
     before = (tmp_path / "again" / "commitments.json").read_text()
     (tmp_path / "again" / "sealed" / "truth" / f"{name}.json").unlink()  # as if interrupted there
-    make(tmp_path / "again", SETTINGS)
+    make(made(tmp_path / "again"))
     assert (tmp_path / "again" / "commitments.json").read_text() == before
     assert not list((tmp_path / "again").rglob("*.part*"))
     with pytest.raises(InvalidSetting, match="another secret"):
-        make(tmp_path / "again", MakeSettings(numbers=(310, 1910), seed_phrase="other"))
+        make(made(tmp_path / "again", phrase="other"))
     with pytest.raises(InvalidSetting, match="other cases"):
-        make(tmp_path / "again", MakeSettings(numbers=(310,), seed_phrase=PHRASE))
+        make(made(tmp_path / "again", "310"))
 
 
 def test_what_is_given_to_entrants_tells_no_truth(suite_folder: Path) -> None:
@@ -265,7 +268,7 @@ def test_the_catalogue_has_all_that_truths_and_the_tool_name() -> None:
         for name, kind in catalogue().items():
             assert kind.scored and set(kind.scored) | set(kind.covered) <= set(kind.parameters)
             allowed = {place for group in kind.at for place in places[group]}
-            assert {place.name for place in kinds()[name].places(figures)} <= allowed
+            assert {place.name for place in KINDS[name].places(figures)} <= allowed
             for where in OF_TOOL[name].locations(model):
                 assert where in allowed
                 for variant in OF_TOOL[name].variants_at(model, where):

@@ -22,9 +22,20 @@ from loose_env.gap.model.effects.sensors import SensorGain
 from loose_env.recording import Run, write_recording
 from scripts.suites.gap import run as suite
 from scripts.suites.gap.cases import full_list, name_of, numbers_of, quick_list, role_of
-from scripts.suites.gap.grading import Grade, grade
-from scripts.suites.gap.run import Folders, grade_of, line_of, run_case, tool_named
-from scripts.suites.gap.tables import METHODS, methods_table
+from scripts.suites.gap.effects import CATALOGUE
+from scripts.suites.gap.grading import LISTED, PARAMETERS, Grade, grade
+from scripts.suites.gap.run import (
+    METHODS,
+    Folders,
+    grade_of,
+    line_of,
+    lines_of_cases,
+    markdown,
+    methods_table,
+    run_case,
+    summary,
+    tool_named,
+)
 from scripts.suites.rows import check_code, kept, run_cases
 from tests.gap.cases.exported_case import judged_with, prepared_arm
 
@@ -157,6 +168,137 @@ def test_a_written_model_leaves_what_the_fit_leaves(
     assert wrong > 3 * fit
 
 
+# ---- marks and tables
+
+
+def truth(role: str, *effects: tuple[str, str, dict[str, float]]) -> dict[str, Any]:
+    return {
+        "format": "gap-truth/1", "case": "case-0001", "role": role, "form": "forward",
+        "effects": [
+            {"kind": kind, "where": where, "parameters": values, "size": {"ratio": 4.0}}
+            for kind, where, values in effects
+        ],
+    }  # fmt: skip
+
+
+def said(verdict: str, *effects: tuple[str, str, dict, dict]) -> dict[str, Any]:
+    return {
+        "format": "loose-gap/1", "verdict": verdict, "gap": {"before": 3.0, "after": 1.1},
+        "effects": [
+            {"kind": kind, "where": where, "parameters": parameters, "interval_95": interval}
+            for kind, where, parameters, interval in effects
+        ],
+    }  # fmt: skip
+
+
+FRICTION = ("coulomb_friction", "joint2", {"torque": 2.0})
+LOAD = ("payload", "tool", {"mass": 0.5})
+NAMED_FRICTION = ("coulomb_friction", "joint2", {"torque": 2.2}, {"torque": [1.9, 2.5]})
+ELSEWHERE = ("coulomb_friction", "joint1", {"torque": 2.0}, {})
+NAMED_PLAY = ("backlash", "joint2", {"gap": 1e-3}, {})
+NAMED_LOAD = ("payload", "tool", {"mass": 0.5}, {"mass": [0.4, 0.45]})
+
+
+@pytest.mark.parametrize(
+    ("named", "true", "right", "found"),
+    [
+        ([NAMED_FRICTION], [FRICTION], True, 1),
+        ([ELSEWHERE], [FRICTION], False, 0),
+        ([NAMED_FRICTION, NAMED_PLAY], [FRICTION], False, 1),
+        ([NAMED_LOAD, NAMED_FRICTION], [FRICTION, LOAD], True, 2),
+        ([NAMED_LOAD], [FRICTION, LOAD], False, 1),
+    ],
+)
+def test_a_list_is_right_where_kinds_and_places_are_and_none_is_too_many(
+    named: list[Any], true: list[Any], right: bool, found: int
+) -> None:
+    marks = grade(said("named", *named), truth("single" if len(true) == 1 else "pair", *true))
+    assert (marks.right, marks.found) == (right, found)
+
+
+def test_parameters_and_intervals_are_judged() -> None:
+    marks = grade(said("named", NAMED_LOAD, NAMED_FRICTION), truth("pair", FRICTION, LOAD))
+    assert marks.parameter_error == pytest.approx((0.1, 0.0)) and marks.covered == (True, False)
+    gain = truth("single", ("actuator_gain", "motor1", {"gain": 1.2}))
+    marks = grade(said("named", ("actuator_gain", "motor1", {"gain": 1.1}, {})), gain)
+    assert marks.parameter_error == pytest.approx((0.5,))  # by its distance from one
+
+
+@pytest.mark.parametrize("separable", [True, False])
+def test_a_partner_counts_only_where_the_data_cannot_tell(separable: bool) -> None:
+    marks = grade(
+        said("named", NAMED_PLAY), truth("single", FRICTION), separable=lambda *_: separable
+    )
+    assert marks.right is not separable
+
+    def fail(*_: Any) -> bool:
+        raise AssertionError("asked about a pair that is not listed")
+
+    assert not grade(said("named", NAMED_LOAD), truth("single", FRICTION), separable=fail).right
+
+
+@pytest.mark.parametrize("verdict", ["no_gap", "unexplained", "named"])
+def test_nothing_missing_and_outside_have_one_right_verdict(verdict: str) -> None:
+    outside = truth("outside", ("shaking_force", "tool", {"force": 1.0}))
+    assert grade(said(verdict, NAMED_LOAD), truth("none")).right is (verdict == "no_gap")
+    assert grade(said(verdict, NAMED_LOAD), outside).right is (verdict == "unexplained")
+
+
+def test_every_kind_has_its_parameters_and_listed_pairs_are_of_the_catalogue() -> None:
+    assert set(PARAMETERS) == set(CATALOGUE)
+    assert all(pair <= set(CATALOGUE) and len(pair) == 2 for pair in LISTED)
+
+
+def test_the_tables_count_every_case() -> None:
+    grades = [
+        grade(said("named", NAMED_FRICTION), truth("single", FRICTION), seconds=30.0),
+        grade(said("named", NAMED_PLAY), truth("single", FRICTION)),
+        grade(said("no_gap"), truth("none")),
+        grade(said("unexplained"), truth("outside", ("shaking_force", "tool", {"force": 1.0}))),
+    ]
+    words = markdown(grades)
+    for line in (
+        "single effects, kind and location correct | at least 97 % | 1/2 = 50 %",
+        "false alarms with nothing missing | at most 2 % | 0/1",
+        "outside the catalogue, called unexplained | at least 90 % | 1/1",
+        "held-out RMS residual after, representable effects, median [noise sd] | at most 1.25 "
+        "| 1.10",
+        "2 to 5 | 1/2",
+    ):
+        assert f"\n| {line}" in words
+    assert "no cases" in markdown([])
+    _, _, first, second = lines_of_cases(
+        [(1003, grades[1], ""), (7, grades[2], "no | runs")]
+    ).splitlines()
+    assert first.startswith(
+        "| 1003 | forward | coulomb_friction at joint2 | 4.0 | backlash at joint2"
+    )
+    assert "| nothing | " in second and "failed: no \\| runs |" in second
+
+
+def test_further_parameters_are_graded_apart_where_they_mean_the_same():
+    ripple = ("torque_ripple", "joint1", {"amplitude": 1.0, "order": 12.0, "phase": -3.0})
+    periods, phase = {"periods": [11.9, 12.1]}, {"phase": [3.2, 3.4]}  # a turn further on
+    named = (
+        "torque_ripple",
+        "joint1",
+        {"amplitude": 1.0},
+        {"amplitude": [0.9, 1.1], **periods, **phase},
+    )
+    marks = grade(said("named", named), truth("single", ripple))
+    assert marks.covered == (True,) and marks.covered_others == (True, True)
+    bump = {"torque": 1.0, "static_torque": 1.8, "speed": 0.1}
+    friction = ("stribeck_friction", "joint1", bump)
+    named = (
+        "stribeck_friction", "joint1", {"torque": 1.0},
+        {"torque": [0.9, 1.1], "static_ratio": [1.2, 1.5], "speed": [0.05, 0.2]},
+    )  # fmt: skip
+    marks = grade(said("named", named), truth("single", friction))
+    assert marks.covered_others == (False, True)
+    lines = [line for line in summary([marks]) if "further parameters" in line[0]]
+    assert lines[0][2].startswith("1/2")
+
+
 # ---- other methods
 
 XML = """
@@ -221,15 +363,10 @@ def write_arm(folder: Path, *, friction: float, seconds: float = 3.0, runs: int 
 def marks_of(recording: Path, folder: Path, name: str, *, torque: float | None) -> Grade:
     """Marks of a method against the planted friction, or against nothing."""
     tool_named(name)(recording, folder, 0.03)
-    effect = {
-        "kind": "coulomb_friction", "where": "joint1", "parameters": {"torque": torque},
-        "size": {"ratio": 5.0},
-    }  # fmt: skip
-    truth = {
-        "format": "gap-truth/1", "case": "c", "role": "none" if torque is None else "single",
-        "form": "forward", "effects": [] if torque is None else [effect],
-    }  # fmt: skip
-    return grade(json.loads((folder / "result.json").read_text("utf-8")), truth)
+    planted = truth("none")
+    if torque is not None:
+        planted = truth("single", ("coulomb_friction", "joint1", {"torque": torque}))
+    return grade(json.loads((folder / "result.json").read_text("utf-8")), planted)
 
 
 @pytest.mark.slow
@@ -243,14 +380,10 @@ def test_stepwise_selection_names_planted_friction_and_nothing_else(tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_sysid_predicts_the_held_out_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sysid_predicts_the_held_out_run(tmp_path: Path) -> None:
     sysid = pytest.importorskip("mujoco.sysid")
     if not hasattr(sysid, "Parameter"):
         pytest.skip("mujoco.sysid lacks its own optional packages: pip install 'mujoco[sysid]'")
-    from scripts.suites.gap import rival_sysid as rival
-
-    short = partial(rival.SysidSettings, windows=3, window_s=0.3, iterations=5)
-    monkeypatch.setattr(rival, "SysidSettings", short)
     arm = write_arm(tmp_path / "arm", friction=TORQUE, seconds=2.0, runs=2)
     marks = marks_of(arm, tmp_path, "sysid", torque=TORQUE)
     assert marks.gap_after < marks.gap_before
