@@ -159,7 +159,7 @@ def test_a_perfect_answer_scores_one_and_an_empty_one_nothing(
     assert found.brier == 0.0 and found.parameter_error == 0.0
     assert found.coverage.hits == found.coverage.of > 0
     assert found.cpu_seconds == 1.5 and len(found.cases) == 2
-    assert "oracle on tests" in capsys.readouterr().out
+    assert "| oracle | 2/2 | 1.00 |" in capsys.readouterr().out
     none = answers_in(tmp_path / "none", suite_folder, knowing=False)
     (none / "case-x.json").write_text("{}")
     with pytest.raises(InvalidData, match="the suite has no case 'case-x'"):
