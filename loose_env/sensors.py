@@ -64,7 +64,7 @@ class LinkAccelerometers:
 
     Else it has the arm's axes, in the frame of the body that carries it."""
     place: Place = "distal"
-    """End of the link; see `loose_env.arms.sites.link_site`."""
+    """End of the link; see `loose_env.arms.arm.link_site`."""
 
     def __post_init__(self) -> None:
         if self.place not in ("proximal", "distal"):

@@ -26,7 +26,6 @@ from loose_env.diagnosis.prediction import (
     seat_drives,
     stiffness_errors,
 )
-from loose_env.excitation import SeatReference
 from loose_env.inference import whitener
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
@@ -63,12 +62,6 @@ def sampling_covariance(rest: ComplexArray, noise: Array, samples: float) -> Arr
 
     for axes i, k and commands j, l. On an arm that bends, these errors are far from even, and far
     from independent. ``noise`` (D, D) is that of the sensors in the band [m²/s⁴].
-
-    Examples
-    --------
-    >>> rest = np.array([[[2.0 + 0j]], [[-2.0 + 0j]]])  # one axis, one command, two frequencies
-    >>> sampling_covariance(rest, np.zeros((1, 1)), 4.0).tolist()
-    [[2.0]]
     """
     count, axes, commands = rest.shape
     power = np.einsum("fim,fkm->ik", rest, rest.conj()).real / count + noise
@@ -132,10 +125,6 @@ class SeatFeatures:
         Errors of the nominal model.
     directions : int
         Sliding directions of each link, A.
-    points : int, optional
-        Frequencies across the band; by default 6, or 40 where modes lie within the band.
-    over : {"median", "best"}
-        Pose whose seat drive friction is compared to.
 
     Examples
     --------
@@ -153,18 +142,16 @@ class SeatFeatures:
         mismatch: Mismatch,
         *,
         directions: int,
-        points: int | None = None,
-        over: SeatReference = "median",
     ) -> None:
         arm = linear.arm
         self.bends = bool(len(linear.flexible_dofs)) or arm.hold != "brake"
-        count = points if points is not None else (40 if self.bends else 6)
-        self.linear = LinearArm(arm, points=count, remember=64)
+        # few frequencies do where no mode lies within the band
+        self.linear = LinearArm(arm, points=40 if self.bends else 6, remember=64)
         self.mismatch = mismatch
         self.floor = SensorFloor.of(sensors, arm.band)
         self.directions = axes_grid(directions, len(arm.axes))
         """Sliding directions in a link's frame, unit vectors (A, axes)."""
-        self.top = seat_drives(linear, self.directions, over)
+        self.top = seat_drives(linear, self.directions, "median")
         """Rms force of the top level across every seat (P,)."""
         self.hypothesis = np.concatenate(
             [np.repeat(np.arange(arm.n), directions), arm.n + np.arange(arm.n)]
@@ -313,18 +300,6 @@ class SeatFeatures:
         floating = opened[:, m:] @ np.linalg.inv(opened[:, :m])
         return np.asarray(((floating - nominal) @ x).reshape(-1, (p - m) * m))
 
-    def whitening(
-        self,
-        pose: Array,
-        excited: NDArray[np.bool_],
-        b: Array,
-        residual: Array,
-        x: Array,
-        duration: float,
-    ) -> Array:
-        """Matrix that brings in-step motion to standard deviations (d m, d m), as `covariance`."""
-        return whitener(self.covariance(pose, excited, b, residual, x, duration))
-
     def covariance(
         self,
         pose: Array,
@@ -349,14 +324,10 @@ class SeatFeatures:
         errors = np.concatenate([errors, springs])
         # In units of the tool's motion per command, in which sampling errors are even.
         uncertain = (errors @ x).reshape(len(errors), d * m)
-        sampling = np.kron(residual, np.eye(m)) / self.samples(duration)
+        sampling = np.kron(residual, np.eye(m)) / independent_samples(self.linear.arm, duration)
         covariance = uncertain.T @ uncertain + sampling
         covariance += 1e-6 * np.trace(covariance) / (d * m) * np.eye(d * m)
         return np.asarray(covariance)
-
-    def samples(self, duration: float) -> float:
-        """Independent samples in a record of some length [s]."""
-        return independent_samples(self.linear.arm, duration)
 
     def _springs(self, pose: Array, excited: NDArray[np.bool_]) -> Array:
         """Change of the transmission by an error of each spring in the band (K, d, m)."""
@@ -370,7 +341,9 @@ class SeatFeatures:
         """Change of the joints' motion per torque: measured, and if each seat floats (P, m)."""
         m = len(on)
         nominal = np.diag(seats.in_step[:m])
-        error = np.sqrt(INERTIA_ERROR**2 + 1 / self.samples(record.duration))
+        error = np.sqrt(
+            INERTIA_ERROR**2 + 1 / independent_samples(self.linear.arm, record.duration)
+        )
         # Inertia is torque over in-step motion of the joint itself; motion adds where inertia
         # does not.
         inertia = record.inertia[on]

@@ -23,7 +23,7 @@ from scipy.special import expit, logsumexp
 from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.features import LOCATION_FEATURES, RECORD_FEATURES, SeatFeatures
 from loose_env.diagnosis.novelty import NOVELTY_STATISTICS, NoveltyReference, Seen, sights
-from loose_env.diagnosis.posterior import Belief, friction_nodes, log_prior
+from loose_env.diagnosis.posterior import Belief, friction_nodes, location_prior, log_prior
 from loose_env.diagnosis.prediction import RecordStatistics
 from loose_env.errors import InvalidData
 from loose_env.faults import DEFAULT_KINDS, hypotheses
@@ -159,19 +159,12 @@ class AmortisedBelief:
     @cached_property
     def belief(self) -> Belief:
         """The same as log-weights of everything in question."""
-        n = (len(self.prior) - 1) // 2
-        slides = n * len(self.directions)
         loose = self.temper * self.total - np.log(self.total.shape[1])
-        share = np.concatenate(
-            [
-                np.repeat(self.prior[1 : n + 1] - np.log(len(self.directions)), slides // n),
-                self.prior[n + 1 :],
-            ]
-        )
+        share = location_prior(self.prior, len(self.directions))
         return Belief(
             healthy=self.prior[:1],
             loose=(loose + share[:, None])[None],
-            links=n,
+            links=(len(self.prior) - 1) // 2,
             directions=self.directions,
         )
 

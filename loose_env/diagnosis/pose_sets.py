@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -12,7 +11,7 @@ from scipy.optimize import brentq
 from loose_env.arms import Arm
 from loose_env.diagnosis.directions import ToolFrames, log_mean_bingham
 from loose_env.diagnosis.link_finding import candidate_poses
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.inference import overlap
 from loose_env.kinematics import chebyshev_poses, choose_poses, worst_push
 from loose_env.statistics import axes_grid
@@ -366,7 +365,6 @@ def link_confusion(
     candidates: ArrayLike,
     *,
     sd: float,
-    links: Sequence[int] | None = None,
     directions: int = 10,
 ) -> Array:
     """Confusability of links of unknown direction after adding each candidate pose (C,), 0 to 1.
@@ -376,26 +374,10 @@ def link_confusion(
     Gaussians e/s apart: Bhattacharyya's bound on their confusion is exp(-e²/8s²), averaged over the
     pairs of links and over z, `directions` of them over the half sphere; in the plane one stands
     for all.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> stay, turn = [0.0, 0.3], [0.0, 0.3 + np.pi / 2]
-    >>> link_confusion(ToolFrames(planar(2)), [stay], [stay, turn], sd=0.1).round(6).tolist()
-    [1.0, 0.0]
     """
-    if not (np.isfinite(sd) and sd > 0):
-        raise InvalidSetting(f"sd must be a positive angle [rad], got {sd!r}")
-    chosen = [*range(1, frames.arm.n + 1)] if links is None else list(links)
-    if len(set(chosen)) < 2 or min(chosen) < 1 or max(chosen) > frames.arm.n:
-        raise InvalidSetting(
-            f"two or more links of 1 to {frames.arm.n} can be confused, got {links!r}"
-        )
     taken, new = (np.atleast_2d(np.asarray(p, dtype=float)) for p in (poses, candidates))
-    if taken.shape[1:] != new.shape[1:]:
-        raise InvalidData(f"poses {taken.shape} and candidates {new.shape} differ in joints")
     z = axes_grid(directions, 3) if frames.dimension == 3 else np.array([[1.0, 0.0]])
-    index = np.array(chosen) - 1
+    index = np.arange(frames.arm.n)
     one, other = (g.ravel() for g in np.meshgrid(index, index, indexing="ij"))
     one, other = one[one != other], other[one != other]
 

@@ -10,7 +10,7 @@ that opens in part moves ``s`` times as far, in step with the force; what it doe
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
@@ -27,6 +27,7 @@ from loose_env.sensors import LinkAccelerometers, SensorSuite
 from loose_env.statistics import (
     Covariances,
     LowestCoherence,
+    RecordCovariances,
     acceleration_from_angle,
     apparent_inertia_from,
     bandpass,
@@ -364,6 +365,22 @@ def channel_noise(floor: SensorFloor, arm: Arm, on: NDArray[np.intp]) -> Array:
     return np.concatenate([floor.joints(arm)[on], np.full(len(arm.axes), floor.tool)]) ** 2
 
 
+def shut_seats(pose: LinearPose, torque: Array, directions: Array) -> tuple[Array, Array]:
+    """Rms force that every shut seat transmits, and gravity's load on it at rest (P,) each.
+
+    Slides along the directions (A, d) of every link, or (n, A, d) of each, then plays.
+    """
+    on, n, d = torque > 0, pose.linear.arm.n, directions.shape[-1]
+    answer, u = pose.response(on), np.broadcast_to(directions, (n, *directions.shape[-2:]))
+    slide = answer.slide[:, :, :d] * torque[on]
+    power = np.einsum("kism,kitm->ist", slide, slide.conj(), optimize=True).real / len(slide)
+    slides = np.einsum("ias,ist,iat->ia", u, power, u, optimize=True)
+    plays = np.mean(np.sum(np.abs(answer.hinge * torque[on]) ** 2, axis=-1), axis=0)
+    loads = np.einsum("is,ias->ia", pose.seat_load[:, :d], u)
+    force = np.sqrt(np.maximum(np.concatenate([slides.ravel(), plays]), 0.0))
+    return force, np.abs(np.concatenate([loads.ravel(), pose.load[pose.linear.hinge_dofs]]))
+
+
 def seat_drives(linear: LinearArm, directions: Array, over: SeatReference) -> Array:
     """Rms force of the top level across every seat (P,), slides of each link, then plays.
 
@@ -375,30 +392,18 @@ def seat_drives(linear: LinearArm, directions: Array, over: SeatReference) -> Ar
     return np.maximum(found, 1e-9 * max(found))
 
 
-def sensor_matrices(axes: int, mismatch: Mismatch) -> Array:
-    """Change of the reading per true acceleration by one standard deviation of each error.
+def sensor_errors(b: Array, mismatch: Mismatch) -> Array:
+    """Change of a measured transmission (d, m) by each error of the sensor (K, d, m).
 
     Gain of every axis and leakage from every axis into every other one, then rotation about each
-    axis (d * d + d * (d - 1) / 2, d, d).
+    axis, one standard deviation each.
     """
-    errors = []
-    for i in range(axes):
-        for j in range(axes):
-            leak = np.zeros((axes, axes))
-            leak[i, j] = mismatch.gain if i == j else mismatch.cross_axis
-            errors.append(leak)
+    d = len(b)
+    units = np.eye(d * d).reshape(d, d, d, d)
+    leaks = units * np.where(np.eye(d) > 0, mismatch.gain, mismatch.cross_axis)[..., None, None]
     turn = np.radians(mismatch.misalignment)
-    for i in range(axes):
-        for j in range(i):
-            skew = np.zeros((axes, axes))
-            skew[i, j], skew[j, i] = turn, -turn
-            errors.append(skew)
-    return np.array(errors)
-
-
-def sensor_errors(b: Array, mismatch: Mismatch) -> Array:
-    """Change of a measured transmission (d, m) by each of the `sensor_matrices` (K, d, m)."""
-    return np.asarray(sensor_matrices(len(b), mismatch) @ b)
+    turns = [turn * (units[i, j] - units[j, i]) for i in range(d) for j in range(i)]
+    return np.asarray(np.array([*leaks.reshape(-1, d, d), *turns]) @ b)
 
 
 def joint_zero_errors(linear: LinearArm, pose: Array, mismatch: Mismatch) -> Array:
@@ -587,38 +592,21 @@ def statistics_of_all(measurements: Sequence[Measurement]) -> RecordStatistics:
     InvalidData
         If one of the measurements failed, or nothing moves in it.
     """
-    first = measurements[0]
-    n, count = len(first.pose), len(measurements)
-    torque = np.array([m.excitation.torque_rms for m in measurements])
-    on = torque > 0
-    joints = np.nonzero(on)[1].reshape(count, -1)
-    rate, band = first.rate, first.excitation.band
+    rate, band = measurements[0].rate, measurements[0].excitation.band
     raw = np.array([m.tool for m in measurements])
-    tool = bandpass(raw, rate, band)
-    turned = np.array([m.encoder[own] for m, own in zip(measurements, joints, strict=True)])
-    played = np.array([m.command[own] for m, own in zip(measurements, joints, strict=True)])
-    cov = record_covariances(
-        bandpass(played, rate, band), acceleration_from_angle(turned, rate, band), tool
-    )
+    cov, spread = _covariances(measurements, bandpass(raw, rate, band))
     lowest = lowest_coherence_direction_from(cov.x_a)
-
-    def spread(values: Array) -> Array:
-        """Values of the excited joints among those of all (B, ..., n)."""
-        wide = np.zeros((*values.shape[:-1], n))
-        at = joints.reshape(count, *[1] * (values.ndim - 2), -1)
-        np.put_along_axis(wide, np.broadcast_to(at, values.shape), values, axis=-1)
-        return wide
-
     instrument = transmission_by_instrument_from(cov.command_x, cov.command_a)
+    inertia = apparent_inertia_from(cov.command_x)
     third, fourth = _shape(raw, lowest.direction)
     several: dict[str, Any] = {
         "pose": np.array([m.pose for m in measurements]),
-        "torque": torque,
+        "torque": np.array([m.excitation.torque_rms for m in measurements]),
         "duration": np.array([m.excitation.duration for m in measurements]),
         "transmission": spread(transmission_from(cov.x_a)),
         "transmission_by_instrument": spread(instrument),
-        "joint_rms": spread(np.sqrt(_diagonals(cov.x_a.xx))),
-        "inertia": spread(_diagonals(apparent_inertia_from(cov.command_x))),
+        "joint_rms": spread(np.sqrt(np.diagonal(cov.x_a.xx, axis1=-2, axis2=-1))),
+        "inertia": spread(np.diagonal(inertia, axis1=-2, axis2=-1)),
         "tool_covariance": cov.x_a.aa,
         "lowest_direction": lowest.direction,
         "lowest_coherence": lowest.coherence,
@@ -631,9 +619,27 @@ def statistics_of_all(measurements: Sequence[Measurement]) -> RecordStatistics:
     return RecordStatistics(**several)
 
 
-def _diagonals(matrices: Array) -> Array:
-    """Diagonals (B, k) of matrices (B, k, k)."""
-    return np.asarray(np.diagonal(matrices, axis1=-2, axis2=-1))
+def _covariances(
+    measurements: Sequence[Measurement], motion: Array
+) -> tuple[RecordCovariances, Callable[[Array], Array]]:
+    """Covariances of records in the band with a motion (B, k, N), and `spread`.
+
+    That puts the values of the excited joints (B, ..., m) among those of all (B, ..., n).
+    """
+    count, n = len(measurements), len(measurements[0].pose)
+    rate, band = measurements[0].rate, measurements[0].excitation.band
+    joints = np.nonzero([m.excited for m in measurements])[1].reshape(count, -1)
+    turned = np.array([m.encoder[own] for m, own in zip(measurements, joints, strict=True)])
+    played = np.array([m.command[own] for m, own in zip(measurements, joints, strict=True)])
+
+    def spread(values: Array) -> Array:
+        wide = np.zeros((*values.shape[:-1], n))
+        at = joints.reshape(count, *[1] * (values.ndim - 2), -1)
+        np.put_along_axis(wide, np.broadcast_to(at, values.shape), values, axis=-1)
+        return wide
+
+    x = acceleration_from_angle(turned, rate, band)
+    return record_covariances(bandpass(played, rate, band), x, motion), spread
 
 
 def _shape(tool: Array, direction: Array) -> tuple[Array, Array]:
@@ -688,30 +694,19 @@ def link_readings_of_all(measurements: Sequence[Measurement]) -> LinkReadings:
     InvalidData
         If one has none, failed, or nothing moves.
     """
-    count, n = len(measurements), len(measurements[0].pose)
-    signals = []
-    for measurement in measurements:
-        if measurement.links is None:
-            raise InvalidData(
-                "the record has no accelerometers on links; set link_accelerometers to False, or "
-                "take a rig that carries them"
-            )
-        signals.append(measurement.links)
-    links, axes = signals[0].shape[:2]
-    joints = [np.flatnonzero(measurement.excited) for measurement in measurements]
+    signals = [measured.links for measured in measurements if measured.links is not None]
+    if len(signals) < len(measurements):
+        raise InvalidData(
+            "the record has no accelerometers on links; set link_accelerometers to False, or "
+            "take a rig that carries them"
+        )
+    count, (links, axes, _) = len(signals), signals[0].shape
     rate, band = measurements[0].rate, measurements[0].excitation.band
     motion = bandpass(np.reshape(signals, (count, links * axes, -1)), rate, band)
-    turned = np.array([m.encoder[own] for m, own in zip(measurements, joints, strict=True)])
-    played = np.array([m.command[own] for m, own in zip(measurements, joints, strict=True)])
-    cov = record_covariances(
-        bandpass(played, rate, band), acceleration_from_angle(turned, rate, band), motion
-    )
-    found = transmission_by_instrument_from(cov.command_x, cov.command_a)
-    wide = np.zeros((count, links * axes, n))
-    for own, row, on in zip(wide, found, joints, strict=True):
-        own[:, on] = row
+    cov, spread = _covariances(measurements, motion)
+    found = spread(transmission_by_instrument_from(cov.command_x, cov.command_a))
     return LinkReadings(
-        transmission_by_instrument=wide.reshape(count, links, axes, n),
+        transmission_by_instrument=found.reshape(count, links, axes, -1),
         rms=motion.std(axis=-1).reshape(count, links, axes),
     )
 

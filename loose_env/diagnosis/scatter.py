@@ -30,7 +30,12 @@ from loose_env.diagnosis.features import (
     TransmissionChange,
     sampling_covariance,
 )
-from loose_env.diagnosis.prediction import LinkReadings, RecordStatistics, sensed_arms
+from loose_env.diagnosis.prediction import (
+    LinkReadings,
+    RecordStatistics,
+    independent_samples,
+    sensed_arms,
+)
 from loose_env.errors import InvalidSetting
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
@@ -116,7 +121,8 @@ class PlaceDirections:
         noise = floor.tool**2 * np.eye(len(b))
         noise += (b * floor.joints(self.features.linear.arm)[on] ** 2) @ b.T
         rest = (tool - b @ joint) * record.torque[on]
-        return sampling_covariance(rest, noise, self.features.samples(record.duration))
+        samples = independent_samples(self.features.linear.arm, record.duration)
+        return sampling_covariance(rest, noise, samples)
 
 
 def scatter_of(

@@ -8,7 +8,7 @@ strikes its stops:
     M a = B u + f0 - K (q - q0) - C v + e (friction + stops).
 
 Brakes and servos are the springs, dampers and inertances that MuJoCo's constraints make of
-them; friction and stops follow the same constraint law as in `loose_env.faults.seating`.
+them; friction and stops follow the same constraint law as in `loose_env.faults.seats`.
 Centripetal terms are left out: they are of second order in the motion.
 
 The rig draws the same torques, noise and starting places as `SimulatedRig` and reads its records

@@ -31,6 +31,7 @@ from loose_env.statistics.spectra import (
 )
 from loose_env.statistics.transmission import (
     Covariances,
+    RecordCovariances,
     apparent_inertia_from,
     covariances,
     record_covariances,
@@ -45,6 +46,7 @@ __all__ = [
     "GaussianMixture",
     "LowestCoherence",
     "PhaseDelay",
+    "RecordCovariances",
     "acceleration_from_angle",
     "apparent_inertia_from",
     "axes_grid",

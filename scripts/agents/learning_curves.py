@@ -31,8 +31,8 @@ from tyro.conf import arg
 from loose_env.cli.command import command, one_of
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import Count, NonNegative, NonNegativeCount
-from loose_env.report import pyplot, save_figure
 from loose_env.typing import Array
+from scripts.study import pyplot, save_figure
 
 LEARNERS = {
     "ppo": ("ppo", "ppo", "flat"),

@@ -50,11 +50,11 @@ from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy, StructuralLooseness
 from loose_env.io import write_text, written_beside
-from loose_env.report import pyplot, save_figure, standalone, to_svg
+from loose_env.report import standalone, to_svg
 from loose_env.rig import SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
-from scripts.study import arm_named
+from scripts.study import arm_named, pyplot, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -42,9 +42,9 @@ from loose_env.errors import InvalidSetting, LooseEnvError
 from loose_env.evaluation import wilson
 from loose_env.io import Count, written_beside
 from loose_env.report import AGENTS as PALETTE
-from loose_env.report import FAINT, INK, MUTED, pyplot, read_study, save_figure
+from loose_env.report import FAINT, INK, MUTED
 from loose_env.typing import Array
-from scripts.study import ROOT, Row, study_rows, write_between
+from scripts.study import ROOT, Row, pyplot, read_study, save_figure, study_rows, write_between
 
 STRATEGIES = (*PLANNED, GREEDY)
 COLOURS = dict(zip(STRATEGIES, (6, 1, 3, 4, 5, 0, 2), strict=True))

@@ -34,11 +34,11 @@ from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Fault, hypotheses
 from loose_env.io import Count
-from loose_env.report import INK, MUTED, pyplot, save_figure
+from loose_env.report import INK, MUTED
 from loose_env.rig import Job, SimulatedRig
 from loose_env.statistics import axial_difference, axial_mean, wrap_axial
 from loose_env.typing import Array
-from scripts.study import ROOT, Row, arm_named, study_rows
+from scripts.study import ROOT, Row, arm_named, pyplot, save_figure, study_rows
 
 ARMS = ("vera", "planar2", "planar4", "planar6", "planar4v")
 STEPS = (5e-4, 2.5e-4, 2e-4, 1e-4)

@@ -22,7 +22,7 @@ from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.typing import Array
 from scripts.thesis.loose_joint import mass_matrix
 from scripts.thesis.page import Section, printed, section
-from scripts.thesis.plots import panels, rms
+from scripts.thesis.plots import note, panels, rms
 from scripts.thesis.rigs import GUIDE, LIFT, REACH, cylindrical
 
 if TYPE_CHECKING:
@@ -436,51 +436,19 @@ def experiment_one(seed: int) -> Section:
     pose_rows, end_rows = [], []
     for name, (size, correlation) in own.items():
         other, seen = min((d, q) for (p, q), d in apart.items() if p == name), goes_over[name]
-        pose_rows.append(
-            (
-                name,
-                f"{size:.3f}",
-                f"{correlation:.4f}",
-                f"{other[0]:.3f} ({other[1]})",
-                "none" if seen is None else f"{seen.size:.2f} from {seen.lands:.3f} m",
-            )
-        )
+        shuddered = "none" if seen is None else f"{seen.size:.2f} from {seen.lands:.3f} m"
+        pose_rows.append((name, size, correlation, *other, shuddered))
     for by in sorted(shifted):
         change = distance(shifted[by], base)
         rest = [s.potentiometer[:, -100:].mean() for s in (shifted[by], base)]
         pair = right_sets({"here": shifted[by].acceleration, "base": base.acceleration})
-        end_rows.append(
-            (
-                f"{by:+d} mm",
-                f"{change:.3f}",
-                f"{change / own_spread:.1f}",
-                f"{1000 * (rest[0] - rest[1]) / settings.potentiometer_scale:+.2f} mm",
-                f"{100 * pair:.0f} %",
-            )
-            if by
-            else ("0", *4 * "-")
-        )
-    summary_rows = [
-        (
-            "mode with the arm raised and extended",
-            f"{told['mode_raised_extended_hz']} Hz",
-            f"{rings:.1f} Hz",
-        ),
-        (
-            "shudder",
-            "where the preload goes over to the other diagonal pair",
-            f"in {crossing}, past {weight_over:.3f} m of reach",
-        ),
-        (
-            "shudder without play",
-            "not tried",
-            f"{100 * without / with_play:.0f} % of that with play",
-        ),
-    ]
+        off = (rest[0] - rest[1]) / settings.potentiometer_scale
+        end_rows.append((by, change, change / own_spread, off, pair) if by else ("0", *4 * "-"))
+    ratio = without / with_play
     return section(
         "experiment_one",
         locals(),
-        [pose_rows, end_rows, summary_rows],
+        [pose_rows, end_rows],
         [
             time_figure(sets, tight),
             spectrum_figure(sets, averages, settings),
@@ -556,12 +524,8 @@ def _spectrum(strokes: Array, rate: float) -> tuple[Array, Array]:
 
 def end_figure(shifted: Mapping[int, Strokes]) -> Figure:
     """Draw the end of the stroke for each end point; keys are shifts [mm]."""
-    figure, (panel,) = panels(
-        ["end of the stroke, mean of each set"],
-        across="time since the trigger [s]",
-        up=[_LABEL],
-        height=2.1,
-    )
+    title, across = "end of the stroke, mean of each set", "time since the trigger [s]"
+    figure, (panel,) = panels([title], across=across, up=[_LABEL], height=2.1)
     colours = {-4: TRUTH, -2: SHAKEN, 0: INK, 2: "#56b4e9", 4: MEASURED}
     base = shifted[0]
     window = (base.time > 0.86) & (base.time < 1.10)
@@ -573,15 +537,8 @@ def end_figure(shifted: Mapping[int, Strokes]) -> Figure:
     for row, by in enumerate(sorted(shifted)):
         mean = shifted[by].acceleration.mean(axis=0)[window]
         panel.plot(base.time[window], mean, color=colours[by], linewidth=1.4)
-        panel.text(
-            0.975,
-            0.08 + 0.105 * row,
-            f"{by:+d} mm" if by else "unmoved",
-            transform=panel.transAxes,
-            color=colours[by],
-            fontsize=9,
-            ha="right",
-        )
+        name = f"{by:+d} mm" if by else "unmoved"
+        note(panel, 0.975, 0.08 + 0.105 * row, name, color=colours[by], inside=True, ha="right")
     panel.set_xlim(0.86, 1.10)
     return figure
 
@@ -602,9 +559,10 @@ def shudder_figure(loose: Strokes, tight: Strokes, weight_over: float) -> Figure
         panel.axvline(weight_over, color=TRUTH, linewidth=1.1, linestyle=(0, (4, 2)))
         panel.set_xlim(0.15, 0.50)
     upper.set_ylim(-1.0, 1.5)
-    upper.text(
-        weight_over - 0.004, 1.2, "weight over the middle", color=TRUTH, fontsize=8.5, ha="right"
-    )
-    lower.text(0.495, 0.25, "with play", color=MEASURED, fontsize=8.5, ha="right")
-    lower.text(0.495, -0.35, "without play", color=MUTED, fontsize=8.5, ha="right")
+    for panel, x, y, words, colour in (
+        (upper, weight_over - 0.004, 1.2, "weight over the middle", TRUTH),
+        (lower, 0.495, 0.25, "with play", MEASURED),
+        (lower, 0.495, -0.35, "without play", MUTED),
+    ):
+        note(panel, x, y, words, color=colour, size=8.5, ha="right")
     return figure

@@ -19,12 +19,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from loose_env.arms import ShakenArm
 from loose_env.cli.command import command
 from loose_env.io import Count
 from loose_env.statistics import axial_difference
 from loose_env.typing import Array
 from scripts.thesis.rigs import PROXIMAL, STIFF_PIN_FACTOR, Pin, ShakenVeraParameters, shaken_vera
+from scripts.thesis.shaken_arm import ShakenArm
 from scripts.thesis.shaken_vera import from_y, printed_healthy
 
 # Parameter, lowest and highest value, and whether to search on a logarithmic scale.

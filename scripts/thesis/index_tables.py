@@ -92,21 +92,10 @@ class IndexRow:
             parts.append(f"angle {self.turn_off:.0f}° off" if far else "angle one step off")
         return "; ".join(parts) or "agrees"
 
-    def cells(self) -> tuple[str, ...]:
-        """Row of the table."""
-        known = self.mag_e is not None
-        return (
-            f"{self.theta2}°",
-            f"{self.change_printed:.2f}",
-            f"{self.change:.2f}" if known else "–",
-            f"{self.turn_printed:.0f}°",
-            f"{self.turn:.0f}°",
-            f"{self.mag_d_printed:.3g}",
-            f"{self.mag_d_columns:.3f}",
-            f"{self.mag_d:.3f}",
-            f"{self.mag_e:.2f}" if known else "–",
-            self.remark,
-        )
+    @property
+    def known(self) -> tuple[str, str]:
+        """|1 - C*| and mag(E) recomputed, dashes where C* itself is not known."""
+        return ("–", "–") if self.mag_e is None else (f"{self.change:.2f}", f"{self.mag_e:.2f}")
 
 
 def index_rows(condition: str) -> list[IndexRow]:
@@ -179,7 +168,7 @@ def index_tables(seed: int) -> Section:
     figure = index_figure(
         {"looseness": loose, "low preload, no fault": preload, "backlash": backlash}
     )
-    indices = [[row.cells() for row in rows] for rows in (loose, preload, backlash)]
+    indices = [[(row,) for row in rows] for rows in (loose, preload, backlash)]
     return section("index_tables", locals(), [_error_rows(errors), *indices, slips], [figure])
 
 

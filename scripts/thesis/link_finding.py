@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.stats import binomtest
 
-from loose_env.arms import Arm, LinearArm, planar
+from loose_env.arms import Arm, planar
 from loose_env.diagnosis import (
     LinkFindingSettings,
     Order,
@@ -19,12 +19,10 @@ from loose_env.diagnosis import (
     next_joint,
     statistics_of,
 )
-from loose_env.envs import Difficulty, FaultSampler
-from loose_env.excitation import at_levels
-from loose_env.faults import Healthy
-from loose_env.rig import Job, Measurement, SimulatedRig
+from loose_env.rig import Measurement
 from loose_env.statistics import axial_difference, axial_mean
 from loose_env.typing import Array
+from scripts.thesis.later import Twins
 from scripts.thesis.page import Section, printed, section
 from scripts.thesis.plots import Points, by_category, rms
 from scripts.thesis.rigs import shaken_vera
@@ -45,7 +43,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ARMS, LINKS = 64, 4
-DURATION = 1.2
 _MOVE = np.pi / 2  # a quarter turn: the direction then turns by as much as it can
 # The thesis prints no e_min or e_max: nearer to "stayed" than to "turned" is what is asked.
 _NEARER = LinkFindingSettings(still=0.5, turned=np.finfo(float).max)
@@ -94,41 +91,27 @@ def search(arm: Arm, estimator: str, order: Order, *, seed: int, arms: int = ARM
     reference in each pose. Joint 1 is shaken, all others are braked. A joint moves by a quarter
     turn; the direction has turned if it turned by more than half of that.
     """
-    linear, difficulty = LinearArm(arm), Difficulty()
-    sampler = FaultSampler(linear, difficulty)
-    rig = SimulatedRig(arm, slots=2 * arms)
-    pose, links = np.zeros((arms, arm.n)), 1 + np.arange(arms) % arm.n
-    for k in range(arms):
-        rng = np.random.default_rng([seed, 11, k])
-        fault = sampler.draw(rng, hypothesis=f"structural_looseness@link{links[k]}")
-        mismatch = difficulty.mismatch.draw(arm, rng)
-        rig.mount(2 * k, fault, mismatch)
-        rig.mount(2 * k + 1, Healthy(), mismatch)
-        pose[k] = arm.random_pose(rng)
-    levels = np.zeros(arm.n)
-    levels[0] = arm.levels[-1]
+    twins = Twins.draw(arm, arms, [seed, 11])
+    links = 1 + np.arange(arms) % arm.n
     low, high = np.ones(arms, dtype=int), np.full(arms, arm.n)
     moves, moved = np.zeros(arms, dtype=int), np.zeros(arms, dtype=int)
     before: list[Sighting | None] = [None] * arms
     for step in range(arm.n):
         open_ = [int(k) for k in np.flatnonzero(low < high)]
-        jobs = []
-        for k in open_:
-            shake, _ = at_levels(linear.at(pose[k]), levels, duration=DURATION)
-            for twin in (0, 1):
-                rng = np.random.default_rng([seed, 12, k, step, twin])
-                jobs.append(Job(slot=2 * k + twin, pose=pose[k], excitation=shake, rng=rng))
-        measured = rig.measure_many(jobs) if jobs else []
-        for k, loose, healthy in zip(open_, measured[::2], measured[1::2], strict=True):
-            last, seen = before[k], _sighting(pose[k].copy(), ESTIMATORS[estimator](loose, healthy))
-            before[k], joint = seen, int(moved[k])
+        shakes = twins.one_joint(0, arm.levels[-1], arms=open_)
+        measured = twins.measure(shakes, [seed, 12], arms=open_, more=[step]) if open_ else []
+        for k, pair in zip(open_, measured, strict=True):
+            if pair is None:
+                continue
+            last, pose, joint = before[k], twins.poses[k], int(moved[k])
+            seen = before[k] = _sighting(pose.copy(), ESTIMATORS[estimator](*pair))
             if last is not None and judge_turn(last, seen, joint, _NEARER) == "still":
                 low[k] = joint
             elif last is not None:
                 high[k] = joint - 1
             if low[k] < high[k]:
                 moved[k] = next_joint(order, int(low[k]), int(high[k]))
-                pose[k, moved[k] - 1] += _MOVE
+                pose[moved[k] - 1] += _MOVE
                 moves[k] += 1
     return [Search(int(links[k]), int(low[k]), int(moves[k])) for k in range(arms)]
 

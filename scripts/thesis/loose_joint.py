@@ -21,8 +21,8 @@ from loose_env.faults import (
     Fault,
     Healthy,
     StructuralLooseness,
-    seat_of,
     seated_spec,
+    seats_of,
     set_seat,
 )
 from loose_env.kinematics import Chain, Frame, JointKind
@@ -148,7 +148,7 @@ def _unit(axis: ArrayLike) -> Array:
 
 def seated_inertia(arm: Arm, pose: ArrayLike, fault: Fault) -> Array:
     """Inertia matrix M of the driven joints and, for a fault, its seat last (3.43)."""
-    link, kind = seat_of(fault)
+    link, (kind,) = seats_of(fault)
     if isinstance(fault, Healthy) or link is None:
         return mass_matrix(arm.model, placed(arm, pose), arm.joints)
     spec = seated_spec(arm, link, kind)
@@ -414,7 +414,7 @@ def _dock(arm: Arm, q: Array, fault: Fault, jig: Jig) -> tuple[mujoco.MjModel, m
     place = placed(arm, q).site(arm.tool)
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, place.xmat)
-    link, kind = seat_of(fault)
+    link, (kind,) = seats_of(fault)
     spec = seated_spec(arm, arm.n if link is None else link, kind)
     spec.worldbody.add_site(name="jig", pos=place.xpos.tolist(), quat=quaternion.tolist())
     spec.add_equality(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -37,6 +37,7 @@ from scripts.thesis.loose_joint import (
     simulate_docked,
 )
 from scripts.thesis.page import Rows, Section, printed, section
+from scripts.thesis.plots import note
 from scripts.thesis.rigs import LOOSE_GAP
 
 if TYPE_CHECKING:
@@ -405,15 +406,11 @@ def modelling(seed: int) -> Section:
     sizes = [len(seated_inertia(arm, [0.3, POSES[1]], fault)) for fault in (Healthy(), SEAT)]
     density = SENSORS.accelerometer.noise_density / 9.80665e-6
 
-    def table(found: list[Disagreement]) -> Rows:
+    def table(found: list[Disagreement]) -> list[tuple[Any, ...]]:
+        both = [(w, (w.against_noise, w.against_all)) for w in found]
         return [
-            (
-                w.name,
-                *(f"{x:.2g}" for x in (w.gap, w.noise, w.model)),
-                ALTERNATIVES[w.name][2],
-                *(f"{r:.2g}" if r < 10 else f"{r:.0f}" for r in (w.against_noise, w.against_all)),
-            )
-            for w in found
+            (w, ALTERNATIVES[w.name][2], *(f"{r:.2g}" if r < 10 else f"{r:.0f}" for r in ratios))
+            for w, ratios in both
         ]
 
     rank_rows = [
@@ -451,24 +448,11 @@ def ratios_figure(compared: Sequence[Disagreement]) -> Figure:
             left, width = min(ratio, 1.0), abs(ratio - 1.0)
             axes.barh(y + shift, width, left=left, height=0.17, color=colour, zorder=2)
             if k == 0:
-                axes.text(
-                    max(w.against_noise, 1.0) * 1.15,
-                    y + shift,
-                    f"over {word}",
-                    color=INK,
-                    fontsize=8,
-                    va="center",
-                )
-        axes.text(low, y + 0.23, w.name, color=INK, fontsize=9.5, va="bottom")
-        axes.text(
-            high,
-            y + 0.23,
-            f"{w.against_noise:.2g} and {w.against_all:.2g}",
-            color=INK,
-            fontsize=9.5,
-            ha="right",
-            va="bottom",
-        )
+                x = max(w.against_noise, 1.0) * 1.15
+                note(axes, x, y + shift, f"over {word}", size=8, va="center")
+        note(axes, low, y + 0.23, w.name, size=9.5, va="bottom")
+        words = f"{w.against_noise:.2g} and {w.against_all:.2g}"
+        note(axes, high, y + 0.23, words, size=9.5, ha="right", va="bottom")
         axes.plot([1.0, 1.0], [y - 0.24, y + 0.22], color=INK, linewidth=1.2, zorder=3)
     axes.set_xscale("log")
     axes.set(xlim=(low, high), ylim=(0.6 - len(compared), 0.62))
@@ -492,14 +476,9 @@ def condition_figure(points: Sequence[tuple[str, int, float]]) -> Figure:
     axes.plot(ratio, [backlash_condition(r) for r in ratio], color=MUTED, linewidth=1.8, zorder=2)
     for name, colour, marker, side in (("planar4", MEASURED, "o", 1), ("vera", SHAKEN, "s", -1)):
         own = [(j, r) for n, j, r in points if n == name]
+        look: dict[str, Any] = {"linestyle": "none", "marker": marker, "markersize": 6, "zorder": 3}
         axes.plot(
-            [r for _, r in own],
-            [backlash_condition(r) for _, r in own],
-            linestyle="none",
-            marker=marker,
-            markersize=6,
-            color=colour,
-            zorder=3,
+            [r for _, r in own], [backlash_condition(r) for _, r in own], color=colour, **look
         )
         middle = float(np.exp(np.mean([np.log(r) for _, r in own])))
         at = backlash_condition(middle)
@@ -515,11 +494,11 @@ def condition_figure(points: Sequence[tuple[str, int, float]]) -> Figure:
     axes.set(xscale="log", yscale="log", xlim=(1e-3, 1e2), ylim=(1, 1e4))
     axes.grid(color=FAINT, linewidth=0.8)
     # Plain numbers: the exponents of a power of ten are too small to read.
-    ratios, conditions = 10.0 ** np.arange(-3, 3), 10.0 ** np.arange(5)
-    axes.set_xticks(ratios, [f"{r:g}" for r in ratios])
+    decades, conditions = 10.0 ** np.arange(-3, 3), 10.0 ** np.arange(5)
+    axes.set_xticks(decades, [f"{r:g}" for r in decades])
     axes.set_yticks(conditions, [f"{c:.0f}" for c in conditions])
     axes.minorticks_off()
     quiet_axes(axes, grid="y", spines=(), pad=6, size=9)
     axes.set_xlabel("inertia of motor side over link side", color=MUTED, fontsize=9)
-    axes.text(0.0, 1.04, "condition", color=MUTED, fontsize=9, transform=axes.transAxes)
+    note(axes, 0.0, 1.04, "condition", color=MUTED, inside=True)
     return figure

@@ -117,21 +117,40 @@ class _Words(string.Formatter):
 
 
 def section(
-    key: str, say: Mapping[str, Any], tables: Sequence[Rows] = (), figures: Sequence[Figure] = ()
+    key: str, say: Mapping[str, Any], tables: Sequence[Any] = (), figures: Sequence[Figure] = ()
 ) -> Section:
     """Fill the text of a section; tables and figures in the order of the text.
 
     The text knows what was printed, ``say``, which is mostly the section's ``locals()``, and the
     constants of its module.
 
-    A table that has no columns in the text has them in its first row.
+    A table that has no columns in the text has them in its first row. One with ``cells`` formats
+    the values of a row by them, but for rows of text alone; one with ``rows`` is all in the text.
     """
     text = text_of(key)
     module = vars(import_module(f"scripts.thesis.{SECTIONS[key]}"))
     names = {**module, **text.get("printed", {}), **say}
 
-    def fill(words: str) -> str:
-        return _Words().vformat(words, (), names)
+    def fill(words: str, *values: Any) -> str:
+        return _Words().vformat(words, values, names)
+
+    computed = iter(tables)
+
+    def formatted(table: Mapping[str, Any]) -> Table:
+        """A table of the text with its rows, the next ones where the text has none."""
+        if "rows" in table:
+            rows = [[fill(cell) for cell in row] for row in table["rows"]]
+        else:
+            rows = list(next(computed))
+        if "cells" in table:
+            rows = [
+                row if all(isinstance(v, str) for v in row) else [fill(c, *row) for c in cells]
+                for cells in [table["cells"]]
+                for row in rows
+            ]
+        columns = [fill(c) for c in table["columns"]] if "columns" in table else rows[0]
+        rows = rows if "columns" in table else rows[1:]
+        return Table(caption=paragraphs(table["caption"])[0], columns=columns, rows=rows)
 
     def paragraphs(words: str) -> list[str]:
         parts = (" ".join(part.split("\n")) for part in words.strip().split("\n\n"))
@@ -142,14 +161,7 @@ def section(
         title=text["title"],
         finding=paragraphs(text["finding"])[0],
         words=paragraphs(text["words"]),
-        tables=[
-            Table(
-                caption=paragraphs(table["caption"])[0],
-                columns=[fill(c) for c in table["columns"]] if "columns" in table else rows[0],
-                rows=rows if "columns" in table else rows[1:],
-            )
-            for table, rows in zip(text.get("table", ()), tables, strict=True)
-        ],
+        tables=[formatted(table) for table in text.get("table", ())],
         cards=[
             FigureCard(
                 image=image,

@@ -47,20 +47,47 @@ class Curve(NamedTuple):
     values: Array
 
 
-def square_panels(count: int, names: Sequence[str], columns: int = 3) -> tuple[Figure, list[Axes]]:
-    """Square panels without frames, so many side by side, below a legend of the states."""
-    rows, side, head = -(-count // columns), WIDTH / columns, 0.32
-    height = rows * (side + 0.1) + head
-    figure = new_figure(height)
-    legend_row(figure, names, height)
-    found: list[Axes] = []
+def note(
+    axes: Axes,
+    x: float,
+    y: float,
+    text: str,
+    *,
+    color: str = INK,
+    size: float = 9,
+    inside: bool = False,
+    **look: Any,
+) -> None:
+    """Write into axes, at a place in the data, or ``inside`` as a share of the axes."""
+    place = {"transform": axes.transAxes} if inside else {}
+    axes.text(x, y, text, color=color, fontsize=size, **place, **look)
+
+
+def bare_panels(
+    count: int, columns: int, *, flat: float = 1.0, above: float = 0.1, head: float = 0.0
+) -> tuple[Figure, list[Axes]]:
+    """Panels without frames, so many side by side; ``flat``: height over width.
+
+    There is room above each panel, and a head above all of them [inch].
+    """
+    side, height = flat * WIDTH / columns, head
+    height += -(-count // columns) * (side + above)
+    figure, found = new_figure(height), []
     for k in range(count):
         row, column = divmod(k, columns)
-        bottom = (height - head - (row + 1) * (side + 0.1)) / height
+        bottom = (height - head - (row + 1) * (side + above)) / height
         axes = figure.add_axes((column / columns, bottom, 1 / columns, side / height))
+        axes.set(aspect="equal")
         axes.set_axis_off()
         axes.patch.set_alpha(0.0)
         found.append(axes)
+    return figure, found
+
+
+def square_panels(count: int, names: Sequence[str], columns: int = 3) -> tuple[Figure, list[Axes]]:
+    """Square panels without frames, so many side by side, below a legend of the states."""
+    figure, found = bare_panels(count, columns, head=0.32)
+    legend_row(figure, names, float(figure.get_figheight()))
     return figure, found
 
 
@@ -153,15 +180,8 @@ def curves_by_direction(
         marked = (np.degrees(direction) - 90) % 180
         axes.axvline(marked, color=INK, linewidth=1.0)
         if k == 0:
-            axes.text(
-                marked,
-                1.03,
-                label,
-                transform=axes.get_xaxis_transform(),
-                color=INK,
-                fontsize=8.5,
-                ha="center",
-            )
+            place = axes.get_xaxis_transform()
+            note(axes, marked, 1.03, label, size=8.5, ha="center", transform=place)
         axes.set_xlim(0, 180)
         axes.set_xticks(range(0, 181, 30))
         if k < len(panels) - 1:
@@ -189,16 +209,7 @@ def panels(
             (_LEFT / WIDTH, bottom / total, 1 - (_LEFT + _RIGHT) / WIDTH, height / total)
         )
         quiet_axes(axes, grid="both", width=0.6)
-        axes.text(
-            0.0,
-            1 + 0.07 / height,
-            title,
-            transform=axes.transAxes,
-            color=INK,
-            fontsize=9,
-            ha="left",
-            va="bottom",
-        )
+        note(axes, 0.0, 1 + 0.07 / height, title, inside=True, ha="left", va="bottom")
         axes.set_ylabel(label, color=MUTED, fontsize=8.5)
         axes.yaxis.set_label_coords(-0.095, 0.5)
         found.append(axes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import mujoco
@@ -21,10 +22,11 @@ from loose_env.kinematics import (
     worst_push,
     wrench_rank,
 )
-from loose_env.report import WIDTH, new_figure, quiet_axes
+from loose_env.report import new_figure, quiet_axes
 from loose_env.typing import Array
 from scripts.thesis.loose_joint import mass_matrix, placed
 from scripts.thesis.page import Section, printed, section
+from scripts.thesis.plots import bare_panels, note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -134,32 +136,13 @@ class Comparison(NamedTuple):
     """Name and mean drive of each chosen set, in the same unit."""
 
 
-class Trial(NamedTuple):
-    """Chosen and random pose sets of one arm; scores are per energy or per torque."""
+def trial(arm: Arm, seed: list[int]) -> SimpleNamespace:
+    """Choose sets per energy and per torque and set their drive beside that of random sets.
 
-    arm: Arm
-    candidates: int
-    poses: Array
-    """Set chosen per energy [rad] (P, n)."""
-    pushes: Array
-    """Push of the last link's seat from each joint in those, in its axes (P, 2, n)."""
-    rows: Sequence[tuple[str, ...]]
-    moves: Sequence[tuple[str, ...]]
-    wins: dict[str, float]
-    """Share of random sets driven less, by score and drive, as the next two [1]."""
-    gains: dict[str, float]
-    """Drive of the chosen set over that of random poses [1]."""
-    follows: dict[str, float]
-    """Rank correlation of the score with the drive [1]."""
-    proximal: dict[str, float]
-    """Rank correlation of the proximal ellipsoid's shorter axis with the last seat's drive [1]."""
-    least_sine: dict[str, float]
-    """Smallest |sin| of a move in the set chosen per energy, by the difference used [1]."""
-    comparisons: list[Comparison]
-
-
-def trial(arm: Arm, seed: list[int]) -> Trial:
-    """Choose sets per energy and per torque and set their drive beside that of random sets."""
+    By score and drive: share of random sets driven less, drive over that of random poses, and rank
+    correlation of the score with it; by drive: that of the proximal ellipsoid's shorter axis with
+    the last seat's drive; by difference: smallest |sin| of a move in the set chosen per energy.
+    """
     rng = np.random.default_rng(seed)
     linear = LinearArm(arm, remember=4)
     candidates = chebyshev_poses(arm, _POINTS[arm.n])
@@ -181,8 +164,7 @@ def trial(arm: Arm, seed: list[int]) -> Trial:
             sine = float(np.abs(np.sin(angle)).min())
             if by == "energy":
                 least_sine[difference] = sine
-            turns = (f"{np.degrees(turn):.0f}°" for turn in (angle.min(), angle.mean()))
-            moves.append((arm.name, by, difference, *turns, f"{sine:.2f}"))
+            moves.append((arm.name, by, difference, angle.min(), angle.mean(), sine))
     narrow = [submanipulator(arm, q, arm.n).lengths[-1] for q in drawn]
     for per, unit in _PER:
         drive = np.array([_worst(linear, q, per) for q in drawn])
@@ -195,35 +177,25 @@ def trial(arm: Arm, seed: list[int]) -> Trial:
             gains[key] = own / float(drive.mean())
             follows[key] = float(spearmanr(scores_drawn[by], drive).statistic)
             marks.append((f"per {by}", own))
-            rows.append(
-                (
-                    arm.name,
-                    by,
-                    unit,
-                    f"{drive.mean():.2g}",
-                    f"{own:.2g}",
-                    f"{gains[key]:.2f}",
-                    f"{100 * wins[key]:.0f} %",
-                    f"{follows[key]:.2f}",
-                )
-            )
+            scores_of = (gains[key], wins[key], follows[key])
+            rows.append((arm.name, by, unit, drive.mean(), own, *scores_of))
         last = [seat_drive(linear, q, arm.n, per=per)[0] for q in drawn]
         proximal[per] = float(spearmanr(narrow, last).statistic)
         comparisons.append(Comparison(f"{arm.name}, per {unit}", sets, marks))
     pushes = np.array([reactions(arm, q).per_energy[-1, :2] for q in chosen["energy"]])
-    return Trial(
-        arm,
-        len(candidates),
-        chosen["energy"],
-        pushes,
-        rows,
-        moves,
-        wins,
-        gains,
-        follows,
-        proximal,
-        least_sine,
-        comparisons,
+    return SimpleNamespace(
+        arm=arm,
+        candidates=len(candidates),
+        poses=chosen["energy"],
+        pushes=pushes,
+        rows=rows,
+        moves=moves,
+        wins=wins,
+        gains=gains,
+        follows=follows,
+        proximal=proximal,
+        least_sine=least_sine,
+        comparisons=comparisons,
     )
 
 
@@ -265,16 +237,9 @@ def pose_choice(seed: int) -> Section:
         agree_line += abs(axis_difference_deg(line, here_line)) <= AGREES_DEG
         if not same:
             slips.append((theta, major, abs(axis_difference_deg(major, 0.0))))
+        told_axis, ratio = f"{major}" + " (slip)" * (not same), found.lengths[0] / found.lengths[1]
         ellipsoid_rows.append(
-            (
-                f"{theta}°",
-                f"{line}",
-                like(here_line, line),
-                f"{major}" if same else f"{major} (slip)",
-                like(here, major),
-                f"{off:+.1f}",
-                f"{found.lengths[0] / found.lengths[1]:.2f}",
-            )
+            (theta, line, like(here_line, line), told_axis, like(here, major), off, ratio)
         )
         tilt, name = np.radians(major), f"θ₂ = {theta}°"
         panels.append(
@@ -304,15 +269,7 @@ def pose_choice(seed: int) -> Section:
         shares.append(along / float(np.linalg.norm(one)))
         rank, values = wrench_rank(push[:2])
         ranks.append(rank)
-        push_rows.append(
-            (
-                f"{theta}°",
-                f"{direction_deg(one) % 180:.0f}",
-                f"{100 * shares[-1]:.0f} %",
-                str(rank),
-                f"{values[-1]:.2f}",
-            )
-        )
+        push_rows.append((theta, direction_deg(one) % 180, shares[-1], rank, values[-1]))
     least, most, order = min(shares), max(shares), np.argsort(shares)
     worst_pose = told["theta2_deg"][order[0]]
     errors = np.abs(told["direction_error_deg"])[order]
@@ -341,16 +298,8 @@ def ellipsoid_figure(arm: Arm, panels: Sequence[EllipsoidPanel], *, columns: int
     """Draw the arm and its manipulability ellipsoid in the tool frame, y up, a panel a pose."""
     from matplotlib.lines import Line2D
 
-    rows = -(-len(panels) // columns)
-    side, top = _FLAT * WIDTH / columns, 0.3
-    height = rows * (side + top) + 0.02
-    figure = new_figure(height)
-    for k, panel in enumerate(panels):
-        row, column = divmod(k, columns)
-        bottom = 1 - ((row + 1) * (side + top)) / height
-        axes = figure.add_axes(
-            (column / columns, bottom, 1 / columns, side / height), aspect="equal"
-        )
+    figure, places = bare_panels(len(panels), columns, flat=_FLAT, above=0.3)
+    for axes, panel in zip(places, panels, strict=True):
         _ellipsoid(axes, arm, panel)
     entries = [
         Line2D([], [], color=MEASURED, linewidth=1.6),
@@ -367,9 +316,7 @@ def ellipsoid_figure(arm: Arm, panels: Sequence[EllipsoidPanel], *, columns: int
 def set_figure(arms: Sequence[tuple[Arm, Array, Array]]) -> Figure:
     """Draw the chosen poses, a row an arm, with the pushes on the last link's seat."""
     columns = max(len(poses) for _, poses, _ in arms)
-    side, top = WIDTH / columns, 0.42
-    height = len(arms) * (side + top)
-    figure = new_figure(height)
+    figure, places = bare_panels(len(arms) * columns, columns, above=0.42)
     for row, (arm, poses, pushes) in enumerate(arms):
         drawn = [_drawn(arm, pose, push) for pose, push in zip(poses, pushes, strict=True)]
         low = [np.vstack([points, ends]).min(axis=0) for points, ends in drawn]
@@ -378,28 +325,15 @@ def set_figure(arms: Sequence[tuple[Arm, Array, Array]]) -> Figure:
             max(np.ptp([a, b], axis=0).max() for a, b in zip(low, high, strict=True))
         )
         for column, (points, ends) in enumerate(drawn):
-            bottom = 1 - ((row + 1) * (side + top)) / height
-            axes = figure.add_axes(
-                (column / columns, bottom, 1 / columns, side / height), aspect="equal"
-            )
+            axes = places[row * columns + column]
             _arm(axes, points)
+            look: dict[str, Any] = {"arrowstyle": "-|>", "color": TRUTH, "linewidth": 1.4}
+            look |= {"shrinkA": 0, "shrinkB": 0}
             for end in ends:
-                axes.annotate(
-                    "",
-                    xy=(float(end[0]), float(end[1])),
-                    xytext=(float(points[-2, 0]), float(points[-2, 1])),
-                    arrowprops={
-                        "arrowstyle": "-|>",
-                        "color": TRUTH,
-                        "linewidth": 1.4,
-                        "shrinkA": 0,
-                        "shrinkB": 0,
-                    },
-                    zorder=4,
-                )
+                seat = (float(points[-2, 0]), float(points[-2, 1]))
+                axes.annotate("", xy=tuple(end), xytext=seat, arrowprops=look, zorder=4)
             x, y = (low[column] + high[column]) / 2
             axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
-            axes.axis("off")
             angles = [f"{a:.0f}°".replace("-", "−") for a in np.degrees(poses[column])]
             lines = [", ".join(angles[k : k + 2]) for k in range(0, len(angles), 2)]
             axes.set_title("\n".join(lines), fontsize=8.5, color=MUTED, pad=1)
@@ -436,7 +370,7 @@ def comparison_figure(comparisons: Sequence[Comparison], *, columns: int = 2) ->
             axes.text(at + shift, 1.32, name, color=colour, fontsize=8.5, ha=side, va="top")
         most = max([2.0, *(value / unit for _, value in item.chosen)])
         axes.set(xlim=(0.0, 1.12 * most), ylim=(0, 1.35))
-        axes.text(0, 1.1, item.title, transform=axes.transAxes, color=INK, fontsize=9)
+        note(axes, 0, 1.1, item.title, inside=True)
         axes.set_yticks([])
         quiet_axes(axes, grid=None, pad=4, size=8)
         if row == rows - 1:
@@ -465,7 +399,6 @@ def _ellipsoid(axes: Axes, arm: Arm, panel: EllipsoidPanel) -> None:
         axes.plot(ends[:, 0], ends[:, 1], zorder=4, **look)
     wide, middle = 0.72 * arm.reach, -0.38 * arm.reach
     axes.set(xlim=(middle - wide, middle + wide), ylim=(-_FLAT * wide, _FLAT * wide))
-    axes.axis("off")
     colour = INK if panel.agrees else TRUTH
     axes.set_title(panel.title, fontsize=8.5, color=colour, pad=2)
 

@@ -57,37 +57,22 @@ def cylindrical(*, hold: HoldKind = "brake") -> Arm:
     for name, axis in (("lean_fore", (0, 1, 0)), ("lean_side", (1, 0, 0))):
         floor.add_joint(name=name, type=_HINGE, axis=list(axis))
 
-    column = _link(
-        floor, 1, (0, 0, 0.1), _HINGE, (0, 0, 1), flange_mass=20.0, armature=5.0, damping=400.0
-    )
+    column = _link(floor, 1, (0, 0, 0.1), _HINGE, (0, 0, 1), (20.0, 5.0, 400.0))
     _mass(column, _COLUMN_MASS, (0, 0, 0.75), _box(_COLUMN_MASS, 0.45, 0.45, 1.7))
 
-    carriage = _link(
-        column,
-        2,
-        (0.15, 0, _LOWEST - 0.1),
-        _SLIDE,
-        (0, 0, 1),
-        flange_mass=10.0,
-        armature=10.0,
-        damping=900.0,
-    )
+    carriage = _link(column, 2, (0.15, 0, _LOWEST - 0.1), _SLIDE, (0, 0, 1), (10.0, 10.0, 900.0))
     _mass(carriage, _CARRIAGE_MASS, (0, 0, 0), _box(_CARRIAGE_MASS, 0.6, 0.5, 0.4))
     blocks = _body(
         carriage, GUIDE, (0, 0, 0), _BLOCKS_MASS, (0, 0, 0), _box(_BLOCKS_MASS, 0.5, 0.2, 0.2)
     )
-    boom = _link(
-        blocks, 3, (0, 0, 0), _SLIDE, (1, 0, 0), flange_mass=5.0, armature=5.0, damping=300.0
-    )
+    boom = _link(blocks, 3, (0, 0, 0), _SLIDE, (1, 0, 0), (5.0, 5.0, 300.0))
     centre = _BOOM_AHEAD - _BOOM_LENGTH / 2
     _mass(boom, _BOOM_MASS, (centre, 0, 0), _box(_BOOM_MASS, _BOOM_LENGTH, 0.15, 0.15))
 
     parent, place = boom, (_BOOM_AHEAD, 0.0, -0.15)
     for number, axis in ((4, (1, 0, 0)), (5, (0, 1, 0)), (6, (1, 0, 0))):
         mass, length = _WRIST[number - 4]
-        link = _link(
-            parent, number, place, _HINGE, axis, flange_mass=1.0, armature=0.05, damping=5.0
-        )
+        link = _link(parent, number, place, _HINGE, axis, (1.0, 0.05, 5.0))
         _mass(link, mass, (length / 2, 0, 0), _box(mass, length, 0.12, 0.12))
         parent, place = link, (length, 0.0, 0.0)
     parent.add_site(name="tool", pos=list(place))
@@ -153,23 +138,14 @@ def _link(
     at: Sequence[float],
     kind: mujoco.mjtJoint,
     axis: Sequence[float],
-    *,
-    flange_mass: float,
-    armature: float,
-    damping: float,
+    flange: tuple[float, float, float],
 ) -> mujoco.MjsBody:
-    """Add the flange that carries a joint, and on it the still massless link."""
-    flange = _body(
-        parent, f"flange{number}", at, flange_mass, (0, 0, 0), _box(flange_mass, 0.1, 0.1, 0.1)
-    )
-    flange.add_joint(
-        name=f"joint{number}",
-        type=kind,
-        axis=list(axis),
-        armature=armature,
-        damping=[damping, 0, 0],
-    )
-    return flange.add_body(name=f"link{number}")
+    """Add a flange (its mass, armature and damping) with a joint, and the still massless link."""
+    mass, armature, damping = flange
+    body = _body(parent, f"flange{number}", at, mass, (0, 0, 0), _box(mass, 0.1, 0.1, 0.1))
+    joint = body.add_joint(name=f"joint{number}", type=kind, axis=list(axis))
+    joint.armature, joint.damping = armature, [damping, 0, 0]
+    return body.add_body(name=f"link{number}")
 
 
 def _body(

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.signal import welch
 from scipy.stats import gmean
 
-from loose_env.arms import BENDING_MODE_HZ, COIL, Arm, LinearArm, ShakenArm
+from loose_env.arms import BENDING_MODE_HZ, COIL, Arm, LinearArm
 from loose_env.envs import FAINT, INK, MUTED
 from loose_env.excitation import Excitation
 from loose_env.faults import Backlash, Fault, Healthy
@@ -56,6 +56,7 @@ from scripts.thesis.rigs import (
     loosened,
     shaken_vera,
 )
+from scripts.thesis.shaken_arm import ShakenArm
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -117,42 +118,43 @@ class Spread(NamedTuple):
         low, high = np.quantile(axial_difference(np.array(angles), centre), [0.025, 0.975])
         return cls(float(centre), float(centre + low), float(centre + high))
 
-    def words(self, digits: int = 2) -> str:
-        """Format a value with its interval."""
-        return f"{self.mean:.{digits}f} ({self.low:.{digits}f} to {self.high:.{digits}f})"
-
-    def axis(self) -> str:
-        """Write a direction with its interval, in degrees from the tool's y axis."""
-        return f"{from_y(self.mean):.0f}° ± {np.degrees(self.high - self.low) / 2:.0f}°"
+    def __format__(self, kind: str) -> str:
+        """Value and interval, to so many digits; ``axis``: in degrees from the tool's y axis."""
+        if kind == "axis":
+            return f"{from_y(self.mean):.0f}° ± {np.degrees(self.high - self.low) / 2:.0f}°"
+        mean, low, high = (f"{value:.{kind}f}" for value in self)
+        return f"{mean} ({low} to {high})"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
-    """One pose in one state, over all its records."""
+    """One angle of a joint in one state, over all its records."""
 
-    theta2: float
-    """Angle of joint 2 [rad]."""
-    measurements: tuple[Measurement, ...]
+    angle: float
+    """Angle of the pose, or of the looseness joint [rad]."""
+    pairs: Sequence[tuple[Array, Array]]
+    """Reference acceleration (N,) and that of the tool (2, N), a pair for every record."""
+    records: Sequence[Measurement] = ()
 
     @property
     def name(self) -> str:
-        """The pose."""
-        return f"{np.degrees(self.theta2):.0f}°"
+        """The angle."""
+        return f"{np.degrees(self.angle):.0f}°"
 
-    @property
-    def pairs(self) -> list[tuple[Array, Array]]:
-        """Acceleration of link 1 (N,) and of the tool (2, N), a pair for every record."""
-        return [(m.probes[PROXIMAL][1], m.tool) for m in self.measurements]
-
-    @property
+    @cached_property
     def lowest(self) -> Spread:
         """Direction of lowest correlation from the tool's x axis [rad] (the thesis's φ)."""
         return Spread.of_axes([lowest_correlation_direction(x, a) for x, a in self.pairs])
 
-    @property
+    @cached_property
     def maximum(self) -> Spread:
         """Maximum correlation over directions (the thesis's C)."""
         return Spread.of([maximum_correlation(x, a) for x, a in self.pairs])
+
+    def moments(self, direction: float, *, third: bool) -> list[float]:
+        """Skewness (third moment) or kurtosis along a direction [rad], record by record."""
+        unit, moment = [np.cos(direction), np.sin(direction)], skewness if third else kurtosis
+        return [moment(a, unit) for _, a in self.pairs]
 
     @property
     def peaks(self) -> tuple[float, float]:
@@ -207,18 +209,26 @@ def axial_turn(found: float, other_deg: float) -> float:
     return float(np.degrees(axial_difference(found, np.radians(other_deg + 90.0))))
 
 
-def measure_states(
-    arm: Arm, excitation: Excitation, slots: Sequence[tuple[Fault, Array, Sequence[int]]]
-) -> list[Measurement]:
-    """Measure faults in poses, each with its seed, by the rig's digitised accelerometers."""
+def measure_case(
+    arm: Arm,
+    fault: Fault,
+    shake: Excitation,
+    seed: Sequence[int],
+    *,
+    angle: float,
+    pair: Callable[[Measurement], tuple[Array, Array]],
+    records: int,
+    pose: Sequence[float] = (0.0,),
+) -> Case:
+    """Measure a fault in a pose by the rig's digitised accelerometers, each record by its seed."""
     sensors = SensorSuite(rate=RATE, accelerometer=Accelerometer(bandwidth=0.45 * RATE))
-    rig = SimulatedRig(arm, slots=len(slots), sensors=sensors)
-    jobs = []
-    for slot, (fault, pose, seed) in enumerate(slots):
-        rig.mount(slot, fault)
-        rng = np.random.default_rng(list(seed))
-        jobs.append(Job(slot=slot, pose=pose, excitation=excitation, rng=rng))
-    return rig.measure_many(jobs)
+    rig, jobs = SimulatedRig(arm, slots=records, sensors=sensors), []
+    for k in range(records):
+        rig.mount(k, fault)
+        rng = np.random.default_rng([*seed, k])
+        jobs.append(Job(slot=k, pose=np.array(pose), excitation=shake, rng=rng))
+    measured = [m for m in rig.measure_many(jobs) if m.failure is None]
+    return Case(angle=angle, pairs=[pair(m) for m in measured], records=measured)
 
 
 @lru_cache(maxsize=8)
@@ -226,21 +236,19 @@ def measured_case(seed: int, state: str, *, records: int = RECORDS) -> list[Case
     """Measure every pose in one state; the first records are the same for any number."""
     fault, pin = STATES[state]
     shake = Excitation(torque_rms=(0.0, 0.0), duration=DURATION, band=SHAKEN_BAND, shaker_rms=FORCE)
-    number, angles = list(STATES).index(state), poses()
-    slots = [
-        (fault, np.array([0.0, theta2]), (seed, number, pose, record))
-        for pose, theta2 in enumerate(angles)
-        for record in range(records)
-    ]
-    measured = measure_states(shaken_vera(pin=pin), shake, slots)
+    arm, number = shaken_vera(pin=pin), list(STATES).index(state)
     return [
-        Case(
-            theta2=theta2,
-            measurements=tuple(
-                m for m in measured[k * records : (k + 1) * records] if m.failure is None
-            ),
+        measure_case(
+            arm,
+            fault,
+            shake,
+            (seed, number, k),
+            angle=theta2,
+            pair=lambda m: (m.probes[PROXIMAL][1], m.tool),
+            records=records,
+            pose=(0.0, theta2),
         )
-        for k, theta2 in enumerate(angles)
+        for k, theta2 in enumerate(poses())
     ]
 
 
@@ -274,7 +282,7 @@ def direction_errors(case: Case, healthy: Case, direction: float) -> Errors:
     lowest = lowest_correlation_direction
     return Errors(
         lowest=errors([lowest(x, a) for x, a in case.pairs]),
-        general=errors([lowest(m.probes[COIL][0], m.tool) for m in case.measurements]),
+        general=errors([lowest(m.probes[COIL][0], m.tool) for m in case.records]),
         coherence=errors([lowest_coherence(x, a) for x, a in case.pairs]),
         change=errors([float(np.arctan2(c[1], c[0])) for c in changes]),
         change_size=float(np.median(np.hypot(*changes.T)) / np.hypot(*reference)),
@@ -323,7 +331,7 @@ def error_rows(cases: Sequence[Case], errors: Sequence[Errors], told: Sequence[f
     for case, theirs, e in zip(cases, told, errors, strict=True):
         cells = (f"{np.mean(v):+.0f}° (RMS {rms(v):.0f}°)" for v in e[:4])
         rows.append((case.name, f"{theirs:+g}°", *cells, f"{100 * e.change_size:.0f} %"))
-    altogether = (spread.words(1) for spread in _estimators(errors).values())
+    altogether = (f"{spread:1}" for spread in _estimators(errors).values())
     return [*rows, ("RMS", f"{rms(np.array(told)):.1f}°", *altogether, "")]
 
 
@@ -413,58 +421,37 @@ def experiment_five(seed: int) -> Section:
     ]
     least_turn, most_turn = min(map(abs, turns)), max(map(abs, turns))
 
-    healthy_rows = [
-        (
-            case.name,
-            f"{from_y(phi):.0f}°",
-            *(f"{from_y(closed[m][k]):.0f}°" for m in ("rigid", "bending", "stiff refitted")),
-            case.lowest.axis(),
-            f"{axial_turn(case.lowest.mean, from_y(phi)):+.0f}°",
-            f"{c:.2f}",
-            case.maximum.words(),
-        )
-        for k, (case, (_, phi, c)) in enumerate(zip(tight, healthy, strict=True))
+    def column(group: str, name: str) -> list[float]:
+        return [case[name] % 180 for case in table[group]]
+
+    turned_by = [
+        (from_y(phi), *(from_y(closed[m][k]) for m in ("rigid", "bending", "stiff refitted")))
+        for k, (_, phi, _) in enumerate(healthy)
     ]
-    loose_rows = [
-        (
-            f.name,
-            f"{table['looseness_cases'][k]['lowest_looseness_deg'] % 180}°",
-            f.lowest.axis(),
-            f"{table['table_6_4']['c_f'][k]:.2f}",
-            f.maximum.words(),
-            f"{table['table_6_5_looseness']['mag_d'][k]:.2f}",
-            loose_index[k].words(),
-        )
-        for k, f in enumerate(loose)
-    ]
-    preload_rows = [
-        (
-            p.name,
-            f"{table['looseness_cases'][k]['lowest_low_preload_deg'] % 180}°",
-            p.lowest.axis(),
-            p.maximum.words(),
-            f"{table['table_6_6_low_preload']['mag_d'][k]:.3f}",
-            preload_index[k].words(3),
-        )
-        for k, p in enumerate(finger)
-    ]
-    pin_rows = [
-        (
-            n.name,
-            n.maximum.words(),
-            p.maximum.words(),
-            n.lowest.axis(),
-            p.lowest.axis(),
-            f"{turn:+.0f}°",
-        )
-        for n, p, turn in zip(tight, released, turns, strict=True)
-    ]
-    tables: list[Rows] = [healthy_rows, loose_rows, preload_rows, error_rows(tight, errors, told)]
+    off_by = [axial_turn(case.lowest.mean, f[0]) for case, f in zip(tight, turned_by, strict=True)]
+    healthy_rows = zip(tight, turned_by, off_by, magnitudes, strict=True)
+    loose_rows = zip(
+        loose,
+        column("looseness_cases", "lowest_looseness_deg"),
+        table["table_6_4"]["c_f"],
+        table["table_6_5_looseness"]["mag_d"],
+        loose_index,
+        strict=True,
+    )
+    preload_rows = zip(
+        finger,
+        column("looseness_cases", "lowest_low_preload_deg"),
+        table["table_6_6_low_preload"]["mag_d"],
+        preload_index,
+        strict=True,
+    )
+    pin_rows = zip(tight, released, turns, strict=True)
+    vera = [error_rows(tight, errors, told), peak_rows(cases, ranges), axis_rows]
     return section(
         "experiment_five",
         locals(),
-        [*tables, peak_rows(cases, ranges), axis_rows, pin_rows],
-        _figures(cases, (TIGHT, LOOSE, FINGER), (TIGHT, LOOSE), LOOSE_DIRECTION, "looseness joint"),
+        [healthy_rows, loose_rows, preload_rows, *vera, pin_rows],
+        _figures(cases, (TIGHT, LOOSE, FINGER), LOOSE_DIRECTION, "looseness joint"),
     )
 
 
@@ -529,19 +516,7 @@ def experiment_six(seed: int) -> Section:
         if c_b < c_n / 2:
             here = f"here from {n.maximum.mean:.2f} to {b.maximum.mean:.2f}"
             fallen.append(f"{n.name} (from {c_n:.2f} to {c_b:.2f}; {here})")
-        rows.append(
-            (
-                n.name,
-                f"{axis % 180}°",
-                b.lowest.axis(),
-                f"{c_n:.2f}",
-                n.maximum.words(),
-                f"{c_b:.2f}",
-                b.maximum.words(),
-                f"{said[k]:.2f}",
-                index[k].words(),
-            )
-        )
+        rows.append((n, b, axis % 180, c_n, c_b, said[k], index[k]))
     apart_poses, fallen_poses = ", ".join(apart) or "no pose", " and ".join(fallen)
     ranges = table["table_6_2_histogram_range_g"]
     wide = np.ptp(ranges["backlash"], axis=1) / np.ptp(ranges["high_preload"], axis=1)
@@ -551,14 +526,8 @@ def experiment_six(seed: int) -> Section:
         "experiment_six",
         locals(),
         [rows, error_rows(tight, errors, told), peak_rows(cases, ranges)],
-        _figures(cases, (TIGHT, PLAY), (TIGHT, PLAY), PLAY_DIRECTION, "backlash motion", pose=2),
+        _figures(cases, (TIGHT, PLAY), PLAY_DIRECTION, "backlash motion", pose=2),
     )
-
-
-def moment_points(cases: Sequence[Case], direction: float, name: str, *, third: bool) -> Points:
-    """Skewness (third moment) or kurtosis of the tool along a direction, pose by pose."""
-    unit, moment = [np.cos(direction), np.sin(direction)], skewness if third else kurtosis
-    return points_of(name, [[moment(a, unit) for _, a in case.pairs] for case in cases])
 
 
 def points_of(name: str, values: Sequence[Sequence[float]]) -> Points:
@@ -567,36 +536,43 @@ def points_of(name: str, values: Sequence[Sequence[float]]) -> Points:
     return Points(name, mean, low, high)
 
 
-def _figures(
-    cases: Cases,
-    states: Sequence[str],
-    two: Sequence[str],
-    direction: float,
-    label: str,
-    *,
-    pose: int = 0,
-) -> list[Figure]:
-    """Loops, histograms, moments along the fault, and what the thesis left aside, by direction."""
-    names = [case.name for case in cases[TIGHT]]
+def loops_of(
+    cases: Cases, states: Sequence[str], direction: float, symbol: str, columns: int = 3
+) -> Figure:
+    """Loops of the first record of each case, a panel an angle."""
     panels = [
-        LoopPanel(f"θ₂ = {name}", [cases[state][k].pairs[0] for state in states], direction)
-        for k, name in enumerate(names)
+        LoopPanel(f"{symbol} = {case.name}", [cases[s][k].pairs[0] for s in states], direction)
+        for k, case in enumerate(cases[states[0]])
     ]
-    moments = [
+    return loop_panels(panels, states, columns)
+
+
+def moment_figures(
+    cases: Cases, states: Sequence[str], direction: float, xlabel: str
+) -> list[Figure]:
+    """Skewness and kurtosis along a direction at each angle, with intervals of single records."""
+    names = [case.name for case in cases[TIGHT]]
+    return [
         by_category(
-            [moment_points(cases[s], direction, s, third=third) for s in states],
+            [points_of(s, [c.moments(direction, third=third) for c in cases[s]]) for s in states],
             names,
             ylabel="skewness" if third else "kurtosis",
-            xlabel="pose θ₂",
+            xlabel=xlabel,
             symlog=1.0,
         )
         for third in (True, False)
     ]
+
+
+def _figures(
+    cases: Cases, states: Sequence[str], direction: float, label: str, *, pose: int = 0
+) -> list[Figure]:
+    """Loops, histograms, moments along the fault, and what the thesis left aside, by direction."""
     return [
-        loop_panels(panels, states),
+        loops_of(cases, states, direction, "θ₂"),
         histogram_panels(cases, states, direction),
-        *moments,
-        direction_figure(cases, two, direction, label, pose=pose),
+        *moment_figures(cases, states, direction, "pose θ₂"),
+        direction_figure(cases, states[:2], direction, label, pose=pose),
     ]
 
 

@@ -26,7 +26,7 @@ from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 from loose_env.statistics import bandpass
 from loose_env.typing import Array
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.plots import centred, panels, rms
+from scripts.thesis.plots import centred, note, panels, rms
 from scripts.thesis.rigs import BENCH, SLIDE, shaken_vera, slide_rig
 
 if TYPE_CHECKING:
@@ -511,10 +511,7 @@ def signals(seed: int) -> Section:
         share_within(slide_records(seed, pair=pair), band, limits, within) for pair in range(PAIRS)
     ]
     least, most, middle = min(shares), max(shares), np.median(shares)
-    angle_rows = [
-        (f"{a:.0f}°", f"{r:.1f}°", f"{line:.1f}°", f"{c:.3f}", f"{s:.1f}°")
-        for a, r, line, c, s in list(zip(*found, strict=True))[::2]
-    ]
+    angle_rows = list(zip(*found, strict=True))[::2]
 
     case = int(np.argmin(np.abs(np.degrees(records.alpha) - told["velocity_angle_deg"])))
     x, y, window = records.x[case], records.y[case], told["velocity_windows_s"][0]
@@ -567,14 +564,8 @@ def signals(seed: int) -> Section:
         slide, base, truth = (bandpass(centred(s), RATE, band) for s in run)
         mended, gain = subtract_base(slide, base, fit=True)
         kinds = (slide, subtract_base(slide, base)[0], mended)
-        base_rows.append(
-            (
-                name,
-                f"{np.corrcoef(base, truth)[0, 1]:+.2f}",
-                *(f"{100 * rms(kind - truth) / rms(truth):.0f} %" for kind in kinds),
-                f"{gain:+.2f}",
-            )
-        )
+        left = (rms(kind - truth) / rms(truth) for kind in kinds)
+        base_rows.append((name, np.corrcoef(base, truth)[0, 1], *left, gain))
         fitted.append(gain)
     return section(
         "signals",
@@ -641,47 +632,21 @@ def moment_figure(records: SlideRecords) -> Figure:
 def velocity_figure(records: SlideRecords, case: int, told: Mapping[str, Any]) -> Figure:
     """Draw velocities by quadrature, step by step and summed, of one record."""
     short, long = told["velocity_windows_s"]
-    rate = RATE
     x, y = records.x[case], records.y[case]
-    figure, axes = panels(
-        [
-            f"two-point rule step by step, {short} s",
-            f"two-point rule summed, {long} s",
-            f"Newton-Cotes summed, {long} s",
-        ],
-        across="time [ms]",
-        up=["mm/s"] * 3,
-        height=1.0,
-    )
-    plans: tuple[tuple[Any, str, float], ...] = (
-        (quadrature_steps, "two_point", short),
-        (integrate, "two_point", long),
-        (integrate, "newton_cotes", long),
-    )
-    for panel, (method, rule, window) in zip(axes, plans, strict=True):
-        part = slice(0, round(window * rate))
+    plans: dict[str, tuple[Any, str, float]] = {
+        f"two-point rule step by step, {short} s": (quadrature_steps, "two_point", short),
+        f"two-point rule summed, {long} s": (integrate, "two_point", long),
+        f"Newton-Cotes summed, {long} s": (integrate, "newton_cotes", long),
+    }
+    figure, axes = panels(list(plans), across="time [ms]", up=["mm/s"] * 3, height=1.0)
+    for panel, (method, rule, window) in zip(axes, plans.values(), strict=True):
+        part = slice(0, round(window * RATE))
         for signal, colour in ((x, MEASURED), (y, SHAKEN)):
-            v = 1000 * method(signal[part], 1 / rate, rule)
-            panel.plot(1000 * np.arange(len(v)) / rate, v, color=colour, linewidth=0.9)
+            v = 1000 * method(signal[part], 1 / RATE, rule)
+            panel.plot(1000 * np.arange(len(v)) / RATE, v, color=colour, linewidth=0.9)
         panel.set_xlim(0, 1000 * window)
-    axes[0].text(
-        1.0,
-        1.07,
-        "x of the cube",
-        transform=axes[0].transAxes,
-        color=MEASURED,
-        fontsize=9,
-        ha="right",
-    )
-    axes[1].text(
-        1.0,
-        1.07,
-        "y of the cube",
-        transform=axes[1].transAxes,
-        color="#a06c00",
-        fontsize=9,
-        ha="right",
-    )
+    note(axes[0], 1.0, 1.07, "x of the cube", color=MEASURED, inside=True, ha="right")
+    note(axes[1], 1.0, 1.07, "y of the cube", color="#a06c00", inside=True, ha="right")
     return figure
 
 
@@ -704,8 +669,6 @@ def resolver_figure(turned: ResolverRecords) -> Figure:
     lower.plot(time, turned.velocity[:count], color=TRUTH, linewidth=1.2)
     for panel in (upper, lower):
         panel.set_xlim(0, time[-1])
-    upper.text(1.0, 1.06, "link", transform=upper.transAxes, color=TRUTH, fontsize=9, ha="right")
-    lower.text(
-        1.0, 1.06, "by 6.13", transform=lower.transAxes, color=MEASURED, fontsize=9, ha="right"
-    )
+    note(upper, 1.0, 1.06, "link", color=TRUTH, inside=True, ha="right")
+    note(lower, 1.0, 1.06, "by 6.13", color=MEASURED, inside=True, ha="right")
     return figure

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from scripts.thesis.matching import (
     planar_study,
     spatial_study,
 )
-from scripts.thesis.page import Rows, Section, printed, section
+from scripts.thesis.page import Section, printed, section
 from scripts.thesis.planar_motion import (
     LoosePlanarArm,
     MonteCarlo,
@@ -46,6 +46,7 @@ from scripts.thesis.planar_motion import (
     tool_velocity,
     transition_table,
 )
+from scripts.thesis.plots import note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -224,10 +225,7 @@ def simulations(seed: int) -> Section:
             "samples": SAMPLES,
         },
         [
-            [
-                (f"{name}, θ₂ = {m.theta2:g}°", *(f"{x:+.3f}" for x in row))
-                for (name, m), row in zip(every, excess, strict=True)
-            ],
+            [(*each, *row) for each, row in zip(every, excess, strict=True)],
             [
                 *(
                     (f"now: {name}", *(f"{p:.4f}" for p in row), f"{total:.4f}", f"{assumed}")
@@ -238,14 +236,7 @@ def simulations(seed: int) -> Section:
                 ("sum", *(f"{p:.4f}" for p in table.sum(axis=0)), f"{table.sum():.4f}", "1"),
             ],
             error_rows,
-            [
-                (
-                    f"{n} samples",
-                    *(f"{e:.1f}°" for e in np.degrees(np.median(errors, axis=0))),
-                    f"{math.degrees(float(np.median(searched))):.1f}°",
-                )
-                for n, (errors, searched) in spatial.items()
-            ],
+            [(n, *np.median(errors, axis=0), np.median(s)) for n, (errors, s) in spatial.items()],
         ],
         [
             _contours(motions["displacement"], 1e3, "mm"),
@@ -284,21 +275,13 @@ def _contours(motions: list[Motion], scale: float, unit: str) -> Figure:
             if row == 0:
                 axes.set_title(f"θ₂ = {m.theta2:g}°", fontsize=9.5, color=INK, pad=4)
             if k == 0:
-                figure.text(
-                    0.03,
-                    0.685 - 0.43 * row,
-                    name,
-                    fontsize=9.5,
-                    color=INK,
-                    rotation=90,
-                    ha="center",
-                    va="center",
-                )
+                look: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "center"}
+                figure.text(0.03, 0.685 - 0.43 * row, name, fontsize=9.5, color=INK, **look)
             if k == 0 and row == 1:
                 length = 10.0 ** math.floor(math.log10(reach))
                 x, y = -0.95 * reach, -0.93 * reach
                 axes.plot([x, x + length], [y, y], color=INK, linewidth=1.6)
-                axes.text(x, y + 0.04 * reach, f"{length:g} {unit}", fontsize=8.5, color=INK)
+                note(axes, x, y + 0.04 * reach, f"{length:g} {unit}", size=8.5)
     return figure
 
 
@@ -330,13 +313,13 @@ def basin_figure(found: Sequence[Found], exact: Array) -> Figure:
             arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 1.0, "shrinkB": 6},
         )
     axes.plot(np.degrees(OFFSETS), exact, color=INK, linewidth=1.0, dashes=(4, 2), zorder=5)
-    axes.text(34.0, 0.955, "the model's own counts", color=INK, fontsize=9, ha="center", va="top")
+    note(axes, 34.0, 0.955, "the model's own counts", ha="center", va="top")
     ticks = [0, 30, 60, 90]
     axes.set_xticks([*ticks, search], [*(f"{t}°" for t in ticks), f"{STARTS}\nstarts"])
     axes.set_yticks([0.0, 0.5, 1.0], ["0 %", "50 %", "100 %"])
     axes.set(xlim=(-3.0, search + 4.0), ylim=(-0.04, 1.04))
     axes.set_xlabel("trial direction away from the truth", color=MUTED, fontsize=9, x=0.42)
-    axes.text(-3.0, 1.09, "within 5° of the truth", color=MUTED, fontsize=9)
+    note(axes, -3.0, 1.09, "within 5° of the truth", color=MUTED)
     quiet_axes(axes, size=9)
     return figure
 
@@ -452,20 +435,6 @@ def correlation_simulations(seed: int) -> Section:
     factors = [float(np.sqrt(np.mean(r.errors**2))) / r.predicted for r in both]
     worst = max(mixed, key=lambda r: r.rms)
 
-    def table(results: list[Loop]) -> Rows:
-        return [
-            (
-                r.name,
-                f"{90 + math.degrees(float(r.errors.mean())):.2f}°",
-                f"{r.rms:.2f}°",
-                f"{math.degrees(r.predicted):.2f}°",
-                f"{r.slope:.2f}",
-                f"{2.0 / r.slope:.2f}",
-                f"{100 * r.low:.1f} %",
-            )
-            for r in results
-        ]
-
     return section(
         "correlation_simulations",
         {
@@ -488,7 +457,7 @@ def correlation_simulations(seed: int) -> Section:
             "wide": 100 * mixed[0].low,
             "sets": SETS,
         },
-        [table(scaled), table(mixed)],
+        [[(r, math.pi / 2 + r.errors.mean(), 2.0 / r.slope) for r in rs] for rs in (scaled, mixed)],
         [_loops(scaled, mixed), _error_figure(scaled, mixed)],
     )
 
@@ -497,25 +466,19 @@ def _loops(scaled: list[Loop], mixed: list[Loop]) -> Figure:
     figure = new_figure(5.0)
     for k, results in enumerate((scaled, mixed)):
         axes = figure.add_axes((0.02 + 0.5 * k, 0.07, 0.46, 0.87))
-        axes.set_title(
-            ("scaled Gaussian", "uniform across")[k], fontsize=9.5, color=INK, x=0.02, ha="left"
-        )
+        name = ("scaled Gaussian", "uniform across")[k]
+        axes.set_title(name, fontsize=9.5, color=INK, x=0.02, ha="left")
         turn = np.linspace(-math.pi / 2, math.pi / 2, 181)
         for radius in (0.5, 1.0):
             axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, linewidth=0.8)
         for angle, label in ((0, "0°"), (45, "45°"), (90, "90°"), (-45, "135°")):
             c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
             axes.plot([0.0, c], [0.0, s], color=FAINT, linewidth=0.8, zorder=0)
-            axes.text(
-                1.08 * c, 1.08 * s, label, fontsize=8.5, color=MUTED, ha="center", va="center"
-            )
-        for j, result in enumerate(results):
-            axes.plot(
-                result.loop * np.cos(LOOP),
-                result.loop * np.sin(LOOP),
-                color=AGENTS[j],
-                linewidth=1.8,
-            )
+            around: dict[str, Any] = {"ha": "center", "va": "center"}
+            note(axes, 1.08 * c, 1.08 * s, label, color=MUTED, size=8.5, **around)
+        for j, r in enumerate(results):
+            x, y = r.loop * np.cos(LOOP), r.loop * np.sin(LOOP)
+            axes.plot(x, y, color=AGENTS[j], linewidth=1.8)
         _key(axes, [r.name for r in results])
         axes.set(xlim=(-0.12, 1.2), ylim=(-1.7, 1.16), aspect="equal")
         axes.axis("off")
@@ -527,7 +490,7 @@ def _key(axes: Axes, names: Sequence[str]) -> None:
     for j, name in enumerate(names):
         x, y = 0.08 + 0.55 * (j // 3), -1.33 - 0.15 * (j % 3)
         axes.plot([x, x + 0.11], [y, y], color=AGENTS[j], linewidth=2.0)
-        axes.text(x + 0.16, y, name, fontsize=8.5, color=INK, va="center")
+        note(axes, x + 0.16, y, name, size=8.5, va="center")
 
 
 def _error_figure(scaled: list[Loop], mixed: list[Loop]) -> Figure:
@@ -537,22 +500,16 @@ def _error_figure(scaled: list[Loop], mixed: list[Loop]) -> Figure:
     count = 1.0 / (scaled[0].predicted * scaled[0].slope) ** 2
     axes.plot(slopes, np.degrees(1.0 / (slopes * math.sqrt(count))), color=MUTED, linewidth=1.2)
     for results, colour, marker in ((scaled, AGENTS[0], "o"), (mixed, AGENTS[1], "s")):
-        axes.plot(
-            [r.slope for r in results],
-            [r.rms for r in results],
-            color=colour,
-            marker=marker,
-            markersize=6,
-            linestyle="none",
-        )
-    axes.text(0.19, 4.8, "uniform across", color=INK, fontsize=9)
-    axes.text(1.12, 0.78, "scaled Gaussian", color=INK, fontsize=9)
+        x, y = [r.slope for r in results], [r.rms for r in results]
+        axes.plot(x, y, color=colour, marker=marker, markersize=6, linestyle="none")
+    note(axes, 0.19, 4.8, "uniform across")
+    note(axes, 1.12, 0.78, "scaled Gaussian")
     axes.set(xscale="log", yscale="log", xlim=(0.13, 8.0), ylim=(0.09, 7.0))
     axes.set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"], minor=False)
     axes.set_yticks([0.1, 0.3, 1, 3], ["0.1°", "0.3°", "1°", "3°"], minor=False)
     axes.set_xticks([], minor=True)
     axes.set_yticks([], minor=True)
     axes.set_xlabel("deviation along over deviation across", color=MUTED, fontsize=9)
-    axes.text(0.13, 8.0, "rms error of the direction", color=MUTED, fontsize=9)
+    note(axes, 0.13, 8.0, "rms error of the direction", color=MUTED)
     quiet_axes(axes, size=9)
     return figure

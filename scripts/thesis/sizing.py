@@ -22,6 +22,7 @@ from loose_env.report import new_figure, quiet_axes
 from loose_env.typing import Array
 from scripts.thesis.loose_joint import placed
 from scripts.thesis.page import Rows, Section, printed, section
+from scripts.thesis.plots import note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -282,12 +283,11 @@ def sizing(seed: int) -> Section:
     fast = [count(lambda rate: rate >= 1, k, "longitudinal") for k in (0, 1)]
     top = max(peaks, key=lambda p: p[0].size)
     reading_rows, tips, fits = _readings(links, told, limits, cases)
-    structure_rows, modulus_gpa, other, inches, smaller = structures(told)
     error, rate_limit = _closed_form_error(arm, links, seed), told["theta2_rate_limit_rad_per_s"]
     return section(
         "sizing",
-        locals(),
-        [torque_rows, reading_rows, force_rows, structure_rows],
+        locals() | structures(told),
+        [torque_rows, reading_rows, force_rows],
         [torque_figure(curves, limits, rate_limit), force_figure(curves)],
     )
 
@@ -340,12 +340,8 @@ def _readings(
     return rows, tips, fits
 
 
-def structures(told: dict[str, Any]) -> tuple[Rows, float, float, float, float]:
-    """Frequencies of links and stinger, from the printed data.
-
-    Returns the rows, Young's modulus of link 1 [GPa], the frequency of link 2 [Hz], that of the
-    stinger [Hz], and by how much its area is smaller than printed [1].
-    """
+def structures(told: dict[str, Any]) -> dict[str, float]:
+    """Frequencies of links and stinger [Hz], and areas of its rod [in²], from the printed data."""
     one, rod = told["link_1"], told["stinger"]
     beam = {
         "second_moment": one["second_moment_m4"],
@@ -369,30 +365,17 @@ def structures(told: dict[str, Any]) -> tuple[Rows, float, float, float, float]:
         mass = rod["slide_mass_kg"]
         return rod_area(frequency=frequency, mass=mass, density=STEEL, **bar) / SQUARE_INCH
 
-    inches, hertz, measured = stinger(rod["area"] * SQUARE_INCH), "frequency_hz", rod["measured_hz"]
-    rows = [
-        ("link 1, first bending mode [Hz] (6.6)", f"{one[hertz]:g}", f"{first:.1f}"),
-        ("… as the simulated arm has it [Hz]", f"{one[hertz]:g}", f"{BENDING_MODE_HZ:g}"),
-        ("… Young's modulus that gives it [GPa]", "—", f"{modulus / 1e9:.1f}"),
-        (
-            "link 2, first bending mode [Hz] (6.6)",
-            f"over {told['link_2_frequency_above_hz']:g}",
-            f"{other:.0f}",
-        ),
-        ("stinger [Hz] (6.11, 6.12), area in square inches", "—", f"{inches:.0f}"),
-        (
-            f"… area in {rod['area_unit']} as printed [Hz]",
-            f"{rod[hertz]:g} (slip)",
-            f"{stinger(rod['area']):.0f}",
-        ),
-        (
-            f"… area that gives the printed {rod[hertz]:g} Hz [in²]",
-            f"{rod['area']:g}",
-            f"{area(rod[hertz]):.4f}",
-        ),
-        (f"… area that gives the measured {measured:g} Hz [in²]", "—", f"{area(measured):.4f}"),
-    ]
-    return rows, modulus / 1e9, other, inches, 1 - area(measured) / rod["area"]
+    return {
+        "first": first,
+        "simulated": BENDING_MODE_HZ,
+        "modulus_gpa": modulus / 1e9,
+        "other": other,
+        "inches": stinger(rod["area"] * SQUARE_INCH),
+        "as_printed": stinger(rod["area"]),
+        "of_printed": area(rod["frequency_hz"]),
+        "of_measured": area(rod["measured_hz"]),
+        "smaller": 1 - area(rod["measured_hz"]) / rod["area"],
+    }
 
 
 def torque_figure(cases: Sequence[CaseCurves], limits: Sequence[float], top_rate: float) -> Figure:
@@ -411,10 +394,9 @@ def torque_figure(cases: Sequence[CaseCurves], limits: Sequence[float], top_rate
                 axes.axhline(limit, color=TRUTH, linewidth=1.0, linestyle=(0, (4, 2)))
             axes.set(ylim=(-size[k], size[k]))
             _finish(axes, last=row == len(cases) - 1)
-        _name(grid[row][0], case.name)
+        note(grid[row][0], 0.0, 1.06, case.name, color=MUTED, size=8.5, inside=True)
     for k in (0, 1):
-        text = f"joint {k + 1}: torque [N·m]; drive ±{limits[k]:g}"
-        grid[0][k].text(0.0, 1.32, text, transform=grid[0][k].transAxes, color=INK, fontsize=9)
+        note(grid[0][k], 0, 1.32, f"joint {k + 1}: torque [N·m]; drive ±{limits[k]:g}", inside=True)
     _key(
         figure,
         [
@@ -439,10 +421,9 @@ def force_figure(cases: Sequence[CaseCurves]) -> Figure:
             axes.plot(case.angles, case.force[:, 1, k], color=MEASURED, **across)
             axes.set(ylim=(0.0, size[k]))
             _finish(axes, last=row == len(cases) - 1)
-        _name(grid[row][0], case.name)
+        note(grid[row][0], 0.0, 1.06, case.name, color=MUTED, size=8.5, inside=True)
     for k in (0, 1):
-        text = f"joint {k + 1}: greatest force [N]"
-        grid[0][k].text(0.0, 1.32, text, transform=grid[0][k].transAxes, color=INK, fontsize=9)
+        note(grid[0][k], 0.0, 1.32, f"joint {k + 1}: greatest force [N]", inside=True)
     _key(figure, [(INK, "-", "along the link"), (MEASURED, (0, (5, 1.6)), "across it")])
     return figure
 
@@ -473,10 +454,6 @@ def _finish(axes: Axes, *, last: bool) -> None:
         labels = axes.get_xticklabels()
         labels[-1].set_horizontalalignment("right")
         axes.set_xlabel("θ₂", color=MUTED, fontsize=9, labelpad=2)
-
-
-def _name(axes: Axes, text: str) -> None:
-    axes.text(0.0, 1.06, text, transform=axes.transAxes, color=MUTED, fontsize=8.5)
 
 
 def _key(figure: Figure, entries: Sequence[tuple[str, Any, str]]) -> None:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from loose_agents.base import Problem
 from loose_agents.comparison import bound_line, record_bound
+from scipy.stats import entropy
 
 from loose_env.arms import planar
 from loose_env.diagnosis import least_records
-from loose_env.diagnosis.experiment_design import entropy, needed_information
+from loose_env.diagnosis.experiment_design import needed_information
 from loose_env.envs import DiagnosisSettings
 
 PRIOR = np.array([0.4, 0.3, 0.2, 0.1])

@@ -8,9 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.arms.mismatch import Mismatch, MismatchDraw
-from loose_env.arms.sites import CLEARANCE, link_site
+from loose_env.arms import Arm, Mismatch, MismatchDraw, link_site, planar, scara, six_axis, vera
+from loose_env.arms.arm import CLEARANCE
 from loose_env.errors import UnknownName
 from loose_env.typing import Array
 
@@ -44,19 +43,6 @@ def test_the_own_joint_moves_the_sensor_along_the_tangent_in_any_pose(
             speed = float(np.linalg.norm(motion))
             assert speed >= (1.0 if arm.sliding[link - 1] else CLEARANCE) - 1e-9
             np.testing.assert_allclose(motion / speed, tangent, atol=1e-6)
-
-
-@pytest.mark.parametrize("make", ARMS)
-def test_the_tangential_frame_is_a_rotation_that_starts_with_the_tangent(
-    make: Callable[[], Arm],
-) -> None:
-    arm = make()
-    for link in range(1, arm.n + 1):
-        site = link_site(arm, link)
-        turn = site.tangential_frame
-        np.testing.assert_allclose(turn.T @ turn, np.eye(3), atol=1e-9)
-        assert np.linalg.det(turn) > 0
-        np.testing.assert_allclose(turn[:, 0], site.tangent, atol=1e-9)
 
 
 def test_a_link_that_bends_carries_its_sensor_beyond_the_bend() -> None:

@@ -120,30 +120,6 @@ def seen(rng: np.random.Generator, measured: np.ndarray, opened: np.ndarray) -> 
     )
 
 
-def test_the_figures_follow_the_favoured_place() -> None:
-    rng = np.random.default_rng(4)
-    records = [seen(rng, rng.normal(size=6), rng.normal(size=(5, 6))) for _ in range(3)]
-    found = sights(records, np.eye(5)[2], -50.0, HYPOTHESIS)
-    assert found.shape == (3, SIZE)
-    at = {name: found[:, k] for k, name in enumerate(COLUMNS)}
-    left = [each.residual_change.residual[2] for each in records]
-    assert at["left"] == pytest.approx(np.log(np.array(left) + 0.1))
-    for name in ("visible", "load"):
-        expected = [each.location[2, LOCATION_FEATURES.index(name)] for each in records]
-        assert at[name] == pytest.approx(expected)
-    for name in ("excited", "kurtosis"):
-        expected = [each.record[RECORD_FEATURES.index(name)] for each in records]
-        assert at[name] == pytest.approx(expected)
-    assert at["opening"] == pytest.approx([each.residual_change.opening[2] for each in records])
-    assert (at["healthy"] == -10.0).all()
-    assert at["records"] == pytest.approx(np.log(3))
-    sound = sights(records, np.eye(5)[2], 50.0, HYPOTHESIS)
-    assert sound[:, 0] == pytest.approx(
-        np.log(np.array([each.residual_change.healthy for each in records]) + 0.1)
-    )
-    assert sound[:, COLUMNS.index("opening")] == pytest.approx(0.0)
-
-
 def test_a_second_seat_shows_where_all_records_need_the_same_one() -> None:
     rng = np.random.default_rng(5)
     second = COLUMNS.index("second")

@@ -37,7 +37,7 @@ def env(**settings: Any) -> ModelGapEnv:
 
 
 def test_gymnasiums_checker_passes() -> None:
-    check_env(env(), skip_render_check=True)
+    check_env(env(belief=BeliefSettings(simulations=0)), skip_render_check=True)
 
 
 def test_an_episode_of_two_motions_and_a_verdict() -> None:
@@ -86,7 +86,7 @@ def test_rewards_of_verdicts() -> None:
 
 
 def test_one_seed_gives_one_episode() -> None:
-    made = env()
+    made = env(belief=BeliefSettings(simulations=0))
     first = [made.reset(seed=5)[0], made.step(0)[0]]
     again = [made.reset(seed=5)[0], made.step(0)[0]]
 
@@ -94,7 +94,13 @@ def test_one_seed_gives_one_episode() -> None:
     assert not np.array_equal(made.reset(seed=6)[0] * 0 + made.step(0)[0], first[1])
 
 
-@pytest.mark.parametrize("rule", GAP_AGENTS)
+@pytest.mark.parametrize(
+    "rule",
+    [
+        rule if rule == "greedy" else pytest.param(rule, marks=pytest.mark.slow)
+        for rule in GAP_AGENTS
+    ],
+)
 def test_agents_find_a_large_effect(rule: str) -> None:
     made = env()
     agent = GapAgent(rule, made.layout, made.bank.seconds, (1, 0), sure=0.8, most=4)

@@ -164,22 +164,6 @@ def test_the_fault_is_seen_at_the_end_and_not_before(fault: Fault, title: str) -
     picture.close()
 
 
-@pytest.mark.parametrize("make", [vera, scara])
-@pytest.mark.parametrize("fault", [fault for fault, _ in TITLES[3:]], ids=lambda f: f.kind)
-def test_the_words_above_stay_in_the_figure_and_off_the_drawing(
-    make: Callable[[], Arm], fault: Fault
-) -> None:
-    arm = make()
-    env = measured(arm, fault, 0, pose=np.array([0.1, 0.2, -0.07, 0.1])[: arm.n])
-    episode = env.batch.episode(0)
-    episode.ended = True
-    figure = Picture(env.batch.nominal).figure(episode, verdict="compound_looseness@link2")
-    figure.canvas.draw()
-    boxes = [text.get_window_extent() for text in figure.texts if text.get_va() == "top"]
-    assert max(box.x1 for box in boxes) < figure.bbox.x1
-    assert boxes[0].y0 > boxes[1].y1 and boxes[1].y0 > figure.axes[0].bbox.y1 - 3  # pixels
-
-
 def test_gravity_points_down_and_an_arm_in_a_plane_is_seen_along_its_axes() -> None:
     for arm, planar_arm in ((planar(3, vertical=True), True), (six_axis(), False)):
         for pull in ([0.0, -9.81, 0.0], [9.81, 0.0, 0.0]):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -30,7 +29,6 @@ from loose_env.report import (
 from tests.report.page_checks import checked
 
 SVG = b'<svg width="5" height="4"><defs><g id="a"/></defs><use href="#a"/></svg>'
-DOCS = Path(__file__).resolve().parents[2] / "docs" / "figures"
 
 
 def drawn() -> Any:
@@ -129,13 +127,3 @@ def test_a_figure_that_stands_alone_is_an_svg_with_its_own_colours() -> None:
     assert ElementTree.fromstring(text).tag == "{http://www.w3.org/2000/svg}svg"
     assert "var(--ink,#1b2128)" in text and text.count("--ink:") == 2
     assert "prefers-color-scheme: dark" in text
-
-
-@pytest.mark.parametrize("name", ["method_loops", "method_turning", "method_seat"])
-def test_the_figures_of_the_method_are_whole(name: str) -> None:
-    root = ElementTree.parse(DOCS / f"{name}.svg").getroot()
-    words = {text.strip() for node in root.iter() if (text := node.text)}
-    assert len(list(root.iter())) > 30
-    assert {"method_loops": "loose link", "method_turning": "first pose"}.get(
-        name, "a dead zone between two stops"
-    ) in words
