@@ -107,13 +107,6 @@ def test_a_quick_run_of_link_finding_prints_both_tables(
     assert printed.count("images all") == 5
 
 
-def test_scatter_has_the_standard_deviation_asked_for() -> None:
-    rng, true = np.random.default_rng(0), np.array([0.0, 0.6, 0.8])
-    drawn = np.array([links.scattered(true, 0.1, rng) for _ in range(4000)])
-    angle = np.arccos(drawn @ true)
-    assert np.sqrt(np.mean(angle**2) / 2) == pytest.approx(0.1, rel=0.04)
-
-
 def test_the_bound_counts_links_that_no_move_tells_apart() -> None:
     assert links.bound(ToolFrames(planar(4)), 20, 0) == 1.0
     # Links 2 and 3 of a SCARA are alike: half of their cases are lost.
