@@ -1,6 +1,6 @@
 """Reports: comparison of agents, diagnosis, trend, plan, model error.
 
-Data flow: page, figures, words -> comparison, diagnosis, trend, plan, gap -> rerun -> studies.
+Data flow: page, figures, words -> comparison, diagnosis, trend, plan, gap -> rerun.
 """
 
 from loose_env.envs import FAINT, INK, MUTED
@@ -44,15 +44,6 @@ from loose_env.report.page import (
 )
 from loose_env.report.plan import plan_commands, summary, write_plan_page
 from loose_env.report.rerun import require_rerun, write_rerun
-from loose_env.report.studies import (
-    pyplot,
-    read_study,
-    rounded,
-    save_figure,
-    stored_rows,
-    study_head,
-    write_study,
-)
 from loose_env.report.trend import write_trend_page
 
 __all__ = [
@@ -81,19 +72,13 @@ __all__ = [
     "new_figure",
     "paragraphs",
     "plan_commands",
-    "pyplot",
     "quick_text",
     "quiet_axes",
-    "read_study",
     "render_gap_page",
     "render_page",
     "require_rerun",
-    "rounded",
-    "save_figure",
     "shown",
     "standalone",
-    "stored_rows",
-    "study_head",
     "summary",
     "template",
     "to_svg",
@@ -103,6 +88,5 @@ __all__ = [
     "write_page",
     "write_plan_page",
     "write_rerun",
-    "write_study",
     "write_trend_page",
 ]

@@ -34,9 +34,8 @@ from loose_env.envs import GapPrices, ModelGapEnv
 from loose_env.evaluation import wilson
 from loose_env.io import Count
 from loose_env.registration import GAP_ID
-from loose_env.report import pyplot, save_figure
 from loose_env.typing import Array
-from scripts.study import ROOT, Row, study_rows
+from scripts.study import ROOT, Row, pyplot, save_figure, study_rows
 
 EVALUATION_SEED, TUNING_SEED = 20_261_126, 20_081_000
 """Seeds of the judging episodes and of those on which stopping is tuned."""
