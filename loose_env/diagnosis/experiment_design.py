@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -186,50 +185,21 @@ def propose_excitation(
             raise InvalidSetting(f"{name} is {value!r}; it must be finite and {least:g} or more")
     nominal = LinearArm(arm)
     band, modes, warnings = propose_band(nominal, pose)
-    wanted = (pose, gap, friction, duration)
-    found = _play(nominal, *wanted)
+    wanted = (modes, pose, gap, friction, duration)
+    found = _proposal(nominal, *wanted)
     if band != arm.band:
-        lower = _play(nominal.variant(replace(arm, band=band)), *wanted)
+        lower = _proposal(nominal.variant(replace(arm, band=band)), *wanted)
         if lower.openings.mean() >= _WORTH * found.openings.mean():
             found = lower
         else:  # the gap allows little acceleration at low frequencies, gravity asks for more
             inside = modes[modes < _CLEAR * arm.band[1]]
-            band, warnings = arm.band, (_warning(arm.band, inside, "below them seats stay shut"),)
-    notes = [*warnings, *found.notes]
-    at, best_by_link = found.at, found.openings
-    mass = _seat_mass(at)
-    gravity = np.linalg.norm(at.seat_load, axis=1) / (9.81 * np.maximum(mass, 1e-9))
-    shut = [i + 1 for i in range(arm.n) if best_by_link[i] < 0.1]
-    if shut:
-        notes.append(
-            f"gravity and torque limits keep seats of links {shut} mostly shut in this pose: add "
-            "poses that lay other directions across gravity"
-        )
-    return Proposal(
-        band=band,
-        levels=found.levels,
-        shares=found.shares,
-        excitations=found.excitations,
-        modes=modes,
-        seat_gravity=gravity,
-        openings=best_by_link,
-        warnings=tuple(notes),
-    )
+            warnings = (_warning(arm.band, inside, "below them seats stay shut"),)
+    return replace(found, warnings=(*warnings, *found.warnings))
 
 
-class _Play(NamedTuple):
-    """The part of a proposal that depends on the band."""
-
-    at: LinearPose
-    levels: Array
-    shares: Array
-    excitations: tuple[Excitation | None, ...]
-    openings: Array
-    """Of each link under its best joint (n,)."""
-    notes: list[str]
-
-
-def _play(nominal: LinearArm, pose: Array, gap: float, friction: float, duration: float) -> _Play:
+def _proposal(
+    nominal: LinearArm, modes: Array, pose: Array, gap: float, friction: float, duration: float
+) -> Proposal:
     """Find the level of every joint in the arm's band."""
     arm, at = nominal.arm, nominal.at(pose)
     axes = axes_grid(_AXES[len(arm.axes)], len(arm.axes))
@@ -256,7 +226,24 @@ def _play(nominal: LinearArm, pose: Array, gap: float, friction: float, duration
         excitations[j], shares[j] = excitation, share[j]
         levels[j] = wanted[j] * share[j]
         openings[j] = _lost(levels[j], force, load, travel, gap).mean(axis=1)
-    return _Play(at, levels, shares, tuple(excitations), openings.max(axis=0), notes)
+    by_link = openings.max(axis=0)
+    shut = [i + 1 for i in range(arm.n) if by_link[i] < 0.1]
+    if shut:
+        notes.append(
+            f"gravity and torque limits keep seats of links {shut} mostly shut in this pose: add "
+            "poses that lay other directions across gravity"
+        )
+    mass = np.array([at.inertia[s[0], s[0]] for s in at.linear.slide_dofs])  # behind each seat [kg]
+    return Proposal(
+        band=arm.band,
+        levels=levels,
+        shares=shares,
+        excitations=tuple(excitations),
+        modes=modes,
+        seat_gravity=np.linalg.norm(at.seat_load, axis=1) / (9.81 * np.maximum(mass, 1e-9)),
+        openings=by_link,
+        warnings=tuple(notes),
+    )
 
 
 def _per_level(at: LinearPose, joint: int, axes: Array) -> tuple[Array, Array]:
@@ -279,12 +266,6 @@ def _lost(level: Array | float, force: Array, load: Array, travel: Array, gap: f
     opens = np.minimum(1.0, (force * level / np.maximum(_OVERCOME * load, 1e-9)) ** 2)
     floats = np.minimum(1.0, gap / np.maximum(4 * travel * level, 1e-12))
     return np.asarray(opens * floats)
-
-
-def _seat_mass(at: LinearPose) -> Array:
-    """Mass behind each seat (n,) [kg]."""
-    slides = at.linear.slide_dofs
-    return np.array([float(at.inertia[s[0], s[0]]) for s in slides])
 
 
 _FAULTS = 96

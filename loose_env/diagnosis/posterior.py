@@ -33,7 +33,7 @@ from loose_env.diagnosis.prediction import (
     seat_drives,
     sensor_errors,
 )
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidSetting
 from loose_env.excitation import SeatReference
 from loose_env.faults import DEFAULT_KINDS, hypotheses, places_of_kind
 from loose_env.inference import whitener
@@ -266,16 +266,6 @@ class OpeningTable:
     hinge: Array
     """For play in joints (presses, ratios, openings, loose motion)."""
 
-    def __post_init__(self) -> None:
-        shape = (len(PRESSES), len(RATIOS), len(OPENINGS), len(LOOSE))
-        for name in ("slide", "hinge"):
-            table = getattr(self, name)
-            if table.shape != shape or not (table >= 0).all():
-                raise InvalidData(
-                    f"an opening table holds probabilities of shape {shape}; {name} has "
-                    f"shape {table.shape}"
-                )
-
     @staticmethod
     def nodes(force: Array, friction: Array, load: Array) -> list[tuple[IndexArray, Array]]:
         """Four nodes about seats that are driven, held and loaded by forces (...) [N, or N·m].
@@ -399,8 +389,6 @@ class FaultPosterior:
         Figures of the sensors.
     settings : PosteriorSettings, optional
         Ranges and priors.
-    table : OpeningTable, optional
-        Opening table; the shipped one by default.
 
     Raises
     ------
@@ -420,8 +408,6 @@ class FaultPosterior:
         linear: LinearArm,
         sensors: SensorSuite,
         settings: PosteriorSettings | None = None,
-        *,
-        table: OpeningTable | None = None,
     ) -> None:
         self.settings = PosteriorSettings() if settings is None else settings
         arm = linear.arm
@@ -432,7 +418,7 @@ class FaultPosterior:
                 "an arm that moves in a plane, or 3"
             )
         self.linear, self.hypotheses = linear, hypotheses(arm, DEFAULT_KINDS, everywhere=True)
-        self.table = shipped_table() if table is None else table
+        self.table = shipped_table()
         self.floor = SensorFloor.of(sensors, arm.band)
         count = self.settings.directions if axes == 2 else self.settings.space_directions
         self.directions = axes_grid(count, axes)

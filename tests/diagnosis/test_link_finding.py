@@ -26,6 +26,7 @@ from loose_env.diagnosis import (
     log_mean_bingham,
     looks_healthy,
     precision_of,
+    scattered_axes,
 )
 from loose_env.diagnosis.link_finding import (
     blind_joints,
@@ -258,10 +259,8 @@ def test_the_posterior_is_calibrated() -> None:
         for _ in range(3):
             q = SIX.arm.random_pose(rng)
             true = SIX.images(q)[0, link] @ z
-            # Drawn from the density itself: uniform axes, kept with its relative height.
-            tried = unit(rng, 4000, 3)
-            height = np.exp(-0.5 * (1 - (tried @ true) ** 2) / sd**2)
-            seen.append(DirectionSighting.of(q, tried[rng.random(4000) < height][0], sd))
+            # Drawn from the density itself.
+            seen.append(DirectionSighting.of(q, scattered_axes(true, sd, rng), sd))
         found = link_posterior(SIX, seen, prior=slides_only(SIX))
         claimed.append(found.probabilities.max())
         right.append(int(np.argmax(found.probabilities)) == link)

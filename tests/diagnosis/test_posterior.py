@@ -12,7 +12,6 @@ from scipy.stats import wishart
 
 from loose_env.arms import Arm, LinearArm, Mismatch, planar, scara, six_axis, vera
 from loose_env.diagnosis import (
-    LOOSE,
     OPENINGS,
     PRESSES,
     RATIOS,
@@ -28,7 +27,7 @@ from loose_env.diagnosis.posterior import (
     wishart_fit,
 )
 from loose_env.envs import Difficulty, FaultSampler
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidSetting
 from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy, StructuralLooseness, hypotheses, place_of
 from loose_env.rig import Job, SimulatedRig
@@ -163,12 +162,6 @@ def test_the_shipped_table_holds_distributions_that_open_as_the_drive_grows() ->
 def test_settings_that_make_no_sense_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(InvalidSetting):
         PosteriorSettings(**wrong)  # type: ignore[arg-type]
-
-
-def test_a_table_of_another_shape_is_refused() -> None:
-    good = np.ones((len(PRESSES), len(RATIOS), len(OPENINGS), len(LOOSE)))
-    with pytest.raises(InvalidData, match="shape"):
-        OpeningTable(slide=good, hinge=good[0])
 
 
 def weightless(arm: Arm) -> Arm:

@@ -1,8 +1,10 @@
-"""Proposals find joints, units and signs from signals, and never replace a file unasked."""
+"""Mappings guessed from signals: joints, units and signs; and each format imported by them."""
 
 from __future__ import annotations
 
+import json
 import tomllib
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import mujoco
@@ -10,13 +12,132 @@ import numpy as np
 import pytest
 
 from loose_env.cli.main import main
-from loose_env.importing import propose
-from loose_env.importing.guessing.channel_names import meaning_of, telling_words
-from loose_env.importing.guessing.proposal_text import proposal_text
-from loose_env.importing.samples import ChannelKey
-from tests.importing.formats.arm_log import ARM, JOINTS, Motion, write_lerobot, write_rtde
+from loose_env.importing import describe_sources, proposal_text, propose
+from loose_env.recording import Recording, read_recording
+from tests.importing.arm_log import (
+    ARM,
+    JOINTS,
+    Motion,
+    moved,
+    write_bag,
+    write_lerobot,
+    write_robomimic,
+    write_rtde,
+    write_sysid,
+)
 
 MODEL = mujoco.MjModel.from_xml_string(ARM)
+COMMANDS = ("pan", "lift", "bend")
+ALL = {f"sensor.{n}_pos" for n in JOINTS} | {f"ctrl.{n}" for n in COMMANDS}
+RATES = {f"sensor.{n}_vel" for n in JOINTS}
+
+
+@pytest.fixture
+def motion() -> Motion:
+    return moved()
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """A folder with ``arm.xml``."""
+    tmp_path.joinpath("arm.xml").write_text(ARM)
+    return tmp_path
+
+
+# ------------------------------------------------------------------------- formats
+
+
+def guessed(home: Path, files: Sequence[Path], *options: str) -> dict:
+    """Columns of the mapping that --guess writes."""
+    told = ["import", "--guess", *map(str, files), "--model", str(home / "arm.xml")]
+    assert main([*told, "--mapping", str(home / "map.toml"), *options]) == 0
+    return tomllib.loads((home / "map.toml").read_text())["columns"]
+
+
+def imported(home: Path, files: Sequence[Path]) -> Recording:
+    told = ["import", *map(str, files), "--mapping", str(home / "map.toml")]
+    assert main([*told, "--out", str(home / "out")]) == 0
+    return read_recording(home / "out")
+
+
+def check(recording: Recording, motion: Motion, *, digits: float = 1e-6) -> None:
+    """The known motion, in SI units, under the model's names."""
+    for run in recording.runs:
+        assert len(run.time) == len(motion.time)
+        for i, (joint, command) in enumerate(zip(JOINTS, COMMANDS, strict=True)):
+            read = run.sensors[f"{joint}_pos"]
+            np.testing.assert_allclose(read, motion.position[:, i], atol=digits)
+            np.testing.assert_allclose(run.controls[command], motion.command[:, i], atol=digits)
+
+
+WRITERS: dict[str, Callable[[Path, Motion], list[Path]]] = {
+    "rtde": lambda home, m: [write_rtde(home / "log.csv", m)],
+    "rtde without header": lambda home, m: [write_rtde(home / "log.csv", m, header=False)],
+    "rtde with commas": lambda home, m: [write_rtde(home / "log.csv", m, separator=",")],
+    "rosbag2 sqlite3": lambda home, m: [write_bag(home / "bag", m)],
+    "rosbag2 sqlite3 packed": lambda home, m: [write_bag(home / "bag", m, packed=True)],
+    "rosbag2 before Iron": lambda home, m: [write_bag(home / "bag", m, definitions=False)],
+    "rosbag2 mcap": lambda home, m: [write_bag(home / "bag", m, storage="mcap")],
+    "robomimic": lambda home, m: [write_robomimic(home / "demos.hdf5", m)],
+    "sysid": lambda home, m: list(write_sysid(home, m)),
+    "a single db3 file": lambda home, m: list(write_bag(home / "bag", m).glob("*.db3")),
+}
+
+
+@pytest.mark.parametrize("kind", list(WRITERS))
+def test_a_guessed_mapping_imports_the_known_motion(home: Path, motion: Motion, kind: str) -> None:
+    files = WRITERS[kind](home, motion)
+    columns = guessed(home, files)
+    assert set(columns) - {f"torque.{n}" for n in JOINTS} == ALL | RATES
+    check(imported(home, files), motion)
+    text = describe_sources([str(file) for file in files])
+    assert "sensor.?" in text and tomllib.loads(text)
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_episodes_of_lerobot_become_runs(home: Path, motion: Motion, version: str) -> None:
+    files = [write_lerobot(home / "set", motion, version=version)]
+    columns = guessed(home, files)
+    assert set(columns) == ALL
+    assert {each["unit"] for each in columns.values()} == {"deg"}
+    recording = imported(home, files)
+    names = [Path(run.name).stem for run in recording.runs]
+    assert names == ["set-episode_000000", "set-episode_000001"]
+    check(recording, motion, digits=1e-5)  # float32 degrees
+
+
+def test_chosen_episodes_alone_are_imported(home: Path, motion: Motion) -> None:
+    files = [write_lerobot(home / "set", motion, episodes=4)]
+    guessed(home, files)
+    text = (home / "map.toml").read_text()
+    (home / "map.toml").write_text(text.replace('episodes = "all"', 'episodes = "1, 3"'))
+    names = [Path(run.name).stem for run in imported(home, files).runs]
+    assert names == ["set-episode_000001", "set-episode_000003"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["rtde", "rosbag2 sqlite3"])
+def test_the_gap_of_an_imported_log_names_the_friction_of_the_elbow(home: Path, kind: str) -> None:
+    (log,) = map(str, WRITERS[kind](home, moved(friction=2.0)))
+    model, mapping = str(home / "arm.xml"), home / "map.toml"
+    told = ["import", "--guess", log, "--model", model, "--mapping", str(mapping)]
+    assert main(told) == 0
+    # By the commands alone, and one log cut into the two runs that a fit and its check need.
+    lines = mapping.read_text().splitlines()
+    text = "\n".join(line for line in lines if not line.startswith('"torque.'))
+    first, second = "\nstart = 0.0\nstop = 3.9\n", "\nfile = 'b'\nstart = 4.0\nstop = 7.9\n"
+    mapping.write_text(f"{text}{first}[[runs]]{second}")
+    assert main(["import", log, "--mapping", str(mapping), "--out", str(home / "out")]) == 0
+    told = ["gap", str(home / "out"), "--out", str(home / "gap")]
+    told += ["--kinds", "viscous_friction", "--most-effects", "1", "--threads", "1"]
+    assert main(told) == 0
+    result = json.loads((home / "gap" / "result.json").read_text())
+    (effect,) = result["effects"]
+    assert (effect["kind"], effect["where"]) == ("viscous_friction", "elbow")
+    assert result["gap"]["after"] < 0.2 * result["gap"]["before"]
+
+
+# ------------------------------------------------------------------------- guesses
 
 
 def table(path: Path, *columns: np.ndarray) -> str:
@@ -34,25 +155,18 @@ def lines(source: str, rate_hz: float | None = None) -> dict[str, tuple[str, str
     }
 
 
-def test_degrees_reversed_rates_and_shuffled_commands_of_a_nameless_table(
+def test_degrees_reversed_and_shuffled_columns_of_a_nameless_table(
     home: Path, motion: Motion
 ) -> None:
     order = [2, 0, 1]
+    command = np.degrees(motion.command * [1, -1, 1])[:, order]
     source = table(home / "log.csv", 1e3 * motion.time, np.degrees(motion.position),
-                   -np.degrees(motion.velocity), np.degrees(motion.command)[:, order])  # fmt: skip
+                   -np.degrees(motion.velocity), command)  # fmt: skip
     found = lines(source)
-    for i, (joint, command) in enumerate(zip(JOINTS, ("pan", "lift", "bend"), strict=True)):
+    for i, (joint, command) in enumerate(zip(JOINTS, COMMANDS, strict=True)):
         assert found[f"sensor.{joint}_pos"] == (str(2 + i), "deg", 1)
         assert found[f"sensor.{joint}_vel"] == (str(5 + i), "deg/s", -1)
-        assert found[f"ctrl.{command}"] == (str(8 + order.index(i)), "deg", 1)
-
-
-def test_a_reversed_command_gets_its_sign(home: Path, motion: Motion) -> None:
-    command = motion.command * [1, -1, 1]
-    source = table(home / "log.csv", motion.time, motion.position, motion.velocity, command)
-    found = lines(source)
-    assert found["ctrl.lift"][1:] == ("rad", -1)
-    assert found["ctrl.pan"][1:] == ("rad", 1)
+        assert found[f"ctrl.{command}"] == (str(8 + order.index(i)), "deg", [1, -1, 1][i])
 
 
 def test_a_table_without_times_needs_a_rate(
@@ -99,16 +213,12 @@ def test_normalised_states_are_scaled_to_the_limits(home: Path, motion: Motion) 
     assert np.ptp(state[:, 2]) > 1.1 * 2 * np.degrees(half[2])  # the elbow's are no degrees
     folder = write_lerobot(home / "set", motion, state=state, action=100 * motion.command / half)
     found = {each.column: each for each in propose([str(folder)], narrow).columns}
-    columns = (("shoulder_pan_pos", "pan"), ("shoulder_lift_pos", "lift"), ("elbow_pos", "bend"))
-    for i, (position, command) in enumerate(columns):
-        for column in (f"sensor.{position}", f"ctrl.{command}"):
+    for i, (joint, command) in enumerate(zip(JOINTS, COMMANDS, strict=True)):
+        for column in (f"sensor.{joint}_pos", f"ctrl.{command}"):
             assert found[column].scaling.scale == pytest.approx(half[i] / 100)
             assert found[column].scaling.unit == "rad"
     assert "normalised to -100..100 of the limits" in found["sensor.elbow_pos"].reason
-
-
-def test_degrees_that_may_be_normalised_are_noted(home: Path, motion: Motion) -> None:
-    proposal = propose([str(write_lerobot(home / "set", motion))], MODEL)
+    proposal = propose([str(write_lerobot(home / "degrees", motion))], MODEL)
     assert "values normalised to -100..100 would look alike" in proposal.columns[0].reason
 
 
@@ -183,37 +293,12 @@ def test_a_position_with_the_unit_of_another_quantity_is_left(home: Path, motion
     assert [c.key.channel for _, c in proposal.unassigned] == ["shoulder_lift_pos [g]"]
 
 
-@pytest.mark.parametrize(
-    ("channel", "role", "of", "index"),
-    [
-        ("actual_q_0", "position", "position", 0),
-        ("target_qd_3", "command", "velocity", 3),
-        ("target_TCP_pose_1", "other", "other", 1),
-        ("actual_current_as_torque_2", "torque", "torque", 2),
-        ("observation.state[elbow.pos]", "position", "position", None),
-        ("action[2]", "command", "command", 2),
-        ("obs/robot0_joint_pos_cos[1]", "other", "other", 1),
-        ("elbow [deg]", "", "", None),
-        ("7", "", "", None),
-    ],
-)
-def test_names_tell_the_quantity(channel: str, role: str, of: str, index: int | None) -> None:
-    found = meaning_of(ChannelKey(channel))
-    assert (found.role, found.index) == (role, index)
-    if role == "command":
-        assert found.of == of
-
-
 def test_a_word_that_one_joint_alone_has_names_it(home: Path, motion: Motion) -> None:
     headers = {2: "Elbow", 0: "Pan", 1: "Lift"}
     columns = {"t [s]": motion.time}
     columns |= {f"{n} Pos [deg]": np.degrees(motion.position[:, i]) for i, n in headers.items()}
     columns |= {f"Cmd {n} [deg]": np.degrees(motion.command[:, i]) for i, n in headers.items()}
     found = lines(written(home / "log.csv", columns))
-    for i, command in enumerate(("pan", "lift", "bend")):
+    for i, command in enumerate(COMMANDS):
         assert found[f"sensor.{JOINTS[i]}_pos"] == (f"{headers[i]} Pos [deg]", "deg", 1)
         assert found[f"ctrl.{command}"] == (f"Cmd {headers[i]} [deg]", "deg", 1)
-
-
-def test_a_word_of_two_joints_names_neither() -> None:
-    assert telling_words(JOINTS) == {"pan": JOINTS[0], "lift": JOINTS[1], "elbow": "elbow"}
