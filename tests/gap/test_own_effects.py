@@ -367,6 +367,7 @@ def test_an_effect_of_ones_own_is_fitted_and_judged(steps: GapSession, tried: Tr
     assert "cubic_spring@elbow" in tried._repr_html_()
 
 
+@pytest.mark.slow
 def test_one_of_the_catalogue_is_tried_the_same_way(steps: GapSession, tried: TriedEffect) -> None:
     friction = steps.try_effect("coulomb_friction", "elbow")
     assert friction.held_out > tried.held_out and friction.effect.kind == "coulomb_friction"

@@ -229,7 +229,7 @@ def test_the_quick_command_writes_one_file_and_says_that_it_does_not_decide(
     assert "leave one of them out" in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
     out = tmp_path / "out"
-    assert main([*words, str(out), "--kinds", *KINDS, "--threads", "1"]) == 0
+    assert main([*words, str(out), "--kinds", KINDS[0], "--threads", "1"]) == 0
     assert "does not decide" in capsys.readouterr().out
     assert sorted(path.name for path in out.iterdir() if path.name != ".gap") == ["quick.json"]
     whole = json.loads((out / "quick.json").read_text(encoding="utf-8"))
