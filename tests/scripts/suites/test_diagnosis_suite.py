@@ -32,8 +32,8 @@ from scripts.suites.diagnosis.machines import (
     drawn_disturbances,
 )
 from scripts.suites.rows import kept
+from tests.instrument.arms import named, session
 from tests.instrument.test_result import diagnosis
-from tests.instrument.trend.sessions_of_an_arm import named, session
 
 OPENS = 5  # a case whose fault opens
 
