@@ -59,7 +59,7 @@ def note(
     **look: Any,
 ) -> None:
     """Write into axes, at a place in the data, or ``inside`` as a share of the axes."""
-    place = {"transform": axes.transAxes} if inside else {}
+    place: dict[str, Any] = {"transform": axes.transAxes} if inside else {}
     axes.text(x, y, text, color=color, fontsize=size, **place, **look)
 
 
