@@ -471,8 +471,9 @@ def test_a_band_that_the_arm_does_not_have_costs_the_next_pose_alone(shaken: Rec
 
 
 @pytest.mark.slow
-def test_the_next_band_is_the_one_that_is_asked_for(shaken: Recording) -> None:
-    found = of_shaken(shaken, shaken.runs[0], plan=True, band_low=12.0, band_high=60.0)
+def test_the_next_band_is_the_one_that_is_asked_for(tmp_path: Path) -> None:
+    asked = replace(QUICK, band_low=12.0, band_high=60.0)
+    found = found_in(tmp_path, runs("slide", 1), asked, plan=True)
     assert found.next is not None
     assert 12.0 <= found.next.band_hz[0] < found.next.band_hz[1] <= 60.0
     assert found.next.settings["band_high"] == 60.0
