@@ -127,16 +127,15 @@ def rounded(value: Any, digits: int = 4) -> Any:
 
 
 def write_between(page: Path, text: str, *, name: str = "tables", new: str | None = None) -> None:
-    """Put tables between their marks on a page, ``new`` where there is none yet.
-
-    Raises
-    ------
-    InvalidSetting
-        If there is no page, or it lacks the marks.
-    """
+    """Write tables between their marks on a page, ``new`` where there is none yet."""
     if new is None and not page.is_file():
         raise InvalidSetting(f"{page} does not exist; name a page that has marks for tables")
     old = new if new is not None and not page.exists() else page.read_text(encoding="utf-8")
+    write_text(page, between(old, text, name, page))
+
+
+def between(old: str, text: str, name: str, page: Path) -> str:
+    """Text of a page with other lines between the marks of a name."""
     first, last = (mark.format(name) for mark in MARKS)
     before, begin, rest = old.partition(first)
     _, end, after = rest.partition(last)
@@ -144,7 +143,7 @@ def write_between(page: Path, text: str, *, name: str = "tables", new: str | Non
         raise InvalidSetting(
             f"{page} lacks the lines {first!r} and {last!r}, between which tables go"
         )
-    write_text(page, f"{before}{first}\n\n{text}\n\n{last}{after}")
+    return f"{before}{first}\n\n{text}\n\n{last}{after}"
 
 
 def arm_named(name: str) -> Arm:

@@ -137,174 +137,131 @@ CARRIED = 21
 
 WORK = 40
 """Length of a body's row of working space."""
-_R, _O, _W, _V, _AL, _AO, _C = 0, 9, 12, 15, 18, 21, 24
+_R, _O, _W, _V, _AL, _AO, _OM, _IN = 0, 9, 12, 15, 18, 21, 27, 30
 # rotation (9), origin (3), joint's motion vector about the world's origin (w 3, v 3), angular
-# acceleration (3), acceleration of the origin (3), centre of mass (3); angular velocity at 27 (3)
-_OM = 27
+# acceleration (3), acceleration of the origin (3), angular velocity (3), inertia in the world (9)
+
+# Vectors are tuples of three numbers, which the compiler keeps in registers.
+
+
+@njit(cache=True)
+def _vector(values, at):  # type: ignore[no-untyped-def]
+    return values[at], values[at + 1], values[at + 2]
+
+
+@njit(cache=True)
+def _put(values, at, a):  # type: ignore[no-untyped-def]
+    values[at], values[at + 1], values[at + 2] = a[0], a[1], a[2]
+
+
+@njit(cache=True)
+def _sum(a, b):  # type: ignore[no-untyped-def]
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@njit(cache=True)
+def _times(x, a):  # type: ignore[no-untyped-def]
+    return x * a[0], x * a[1], x * a[2]
+
+
+@njit(cache=True)
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True)
+def _cross(a, b):  # type: ignore[no-untyped-def]
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True)
+def _matrix(m, at, a):  # type: ignore[no-untyped-def]
+    """Product of a matrix by rows and a vector."""
+    return _dot(_vector(m, at), a), _dot(_vector(m, at + 3), a), _dot(_vector(m, at + 6), a)
+
+
+@njit(cache=True)
+def _carried(turning, spin, a):  # type: ignore[no-untyped-def]
+    """Acceleration of a point of a body that turns, beside that of its origin."""
+    return _sum(_cross(turning, a), _cross(spin, _cross(spin, a)))
 
 
 @njit(cache=True, fastmath=False)
 def forward(bodies, q, v, gravity, work):  # type: ignore[no-untyped-def]
     """Poses, velocities and accelerations of the bodies without joint accelerations."""
-    n = q.shape[0]
-    p00, p01, p02, p10, p11, p12, p20, p21, p22 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
-    ox, oy, oz = 0.0, 0.0, 0.0
-    wx, wy, wz = 0.0, 0.0, 0.0
-    lx, ly, lz = 0.0, 0.0, 0.0
-    ax, ay, az = -gravity[0], -gravity[1], -gravity[2]
-    for k in range(n):
-        b = bodies[k]
-        s = work[k]
-        ux, uy, uz = b[1], b[2], b[3]
+    turn = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    origin, spin, turning = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    moving = (-gravity[0], -gravity[1], -gravity[2])
+    for k in range(q.shape[0]):
+        b, s = bodies[k], work[k]
         # the joint's axis in the world: turning about it leaves it where it is
-        gx = p00 * ux + p01 * uy + p02 * uz
-        gy = p10 * ux + p11 * uy + p12 * uz
-        gz = p20 * ux + p21 * uy + p22 * uz
-        rx = p00 * b[4] + p01 * b[5] + p02 * b[6]
-        ry = p10 * b[4] + p11 * b[5] + p12 * b[6]
-        rz = p20 * b[4] + p21 * b[5] + p22 * b[6]
-        slide = b[0] > 0.5
+        own = _vector(b, AXIS)
+        axis, arm = _matrix(turn, 0, own), _matrix(turn, 0, _vector(b, ORIGIN))
+        slide = b[KIND] > 0.5
         if slide:
-            rx += gx * q[k]
-            ry += gy * q[k]
-            rz += gz * q[k]
-        ox += rx
-        oy += ry
-        oz += rz
-        # acceleration carried from the parent to the new origin
-        cx = wy * rz - wz * ry
-        cy = wz * rx - wx * rz
-        cz = wx * ry - wy * rx
-        ax += ly * rz - lz * ry + wy * cz - wz * cy
-        ay += lz * rx - lx * rz + wz * cx - wx * cz
-        az += lx * ry - ly * rx + wx * cy - wy * cx
-        qd = v[k]
+            arm = _sum(arm, _times(q[k], axis))
+        origin = _sum(origin, arm)
+        moving = _sum(moving, _carried(turning, spin, arm))
         if slide:
-            ax += 2.0 * (wy * gz - wz * gy) * qd
-            ay += 2.0 * (wz * gx - wx * gz) * qd
-            az += 2.0 * (wx * gy - wy * gx) * qd
-            s[12], s[13], s[14] = 0.0, 0.0, 0.0
-            s[15], s[16], s[17] = gx, gy, gz
+            moving = _sum(moving, _times(2.0 * v[k], _cross(spin, axis)))
+            _put(s, _W, (0.0, 0.0, 0.0))
+            _put(s, _V, axis)
         else:
-            lx += (wy * gz - wz * gy) * qd
-            ly += (wz * gx - wx * gz) * qd
-            lz += (wx * gy - wy * gx) * qd
-            wx += gx * qd
-            wy += gy * qd
-            wz += gz * qd
-            s[12], s[13], s[14] = gx, gy, gz
-            s[15] = oy * gz - oz * gy
-            s[16] = oz * gx - ox * gz
-            s[17] = ox * gy - oy * gx
+            turning = _sum(turning, _times(v[k], _cross(spin, axis)))
+            spin = _sum(spin, _times(v[k], axis))
+            _put(s, _W, axis)
+            _put(s, _V, _cross(origin, axis))
             sn, cs = np.sin(q[k]), np.cos(q[k])
+            x, y, z = own
             t = 1.0 - cs
-            r00 = cs + t * ux * ux
-            r01 = t * ux * uy - sn * uz
-            r02 = t * ux * uz + sn * uy
-            r10 = t * ux * uy + sn * uz
-            r11 = cs + t * uy * uy
-            r12 = t * uy * uz - sn * ux
-            r20 = t * ux * uz - sn * uy
-            r21 = t * uy * uz + sn * ux
-            r22 = cs + t * uz * uz
-            n00 = p00 * r00 + p01 * r10 + p02 * r20
-            n01 = p00 * r01 + p01 * r11 + p02 * r21
-            n02 = p00 * r02 + p01 * r12 + p02 * r22
-            n10 = p10 * r00 + p11 * r10 + p12 * r20
-            n11 = p10 * r01 + p11 * r11 + p12 * r21
-            n12 = p10 * r02 + p11 * r12 + p12 * r22
-            n20 = p20 * r00 + p21 * r10 + p22 * r20
-            n21 = p20 * r01 + p21 * r11 + p22 * r21
-            n22 = p20 * r02 + p21 * r12 + p22 * r22
-            p00, p01, p02 = n00, n01, n02
-            p10, p11, p12 = n10, n11, n12
-            p20, p21, p22 = n20, n21, n22
-        s[0], s[1], s[2] = p00, p01, p02
-        s[3], s[4], s[5] = p10, p11, p12
-        s[6], s[7], s[8] = p20, p21, p22
-        s[9], s[10], s[11] = ox, oy, oz
-        s[18], s[19], s[20] = lx, ly, lz
-        s[21], s[22], s[23] = ax, ay, az
-        s[27], s[28], s[29] = wx, wy, wz
+            c0 = _matrix(turn, 0, (cs + t * x * x, t * x * y + sn * z, t * x * z - sn * y))
+            c1 = _matrix(turn, 0, (t * x * y - sn * z, cs + t * y * y, t * y * z + sn * x))
+            c2 = _matrix(turn, 0, (t * x * z + sn * y, t * y * z - sn * x, cs + t * z * z))
+            turn = (c0[0], c1[0], c2[0], c0[1], c1[1], c2[1], c0[2], c1[2], c2[2])
+        for d in range(9):
+            s[_R + d] = turn[d]
+        _put(s, _O, origin)
+        _put(s, _AL, turning)
+        _put(s, _AO, moving)
+        _put(s, _OM, spin)
 
 
 @njit(cache=True, fastmath=False)
 def mass_and_bias(bodies, work, mass, bias):  # type: ignore[no-untyped-def]
     """Mass matrix and bias forces (gravity, Coriolis, centrifugal) after `forward`."""
-    n = bodies.shape[0]
-    m = 0.0
-    hx, hy, hz = 0.0, 0.0, 0.0
-    xx, yy, zz, xy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    fx, fy, fz, nx, ny, nz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(n - 1, -1, -1):
-        b = bodies[k]
-        s = work[k]
-        mk = b[7]
-        if mk > 0.0 or b[11] > 0.0:
-            r00, r01, r02, r10, r11, r12, r20, r21, r22 = (
-                s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8],
-            )  # fmt: skip
-            dx = r00 * b[8] + r01 * b[9] + r02 * b[10]
-            dy = r10 * b[8] + r11 * b[9] + r12 * b[10]
-            dz = r20 * b[8] + r21 * b[9] + r22 * b[10]
-            px, py, pz = s[9] + dx, s[10] + dy, s[11] + dz
-            # rows of R I, then (R I) R'
-            a0 = r00 * b[11] + r01 * b[14] + r02 * b[17]
-            a1 = r00 * b[12] + r01 * b[15] + r02 * b[18]
-            a2 = r00 * b[13] + r01 * b[16] + r02 * b[19]
-            b0 = r10 * b[11] + r11 * b[14] + r12 * b[17]
-            b1 = r10 * b[12] + r11 * b[15] + r12 * b[18]
-            b2 = r10 * b[13] + r11 * b[16] + r12 * b[19]
-            c0 = r20 * b[11] + r21 * b[14] + r22 * b[17]
-            c1 = r20 * b[12] + r21 * b[15] + r22 * b[18]
-            c2 = r20 * b[13] + r21 * b[16] + r22 * b[19]
-            ixx = a0 * r00 + a1 * r01 + a2 * r02
-            ixy = a0 * r10 + a1 * r11 + a2 * r12
-            ixz = a0 * r20 + a1 * r21 + a2 * r22
-            iyy = b0 * r10 + b1 * r11 + b2 * r12
-            iyz = b0 * r20 + b1 * r21 + b2 * r22
-            izz = c0 * r20 + c1 * r21 + c2 * r22
-            lx, ly, lz = s[18], s[19], s[20]
-            wx, wy, wz = s[27], s[28], s[29]
-            cx = wy * dz - wz * dy
-            cy = wz * dx - wx * dz
-            cz = wx * dy - wy * dx
-            qx = mk * (s[21] + ly * dz - lz * dy + wy * cz - wz * cy)
-            qy = mk * (s[22] + lz * dx - lx * dz + wz * cx - wx * cz)
-            qz = mk * (s[23] + lx * dy - ly * dx + wx * cy - wy * cx)
-            ex = ixx * wx + ixy * wy + ixz * wz
-            ey = ixy * wx + iyy * wy + iyz * wz
-            ez = ixz * wx + iyz * wy + izz * wz
-            fx += qx
-            fy += qy
-            fz += qz
-            nx += ixx * lx + ixy * ly + ixz * lz + wy * ez - wz * ey + py * qz - pz * qy
-            ny += ixy * lx + iyy * ly + iyz * lz + wz * ex - wx * ez + pz * qx - px * qz
-            nz += ixz * lx + iyz * ly + izz * lz + wx * ey - wy * ex + px * qy - py * qx
-            m += mk
-            hx += mk * px
-            hy += mk * py
-            hz += mk * pz
-            xx += ixx + mk * (py * py + pz * pz)
-            yy += iyy + mk * (px * px + pz * pz)
-            zz += izz + mk * (px * px + py * py)
-            xy += ixy - mk * px * py
-            xz += ixz - mk * px * pz
-            yz += iyz - mk * py * pz
-        wx, wy, wz, vx, vy, vz = s[12], s[13], s[14], s[15], s[16], s[17]
-        bias[k] = wx * nx + wy * ny + wz * nz + vx * fx + vy * fy + vz * fz
-        gx = m * vx + wy * hz - wz * hy
-        gy = m * vy + wz * hx - wx * hz
-        gz = m * vz + wx * hy - wy * hx
-        kx = xx * wx + xy * wy + xz * wz + hy * vz - hz * vy
-        ky = xy * wx + yy * wy + yz * wz + hz * vx - hx * vz
-        kz = xz * wx + yz * wy + zz * wz + hx * vy - hy * vx
+    m, about = 0.0, np.zeros(9)  # mass and inertia about the world's origin of what is carried
+    moment, force, load = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for k in range(bodies.shape[0] - 1, -1, -1):
+        b, s = bodies[k], work[k]
+        if b[MASS] > 0.0 or b[INERTIA] > 0.0:
+            for i in range(3):  # R I R'
+                row = _matrix(b, INERTIA, _vector(s, 3 * i))
+                _put(s, _IN + 3 * i, _matrix(s, _R, row))
+            arm = _matrix(s, _R, _vector(b, COM))
+            at = _sum(_vector(s, _O), arm)
+            turning, spin = _vector(s, _AL), _vector(s, _OM)
+            moving = _sum(_vector(s, _AO), _carried(turning, spin, arm))
+            push = _times(b[MASS], moving)
+            turned = _sum(_matrix(s, _IN, turning), _cross(spin, _matrix(s, _IN, spin)))
+            force = _sum(force, push)
+            load = _sum(load, _sum(turned, _cross(at, push)))
+            m += b[MASS]
+            moment = _sum(moment, _times(b[MASS], at))
+            square = _dot(at, at)
+            for i in range(3):
+                for j in range(3):
+                    about[3 * i + j] += s[_IN + 3 * i + j] - b[MASS] * at[i] * at[j]
+                about[4 * i] += b[MASS] * square
+        w, v = _vector(s, _W), _vector(s, _V)
+        bias[k] = _dot(w, load) + _dot(v, force)
+        linear = _sum(_times(m, v), _cross(w, moment))
+        angular = _sum(_matrix(about, 0, w), _cross(moment, v))
         for j in range(k + 1):
             t = work[j]
-            e = t[12] * kx + t[13] * ky + t[14] * kz + t[15] * gx + t[16] * gy + t[17] * gz
+            e = _dot(_vector(t, _W), angular) + _dot(_vector(t, _V), linear)
             mass[k, j] = e
             mass[j, k] = e
-        mass[k, k] += b[20]
+        mass[k, k] += b[ARMATURE]
 
 
 @njit(cache=True, fastmath=False)
@@ -333,34 +290,27 @@ def solve(mass, force, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=False)
+def _add_push(work, count, at, push, force):  # type: ignore[no-untyped-def]
+    """Add the joint forces of a push at a point of the world to `force`."""
+    moment = _cross(at, push)
+    for k in range(count):
+        force[k] += _dot(_vector(work[k], _W), moment) + _dot(_vector(work[k], _V), push)
+
+
+@njit(cache=True, fastmath=False)
 def add_tool_force(work, tool, local, force):  # type: ignore[no-untyped-def]
     """Add the joint forces of a force at the tool, given in the tool's frame, to `force`."""
-    n = work.shape[0]
-    s = work[n - 1]
-    px = s[9] + s[0] * tool[0] + s[1] * tool[1] + s[2] * tool[2]
-    py = s[10] + s[3] * tool[0] + s[4] * tool[1] + s[5] * tool[2]
-    pz = s[11] + s[6] * tool[0] + s[7] * tool[1] + s[8] * tool[2]
-    fx = s[0] * local[0] + s[1] * local[1] + s[2] * local[2]
-    fy = s[3] * local[0] + s[4] * local[1] + s[5] * local[2]
-    fz = s[6] * local[0] + s[7] * local[1] + s[8] * local[2]
-    nx, ny, nz = py * fz - pz * fy, pz * fx - px * fz, px * fy - py * fx
-    for k in range(n):
-        t = work[k]
-        force[k] += t[12] * nx + t[13] * ny + t[14] * nz + t[15] * fx + t[16] * fy + t[17] * fz
+    s = work[work.shape[0] - 1]
+    at = _sum(_vector(s, _O), _matrix(s, _R, tool))
+    _add_push(work, work.shape[0], at, _matrix(s, _R, local), force)
 
 
 @njit(cache=True, fastmath=False)
 def add_weight(bodies, work, body, share, gravity, force):  # type: ignore[no-untyped-def]
     """Add the joint forces of a share of a body's weight, at its centre of mass, to `force`."""
     s, b = work[body], bodies[body]
-    px = s[9] + s[0] * b[8] + s[1] * b[9] + s[2] * b[10]
-    py = s[10] + s[3] * b[8] + s[4] * b[9] + s[5] * b[10]
-    pz = s[11] + s[6] * b[8] + s[7] * b[9] + s[8] * b[10]
-    fx, fy, fz = share * b[7] * gravity[0], share * b[7] * gravity[1], share * b[7] * gravity[2]
-    nx, ny, nz = py * fz - pz * fy, pz * fx - px * fz, px * fy - py * fx
-    for k in range(body + 1):
-        t = work[k]
-        force[k] += t[12] * nx + t[13] * ny + t[14] * nz + t[15] * fx + t[16] * fy + t[17] * fz
+    at = _sum(_vector(s, _O), _matrix(s, _R, _vector(b, COM)))
+    _add_push(work, body + 1, at, _times(share * b[MASS], gravity), force)
 
 
 @njit(cache=True, fastmath=False)
@@ -368,27 +318,15 @@ def tool_acceleration(work, tool, acceleration, out):  # type: ignore[no-untyped
     """Proper acceleration of the tool in the last link's frame, after `forward`."""
     n = work.shape[0]
     s = work[n - 1]
-    lx, ly, lz = s[18], s[19], s[20]
-    wx, wy, wz = s[27], s[28], s[29]
-    dx = s[0] * tool[0] + s[1] * tool[1] + s[2] * tool[2]
-    dy = s[3] * tool[0] + s[4] * tool[1] + s[5] * tool[2]
-    dz = s[6] * tool[0] + s[7] * tool[1] + s[8] * tool[2]
-    px, py, pz = s[9] + dx, s[10] + dy, s[11] + dz
-    cx = wy * dz - wz * dy
-    cy = wz * dx - wx * dz
-    cz = wx * dy - wy * dx
-    ax = s[21] + ly * dz - lz * dy + wy * cz - wz * cy
-    ay = s[22] + lz * dx - lx * dz + wz * cx - wx * cz
-    az = s[23] + lx * dy - ly * dx + wx * cy - wy * cx
+    arm = _matrix(s, _R, tool)
+    at = _sum(_vector(s, _O), arm)
+    whole = _sum(_vector(s, _AO), _carried(_vector(s, _AL), _vector(s, _OM), arm))
     for k in range(n):
         t = work[k]
-        a = acceleration[k]
-        ax += a * (t[15] + t[13] * pz - t[14] * py)
-        ay += a * (t[16] + t[14] * px - t[12] * pz)
-        az += a * (t[17] + t[12] * py - t[13] * px)
-    out[0] = s[0] * ax + s[3] * ay + s[6] * az
-    out[1] = s[1] * ax + s[4] * ay + s[7] * az
-    out[2] = s[2] * ax + s[5] * ay + s[8] * az
+        moved = _sum(_vector(t, _V), _cross(_vector(t, _W), at))
+        whole = _sum(whole, _times(acceleration[k], moved))
+    for d in range(3):
+        out[d] = s[d] * whole[0] + s[3 + d] * whole[1] + s[6 + d] * whole[2]
 
 
 SAMPLE = 1e-3

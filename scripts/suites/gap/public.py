@@ -67,7 +67,6 @@ from scripts.suites.gap.grading import (
     parameter_error,
     separable_by_data,
 )
-from scripts.suites.gap.run import share
 
 ANSWER, SCORE = "gap-answer/1", "gap-score/1"
 """Formats of an answer and of ``score.json``."""
@@ -775,35 +774,6 @@ def _ratio(hits: float, of: float) -> float:
     return hits / of if of else math.nan
 
 
-def table(found: Score) -> str:
-    """A score for a terminal, with a line for each case of an open suite."""
-    rows = [
-        ("cases right", share(found.right.hits, found.right.of)),
-        *(
-            (f"  {group}", share(count.hits, count.of))
-            for group, count in found.groups.items()
-        ),
-        ("precision over effects", share(found.found, found.named)),
-        ("recall over effects", share(found.found, found.true)),
-        ("F1", number(found.f1)),
-        ("false alarms", share(found.false_alarms.hits, found.false_alarms.of)),
-        ("Brier score per case", number(found.brier)),
-        ("calibration error", number(found.calibration_error)),
-        ("parameter error, median", number(found.parameter_error)),
-        ("95 % intervals that hold", share(found.coverage.hits, found.coverage.of)),
-        ("CPU time of a case, median [s]", number(found.cpu_seconds, digits=0)),
-    ]  # fmt: skip
-    lines = [f"{found.name} on {found.suite} ({found.identity})"]
-    lines += [f"{what:<32}{value}" for what, value in rows]
-    lines += [
-        f"{case.case}  {'right' if case.right else 'WRONG'}  "
-        f"true {' + '.join(case.truth) or 'nothing'}"
-        f"  answered {' + '.join(case.answered)}"
-        for case in found.cases
-    ]
-    return "\n".join(lines)
-
-
 def number(value: float, *, digits: int = 3) -> str:
     """A number with so many decimals, "-" where there is none."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
@@ -899,7 +869,13 @@ class Board:
 
 def _score(given: Scored) -> None:
     found = score(given.folder, given.results, name=given.name, opened=given.open)
-    print(table(found))
+    groups = (f"{group} {_of(count)}" for group, count in found.groups.items())
+    print(leaderboard([found]), f"Cases right by group: {', '.join(groups)}.", sep="\n\n")
+    for case in found.cases:
+        print(
+            f"{case.case}  {'right' if case.right else 'WRONG'}  true "
+            f"{' + '.join(case.truth) or 'nothing'}  answered {' + '.join(case.answered)}"
+        )
     file = write_text(given.results / "score.json", json_text(dataclasses.asdict(found)))
     print(file, file=sys.stderr)
 
