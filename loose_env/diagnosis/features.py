@@ -26,6 +26,7 @@ from loose_env.diagnosis.prediction import (
     seat_drives,
     stiffness_errors,
 )
+from loose_env.excitation import SeatReference
 from loose_env.inference import whitener
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
@@ -125,6 +126,8 @@ class SeatFeatures:
         Errors of the nominal model.
     directions : int
         Sliding directions of each link, A.
+    over : {"median", "best"}
+        Pose whose seat drive friction is compared to, as the difficulty draws it.
 
     Examples
     --------
@@ -142,6 +145,7 @@ class SeatFeatures:
         mismatch: Mismatch,
         *,
         directions: int,
+        over: SeatReference = "median",
     ) -> None:
         arm = linear.arm
         self.bends = bool(len(linear.flexible_dofs)) or arm.hold != "brake"
@@ -151,7 +155,7 @@ class SeatFeatures:
         self.floor = SensorFloor.of(sensors, arm.band)
         self.directions = axes_grid(directions, len(arm.axes))
         """Sliding directions in a link's frame, unit vectors (A, axes)."""
-        self.top = seat_drives(linear, self.directions, "median")
+        self.top = seat_drives(linear, self.directions, over)
         """Rms force of the top level across every seat (P,)."""
         self.hypothesis = np.concatenate(
             [np.repeat(np.arange(arm.n), directions), arm.n + np.arange(arm.n)]
