@@ -8,14 +8,12 @@ that k records allow to get right. Neither is known. Both are taken from whoever
 - Success: the largest share of right best guesses after k records, at the upper end of its
   interval.
 
-So the bound holds for whoever gets no more out of a record than the best player counted. Taken
-from the agents it can be beaten by a better posterior or better records than theirs. Taken from the
-oracle too, which is told direction and friction, it hardly can, and is lower.
+So the bound holds for whoever gets no more out of a record than the best player counted; a better
+posterior or better records can beat it.
 """
 
 from __future__ import annotations
 
-import json
 import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -25,20 +23,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import stats
 
 import loose_env
 from loose_agents.base import Agent, Problem, hypothesis_prior
 from loose_agents.evaluation import diagnosis_env, evaluate
-from loose_agents.jobs import (
-    BackendSettings,
-    ProgressLine,
-    Store,
-    canonical,
-    run_stored,
-    spans,
-)
+from loose_agents.jobs import BackendSettings, ProgressLine, Store, canonical, run_stored, spans
 from loose_agents.registry import content_of, make_agent
 from loose_env.arms import Arm
 from loose_env.diagnosis import least_records
@@ -47,7 +37,7 @@ from loose_env.evaluation import Row, by_agent, configuration_hash, standings, w
 from loose_env.typing import Array
 from loose_env.wrappers import PROBABILITY_FLOOR
 
-_THREAD = threading.local()  # agents and problems already made, in each thread of a worker
+_THREAD = threading.local()  # the agent already made, in each thread of a worker
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,10 +50,8 @@ class EvaluationTask:
     """Id of the environment."""
     arguments: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of the environment."""
-    first: int = 0
-    """First episode."""
     count: int
-    """Number of episodes."""
+    """Number of episodes, from number 0."""
     seed: int
     """Seed of the episodes."""
     agent_seed: int = 0
@@ -77,26 +65,30 @@ class EvaluationTask:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """Return every setting that determines the rows."""
+        """Every setting that determines the rows."""
         named = asdict(self)
-        for name in ("width", "threads"):
+        for name in ("count", "width", "threads"):
             del named[name]
         content = content_of(self.agent)  # what it is made of counts, not its name alone
         return {**named, "version": loose_env.__version__, "content": content}
 
+    def make(self, problem: Problem) -> Agent:
+        """Make the agent."""
+        return make_agent(self.agent, problem, seed=self.agent_seed)
+
 
 def evaluate_shard(
-    task: EvaluationTask, progress: Callable[[int], None] | None = None
+    task: EvaluationTask, span: range, progress: Callable[[int], None] | None = None
 ) -> list[dict[str, Any]]:
-    """Play the episodes of a task; return their rows as dictionaries, in order."""
+    """Play some episodes of a task; return their rows as dictionaries, in order."""
     problem, agent, true_arm = _ready(task)
     rows = evaluate(
         agent,
         task.agent,
         problem.arm,
         problem.settings,
-        episodes=task.count,
-        first=task.first,
+        episodes=len(span),
+        first=span.start,
         seed=task.seed,
         records=task.records,
         width=task.width,
@@ -125,9 +117,12 @@ def play_task(
     shutil.rmtree(gone, ignore_errors=True)  # left by a run that was killed while it tidied up
     store = Store(where, task.configuration)
     if settings is None or (settings.backend == "loky" and settings.workers == 1):
-        _play_here(task, store, store.missing(parts))
+        missing = store.missing(parts)
+        with ProgressLine(task.count, done=task.count - sum(map(len, missing))) as line:
+            for span in missing:
+                store.write(span, evaluate_shard(task, span, lambda _: line.advance(1)))
     else:
-        run_stored(partial(_part, replace(task, threads=1)), parts, store, settings)
+        run_stored(partial(evaluate_shard, replace(task, threads=1)), parts, store, settings)
     rows = [row for part in parts for row in store.read(part)]
     if not keep:
         # Renamed first: half a folder of shards would be taken for somebody else's.
@@ -136,34 +131,17 @@ def play_task(
     return rows
 
 
-def _part(
-    task: EvaluationTask, span: range, progress: Callable[[int], None] | None = None
-) -> list[dict[str, Any]]:
-    part = replace(task, first=task.first + span.start, count=len(span))
-    return evaluate_shard(part, progress=progress)
-
-
-def _play_here(task: EvaluationTask, store: Store, missing: Sequence[range]) -> None:
-    with ProgressLine(task.count, done=task.count - sum(map(len, missing))) as line:
-        for span in missing:
-            store.write(span, _part(task, span, lambda _: line.advance(1)))
-
-
 def _ready(task: EvaluationTask) -> tuple[Problem, Agent, Arm]:
-    """Problem, agent and true arm of a task, cached per thread."""
-    made: dict[str, tuple[Problem, Agent, Arm]] = _THREAD.__dict__.setdefault("made", {})
-    key = json.dumps([task.env_id, task.arguments, task.agent, task.agent_seed], sort_keys=True)
-    if key not in made:
+    """Problem, agent and true arm of a task, kept for its further shards in each thread."""
+    made = _THREAD.__dict__
+    key = replace(task, count=1, threads=1)
+    if made.get("task") != key:
         env = diagnosis_env(task.env_id, task.arguments)
         problem = Problem.of(env.arm, env.settings)
-        made.clear()  # one at a time: a task's shards follow each other
-        agent = make_agent(task.agent, problem, seed=task.agent_seed)
-        made[key] = problem, agent, env.batch.true_arm
-    return made[key]
+        made.update(task=key, made=(problem, task.make(problem), env.batch.true_arm))
+    found: tuple[Problem, Agent, Arm] = made["made"]
+    return found
 
-
-STAR = "*"
-"""End of the names that are no agents."""
 
 FEWEST = 30
 """Episodes that a mean is taken of, at least."""
@@ -186,17 +164,10 @@ class RecordBound:
     success: Array
     """Highest share of right verdicts after 1, 2, ... records."""
 
-    def by_information(self, error: ArrayLike) -> Array:
-        """Bound from the information gained per record."""
-        return least_records(error, self.prior, information=self.information)
-
-    def by_success(self, error: ArrayLike) -> Array:
-        """Bound from the accuracy reached after k records."""
-        return least_records(error, self.prior, success=self.success)
-
-    def records(self, error: ArrayLike) -> Array:
-        """Larger of the two bounds, as plotted in records against success."""
-        return np.maximum(self.by_information(error), self.by_success(error))
+    def records(self, error: float) -> float:
+        """Larger of the bounds by the information per record and by the success after k records."""
+        found = least_records(error, self.prior, information=self.information)
+        return float(max(found, least_records(error, self.prior, success=self.success)))
 
 
 def record_bound(problem: Problem, rows: Sequence[Row]) -> RecordBound | None:
@@ -232,49 +203,23 @@ def bound_of(
 
 
 def bound_line(problem: Problem, rows: Sequence[Row]) -> str:
-    """Format the lower bounds at the best agent's error rate, by difficulty.
-
-    The best agent is the one of the highest mean return among those that are told nothing. The
-    bound is that of the agents; where an oracle plays, what is left of it with the oracle's
-    records is said too.
-    """
-    parts = []
-    levels = dict.fromkeys(str(row.get("difficulty", "own")) for row in rows)
-    for level in levels:
-        some = [row for row in rows if str(row.get("difficulty", "own")) == level]
-        where = f" ({level})" if len(levels) > 1 else ""
-        best = next((s for s in standings(some) if not s.agent.endswith(STAR)), None)
-        if best is None:
-            continue
-        own = [row for row in some if not str(row["agent"]).endswith(STAR)]
-        bound = record_bound(problem, own)
-        if bound is None:
-            parts.append(
-                f"Bound on records{where}: 1; more cannot be said, for no agent here keeps "
-                f"probabilities on {FEWEST} arms or more."
-            )
-            continue
-        error = 1 - best.success
-        told = "" if len(own) == len(some) else _told(record_bound(problem, some), error)
-        parts.append(
-            f"Bound on records{where}: {float(bound.records(error)):.2f} on average at the error "
-            f"of {best.agent}, {100 * error:.1f} %, which took {best.records:.2f}. By information "
-            f"(Fano) {float(bound.by_information(error)):.2f}, if no record says more than "
-            f"{bound.information:.2f} nat, the most that one says to an agent here "
-            f"({bound.teller}, record {bound.record}); by success "
-            f"{float(bound.by_success(error)):.2f}, if k records allow no more right verdicts than "
-            f"the agents here reached. Both with the upper ends of 95 % intervals.{told}"
-        )
-    return "\n".join(parts)
-
-
-def _told(bound: RecordBound | None, error: float) -> str:
-    """Bound that also covers the oracle."""
+    """Format the lower bounds at the error rate of the best agent by return."""
+    best, bound = standings(rows)[0], record_bound(problem, rows)
     if bound is None:
-        return ""
+        return (
+            "Bound on records: 1; more cannot be said, for no agent here keeps probabilities on "
+            f"{FEWEST} arms or more."
+        )
+    error = 1 - best.success
+    by_information = float(least_records(error, bound.prior, information=bound.information))
+    by_success = float(least_records(error, bound.prior, success=bound.success))
     return (
-        f" With the oracle's records, of up to {bound.information:.2f} nat, it is "
-        f"{float(bound.records(error)):.2f}."
+        f"Bound on records: {max(by_information, by_success):.2f} on average at the error of "
+        f"{best.agent}, {100 * error:.1f} %, which took {best.records:.2f}. By information (Fano) "
+        f"{by_information:.2f}, if no record says more than {bound.information:.2f} nat, the most "
+        f"that one says to an agent here ({bound.teller}, record {bound.record}); by success "
+        f"{by_success:.2f}, if k records allow no more right verdicts than the agents here "
+        "reached. Both with the upper ends of 95 % intervals."
     )
 
 
@@ -310,7 +255,8 @@ def success_limits(rows: Sequence[Row]) -> list[float]:
 
     Who has stopped keeps the last guess.
     """
-    trails = [(row["truth"], list(best)) for row in rows if _has(best := row.get("trail_best"))]  # type: ignore[arg-type]
+    trails = [(row["truth"], list(row.get("trail_best") or ())) for row in rows]
+    trails = [trail for trail in trails if trail[1]]
     if len(trails) < FEWEST:
         return []
     longest = max(len(best) for _, best in trails)
@@ -318,7 +264,3 @@ def success_limits(rows: Sequence[Row]) -> list[float]:
         wilson(sum(best[min(k, len(best) - 1)] == truth for truth, best in trails), len(trails))[1]
         for k in range(longest)
     ]
-
-
-def _has(trail: Any) -> bool:
-    return trail is not None and len(trail) > 0

@@ -34,8 +34,8 @@ class EnvState:
     """Of the arm and the settings that it is a state of."""
 
 
-class OfBatch:
-    """What single and vector environments are to the batch of episodes that they show.
+class BatchShell:
+    """Attributes and pickling that single and vector environments of a batch share.
 
     A copy is built anew from the arguments and takes up the state: no engine is copied.
     """
@@ -74,7 +74,7 @@ class OfBatch:
         self.__dict__.update(stored["attributes"])
 
 
-class DiagnosisEnv(OfBatch, gymnasium.Env[Any, NDArray[np.int64]]):
+class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     """Find the fault hidden in a robot arm.
 
     ## Description

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm
 from loose_env.envs.batch import Episode, EpisodeBatch
-from loose_env.envs.env import OfBatch, new_seed
+from loose_env.envs.env import BatchShell, new_seed
 from loose_env.envs.rendering import Picture
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
@@ -125,7 +125,7 @@ class VectorState:
     """Of the arm and the settings that it is a state of."""
 
 
-class DiagnosisVectorEnv(OfBatch, VectorEnv[Any, Any, Any]):
+class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
     """`num_envs` diagnosis episodes side by side, simulated in one batch.
 
     `autoreset_mode` says what becomes of an episode that has ended, as in Gymnasium's own vector

@@ -22,12 +22,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from loose_agents.jobs import BackendSettings, Store
-from loose_agents.record_bank import (
-    BankOptions,
-    BankPlan,
-    build_bank,
-    build_features,
-)
+from loose_agents.record_bank import BankOptions, BankPlan, build_bank, build_features
 
 from loose_env.cli.command import command
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import welch
 
-from loose_env.arms import COIL, Arm, Holding, Mismatch
+from loose_env.arms import Arm, Holding, Mismatch
 from loose_env.envs import INK, MEASURED, MUTED, SHAKEN, TRUTH
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation
@@ -189,10 +189,6 @@ class SlideRecords(NamedTuple):
     """Accelerometer at alpha from the rails, as measured [m/s²] (A, N)."""
     y: Array
     """Accelerometer perpendicular to it [m/s²] (A, N)."""
-    shaker: Array
-    """Shaker's table, as measured [m/s²] (A, N)."""
-    velocity: Array
-    """True velocity of the slide along the rails, relative to the bench [m/s] (A, N)."""
     shaken_by: dict[str, BaseRecord]
     """Records about the base's motion, by what shakes the bench."""
 
@@ -224,25 +220,15 @@ def slide_records(seed: int, *, pair: int = 0) -> SlideRecords:
     measured += TAPE_OFFSET * FULL_SCALE * rng.standard_normal((2, len(alpha), 1))
     gain = 1 + BENCH_GAIN * rng.standard_normal()
     shaken_by = {}
-    for name, run in (
-        ("the shaker's own reaction", runs[0]),
-        ("another machine too", with_machine),
-    ):
+    both = {"the shaker's own reaction": runs[0], "another machine too": with_machine}
+    for name, run in both.items():
         slide, base = run.probes[SLIDE][0], run.probes[BENCH][0]
         shaken_by[name] = BaseRecord(
             slide=slide + noise * rng.standard_normal(slide.shape),
             base=gain * base + BENCH_SCALE * noise * rng.standard_normal(base.shape),
             relative=slide - base,
         )
-    shaker = np.array([run.probes[COIL][0] for run in runs])
-    return SlideRecords(
-        alpha=alpha,
-        x=measured[0],
-        y=measured[1],
-        shaker=shaker + noise * rng.standard_normal(shaker.shape),
-        velocity=np.array([_velocity(run) for run in runs]),
-        shaken_by=shaken_by,
-    )
+    return SlideRecords(alpha, measured[0], measured[1], shaken_by)
 
 
 def resolver_records(seed: int) -> ResolverRecords:
@@ -274,16 +260,9 @@ def _motions(seed: int) -> tuple[Array, tuple[Measurement, ...], Measurement]:
     """Angles of the cube, the motion at each, and one with another machine on the bench."""
     alpha = np.radians(np.arange(0.0, 91.0, 5.0))
     shake = Excitation(torque_rms=(0.0,), duration=DURATION, band=FORCE_BAND, shaker_rms=FORCE_RMS)
-    runs = tuple(
-        # The cube's accelerometers turn against its angle: x lies at -alpha in the bench's frame.
-        _measure(
-            slide_rig(cube_angle=-angle, stinger="threaded_rod"),
-            np.zeros(1),
-            shake,
-            [seed, 100 + k],
-        )
-        for k, angle in enumerate(alpha)
-    )
+    # The cube's accelerometers turn against its angle: x lies at -alpha in the bench's frame.
+    rigs = [slide_rig(cube_angle=-angle, stinger="threaded_rod") for angle in alpha]
+    runs = tuple(_measure(r, np.zeros(1), shake, [seed, 100 + k]) for k, r in enumerate(rigs))
     arm = _beside_a_machine(slide_rig(stinger="threaded_rod"))
     return alpha, runs, _with_machine(arm, seed)
 

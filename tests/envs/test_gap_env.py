@@ -27,7 +27,7 @@ from loose_env.gap import (
 )
 from loose_env.registration import GAP_ID
 from scripts.model_gap.train import Options, train
-from tests.gap.experiment_design.small_bank import small_bank, small_models
+from tests.gap.cases.small_bank import small_bank, small_models
 
 UR5E = Path(__file__).parents[3] / "shared" / "models" / "ur5e_bare.xml"
 

@@ -180,6 +180,7 @@ def test_names_with_dollar_signs_are_drawn_as_they_are() -> None:
         assert all(name in html.unescape(drawn) for name in names)
 
 
+@pytest.mark.slow
 def test_a_page_that_fails_takes_neither_model_nor_result_along(
     solution: GapSolution,
     evidence: ResidualDiagnostics,

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from loose_agents.jobs import BackendSettings
-from loose_agents.policies.pose_sets import LIMIT, Directions, Records, Task
 
 from loose_env.arms import planar, scara
 from loose_env.diagnosis import ToolFrames
 from scripts.studies import links
 from scripts.studies import pose_sets as script
+from scripts.studies.pose_sets import LIMIT, Directions, Records, Task
 from scripts.study import MARKS, write_between
 
 SMALL = Directions(arms=("planar2", "planar3"), sds=(10.0,), cases=6, block=3, poses=3, samples=500)

@@ -51,7 +51,7 @@ TRAINING = [
 ]
 AGENTS = [
     *("--arguments", '{"n_links": 2}', "--agents", "posterior/random", "--episodes", "160"),
-    *("--workers", "1", "--threads", "1", "--shard", "1"),
+    *("--workers", "1", "--shard", "1"),
 ]
 SCRIPTS: dict[str, tuple[str, Callable[[Path], list[str]]]] = {
     "train": (

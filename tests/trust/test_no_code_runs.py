@@ -132,17 +132,16 @@ def zipped(tmp_path: Path, *, tensors: object, described: dict[str, Any]) -> Pat
 
 def test_the_settings_of_a_stored_model_are_not_unpickled(tmp_path: Path, trap: bytes) -> None:
     pytest.importorskip("sb3_contrib")
-    from loose_agents.rl.model_files import network_arguments, read_model
+    from loose_agents.rl.model_files import activation_of, read_model
 
     serialized = base64.b64encode(trap).decode()
     kwargs = {":type:": "<class 'dict'>", ":serialized:": serialized, "net_arch": [4]}
     described = {"policy_kwargs": kwargs, "learning_rate": {":serialized:": serialized}}
     stored = read_model(zipped(tmp_path, tensors={}, described=described))
-    assert network_arguments(stored) == {"net_arch": [4]}
-    for odd in ({"activation_fn": "<class 'os.system'>"}, {"optimizer_class": "x"}):
-        stored = read_model(zipped(tmp_path, tensors={}, described={"policy_kwargs": odd}))
-        with pytest.raises(InvalidData, match="activation_fn"):
-            network_arguments(stored)
+    assert activation_of(stored) == "tanh"
+    odd = {"policy_kwargs": {"activation_fn": "<class 'os.system'>"}}
+    # A word that no network knows.
+    assert activation_of(read_model(zipped(tmp_path, tensors={}, described=odd))) == "system"
     file = zipped(tmp_path, tensors={"a": Trap(tmp_path / "executed")}, described={})
     with pytest.raises(InvalidData, match=r"model\.zip holds no model that can be read"):
         read_model(file)

@@ -17,8 +17,6 @@ from loose_env.envs import GapObservation, ModelGapEnv
 from loose_env.errors import InvalidSetting
 from loose_env.typing import Array
 
-__all__ = ["LearnedGapAgent", "MotionPolicy", "load_policy"]
-
 _TEMPERATURE = 0.05
 """Temperature of the first policy [reward]: how much worse an action is that falls 1/e as often."""
 _FIRST = 8.0

@@ -191,7 +191,7 @@ def _compare(out: Path) -> Sequence[str]:
     return (
         *("scripts/agents/compare.py", "--env", "loose_env/Planar-v0", "--out", str(out)),
         *("--arguments", '{"n_links": 2}', "--agents", "random", "posterior/random"),
-        *("--episodes", str(EPISODES), "--shard", "4", "--threads", "1", "--workers", "1"),
+        *("--episodes", str(EPISODES), "--shard", "4", "--workers", "1"),
     )
 
 
@@ -219,20 +219,22 @@ def _broken_policies(out: Path) -> list[str]:
         _try(found, file, lambda f=file: read_model(f))  # type: ignore[misc]
         if file.name == "checkpoint.zip" and not found:
             run = read_model(file).run
-            evaluated = dict(run["state"]["items"])["steps"] if run else ["the run is missing"]
+            points = run["state"]["points"] if run else [{"steps": "the run is missing"}]
+            evaluated = [point["steps"] for point in points]
             if sorted(set(evaluated)) != evaluated:
                 found.append(f"evaluations at {evaluated}: one is there twice")
-    for file in out.rglob("evaluations.npz"):
+    for file in out.rglob("curve.csv"):
         _try(found, file, lambda f=file: _evaluations(f))  # type: ignore[misc]
     return found
 
 
 def _evaluations(file: Path) -> list[int]:
-    with np.load(file, allow_pickle=False) as stored:
-        steps: list[int] = stored["timesteps"].tolist()
-        if stored["results"].shape != (len(steps), 3) or sorted(set(steps)) != steps:
-            raise ValueError(f"evaluations at {steps} of shape {stored['results'].shape}")
-        return steps
+    from loose_agents.rl.training import read_curve
+
+    steps = [point.steps for point in read_curve(file)]
+    if sorted(set(steps)) != steps:
+        raise ValueError(f"evaluations at {steps}")
+    return steps
 
 
 def _trained(out: Path) -> Any:
@@ -243,7 +245,7 @@ def _trained(out: Path) -> Any:
     run = read_model(checkpoint).run
     assert run is not None
     names = sorted(str(p.relative_to(out)) for p in out.rglob("*") if ".part" not in p.name)
-    return run["counters"], _evaluations(next(out.rglob("evaluations.npz"))), names
+    return run["counters"], _evaluations(next(out.rglob("curve.csv"))), names
 
 
 def _broken_rows(out: Path) -> list[str]:
