@@ -126,8 +126,10 @@ class SeatFeatures:
         Errors of the nominal model.
     directions : int
         Sliding directions of each link, A.
+    points : int, optional
+        Frequencies across the band; by default 6, or 40 where modes lie within the band.
     over : {"median", "best"}
-        Pose whose seat drive friction is compared to, as the difficulty draws it.
+        Pose whose seat drive friction is compared to.
 
     Examples
     --------
@@ -145,12 +147,13 @@ class SeatFeatures:
         mismatch: Mismatch,
         *,
         directions: int,
+        points: int | None = None,
         over: SeatReference = "median",
     ) -> None:
         arm = linear.arm
         self.bends = bool(len(linear.flexible_dofs)) or arm.hold != "brake"
-        # few frequencies do where no mode lies within the band
-        self.linear = LinearArm(arm, points=40 if self.bends else 6, remember=64)
+        count = points if points is not None else (40 if self.bends else 6)
+        self.linear = LinearArm(arm, points=count, remember=64)
         self.mismatch = mismatch
         self.floor = SensorFloor.of(sensors, arm.band)
         self.directions = axes_grid(directions, len(arm.axes))
