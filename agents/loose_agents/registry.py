@@ -192,6 +192,7 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
         "the learned posterior, always all joints, random poses",
     ),
     "greedy": (_of("greedy", "amortised"), "the learned posterior, the most telling record next"),
+    "look_ahead": (_of("look_ahead", "amortised"), "the same, two records ahead"),
     **{
         f"fixed_{k}": (_fixed(k), f"the same {k} record{'s' * (k > 1)} on every arm, then a name")
         for k in range(1, FIXED_RECORDS + 1)

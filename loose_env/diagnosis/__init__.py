@@ -66,7 +66,6 @@ from loose_env.diagnosis.pose_sets import (
     PoseSets,
     bingham_width,
     direction_limit,
-    one_by_one_share,
     scattered_axes,
 )
 from loose_env.diagnosis.posterior import (
@@ -168,7 +167,6 @@ __all__ = [
     "log_mean_bingham",
     "looks_healthy",
     "next_joint",
-    "one_by_one_share",
     "precision_of",
     "predict",
     "predict_seats",

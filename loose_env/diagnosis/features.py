@@ -26,6 +26,7 @@ from loose_env.diagnosis.prediction import (
     seat_drives,
     stiffness_errors,
 )
+from loose_env.excitation import SeatReference
 from loose_env.inference import whitener
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
@@ -125,6 +126,10 @@ class SeatFeatures:
         Errors of the nominal model.
     directions : int
         Sliding directions of each link, A.
+    points : int, optional
+        Frequencies across the band; by default 6, or 40 where modes lie within the band.
+    over : {"median", "best"}
+        Pose whose seat drive friction is compared to.
 
     Examples
     --------
@@ -142,16 +147,18 @@ class SeatFeatures:
         mismatch: Mismatch,
         *,
         directions: int,
+        points: int | None = None,
+        over: SeatReference = "median",
     ) -> None:
         arm = linear.arm
         self.bends = bool(len(linear.flexible_dofs)) or arm.hold != "brake"
-        # few frequencies do where no mode lies within the band
-        self.linear = LinearArm(arm, points=40 if self.bends else 6, remember=64)
+        count = points if points is not None else (40 if self.bends else 6)
+        self.linear = LinearArm(arm, points=count, remember=64)
         self.mismatch = mismatch
         self.floor = SensorFloor.of(sensors, arm.band)
         self.directions = axes_grid(directions, len(arm.axes))
         """Sliding directions in a link's frame, unit vectors (A, axes)."""
-        self.top = seat_drives(linear, self.directions, "median")
+        self.top = seat_drives(linear, self.directions, over)
         """Rms force of the top level across every seat (P,)."""
         self.hypothesis = np.concatenate(
             [np.repeat(np.arange(arm.n), directions), arm.n + np.arange(arm.n)]

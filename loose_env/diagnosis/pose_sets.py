@@ -151,23 +151,6 @@ def direction_limit(
     return np.maximum.accumulate(found)
 
 
-def one_by_one_share(links: int, poses: int) -> float:
-    """Share found by moving one joint at a time from the base, if directions were perfect.
-
-    Each move settles one link, from 1 on, and the last is left over; among the links not settled
-    one is guessed. So t poses name t of the n links. Until the link is settled it takes
-    (n-1)(n+2)/2n moves on average.
-
-    Examples
-    --------
-    >>> [round(one_by_one_share(4, t), 2) for t in (1, 2, 3, 4)]
-    [0.25, 0.5, 0.75, 1.0]
-    """
-    if links < 1 or poses < 1:
-        raise InvalidSetting(f"links and poses count from 1, got {links!r} and {poses!r}")
-    return min(1.0, poses / links)
-
-
 def _density(width: float, dimension: int) -> Array:
     """Density of the angle from the axis, unnormalised, on `_POLAR`."""
     return np.asarray(

@@ -81,7 +81,7 @@ class Options(BackendSettings):
     curve: Count | None = None
     """Play again, K records each: success after 1 to K."""
     episodes: Count = EPISODES
-    """Episodes for each agent and difficulty."""
+    """Episodes for each agent."""
     seed: int = EVALUATION_SEED
     """Seed of the episodes."""
     shard: Count = 200

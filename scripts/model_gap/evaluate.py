@@ -58,7 +58,7 @@ COLOURS = {
     "brief": "#8e5ba6",
     "ppo": "#5b8c3a",
 }
-_COLUMNS = (
+_COLUMNS = [
     "motion",
     "seconds",
     "wear",
@@ -67,7 +67,7 @@ _COLUMNS = (
     "worth",
     "parameter_error",
     "covered",
-)
+]
 Case = tuple[str, int]
 """Agent and number of the episode."""
 
@@ -214,42 +214,17 @@ def beliefs(rows: Sequence[Row]) -> tuple[Array, Array]:
 
 
 def accuracy_table(rows: Sequence[Row]) -> list[str]:
-    """Accuracy after some machine times."""
+    """Accuracy after some machine times, and in the end with its interval."""
     lines = [
-        "| agent | hidden | episodes | " + " | ".join(f"{t:g} s" for t in GRID) + " |",
-        "|---|---|---|" + "---|" * len(GRID),
+        f"| agent | hidden | episodes | {' | '.join(f'{t:g} s' for t in GRID)} | in the end |",
+        "|---|---|---|" + "---|" * (len(GRID) + 1),
     ]
     for agent, words, own in groups_of(rows):
         shares = " | ".join(f"{100 * accuracy_at(own, t):.0f} %" for t in GRID)
-        lines.append(f"| {agent} | {words} | {len(own)} | {shares} |")
-    return lines
-
-
-def seconds_for(rows: Sequence[Row], accuracy: float) -> float:
-    """Machine time from which accuracy stays at a level or above [s]; NaN if it never does."""
-    ends = sorted({s for row in rows for s in row["seconds"]})
-    found = float("nan")
-    for t in reversed(ends):
-        if accuracy_at(rows, t) < accuracy:
-            break
-        found = t
-    return found
-
-
-def time_table(rows: Sequence[Row]) -> list[str]:
-    """Machine times to reach and keep some accuracies."""
-    levels = (0.5, 0.7, 0.8, 0.9)
-    lines = [
-        "| agent | hidden | " + " | ".join(f"{100 * a:.0f} %" for a in levels) + " | in the end |",
-        "|---|---|" + "---|" * (len(levels) + 1),
-    ]
-    for agent, words, own in groups_of(rows):
-        times = [seconds_for(own, a) for a in levels]
-        cells = " | ".join("not reached" if np.isnan(t) else f"{t:.1f} s" for t in times)
         right = sum(row["right"][-1] for row in own)
         low, high = wilson(right, len(own))
         end = f"{100 * right / len(own):.0f} % ({100 * low:.0f} to {100 * high:.0f})"
-        lines.append(f"| {agent} | {words} | {cells} | {end} |")
+        lines.append(f"| {agent} | {words} | {len(own)} | {shares} | {end} |")
     return lines
 
 
@@ -369,7 +344,7 @@ def evaluate(options: Options) -> None:
     if settings.seed == TUNING_SEED:
         sure = best_stopping(rows)
         print(f"best stopping on these episodes: {sure}\n")
-    parts = [accuracy_table(rows), time_table(rows), stopping_table(rows, sure)]
+    parts = [accuracy_table(rows), stopping_table(rows, sure)]
     print("\n\n".join("\n".join(lines) for lines in [*parts, calibration_table(rows)]))
     draw(rows, options.out.with_suffix(".svg"))
 

@@ -20,7 +20,7 @@ class MachinesSettings(SuiteSettings):
     """Seed of the draw; nothing was developed on this one. Development used the seed 1."""
     runs: int = 6
     """Suspect runs of a recording."""
-    form: Literal["machines"] = "machines"  # type: ignore[assignment]
+    form: Literal["machines"] = "machines"
     """Machines richer than the model."""
 
 

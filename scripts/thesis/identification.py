@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from scripts.thesis.loose_joint import (
     velocity_components,
 )
 from scripts.thesis.page import Rows, Section, section
+from scripts.thesis.plots import note
 from scripts.thesis.rigs import LOOSE_GAP
 
 if TYPE_CHECKING:
@@ -87,17 +88,10 @@ def identification(seed: int) -> Section:
     mixed[2] += SPEED * (link_frames(arm, q)[1] @ SLOPE)[:2]
     shift = identify_planar(mixed, rates, q).lengths - LENGTH
     worst = np.abs(shift).max()
-    recursion_rows = [
-        (
-            f"link {i + 1}",
-            f"{1e3 * LENGTH:.0f}",
-            f"{1e3 * lengths[i]:.2f}",
-            f"{1e3 * length_sd[i]:.2f}",
-            f"{round(1e3 * shift[i], 1) + 0.0:+.1f}",
-            *(f"{1e3 * sd[i - 1]:.1f}" if i else "–" for sd in (offsets, offset_sd)),
-        )
-        for i in range(arm.n)
-    ]
+    both = zip(1e3 * offsets, 1e3 * offset_sd, strict=True)
+    turned = [("–", "–"), *((f"{a:.1f}", f"{b:.1f}") for a, b in both)]
+    rounded = np.round(1e3 * shift, 1) + 0.0
+    recursion_rows = zip(range(1, arm.n + 1), lengths, length_sd, rounded, turned, strict=True)
     # The same slide on every link in turn: a linear velocity is a free vector.
     columns = [
         geometric_jacobian(insert_looseness(chain, link, SLOPE))[:, link]
@@ -229,22 +223,11 @@ def _frames_figure(own: Sequence[Array], link: int) -> Figure:
         loose = k + 1 == link
         for x, y in lines:
             size = float(np.hypot(x, y))
-            axes.plot(
-                [-x / size, x / size],
-                [-y / size, y / size],
-                color=TRUTH if loose else MEASURED,
-                linewidth=2.0,
-            )
-        axes.text(
-            0.5,
-            1.04,
-            f"link {k + 1}" + (" (loose)" if loose else ""),
-            color=INK if loose else MUTED,
-            fontsize=9.5,
-            ha="center",
-            va="bottom",
-            transform=axes.transAxes,
-        )
+            colour = TRUTH if loose else MEASURED
+            axes.plot([-x / size, x / size], [-y / size, y / size], color=colour, linewidth=2.0)
+        look: dict[str, Any] = {"color": INK if loose else MUTED, "ha": "center", "va": "bottom"}
+        name = f"link {k + 1}" + (" (loose)" if loose else "")
+        note(axes, 0.5, 1.04, name, size=9.5, inside=True, **look)
         axes.set(xlim=(-1.05, 1.05), ylim=(-1.05, 1.05), aspect="equal")
         axes.axis("off")
     return figure

@@ -247,12 +247,8 @@ def _pair(axes: Axes, row: IndexRow, y: float) -> None:
     axes.plot([row.mag_d_printed, row.mag_d], [y, y], color=MUTED, linewidth=1.3, zorder=2)
     over: dict[str, Any] = {"marker": "o", "linestyle": "none", "clip_on": False, "zorder": 3}
     axes.plot(row.mag_d, y, color=MEASURED, markersize=5.5, **over)
-    ring: dict[str, Any] = {
-        "markerfacecolor": "none",
-        "markeredgecolor": INK,
-        "markeredgewidth": 1.3,
-    }
-    axes.plot(row.mag_d_printed, y, markersize=9.5, **ring, **over)
+    over |= {"markerfacecolor": "none", "markeredgecolor": INK, "markeredgewidth": 1.3}
+    axes.plot(row.mag_d_printed, y, markersize=9.5, **over)
 
 
 def _names(axes: Axes, row: IndexRow, y: float) -> None:

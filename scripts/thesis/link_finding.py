@@ -142,15 +142,7 @@ def link_finding(seed: int) -> Section:
     outward, inward, halving = (moves["change of transmission", o] for o in ORDERS)
     expected, fewest = (LINKS - 1) * (LINKS + 2) / (2 * LINKS), np.log2(LINKS)
     blind = 1 / LINKS
-    rows = [
-        (
-            ", ".join(key),
-            f"{100 * right[key].mean():.0f} %",
-            f"{100 * ends[key].low:.0f} % to {100 * ends[key].high:.0f} %",
-            f"{moves[key]:.2f}",
-        )
-        for key in found
-    ]
+    rows = [(", ".join(key), right[key].mean(), *ends[key], moves[key]) for key in found]
     points = [
         Points(
             e,
@@ -277,19 +269,11 @@ def vera_link_finding(seed: int) -> Section:
             found = [scatter(row) for row in simulated[e][by]]
             middle = {h: float(np.median([f[h] for f in found])) for h in hypotheses}
             scatter_rows.append((f"Experiment {e}, here, {words}", loose, *degrees(middle)))
-            cells = (f"{100 * share:.0f} %" for share in shares[e][by])
-            share_rows.append((f"Experiment {e}, {words}", *cells))
+            share_rows.append((e, words, *shares[e][by]))
         errors = np.degrees(axial_difference(simulated[e]["lowest"], true))
         theirs = np.array(table[f"{state}_error_deg"], dtype=float)
-        average_rows.append(
-            (
-                state,
-                f"{rms(theirs):.1f}°",
-                f"{rms(errors):.1f}°",
-                f"{abs(table[f'{state}_average_deg']):g}°",
-                f"{rms(errors.mean(axis=1)):.1f}°",
-            )
-        )
+        average = abs(table[f"{state}_average_deg"])
+        average_rows.append((state, rms(theirs), rms(errors), average, rms(errors.mean(axis=1))))
     subset_rows = []
     for size in range(2, len(poses()) + 1):
         usable = [s for s in combinations(range(len(poses())), size) if _informative(s)]

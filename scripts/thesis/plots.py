@@ -64,14 +64,20 @@ def note(
 
 
 def bare_panels(
-    count: int, columns: int, *, flat: float = 1.0, above: float = 0.1, head: float = 0.0
+    count: int,
+    columns: int,
+    *,
+    flat: float = 1.0,
+    above: float = 0.1,
+    head: float = 0.0,
+    foot: float = 0.0,
 ) -> tuple[Figure, list[Axes]]:
     """Panels without frames, so many side by side; ``flat``: height over width.
 
-    There is room above each panel, and a head above all of them [inch].
+    There is room above each panel, and a head above and a foot below all of them [inch].
     """
-    side, height = flat * WIDTH / columns, head
-    height += -(-count // columns) * (side + above)
+    side = flat * WIDTH / columns
+    height = -(-count // columns) * (side + above) + head + foot
     figure, found = new_figure(height), []
     for k in range(count):
         row, column = divmod(k, columns)

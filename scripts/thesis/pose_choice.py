@@ -298,7 +298,7 @@ def ellipsoid_figure(arm: Arm, panels: Sequence[EllipsoidPanel], *, columns: int
     """Draw the arm and its manipulability ellipsoid in the tool frame, y up, a panel a pose."""
     from matplotlib.lines import Line2D
 
-    figure, places = bare_panels(len(panels), columns, flat=_FLAT, above=0.3)
+    figure, places = bare_panels(len(panels), columns, flat=_FLAT, above=0.3, foot=0.02)
     for axes, panel in zip(places, panels, strict=True):
         _ellipsoid(axes, arm, panel)
     entries = [

@@ -168,73 +168,38 @@ def simulations(seed: int) -> Section:
         for k, (n, b) in enumerate(((few, 6), (many, 12)))
     }
     promise = f"{told['parameter_error_percent']} %"
-    error_rows = [
-        ("the model's own counts (worst)", promise, *map(_tiny, 100 * np.abs(exact).max(0)), "")
-    ]
+    worst_of = [_tiny(100 * x) for x in np.abs(exact).max(0)]
+    error_rows = [("the model's own counts (worst)", promise, *worst_of, "")]
     for f in found:
-        height, exponent, turn = np.median(np.abs(f.near), axis=0)
-        error_rows.append(
-            (
-                f.case.name.replace("\n", " "),
-                promise if f.case.trials == few else "",
-                *(f"{100 * x:.0f} %" if x < 10.0 else "diverges" for x in (height, exponent)),
-                f"{math.degrees(turn):.1f}°",
-                f"{100 * f.converged:.0f} %",
-            )
-        )
+        *sizes, turn = np.median(np.abs(f.near), axis=0)
+        said = (f"{100 * x:.0f} %" if x < 10.0 else "diverges" for x in sizes)
+        ends = (f"{math.degrees(turn):.1f}°", f"{100 * f.converged:.0f} %")
+        name, told_here = f.case.name.replace("\n", " "), promise if f.case.trials == few else ""
+        error_rows.append((name, told_here, *said, *ends))
     sparse, dense, all_bins = found
     off = np.median(np.abs(sparse.near), axis=0)
+    worst = _tiny(100 * float(np.abs(exact).max()))
+    far_few, least = sparse.success[-1], dense.success[:-1].min()
+    least_words = f"{100 * least:.0f} % or more" if least < 1.0 else "all"
+    beyond, kept = all_bins.success[1:].max(), np.median(np.abs(all_bins.near[:, 2]))
+    begun, covered, half = ANGLE * part, math.sqrt(2.0) / 4.0, HALF_WIDTH
+    in_space = [np.median(s) for _, s in spatial.values()]
+    stays = "stays" if np.abs(across).max() < limit else "does not stay"
+    distinct, low, high = sum(abs(value) > limit for value in along), min(along), max(along)
+    count, gap = len(across), _coriolis_gap()
+    assumed = [end, free, end]
+    scatter = np.abs(shares - assumed).max()
     names = ("proximal stop", "free", "distal stop")
+    chain_rows = [
+        (f"now: {name}", *row, total, f"{p}")
+        for name, row, total, p in zip(names, table, shares, assumed, strict=True)
+    ]
     return section(
         "simulations",
-        {
-            "beta": math.degrees(BETA),
-            "limit": limit,
-            "stays": "stays" if np.abs(across).max() < limit else "does not stay",
-            "cases": len(across),
-            "distinct": sum(abs(value) > limit for value in along),
-            "low": min(along),
-            "high": max(along),
-            "chain": STEPS,
-            "scatter": float(np.abs(shares - [end, free, end]).max()),
-            "gap": _coriolis_gap(),
-            "angle": math.degrees(ANGLE),
-            "half": HALF_WIDTH,
-            "worst": _tiny(100 * float(np.abs(exact).max())),
-            "far": 100 * far,
-            "height": 100 * off[0],
-            "exponent": 100 * off[1],
-            "turn": math.degrees(off[2]),
-            "many": many,
-            "few": few,
-            "least": f"{100 * dense.success[:-1].min():.0f} % or more"
-            if dense.success[:-1].min() < 1.0
-            else "all",
-            "near_few": 100 * sparse.success[0],
-            "far_few": 100 * sparse.success[-1],
-            "starts": STARTS,
-            "searched": 100 * sparse.searched,
-            "ended": 100 * all_bins.converged,
-            "close": 100 * all_bins.success[0],
-            "beyond": 100 * float(all_bins.success[1:].max()),
-            "kept": math.degrees(float(np.median(np.abs(all_bins.near[:, 2])))),
-            "begun": math.degrees(ANGLE) * part,
-            "searched_all": 100 * all_bins.searched,
-            "spatial": [math.degrees(float(np.median(s))) for _, s in spatial.values()],
-            "covered": 100 * math.sqrt(2.0) / 4.0,
-            "samples": SAMPLES,
-        },
+        locals(),
         [
             [(*each, *row) for each, row in zip(every, excess, strict=True)],
-            [
-                *(
-                    (f"now: {name}", *(f"{p:.4f}" for p in row), f"{total:.4f}", f"{assumed}")
-                    for name, row, total, assumed in zip(
-                        names, table, shares, (end, free, end), strict=True
-                    )
-                ),
-                ("sum", *(f"{p:.4f}" for p in table.sum(axis=0)), f"{table.sum():.4f}", "1"),
-            ],
+            [*chain_rows, ("sum", *table.sum(axis=0), table.sum(), "1")],
             error_rows,
             [(n, *np.median(errors, axis=0), np.median(s)) for n, (errors, s) in spatial.items()],
         ],
@@ -435,28 +400,19 @@ def correlation_simulations(seed: int) -> Section:
     factors = [float(np.sqrt(np.mean(r.errors**2))) / r.predicted for r in both]
     worst = max(mixed, key=lambda r: r.rms)
 
+    searched = abs(axial_difference(lowest_correlation_search(x, a), direct))
+    opposite = np.abs(loop + correlation_loop(x, a, LOOP + math.pi)).max()
+    louder_words = (
+        "leaves the direction as it is" if abs(louder) < 1e-12 else "changes the direction"
+    )
+    biased_words = "error is within four of its own deviations at every ratio"
+    if biased:
+        biased_words = f"error is beyond four of its own deviations at {', '.join(biased)}"
+    last, least, most = (scaled[-1], mixed[-1]), min(factors), max(factors)
+    turned = np.mean(np.abs(worst.errors) > math.pi / 4)
     return section(
         "correlation_simulations",
-        {
-            "scaled": scaled,
-            "mixed": mixed,
-            "last": (scaled[-1], mixed[-1]),
-            "searched": abs(axial_difference(lowest_correlation_search(x, a), direct)),
-            "opposite": float(np.abs(loop + correlation_loop(x, a, LOOP + math.pi)).max()),
-            "louder": "leaves the direction as it is"
-            if abs(louder) < 1e-12
-            else "changes the direction",
-            "biased": f"error is beyond four of its own deviations at {', '.join(biased)}"
-            if biased
-            else "error is within four of its own deviations at every ratio",
-            "least": min(factors),
-            "most": max(factors),
-            "worst": worst,
-            "turned": 100 * float(np.mean(np.abs(worst.errors) > math.pi / 4)),
-            "thin": 100 * worst.low,
-            "wide": 100 * mixed[0].low,
-            "sets": SETS,
-        },
+        locals(),
         [[(r, math.pi / 2 + r.errors.mean(), 2.0 / r.slope) for r in rs] for rs in (scaled, mixed)],
         [_loops(scaled, mixed), _error_figure(scaled, mixed)],
     )

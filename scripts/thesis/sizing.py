@@ -397,15 +397,10 @@ def torque_figure(cases: Sequence[CaseCurves], limits: Sequence[float], top_rate
         note(grid[row][0], 0.0, 1.06, case.name, color=MUTED, size=8.5, inside=True)
     for k in (0, 1):
         note(grid[0][k], 0, 1.32, f"joint {k + 1}: torque [N·m]; drive ±{limits[k]:g}", inside=True)
-    _key(
-        figure,
-        [
-            (MEASURED, (0, (1.4, 1.3)), f"θ₂' = −{top_rate:g} rad/s"),
-            (MEASURED, (0, (5, 1.6)), "0"),
-            (MEASURED, "-", f"+{top_rate:g} rad/s"),
-            (TRUTH, (0, (4, 2)), "drive"),
-        ],
-    )
+    slow: tuple[str, Any, str] = (MEASURED, (0, (1.4, 1.3)), f"θ₂' = −{top_rate:g} rad/s")
+    fast: tuple[str, Any, str] = (MEASURED, "-", f"+{top_rate:g} rad/s")
+    lines = [slow, (MEASURED, (0, (5, 1.6)), "0"), fast, (TRUTH, (0, (4, 2)), "drive")]
+    _key(figure, lines)
     return figure
 
 
@@ -459,18 +454,8 @@ def _finish(axes: Axes, *, last: bool) -> None:
 def _key(figure: Figure, entries: Sequence[tuple[str, Any, str]]) -> None:
     from matplotlib.lines import Line2D
 
-    handles = [
-        Line2D([], [], color=colour, linestyle=style, linewidth=1.4) for colour, style, _ in entries
-    ]
-    figure.legend(
-        handles,
-        [text for *_, text in entries],
-        loc="upper left",
-        bbox_to_anchor=(_LEFT - 0.03, 1.0),
-        ncols=len(entries),
-        frameon=False,
-        fontsize=8.5,
-        labelcolor=INK,
-        handlelength=2.2,
-        columnspacing=1.4,
-    )
+    marks = [Line2D([], [], color=c, linestyle=style, linewidth=1.4) for c, style, _ in entries]
+    look: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (_LEFT - 0.03, 1.0)}
+    look |= {"ncols": len(entries), "frameon": False, "fontsize": 8.5, "labelcolor": INK}
+    look |= {"handlelength": 2.2, "columnspacing": 1.4}
+    figure.legend(marks, [text for *_, text in entries], **look)

@@ -14,13 +14,11 @@ import pytest
 from loose_env.arms import DESK_ARM
 from loose_env.cli.console import OutputFolder
 from loose_env.cli.main import COMMANDS, SHELLS, main
-from loose_env.doctor import examine
 from loose_env.errors import InvalidSetting
-from loose_env.instrument import read_diagnosis
-from loose_env.recording import read_recording, write_recording
+from loose_env.recording import write_recording
 from loose_env.version import __version__
 from scripts.dev.write_schemas import FORMATS, schema
-from tests.doctor.machine import late, record, with_sensors, xml
+from tests.doctor.machine import record, with_sensors, xml
 
 INSPECT = ["inspect", str(DESK_ARM), "--poses", "2"]
 Capture = pytest.CaptureFixture[str]
@@ -245,25 +243,6 @@ def test_other_commands_stop_at_errors_before_they_write(
     said = capsys.readouterr().err
     assert "error: sensor.q_base" in said and "--ignore-doctor" in said.splitlines()[-1]
     assert not out.exists()
-
-
-@pytest.mark.slow
-def test_findings_stand_in_the_result_and_on_the_page_of_a_diagnosis(
-    tmp_path: Path, capsys: Capture
-) -> None:
-    pytest.importorskip("jinja2")
-    pytest.importorskip("matplotlib")
-    delayed = with_sensors(record(tmp_path / "right"), "acc", lambda v: late(v, 0.004))
-    write_recording(tmp_path / "late", model_xml=xml(), runs=delayed.runs)
-    given = ["diagnose", str(tmp_path / "late"), "--out", str(tmp_path / "out"), "--poses", "2"]
-    assert main([*given, "--quiet"]) == 0
-    assert "the accelerometer's clock is 4." in capsys.readouterr().err
-    result = read_diagnosis(tmp_path / "out")
-    own = examine(read_recording(tmp_path / "late")).findings
-    assert [each.found for each in result.preflight] == [each.found for each in own]
-    assert {each.check for each in result.preflight} == {"clock"}
-    page = (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert "may pass for a loose link" in page[page.index("Limits the result") :]
 
 
 @pytest.mark.parametrize("format", FORMATS)

@@ -16,7 +16,6 @@ pytest.importorskip("matplotlib")
 
 from loose_env.cli import gap
 from loose_env.cli.main import main
-from loose_env.errors import InvalidData
 from loose_env.gap import (
     GapResult,
     GapSettings,
@@ -193,17 +192,6 @@ def test_mistakes_end_in_one_line_and_write_nothing(
     both = ["gap", first, str(tmp_path / "heavier"), "--out", str(tmp_path / "next")]
     line = refused(capsys, both)
     assert "models of" in line and "--model" in line
-
-
-def test_errors_of_the_search_are_said_and_faults_of_the_program_keep_their_trace(
-    recording: Recording, bare: Search, tmp_path: Path, capsys: Capture
-) -> None:
-    bare.ends = InvalidData("two runs\nare needed")
-    assert main(words(recording, tmp_path / "a")) == 1
-    assert capsys.readouterr().err.endswith("loose gap: two runs are needed\n")
-    bare.ends = ZeroDivisionError()
-    with pytest.raises(ZeroDivisionError):
-        main(words(recording, tmp_path / "b"))
 
 
 def test_runs_of_all_recordings_are_compared_and_the_last_of_each_held_out(

@@ -15,7 +15,6 @@ from loose_env.diagnosis import (
     ToolFrames,
     bingham_width,
     direction_limit,
-    one_by_one_share,
     pose_sets,
     scattered_axes,
 )
@@ -172,14 +171,3 @@ def test_the_limit_rises_with_poses_and_falls_with_links_and_scatter() -> None:
     assert (limit(6, 10.0)[1:] > limit(6, 20.0)[1:]).all()
     # In space a direction has two coordinates and says more.
     assert limit(6, 20.0, 3)[1] > limit(6, 20.0)[1] + 0.05
-
-
-def test_one_joint_at_a_time_takes_the_thesiss_number_of_moves() -> None:
-    for n in range(2, 8):
-        # Settled after m moves: m of n links, and the last of them with the one before.
-        settled = [m / n if m < n - 1 else 1.0 for m in range(n)]
-        moves = np.sum([1 - share for share in settled])
-        assert moves == pytest.approx((n - 1) * (n + 2) / (2 * n))
-        shares = [one_by_one_share(n, t) for t in range(1, n + 1)]
-        # A guess among those left adds one link to those settled.
-        np.testing.assert_allclose(shares, [(m + 1) / n for m in range(n)])

@@ -81,23 +81,6 @@ def test_every_move_of_a_mask_stays_in_range(make_env: Make) -> None:
             assert env.arm.within_ranges(pose).all()
 
 
-def test_verdict_k_names_hypothesis_k(make_env: Make) -> None:
-    env = make_env("vera")
-    assert env.hypotheses == (
-        "healthy",
-        "structural_looseness@link1",
-        "structural_looseness@link2",
-        "backlash@joint1",
-        "backlash@joint2",
-    )
-    for k, name in enumerate(env.hypotheses, start=1):
-        env.reset(seed=k, options={"fault": name})
-        env.step(env.actions.encode())
-        _, reward, terminated, truncated, info = env.step(env.actions.encode(verdict=k))
-        assert (reward, terminated, truncated) == (1.0, True, False)
-        assert info["verdict"] == info["fault"] == name
-
-
 def test_with_every_joint_off_the_last_one_is_excited(
     make_env: Make, spy_on: Callable[..., Any]
 ) -> None:

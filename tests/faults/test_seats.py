@@ -225,8 +225,7 @@ def settled(plant: Plant, pose: Array, push: float) -> float:
     """Where a seat comes to rest under a further force on it [m or rad]."""
     data, dof = at_pose(plant, pose), int(plant.model.joint("seat").dofadr[0])
     data.qfrc_applied[dof] = push
-    for _ in range(round(1.0 / plant.model.opt.timestep)):
-        mujoco.mj_step(plant.model, data)
+    mujoco.mj_step(plant.model, data, round(1.0 / plant.model.opt.timestep))
     assert abs(data.qvel[dof]) < 1e-5
     return float(data.qpos[plant.seat_positions[0]])
 

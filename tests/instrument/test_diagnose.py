@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.interpolate import make_interp_spline
 
 from loose_env.cli.main import main
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.importing.timing.resampling import resampled
 from loose_env.instrument import (
     DiagnoseSettings,
     Diagnosis,
@@ -283,9 +283,10 @@ def test_encoders_slower_than_the_rows_do_not_make_a_sound_arm_loose(
     tmp_path: Path, every: int
 ) -> None:
     def slow(name: str, values: np.ndarray) -> np.ndarray:
-        time = np.arange(len(values))
-        read = make_interp_spline(time[::every], values[::every])(time)
-        return values if name == "tool_acc" else read
+        if name == "tool_acc":
+            return values
+        time = 1e-3 * np.arange(len(values))
+        return resampled(time[::every], values[::every], time, 0.1).values
 
     usual = found_in(tmp_path, runs("healthy"))
     found = found_in(tmp_path, [with_sensors(run, slow) for run in runs("healthy")])
@@ -470,8 +471,9 @@ def test_a_band_that_the_arm_does_not_have_costs_the_next_pose_alone(shaken: Rec
 
 
 @pytest.mark.slow
-def test_the_next_band_is_the_one_that_is_asked_for(shaken: Recording) -> None:
-    found = of_shaken(shaken, shaken.runs[0], plan=True, band_low=12.0, band_high=60.0)
+def test_the_next_band_is_the_one_that_is_asked_for(tmp_path: Path) -> None:
+    asked = replace(QUICK, band_low=12.0, band_high=60.0)
+    found = found_in(tmp_path, runs("slide", 1), asked, plan=True)
     assert found.next is not None
     assert 12.0 <= found.next.band_hz[0] < found.next.band_hz[1] <= 60.0
     assert found.next.settings["band_high"] == 60.0

@@ -58,7 +58,9 @@ def test_the_page_is_whole_and_has_every_record(case: str, tmp_path: Path) -> No
         assert line.split("  ")[1] in said
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, marks=[pytest.mark.slow] * (c == "long names")) for c in CASES]
+)
 def test_terminal_and_notebook_say_the_same(case: str) -> None:
     arm, found = CASES[case]()
     text, shown = diagnosis_text(found, arm), diagnosis_html(found, arm)

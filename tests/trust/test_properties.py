@@ -20,11 +20,7 @@ from loose_env.envs import DiagnosisEnv, DiagnosisSettings
 from loose_env.errors import InvalidData, LooseEnvError
 from loose_env.instrument import (
     DiagnoseSettings,
-    ModelSettings,
-    NextSettings,
     diagnose,
-    plan,
-    plan_json,
     read_arm,
 )
 from loose_env.recording import Run, read_recording, write_recording
@@ -235,7 +231,7 @@ def test_any_numbers_are_written_and_read_to_the_last_bit_or_refused(
     assert np.isnan(found.sensors["angle"]).sum() <= 0.2 * count
 
 
-# ---- plans and diagnoses
+# ---- diagnoses
 
 
 @pytest.fixture(scope="module")
@@ -249,54 +245,9 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return found
 
 
-positive = st.floats(1e-3, 1e3)
-choices = st.fixed_dictionaries(
-    {
-        "gap_mm": positive,
-        "noise_ug": positive,
-        "rate_hz": st.sampled_from([100.0, 333.3, 1000.0, 5000.0]),
-        "seconds": st.floats(0.2, 2.0),
-        "most_tool": positive,
-        "torque_share": st.floats(0.01, 1.0),
-        "ground_m": st.none() | st.floats(-2, 2),
-        "poses": st.integers(1, 3),
-        "band_low": st.none() | st.floats(1, 50),
-        "band_high": st.none() | st.floats(51, 400),
-        "in_turn": st.integers(1, 3),
-        "margin": st.floats(0, 0.4),
-        "seed": st.integers(0, 2**62),
-    }
-)
-stands = st.builds(
-    ModelSettings,
-    hold=st.sampled_from(["model", "brake", "servo", "compliant"]),
-    payload_kg=st.floats(0, 20),
-)
-
-
 def finite(value: Any) -> bool:
     """Whether no number of a tree is other than finite."""
     return "NaN" not in (text := json.dumps(value)) and "Infinity" not in text
-
-
-@few
-@given(name=st.sampled_from(sorted(ARMS)), given=choices, stand=stands)
-def test_any_settings_are_refused_or_planned_with(
-    models: dict[str, Path], name: str, given: dict[str, Any], stand: ModelSettings
-) -> None:
-    signal.alarm(HANGS)
-    try:
-        choice = NextSettings(**given)
-        made = plan(models[name], arm=stand, choice=choice)
-    except LooseEnvError as error:
-        assert str(error) and "\n" not in str(error)
-        return
-    assert finite(plan_json(made, [f"run-{k}.csv" for k in range(len(made.signals))]))
-    limits = choice.torque_share * np.array(made.arm.nominal.torque_limits)
-    for one in made.signals:
-        assert all(np.isfinite(u).all() for u in one.commands.values())
-        assert one.tool_rms <= 1.2 * choice.most_tool
-        assert (one.torque_peaks <= limits * 1.01).all()
 
 
 records = st.fixed_dictionaries(

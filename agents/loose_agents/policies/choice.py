@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,6 +128,10 @@ POLICIES: dict[str, tuple[Callable[[Problem, Estimator], Policy], str]] = {
         lambda problem, made: GreedyPolicy(problem, information_of(problem, made)),
         "the record that is expected to say most",
     ),
+    "look_ahead": (
+        lambda problem, made: LookAheadPolicy(problem, information_of(problem, made)),
+        "the record that is worth most with the next one in view",
+    ),
 }
 """Constructor and short description of each policy."""
 
@@ -243,17 +247,17 @@ class GreedyPolicy:
     def choose(self, situation: Situation) -> NDArray[np.int64]:
         """Choose the best of the scored records."""
         faults = self.information.imagine(belief_of(situation), situation.rng)
-        return best_record(self.problem, self.information, situation, faults).action
+        return ranked(self.problem, self.information, situation, faults)[0].action
 
 
-def best_record(
+def ranked(
     problem: Problem,
     information: RecordInformation,
     situation: Situation,
     faults: ImaginedFaults,
     planned: Array | None = None,
-) -> Candidate:
-    """Score candidate records; return the best one.
+) -> list[Candidate]:
+    """Score candidate records and sort them, best first.
 
     After records with the likelihood ``planned`` where it is given, as
     `loose_env.diagnosis.RecordInformation.of` takes it.
@@ -277,7 +281,70 @@ def best_record(
         for levels, duration in further:
             candidate = candidate_at(problem, moves[k], where[k], levels, duration)
             found.append((value(candidate), candidate))
-    return max(found, key=lambda pair: pair[0])[1]
+    found.sort(key=lambda pair: -pair[0])
+    return [candidate for _, candidate in found]
+
+
+FIRST_RECORDS, SECOND_RECORDS = 4, 4
+"""First records that the look-ahead weighs, the best by information; poses after each."""
+OUTCOMES = 24
+"""Outcomes that the look-ahead imagines of each first record."""
+
+
+class LookAheadPolicy:
+    """Maximises the expected reward after a record, or after one more.
+
+    The value of a record is the expected reward of the best name less what the records cost.
+    """
+
+    def __init__(self, problem: Problem, information: RecordInformation) -> None:
+        self.problem, self.information = problem, information
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Choose the record of the highest value."""
+        faults = self.information.imagine(belief_of(situation), situation.rng)
+        firsts = ranked(self.problem, self.information, situation, faults)[:FIRST_RECORDS]
+        values = [self._value(candidate, faults, situation) for candidate in firsts]
+        return firsts[int(np.argmax(values))].action
+
+    def _value(self, candidate: Candidate, faults: ImaginedFaults, situation: Situation) -> float:
+        """Expected reward after taking this record."""
+        if not candidate.torque.any():
+            return -np.inf
+        prices, every = self.problem.settings.prices, excitations(self.problem)[0]
+        stake = prices.correct - prices.wrong
+        after = replace(situation, pose=candidate.pose)
+        moves, where = poses(self.problem, after, SECOND_RECORDS)
+        seconds = [
+            candidate_at(self.problem, move, pose, *how)
+            for move, pose in zip(moves, where, strict=True)
+            for how in every
+        ]
+        seconds = [second for second in seconds if second.torque.any()]
+        likely, *more = [
+            self.information.likelihood(faults, c.pose, c.torque, c.duration)
+            for c in (candidate, *seconds)
+        ]
+        ticks = (np.arange(OUTCOMES) + 0.5) / OUTCOMES
+        drawn = np.searchsorted(np.cumsum(faults.weight), ticks * faults.weight.sum())
+        total = 0.0
+        for k in np.minimum(drawn, len(faults.weight) - 1):
+            weight = faults.weight * likely[k]
+            weight = weight / weight.sum()
+            worth = float(_sureness(weight[None], faults)[0])  # of a verdict now
+            for second, of_second in zip(seconds, more, strict=True):
+                both = weight[None] * of_second
+                both /= both.sum(1, keepdims=True)
+                then = float(weight @ _sureness(both, faults))
+                worth = max(worth, then - second.price / stake)
+            total += worth / len(drawn)
+        return prices.wrong + stake * total - candidate.price
+
+
+def _sureness(weights: Array, faults: ImaginedFaults) -> Array:
+    """Maximum posterior probability (K,) for weights (K, M)."""
+    labels = np.eye(int(faults.hypothesis.max()) + 1)[faults.hypothesis]
+    return np.asarray((weights @ labels).max(1))
 
 
 FIXED_RECORDS = 4
@@ -392,7 +459,7 @@ class OpenLoopPolicy:
                 planned *= self.information.likelihood(
                     faults, record.pose, record.torque, record.duration
                 )
-        return best_record(self.problem, self.information, situation, faults, planned).action
+        return ranked(self.problem, self.information, situation, faults, planned)[0].action
 
 
 def designed_sequences(

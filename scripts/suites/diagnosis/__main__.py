@@ -166,14 +166,12 @@ def tables(rows: Rows) -> str:
     found += _table(("probability", "cases", "mean", "accuracy"), bins)
     found += ["", "After so many runs:", ""]
     most = max((len(row["steps"]) for row in told), default=0)
-    found += _table(
-        ("runs", "right hypothesis", "of faults that open"),
-        [
-            (str(count), *(_share(own, lambda row, k=count: _right_after(row, k))
-                           for own in (told, [r for r in told if r["opens"]])))
-            for count in range(1, most + 1)
-        ],
-    )  # fmt: skip
+    groups = (told, [row for row in told if row["opens"]])
+    after = [
+        (str(count), *(_share(own, partial(_right_after, count=count)) for own in groups))
+        for count in range(1, most + 1)
+    ]
+    found += _table(("runs", "right hypothesis", "of faults that open"), after)
     found += ["", "By disturbance present (a case has several) and by recorder:", ""]
     head = ("cases with", "sure false alarms", "right link of faults that open",
             "sure wrong link", "calibration error")  # fmt: skip
@@ -183,7 +181,7 @@ def tables(rows: Rows) -> str:
 def _right_after(row: Row, count: int) -> bool:
     """Whether the first runs alone make the truth most probable; all where there are fewer."""
     found = row["steps"][min(count, len(row["steps"])) - 1]
-    return max(found, key=found.get) == row["truth"]
+    return bool(max(found, key=found.get) == row["truth"])
 
 
 def _calibration(rows: Rows) -> float:

@@ -124,7 +124,7 @@ def _three(values: Array) -> tuple[float, float, float]:
 def _with(figures: Figures, **columns: Array) -> Figures:
     """An arm with other numbers of its links, a value for each."""
     links = [
-        dataclasses.replace(link, **{name: float(values[i]) for name, values in columns.items()})
+        dataclasses.replace(link, **{n: float(values[i]) for n, values in columns.items()})  # type: ignore[arg-type]
         for i, link in enumerate(figures.links)
     ]
     return dataclasses.replace(figures, links=tuple(links))
@@ -355,7 +355,7 @@ class Recorder:
             seen = np.round(seen / resolution) * resolution
         speed = np.diff(seen, axis=0, prepend=seen[:1]) * (1000 * self.machine.inside / every)
         filtered = signal.lfilter([smoothing], [1, smoothing - 1], speed, axis=0)
-        return np.repeat(filtered, every, axis=0)[: len(position)]  # type: ignore[no-any-return]
+        return np.repeat(filtered, every, axis=0)[: len(position)]
 
 
 # ------------------------------------------------------------------------------------ cases

@@ -482,7 +482,7 @@ class At:
     @property
     def drive(self) -> Array:
         """Columns of a drive, or of all drives, to be written to."""
-        return self.system.drives[slice(None) if self.place.index < 0 else self.place.index].T  # type: ignore[no-any-return]
+        return self.system.drives[slice(None) if self.place.index < 0 else self.place.index].T
 
 
 def _writes(row: str, constants: Mapping[int, float] | None = None, **columns: int) -> Apply:

@@ -326,7 +326,7 @@ class Group:
     @property
     def width(self) -> int:
         """Number of columns."""
-        return self.columns.shape[-1]
+        return int(self.columns.shape[-1])
 
     def possible(self, values: Array) -> bool:
         """Whether coefficients have the right sign and a size for which the columns hold."""
@@ -448,6 +448,10 @@ def _plain(*names: str) -> Read:
     return lambda values: dict(zip(names, map(float, values), strict=True))
 
 
+def _scaled(name: str, unit: float) -> Read:
+    return lambda values: {name: unit * float(values[0])}
+
+
 def _at(joint: int, joints: int, *columns: Array) -> Array:
     """Columns that act on one joint alone, of shape (t, n, width)."""
     whole = np.zeros((len(columns[0]), joints, len(columns)))
@@ -560,7 +564,7 @@ def _body_groups(
         name, mass = model.body(b).name, float(model.body_mass[b])
         yield Group(
             kind="link_mass", where=name, columns=column[..., None], nominal=1.0,
-            read=lambda values, mass=mass: {"mass": mass * float(values[0])},
+            read=_scaled("mass", mass),
         )  # fmt: skip
         moves = [dynamics.slope(_shifted(b, axis), _LENGTH) for axis in range(3)]
         yield Group(
@@ -652,7 +656,7 @@ class Fit(NamedTuple):
     """Of nuisances, then of the chosen groups in their order."""
     covariance: Array
     """Of the coefficients, with the autocorrelation of the residual in it."""
-    bound: Array
+    bound: list[int]
     """Numbers of the nominal parameters that are on the bound of their tolerance."""
     objective: float
     """Weighted sum of squares, with that of the prior."""
@@ -724,7 +728,7 @@ class Regression:
         values, inverse = values / scale, inverse / np.outer(scale, scale)
         objective = float(self.gram[-1, -1] - 2 * right @ values + values @ inner @ values)
         covariance = inverse * self.inflation
-        return Fit(tuple(chosen), values, covariance, np.flatnonzero(bound), objective)
+        return Fit(tuple(chosen), values, covariance, np.flatnonzero(bound).tolist(), objective)
 
     def gains(self, fit: Fit) -> Array:
         """What each group takes off the objective when it joins a fit, of shape (groups,)."""

@@ -59,7 +59,7 @@ from scripts.suites.gap.cases import (
     tolerance_of,
     write_case,
 )
-from scripts.suites.gap.grading import FAILED, NAMED, Grade, failed, grade, separable_by_data
+from scripts.suites.gap.grading import FAILED, Grade, failed, grade, separable_by_data
 from scripts.suites.rows import Row, check_code, code_hash, kept, run_cases
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -340,50 +340,19 @@ METHODS = {
     "stepwise_bic": "stepwise selection, BIC",
 }
 """Names in the table of methods."""
-_METHODS_HEAD = (
-    "method", "single effects correct", "effects found", "named effects that are there",
-    "false alarms, nothing missing", "outside the catalogue, nothing named",
-    "error of parameters, median", "held-out RMS residual after, median [noise sd]",
-    "time, median [s]",
-)  # fmt: skip
 
 
 def methods_table(graded: Mapping[str, Mapping[int, Grade]]) -> str:
-    """One line for each tool, on the cases that all tools with rows have, as markdown."""
+    """The table of targets with a column a tool, on the cases that all tools with rows have."""
     graded = {name: own for name, own in graded.items() if own}
-    numbers = set.intersection(*(set(own) for own in graded.values()))
-    lines = [
-        f"{len(numbers)} cases that all methods have run: {_ranges(sorted(numbers))}.",
-        "",
-        "| " + " | ".join(_METHODS_HEAD) + " |",
-        "| --- |" + " --- |" * (len(_METHODS_HEAD) - 1),
-    ]
-    for name, own in graded.items():
-        cells = _method_cells([own[number] for number in sorted(numbers)])
-        lines.append("| " + " | ".join((METHODS[name], *cells)) + " |")
+    numbers = sorted(set.intersection(*(set(own) for own in graded.values())))
+    columns = [summary([own[number] for number in numbers]) for own in graded.values()]
+    lines = [f"{len(numbers)} cases that all methods have run: {_ranges(numbers)}.", ""]
+    lines += [f"| | {' | '.join(METHODS[name] for name in graded)} |"]
+    lines += ["| --- |" + " --- |" * len(graded)]
+    for row in zip(*columns, strict=True):
+        lines.append(f"| {row[0][0]} | {' | '.join(got for _, _, got in row)} |")
     return "\n".join(lines)
-
-
-def _method_cells(grades: Sequence[Grade]) -> tuple[str, ...]:
-    """What one tool came to."""
-    single = [g for g in grades if g.role == "single"]
-    none = [g for g in grades if g.role == "none"]
-    outside = [g for g in grades if g.role == "outside"]
-    true = [g for g in grades if g.truth and g.role != "outside"]
-    errors = [error for g in grades for error in g.parameter_error]
-    after = [g.gap_after for g in true if np.isfinite(g.gap_after)]
-    seconds = [g.seconds for g in grades if np.isfinite(g.seconds)]
-    named = sum(len(g.said) for g in grades)
-    return (
-        _right(single),
-        _found(true),
-        share(sum(g.found for g in true), named) if named else "none named",
-        share(sum(not g.right for g in none), len(none)),
-        share(sum(g.verdict != NAMED for g in outside), len(outside)),
-        f"{100 * np.median(errors):.1f} % of {len(errors)}" if errors else "none",
-        _median(after),
-        f"{np.median(seconds):.0f}" if seconds else "none",
-    )
 
 
 def _ranges(numbers: Sequence[int]) -> str:
