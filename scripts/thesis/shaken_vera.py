@@ -37,9 +37,6 @@ from scripts.thesis.page import Rows, Section, printed, section
 from scripts.thesis.planar_motion import contour_levels, histogram
 from scripts.thesis.plots import (
     COLOURS,
-    Curve,
-    LoopPanel,
-    Points,
     by_category,
     curves_by_direction,
     loop_panels,
@@ -530,32 +527,28 @@ def experiment_six(seed: int) -> Section:
     )
 
 
-def points_of(name: str, values: Sequence[Sequence[float]]) -> Points:
-    """Mean and interval of single records in every category."""
-    mean, low, high = zip(*map(Spread.of, values), strict=True)
-    return Points(name, mean, low, high)
-
-
 def loops_of(
     cases: Cases, states: Sequence[str], direction: float, symbol: str, columns: int = 3
 ) -> Figure:
     """Loops of the first record of each case, a panel an angle."""
-    panels = [
-        LoopPanel(f"{symbol} = {case.name}", [cases[s][k].pairs[0] for s in states], direction)
+    panels = {
+        f"{symbol} = {case.name}": [cases[s][k].pairs[0] for s in states]
         for k, case in enumerate(cases[states[0]])
-    ]
-    return loop_panels(panels, states, columns)
+    }
+    return loop_panels(panels, states, direction, columns)
 
 
 def moment_figures(
     cases: Cases, states: Sequence[str], direction: float, xlabel: str
 ) -> list[Figure]:
     """Skewness and kurtosis along a direction at each angle, with intervals of single records."""
-    names = [case.name for case in cases[TIGHT]]
     return [
         by_category(
-            [points_of(s, [c.moments(direction, third=third) for c in cases[s]]) for s in states],
-            names,
+            {
+                s: list(zip(*(Spread.of(c.moments(direction, third=third)) for c in cases[s])))
+                for s in states
+            },
+            [case.name for case in cases[TIGHT]],
             ylabel="skewness" if third else "kurtosis",
             xlabel=xlabel,
             symlog=1.0,
@@ -582,17 +575,16 @@ def direction_figure(
     """Kurtosis, flatness of the spectrum and coherence against direction, first record."""
     angles = np.radians(np.arange(90.0, 270.0, 3.0))
     units = np.stack([np.cos(angles), np.sin(angles)])
-    panels: dict[str, list[Curve]] = {"kurtosis": [], "flatness": [], "coherence": []}
-    for state in states:
-        x, a = cases[state][pose].pairs[0]
-        values = (
-            np.array([kurtosis(a, u) for u in units.T]),
-            spectral_flatness(units.T @ a, RATE, SHAKEN_BAND),
-            coherence_by_direction(x, a, angles),
-        )
-        for curves, curve in zip(panels.values(), values, strict=True):
-            curves.append(Curve(state, angles, curve))
-    return curves_by_direction(list(panels.items()), direction=direction, label=label)
+    first = {state: cases[state][pose].pairs[0] for state in states}
+    panels: dict[str, Callable[[Array, Array], Array]] = {
+        "kurtosis": lambda x, a: np.array([kurtosis(a, u) for u in units.T]),
+        "flatness": lambda x, a: spectral_flatness(units.T @ a, RATE, SHAKEN_BAND),
+        "coherence": lambda x, a: coherence_by_direction(x, a, angles),
+    }
+    found = {
+        name: {state: of(*pair) for state, pair in first.items()} for name, of in panels.items()
+    }
+    return curves_by_direction(found, angles, direction=direction, label=label)
 
 
 _BINS = 31
