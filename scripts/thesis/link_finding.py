@@ -144,8 +144,7 @@ def link_finding(seed: int) -> Section:
     blind = 1 / LINKS
     rows = [(", ".join(key), right[key].mean(), *ends[key], moves[key]) for key in found]
     points = {
-        e: 100 * np.array([(right[e, o].mean(), *ends[e, o]) for o in ORDERS]).T
-        for e in ESTIMATORS
+        e: 100 * np.array([(right[e, o].mean(), *ends[e, o]) for o in ORDERS]).T for e in ESTIMATORS
     }
     figure = by_category(points, ORDERS, ylabel="right link [%]", xlabel="order of the joints")
     return section("link_finding", locals(), [rows], [figure])

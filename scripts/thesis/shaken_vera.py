@@ -545,7 +545,7 @@ def moment_figures(
     return [
         by_category(
             {
-                s: list(zip(*(Spread.of(c.moments(direction, third=third)) for c in cases[s])))
+                s: np.transpose([Spread.of(c.moments(direction, third=third)) for c in cases[s]])
                 for s in states
             },
             [case.name for case in cases[TIGHT]],

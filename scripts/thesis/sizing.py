@@ -383,7 +383,7 @@ def _grid(
     titles: Sequence[str],
     lines: Sequence[tuple[str, Any, str]],
 ) -> Figure:
-    """A row a case, a column a joint; ``draw`` returns a panel's top, ``low`` is its foot over that."""
+    """A row a case, a column a joint; ``draw`` returns a panel's top, ``low`` is foot over top."""
     from matplotlib.lines import Line2D
 
     rows, each, above, below = len(sweeps), 1.28, 0.46, 0.52
