@@ -122,7 +122,8 @@ def compare_alternatives(arm: Arm, pose: Array, rng: np.random.Generator) -> lis
 
     The free arm is shaken in its band, all joints at once. For the two alternatives with a
     constrained tool a pin holds it; the static one is driven slowly. Healthy and loose arm get
-    the same torques, and the gap counts by the rms difference of their disagreements.
+    the same torques, and the gap counts by the rms difference of their disagreements, in velocity
+    J q' (4.21) as in all others: the loose arm's less the nominal one's (3.34).
     """
     linear = LinearArm(arm).at(pose)
     kinematic, inertia = linear.kinematic, seated_inertia(arm, pose, Healthy())
