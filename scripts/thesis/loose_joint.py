@@ -337,10 +337,6 @@ class DockedRecord:
     """Torque on the joints: drives, centring springs and joint damping [N·m] (n, N)."""
     forces: Array
     """Force of the jig on the tool in the plane, world axes [N] (2, N)."""
-    moments: Array
-    """Moment of the jig on the tool about the plane's normal [N·m] (N,)."""
-    seat: Array
-    """Place of the seat between its stops [m or rad] (N,)."""
 
 
 def simulate_docked(
@@ -359,31 +355,25 @@ def simulate_docked(
     dock, tool = model.equality("dock").id, model.site(arm.tool).id
     linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
     count, n = torque.shape[1] // every, arm.n
-    rows, wrench = np.empty((count, 3 * n + 1)), np.zeros((count, 3))
+    rows = np.empty((count, 3 * n + 2))
     for k in range(count * every):
         data.qfrc_applied[dofs] = torque[:, k]
         state, rate = data.qpos[at] - q, data.qvel[dofs].copy()
         mujoco.mj_step(model, data)
         if (k + 1) % every:
             continue
-        r = k // every
+        acceleration = data.qacc[dofs].copy()
         net = torque[:, k] - stiffness * state - model.dof_damping[dofs] * rate
-        rows[r] = np.concatenate([state, data.qacc[dofs], net, data.joint(SEAT).qpos])
         held = np.flatnonzero((data.efc_type[: data.nefc] == 0) & (data.efc_id == dock))
         pull = data.efc_J.reshape(data.nefc, model.nv)[held].T @ data.efc_force[held]
         mujoco.mj_jacSite(model, data, linear, angular, tool)
         plane = linear[:2] if jig == "pin" else np.vstack([linear[:2], angular[2:]])
-        wrench[r, : len(plane)] = np.linalg.lstsq(plane.T, pull, rcond=None)[0]
+        force = np.linalg.lstsq(plane.T, pull, rcond=None)[0][:2]
+        rows[k // every] = np.concatenate([state, acceleration, net, force])
     if not np.isfinite(rows).all():
         raise InvalidData("the simulation of the docked arm diverged: lower torque or stiffness")
-    return DockedRecord(
-        angles=rows[:, :n].T.copy(),
-        accelerations=rows[:, n : 2 * n].T.copy(),
-        torques=rows[:, 2 * n : 3 * n].T.copy(),
-        forces=wrench[:, :2].T.copy(),
-        moments=wrench[:, 2].copy(),
-        seat=rows[:, -1].copy(),
-    )
+    angles, accelerations, torques, forces = np.split(rows.T.copy(), [n, 2 * n, 3 * n])
+    return DockedRecord(angles=angles, accelerations=accelerations, torques=torques, forces=forces)
 
 
 def _dock(arm: Arm, q: Array, fault: Fault, jig: Jig) -> tuple[mujoco.MjModel, mujoco.MjData]:
