@@ -11,6 +11,7 @@ from loose_env.envs import FAINT, INK, MUTED
 from loose_env.report import WIDTH, new_figure, quiet_axes
 from loose_env.typing import Array
 from scripts.thesis.estimators import correlation_loop
+from scripts.thesis.planar_motion import contour_levels, histogram
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,7 +91,7 @@ def loop_panels(
         for radius in (0.5, 1.0):
             axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, linewidth=0.8)
         end = 1.08 * np.array([np.cos(direction), np.sin(direction)])
-        axes.plot([-end[0], end[0]], [-end[1], end[1]], color=INK, linewidth=1.0, zorder=1)
+        axis_line(axes, end, color=INK, linewidth=1.0, zorder=1)
         for (x, a), colour, style in zip(loops, COLOURS, _STYLES, strict=False):
             r = correlation_loop(x, a, angles)
             axes.plot(
@@ -98,6 +99,21 @@ def loop_panels(
             )
         axes.text(0.0, 1.04, title, color=INK, fontsize=9, ha="center", va="bottom")
     return figure
+
+
+def axis_line(axes: Axes, end: Sequence[float] | Array, **look: Any) -> None:
+    """Draw a line through the origin, from one end to its opposite."""
+    axes.plot([-end[0], end[0]], [-end[1], end[1]], **look)
+
+
+def contours(
+    axes: Axes, samples: Array, *, bins: int, shares: Sequence[float], colour: str, **look: Any
+) -> None:
+    """Draw the contours of a histogram that hold shares of the samples (2, N)."""
+    found = histogram(samples, bins)
+    levels = np.unique(contour_levels(found, shares))
+    across, up = found.centres(0), found.centres(1)
+    axes.contour(across, up, found.counts.T, levels=levels, colors=[colour], **look)
 
 
 def legend_row(figure: Figure, names: Sequence[str], height: float) -> None:

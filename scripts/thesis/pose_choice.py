@@ -26,7 +26,7 @@ from loose_env.report import new_figure, quiet_axes
 from loose_env.typing import Array
 from scripts.thesis.loose_joint import mass_matrix, placed
 from scripts.thesis.page import Section, printed, section
-from scripts.thesis.plots import bare_panels, note
+from scripts.thesis.plots import axis_line, bare_panels, note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -374,9 +374,8 @@ def _ellipsoid(
         (said, TRUTH, 1.5, (0, (4, 2))),
         (line, INK, 1.3, (0, (1.2, 1.2))),
     ):
-        ends = np.outer([-length, length], vector)
         look: dict[str, Any] = {"color": colour, "linewidth": width, "linestyle": style}
-        axes.plot(ends[:, 0], ends[:, 1], zorder=4, **look)
+        axis_line(axes, length * vector, zorder=4, **look)
     wide, middle = 0.72 * arm.reach, -0.38 * arm.reach
     axes.set(xlim=(middle - wide, middle + wide), ylim=(-_FLAT * wide, _FLAT * wide))
     colour = TRUTH if "printed" in title else INK

@@ -59,10 +59,8 @@ def cylindrical(*, hold: HoldKind = "brake") -> Arm:
 
     solid = _solid(_COLUMN_MASS, _box(_COLUMN_MASS, 0.45, 0.45, 1.7), up=0.75)
     column = _link(floor, 1, (0, 0, 0.1), _HINGE, (0, 0, 1), (20.0, 5.0, 400.0), **solid)
-    solid, at = (
-        _solid(_CARRIAGE_MASS, _box(_CARRIAGE_MASS, 0.6, 0.5, 0.4)),
-        (0.15, 0, _LOWEST - 0.1),
-    )
+    solid = _solid(_CARRIAGE_MASS, _box(_CARRIAGE_MASS, 0.6, 0.5, 0.4))
+    at = (0.15, 0, _LOWEST - 0.1)
     carriage = _link(column, 2, at, _SLIDE, (0, 0, 1), (10.0, 10.0, 900.0), **solid)
     solid = _solid(_BLOCKS_MASS, _box(_BLOCKS_MASS, 0.5, 0.2, 0.2))
     blocks = carriage.add_body(name=GUIDE, pos=[0, 0, 0], **solid)

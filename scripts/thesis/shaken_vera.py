@@ -34,12 +34,14 @@ from scripts.thesis.estimators import (
     transfer_function,
 )
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.planar_motion import contour_levels, histogram
 from scripts.thesis.plots import (
     COLOURS,
+    axis_line,
     by_category,
+    contours,
     curves_by_direction,
     loop_panels,
+    note,
     rms,
     square_panels,
 )
@@ -587,10 +589,6 @@ def direction_figure(
     return curves_by_direction(found, angles, direction=direction, label=label)
 
 
-_BINS = 31
-_SHARE = 0.9
-
-
 def histogram_panels(cases: Cases, states: Sequence[str], direction: float) -> Figure:
     """Draw the contour that holds 90 % of the samples, every state in every pose."""
     count = len(cases[states[0]])
@@ -605,29 +603,13 @@ def histogram_panels(cases: Cases, states: Sequence[str], direction: float) -> F
     for k, axes in enumerate(places):
         axes.set(xlim=(-1.1 * most, 1.1 * most), ylim=(-most, 1.2 * most), aspect="equal")
         end = most * np.array([np.cos(direction), np.sin(direction)])
-        axes.plot([-end[0], end[0]], [-end[1], end[1]], color=INK, linewidth=1.0, zorder=1)
-        for u in ((1, 0), (0, 1)):
-            axes.plot([-most * u[0], most * u[0]], [-most * u[1], most * u[1]], color=FAINT, lw=0.8)
+        axis_line(axes, end, color=INK, linewidth=1.0, zorder=1)
+        for u in ((most, 0), (0, most)):
+            axis_line(axes, u, color=FAINT, lw=0.8)
         for state, colour in zip(states, COLOURS, strict=False):
-            found = histogram(samples[state, k], bins=_BINS)
-            level = contour_levels(found, (_SHARE,))[0]
-            axes.contour(
-                found.centres(0),
-                found.centres(1),
-                found.counts.T,
-                levels=[level],
-                colors=[colour],
-                linewidths=1.4,
-            )
-        name = f"θ₂ = {cases[states[0]][k].name}"
-        axes.text(0.0, 1.05 * most, name, color=INK, fontsize=9, ha="center")
+            contours(axes, samples[state, k], bins=31, shares=(0.9,), colour=colour, linewidths=1.4)
+        note(axes, 0.0, 1.05 * most, f"θ₂ = {cases[states[0]][k].name}", ha="center")
         axes.plot([0.1 * most, 0.1 * most + tick], [-0.93 * most] * 2, color=MUTED, linewidth=2)
-        axes.text(
-            0.1 * most + tick + 0.06 * most,
-            -0.93 * most,
-            f"{tick:.0f} g",
-            color=MUTED,
-            fontsize=8,
-            va="center",
-        )
+        beside = 0.1 * most + tick + 0.06 * most
+        note(axes, beside, -0.93 * most, f"{tick:.0f} g", color=MUTED, size=8, va="center")
     return figure

@@ -33,12 +33,10 @@ from scripts.thesis.planar_motion import (
     LoosePlanarArm,
     MonteCarlo,
     SeatMotion,
-    contour_levels,
     displacement_chain,
     draw_tool_acceleration,
     draw_tool_displacement,
     draw_tool_velocity,
-    histogram,
     looseness_direction,
     region_probabilities,
     regions,
@@ -46,7 +44,7 @@ from scripts.thesis.planar_motion import (
     tool_velocity,
     transition_table,
 )
-from scripts.thesis.plots import note
+from scripts.thesis.plots import axis_line, contours, note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -212,24 +210,16 @@ def _contours(motions: list[Motion], scale: float, unit: str) -> Figure:
             ((tight, "tight", MEASURED), (loose, "loose", TRUTH))
         ):
             axes = figure.add_axes((0.075 + 0.31 * k, 0.475 - 0.43 * row, 0.30, 0.42))
-            found = histogram(samples * scale, 50)
-            levels = np.unique(contour_levels(found, SHARES))
-            axes.contour(
-                found.centres(0),
-                found.centres(1),
-                found.counts.T,
-                levels=levels,
-                colors=[colour],
-                linewidths=np.linspace(0.8, 1.8, len(levels)),
-            )
-            bar = reach * np.outer(slide, [-0.95, 0.95])
-            axes.plot(*bar, color=MUTED, linewidth=1.0, dashes=(3, 3), zorder=0)
+            look: dict[str, Any] = {"shares": SHARES, "linewidths": np.linspace(0.8, 1.8, 3)}
+            contours(axes, samples * scale, bins=50, colour=colour, **look)
+            bar: dict[str, Any] = {"linewidth": 1.0, "dashes": (3, 3), "zorder": 0}
+            axis_line(axes, 0.95 * reach * slide, color=MUTED, **bar)
             axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
             axes.axis("off")
             if row == 0:
                 axes.set_title(f"θ₂ = {theta2:g}°", fontsize=9.5, color=INK, pad=4)
             if k == 0:
-                look: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "center"}
+                look = {"rotation": 90, "ha": "center", "va": "center"}
                 figure.text(0.03, 0.685 - 0.43 * row, name, fontsize=9.5, color=INK, **look)
             if k == 0 and row == 1:
                 length = 10.0 ** math.floor(math.log10(reach))
