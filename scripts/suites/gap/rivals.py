@@ -1,4 +1,4 @@
-"""Other methods as tools of the suite: stepwise least squares, and `mujoco.sysid`."""
+"""Rival methods of `loose gap` on a recording: stepwise regression by BIC, and `mujoco.sysid`."""
 
 from __future__ import annotations
 
