@@ -1,4 +1,4 @@
-"""Model error: find, name and correct the effect a simulation lacks.
+"""Model error: find, identify and correct the physical effects that a simulation lacks.
 
 Data flow: model -> data -> settings -> simulation -> residuals -> fitting ->
 output -> selection -> diagnostics -> experiment_design -> workflow.

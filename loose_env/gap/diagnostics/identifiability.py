@@ -1,4 +1,4 @@
-"""Identifiability of effects from the recorded motions, and confusable effects.
+"""Effects that the recorded motions cannot identify or tell apart, and the recording time needed.
 
 Every effect is simulated once at a size that would matter, on top of the identified effects. The
 change of the readings, after projecting out the nominal parameters within their tolerance, is the

@@ -1,4 +1,4 @@
-"""Library of motions for an arm, each checked with the nominal model under its servos."""
+"""Library of motions of an arm, scaled to its limits and checked by simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bounded Gauss-Newton fit of a hypothesis' parameters, on batched simulations.
+"""Bounded Gauss-Newton fit of a hypothesis' parameters by batched simulation (fit, Fit).
 
 Each iteration is two batches: one for the sensitivities, one for several step lengths at once. The
 bounded linear least-squares problem is solved by scipy.

@@ -1,4 +1,4 @@
-"""Check of the exported model in plain MuJoCo against the fit, and its time step.
+"""Exported model simulated in plain MuJoCo and compared with the fit; choice of its time step.
 
 Fits apply delayed commands by their means over steps, and compute readings at their exact times.
 The file uses the delays and filters of MJCF, which act from step to step: a delay shorter than a

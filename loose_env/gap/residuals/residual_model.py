@@ -1,4 +1,4 @@
-"""Residuals: measured less predicted, in noise standard deviations."""
+"""ResidualModel: measured less predicted readings of all runs, in noise standard deviations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Acceptance criteria for effects, and pruning of effects that are insignificant."""
+"""Acceptance criteria for hypotheses that add effects; ties; effects at a bound dropped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Candidate fits: the most promising on windows of data, the best on all data."""
+"""Fits of screened candidates, sets and replacements: many on windows, the best on all data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ranking of all fitted hypotheses by BIC, and effects confusable with the result."""
+"""Ranking of all fitted hypotheses by BIC, and rivals that explain held-out runs as well."""
 
 from __future__ import annotations
 

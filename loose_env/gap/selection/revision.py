@@ -1,4 +1,4 @@
-"""Swap step: replaces identified effects by confusable ones with a better fit.
+"""Swap step: exchanges effects for confusable ones that fit better, and drops insignificant ones.
 
 Forward selection identifies the first effect from a residual that is due to several. Its best proxy
 for the mixture may have a better alternative, or need fewer effects beside it, once the others are

@@ -1,4 +1,4 @@
-"""Inverse dynamics torque of a measured motion, compared with measured torque.
+"""Inverse dynamics torques of measured motion under hypotheses, compared with measured torques.
 
 The motion is smoothed (`loose_env.gap.data.smoothing`), and the model of each hypothesis evaluated
 on it: M(q) a + bias - passive forces, for all samples at once on MuJoCo's thread pool. Dry friction

@@ -1,4 +1,4 @@
-"""Sensor values at exact times, for commands within a step and sensor delays.
+"""Sensor values at exact times: with commands that change within a step, and sensor delays.
 
 A step is simulated with the mean of a command over it. An accelerometer reads the instantaneous
 value: a servo's acceleration jumps with every command. A delayed one reads the value at an earlier

@@ -1,4 +1,4 @@
-"""Simulates measured runs under many hypotheses at once, on MuJoCo's thread pool.
+"""Simulated sensor values of measured runs under many hypotheses at once, on a thread pool.
 
 A hypothesis is a list of effects with their values. Its predictions are sensor values at the
 samples of the run, channel by channel.

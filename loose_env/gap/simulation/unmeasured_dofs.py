@@ -1,4 +1,4 @@
-"""Inverse dynamics of models with unmeasured degrees of freedom.
+"""Inverse dynamics of models with unmeasured degrees of freedom: prescribed joint motion.
 
 A compliant drive or one with backlash has more coordinates than the measured ones. The measured
 joints follow their motion, the others move freely: each measured joint gets a rotor far heavier

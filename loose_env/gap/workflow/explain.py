@@ -1,4 +1,4 @@
-"""`loose gap` as one call, and the error of a model on a recording."""
+"""`loose gap` as one call (explain_gap), and the held-out prediction error of a model."""
 
 from __future__ import annotations
 

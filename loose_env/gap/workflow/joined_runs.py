@@ -1,4 +1,4 @@
-"""Several recordings of one machine as one, and the result that came of the first of them."""
+"""Recordings of one machine joined as one, read with an earlier result where there is one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Search for the effects that a model lacks, from a recording to a verdict."""
+"""Search for the effects that a model lacks (find_gap): recording in, verdict with fits out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Result of a search, and the files that it is written to."""
+"""Search result as a GapResult, and its files: model.xml, report and result.json."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motion of a seat within a block of spectral lines, marginalised line by line."""
+"""Seat motion in a block of spectral lines: likelihood gain and power, marginalised by line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Static commands of a pose, and start commands that move an arm there."""
+"""Static commands that hold a pose, start commands that move an arm there, refusals."""
 
 from __future__ import annotations
 

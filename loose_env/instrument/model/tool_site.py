@@ -1,4 +1,4 @@
-"""Tool accelerometer of a model with several accelerometers."""
+"""Site of the tool accelerometer among a model's sensed sites, marked and found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stepwise least squares as a tool of the suite, and what other methods share with it."""
+"""Stepwise least squares as a tool of the gap suite, and what other methods share with it."""
 
 from __future__ import annotations
 

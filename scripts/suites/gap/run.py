@@ -1,4 +1,4 @@
-"""Grade the gap tool on blind recordings: the table of targets.
+"""Run and grade `loose gap` or a rival on blind recordings; tables of targets and methods.
 
 Each case is made by an arm that is integrated without MuJoCo, given to the tool as a recording and
 nothing else, and graded against its sealed truth once the result is written. Rows of finished cases

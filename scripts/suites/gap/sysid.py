@@ -1,4 +1,4 @@
-"""`mujoco.sysid` with all parameters free, as a tool of the suite."""
+"""`mujoco.sysid` with all parameters free, as a tool of the gap suite."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simulations for exact fits: how many are left, and those that are made together beforehand."""
+"""Simulated motions for the exact fits of one comparison, cached and limited in number."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Impact pass: search for a part with stops in the unexplained residual.
+"""Impact pass: refits, adds a part with stops by impact power, and drops proxies for it.
 
 The impacts of a part against its stops cannot be identified sample by sample. The effects found so
 far are refitted with each channel weighted by its residual, the part is identified by its impact

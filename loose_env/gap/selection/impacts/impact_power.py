@@ -1,4 +1,4 @@
-"""Comparison of impact-dominated runs by the power and timing of their impacts.
+"""Impact power of runs, by band and short stretch of time: readings compared beyond no play.
 
 When a part slides between stops, two simulations that differ in the last digit of its friction soon
 have impacts at different times, and sample by sample the residual of the correct model exceeds that

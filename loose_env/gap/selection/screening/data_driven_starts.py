@@ -1,4 +1,4 @@
-"""Starting values from data: residual torques and residual accelerations.
+"""Starting values of effects from data: residual torques and residual accelerations of runs.
 
 The motion of runs with commands is smoothed and put into the inverse dynamics of the model, and the
 result is subtracted from the actuator torque at the measured commands and state; runs with measured

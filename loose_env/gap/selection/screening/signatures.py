@@ -1,4 +1,4 @@
-"""Signatures: the change of the residual with an effect at one of its starts."""
+"""Signatures: change of the residual by each candidate effect at each of its starting values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Extra joints that an effect adds to a link, behind the link's own."""
+"""Addition of a joint with stops or rotor to a link of an MJCF spec, and inertia at a joint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Base of effects at a joint: locations, units, and scales of the joint."""
+"""Base class of effects at a joint: units and scales; unused names, least-squares start."""
 
 from __future__ import annotations
 
