@@ -1,4 +1,4 @@
-"""Experiment One: repeatability of a large cylindrical arm (6.2.1).
+"""Experiment One, simulated: repeatability of a cylindrical arm whose boom has play.
 
 The boom of the arm runs through four roller bearing blocks with play. With its weight behind their
 middle one diagonal pair of blocks carries it, ahead of it the other pair. As it strokes through the

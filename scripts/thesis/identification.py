@@ -1,4 +1,4 @@
-"""Chapter 3.3 and 8.1.2: kinematic parameters joint by joint, and the docked-tool test."""
+"""Identification of kinematic parameters by joint, and of loose links with the tool held."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Finding the loose link: arms searched joint by joint (4.2.2), and VERA's printed directions."""
+"""Link finding by the thesis's steps: simulated arms, and VERA by its printed directions."""
 
 from __future__ import annotations
 

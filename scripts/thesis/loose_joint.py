@@ -1,4 +1,4 @@
-"""A looseness joint in a serial arm (3.2.2), recursion of its parameters (3.3.1), the dock (8.1.2).
+"""Loose seat as an extra joint: Jacobian, inertia, planar identification, arm with tool held.
 
 A looseness joint is one more joint, neither driven nor measured: one more column of the Jacobian.
 Where the loose seat has moved, other columns change too, and which ones locates the link.

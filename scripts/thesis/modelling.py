@@ -1,4 +1,4 @@
-"""Chapter 3.2: seven ways to model looseness, and what a loose seat does to two matrices.
+"""Seven models of looseness compared; a loose seat's effect on Jacobian and inertia matrix.
 
 Every alternative predicts one measured quantity from others; what is left over is called the
 disagreement. A loose seat changes it, the sensors' noise adds to it, and what the model does not

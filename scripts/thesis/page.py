@@ -1,4 +1,4 @@
-"""Sections of the thesis: their text, their runs in processes of their own, and the page.
+"""Sections of the thesis page: text and printed values, runs in processes, and the HTML page.
 
 A section is a function of the seed in a module of this folder. It computes; ``text/KEY.toml`` holds
 what the page says, what the thesis printed, and the function behind every equation.

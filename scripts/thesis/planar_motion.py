@@ -1,4 +1,4 @@
-"""Planar arm of two joints with a loose seat in link 2 (5.1): kinematics, assumed motion, draws.
+"""Planar two-joint arm with a loose seat: kinematics, Monte Carlo draws of motion, histograms.
 
 Angles are in radians and counter-clockwise; the tool is in the world frame. Arrays of joint
 motions have shape (2, N), those of the seat (N,). The seat is at the proximal stop, free, or at the

@@ -1,4 +1,4 @@
-"""Small multiples of several sections: correlation loops, statistics by pose, signals."""
+"""Plots shared by sections: correlation loops, statistics by pose or direction; centring, rms."""
 
 from __future__ import annotations
 

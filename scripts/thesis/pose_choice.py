@@ -1,4 +1,4 @@
-"""Chapters 4.2.3 and 8.2.3: manipulability ellipsoids, and poses chosen to load every seat."""
+"""Manipulability ellipsoids, and pose sets chosen to load every seat beside random sets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rigs of the thesis: the cylindrical arm, VERA on its shaker, and the slide on its bench."""
+"""Arms of the thesis's rigs: cylindrical arm, VERA on its shaker, slide on its bench."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Closed-form answer of a healthy arm to the force of its shaker."""
+"""Frequency response of a healthy arm to the force of its shaker, in closed form."""
 
 from __future__ import annotations
 

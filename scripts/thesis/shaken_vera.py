@@ -1,4 +1,4 @@
-"""Experiments Five and Six: VERA on the shaker, with looseness and with play (6.4.1, 6.4.2)."""
+"""Experiments Five and Six, simulated: direction errors on VERA, loose or with backlash."""
 
 from __future__ import annotations
 

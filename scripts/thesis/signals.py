@@ -1,4 +1,4 @@
-"""Experiments Two and Three: two accelerometers and a resolver (6.3.1, 6.3.2).
+"""Experiments Two and Three, simulated: direction of motion and velocity from sensor signals.
 
 A slide is shaken through a stinger, and link 1 of VERA carries a resolver behind a gear with play.
 The rigs' sensors are ideal; accelerometers, protractor and tape are put on their readings, so that

@@ -1,4 +1,4 @@
-"""Chapter 5: simulated motion, matching of distributions, and the lowest correlation."""
+"""Chapter 5 of the thesis: motion distributions of a loose arm, ridge fits, correlation loops."""
 
 from __future__ import annotations
 

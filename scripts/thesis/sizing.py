@@ -1,4 +1,4 @@
-"""Chapters 5.2 and 6.1.2: sizing VERA's drives and links, and where its joints are loaded most.
+"""Sizing of VERA: joint loads over motions, drive torques, frequencies of links and stinger.
 
 Joint loads come twice: in closed form for two links in the plane, and from MuJoCo's inverse
 dynamics for any arm. A force at a joint is what the part on the base's side exerts on the part on
