@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from loose_env.excitation import Excitation
@@ -28,6 +26,7 @@ from scripts.thesis.shaken_vera import (
     loops_of,
     measure_case,
     moment_figures,
+    turn_of,
 )
 
 RECORDS = 12
@@ -71,11 +70,6 @@ def relative(case: Case, *, gain: float = 1.0) -> Case:
     return Case(angle=case.angle, pairs=pairs)
 
 
-def _rms_turn(turns: Sequence[float]) -> float:
-    """RMS of angles between axes [deg]."""
-    return float(np.degrees(np.sqrt(np.mean(np.square(turns)))))
-
-
 def experiment_four(seed: int) -> Section:
     """Shake the rig at the four angles, bolted down and with the mounting screw loose."""
     told, bolted = printed("experiment_four"), {s: trials(seed, s, "bolted") for s in STATES}
@@ -83,10 +77,9 @@ def experiment_four(seed: int) -> Section:
     tight, finger, slack = bolted.values()
     joint = f"{told['looseness_deg'] % 180}°"
     off, off_screw = (
-        _rms_turn([axial_difference(case.lowest.mean, 0.0) for case in cases])
-        for cases in (slack, screw[LOOSE])
+        turn_of([case.lowest.mean for case in cases], [0.0]) for cases in (slack, screw[LOOSE])
     )
-    across = _rms_turn([axial_difference(t.lowest.mean, np.pi / 2 - t.angle) for t in tight])
+    across = turn_of([t.lowest.mean for t in tight], [np.pi / 2 - t.angle for t in tight])
     part = told["kurtosis_factor_without_looseness"]
     risen = sum(
         np.mean(b.moments(0.0, third=False)) < part * np.mean(a.moments(0.0, third=False))

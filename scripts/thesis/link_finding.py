@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import binomtest
@@ -76,26 +76,19 @@ def predicted_slides(frames: ToolFrames, before: Array, after: Array, direction:
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
-class Search(NamedTuple):
-    """One search: the loose link, the one that was named, moves after the first pose."""
-
-    link: int
-    named: int
-    moves: int
-
-
-def search(arm: Arm, estimator: str, order: Order, *, seed: int, arms: int = ARMS) -> list[Search]:
+def search(arm: Arm, estimator: str, order: Order, *, seed: int) -> tuple[Array, Array]:
     """Let the steps of 4.2.2 look for the loose link of many arms.
+
+    Returns whether the loose link was named, and the moves after the first pose, by arm.
 
     Every arm has its own mismatch, fault and first pose; a healthy twin of it gives the
     reference in each pose. Joint 1 is shaken, all others are braked. A joint moves by a quarter
     turn; the direction has turned if it turned by more than half of that.
     """
-    twins = Twins.draw(arm, arms, [seed, 11])
-    links = 1 + np.arange(arms) % arm.n
-    low, high = np.ones(arms, dtype=int), np.full(arms, arm.n)
-    moves, moved = np.zeros(arms, dtype=int), np.zeros(arms, dtype=int)
-    before: list[Sighting | None] = [None] * arms
+    twins = Twins.draw(arm, ARMS, [seed, 11])
+    low, high = np.ones(ARMS, dtype=int), np.full(ARMS, arm.n)
+    moves, moved = np.zeros(ARMS, dtype=int), np.zeros(ARMS, dtype=int)
+    before: list[Sighting | None] = [None] * ARMS
     for step in range(arm.n):
         open_ = [int(k) for k in np.flatnonzero(low < high)]
         shakes = twins.one_joint(0, arm.levels[-1], arms=open_)
@@ -113,7 +106,7 @@ def search(arm: Arm, estimator: str, order: Order, *, seed: int, arms: int = ARM
                 moved[k] = next_joint(order, int(low[k]), int(high[k]))
                 pose[moved[k] - 1] += _MOVE
                 moves[k] += 1
-    return [Search(int(links[k]), int(low[k]), int(moves[k])) for k in range(arms)]
+    return low == 1 + np.arange(ARMS) % arm.n, moves
 
 
 def _sighting(pose: Array, direction: float) -> Sighting:
@@ -132,12 +125,12 @@ def link_finding(seed: int) -> Section:
     """Search arms of four links; `vera_link_finding` has the step that VERA allows."""
     arm = planar(LINKS)
     found = {(e, o): search(arm, e, o, seed=seed) for e in ESTIMATORS for o in ORDERS}
-    right = {key: np.array([r.named == r.link for r in runs]) for key, runs in found.items()}
+    right = {key: named for key, (named, _) in found.items()}
     ends = {
         key: binomtest(int(r.sum()), len(r)).proportion_ci(0.95, method="wilson")
         for key, r in right.items()
     }
-    moves = {key: np.mean([r.moves for r in runs]) for key, runs in found.items()}
+    moves = {key: moved.mean() for key, (_, moved) in found.items()}
     by_lowest, by_change = (np.mean([right[e, o].mean() for o in ORDERS]) for e in ESTIMATORS)
     outward, inward, halving = (moves["change of transmission", o] for o in ORDERS)
     expected, fewest = (LINKS - 1) * (LINKS + 2) / (2 * LINKS), np.log2(LINKS)

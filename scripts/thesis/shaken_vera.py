@@ -316,7 +316,7 @@ def spectral_flatness(
 def rms_over_poses(errors: Sequence[Array]) -> Spread:
     """RMS error over the poses, for every set of single records [deg]."""
     count = min(len(e) for e in errors)
-    return Spread.of([float(np.sqrt(np.mean([e[k] ** 2 for e in errors]))) for k in range(count)])
+    return Spread.of([rms(np.array([e[k] for e in errors])) for k in range(count)])
 
 
 def _estimators(errors: Sequence[Errors]) -> dict[str, Spread]:
@@ -359,9 +359,9 @@ def experiment_five(seed: int) -> Section:
     by, theirs = _estimators(errors), rms(np.array(told))
     ours, change, general, coherence = (by[k] for k in ("lowest", "change", "general", "coherence"))
     closed = _closed_forms()
-    off = {name: _turn_of(found, [phi for _, phi, _ in healthy]) for name, found in closed.items()}
-    soft_turn = _turn_of(closed["pin half released"], closed["pin"])
-    stiff_turn = _turn_of(closed["stiff refitted half released"], closed["stiff refitted"])
+    off = {name: turn_of(found, [phi for _, phi, _ in healthy]) for name, found in closed.items()}
+    soft_turn = turn_of(closed["pin half released"], closed["pin"])
+    stiff_turn = turn_of(closed["stiff refitted half released"], closed["stiff refitted"])
     pin_stiffness, bending_hz = rig.pin_stiffness / 1e4, BENDING_MODE_HZ
 
     groups: dict[str, list[str]] = {"closer": [], "about as close": [], "farther off": []}
@@ -482,10 +482,9 @@ def _closed_forms() -> dict[str, list[float]]:
     }
 
 
-def _turn_of(one: Sequence[float], other: Sequence[float]) -> float:
+def turn_of(one: Sequence[float], other: Sequence[float]) -> float:
     """RMS angle between directions [deg]."""
-    turns = axial_difference(np.array(one), np.array(other))
-    return float(np.degrees(np.sqrt(np.mean(turns**2))))
+    return float(np.degrees(rms(axial_difference(np.array(one), np.array(other)))))
 
 
 def experiment_six(seed: int) -> Section:

@@ -169,15 +169,9 @@ class SlideRecords(NamedTuple):
     the slide relative to the bench [m/s²] (N,)."""
 
 
-class ResolverRecords(NamedTuple):
-    """Link 1 driven from outside, at `RESOLVER_RATE`."""
-
-    angle: Array
-    """True angle of the link [rad] (N,)."""
-    velocity: Array
-    """True velocity of the link [rad/s] (N,)."""
-    resolver: Array
-    """Reading behind the gear [units of `RESOLVER_UNIT`] (N,)."""
+Turned = tuple[Array, Array, Array]
+"""Link 1 driven from outside, at `RESOLVER_RATE`: true angle [rad] and velocity [rad/s], and the
+reading behind the gear [units of `RESOLVER_UNIT`] (N,)."""
 
 
 def slide_records(seed: int, *, pair: int = 0) -> SlideRecords:
@@ -207,7 +201,7 @@ def slide_records(seed: int, *, pair: int = 0) -> SlideRecords:
     return SlideRecords(alpha, measured[0], measured[1], shaken_by)
 
 
-def resolver_records(seed: int) -> ResolverRecords:
+def resolver_records(seed: int) -> Turned:
     """Drive link 1 of VERA by the shaker and read its resolver behind a gear with play."""
     shake = Excitation(
         torque_rms=(0.0, 0.0), duration=DURATION, band=LINK_BAND, shaker_rms=LINK_FORCE_RMS
@@ -216,11 +210,7 @@ def resolver_records(seed: int) -> ResolverRecords:
     every = round(RATE / RESOLVER_RATE)
     angle = run.encoder[0, 1:-1]
     rotor = play(angle, GEAR_PLAY)
-    return ResolverRecords(
-        angle=angle[::every],
-        velocity=_velocity(run)[::every],
-        resolver=np.floor(rotor[::every] / RESOLVER_UNIT),
-    )
+    return angle[::every], _velocity(run)[::every], np.floor(rotor[::every] / RESOLVER_UNIT)
 
 
 def play(driving: Array, width: float) -> Array:
@@ -387,27 +377,28 @@ def order_rows(told: Mapping[str, Any]) -> Rows:
     return rows
 
 
-def resolver_rows(turned: ResolverRecords, bits: int) -> tuple[Rows, float]:
+def resolver_rows(turned: Turned, bits: int) -> tuple[Rows, float]:
     """Differentiate the resolver's angle and hold it against the link's true velocity.
 
     Returns the rows, and the error of the better difference of the resolver over the true rms.
     """
     dt, rows, lowest = 1 / RESOLVER_RATE, [], np.inf
+    exact_angle, velocity, resolver = turned
     read = {
-        "exact angle of the link": turned.angle,
-        f"{bits}-bit steps only": RESOLVER_UNIT * np.floor(turned.angle / RESOLVER_UNIT),
-        "steps and the gear's play": RESOLVER_UNIT * turned.resolver,
+        "exact angle of the link": exact_angle,
+        f"{bits}-bit steps only": RESOLVER_UNIT * np.floor(exact_angle / RESOLVER_UNIT),
+        "steps and the gear's play": RESOLVER_UNIT * resolver,
     }
     for name, angle in read.items():
         cells, errors = [name], []
         for rule in DIFFERENCES:
             rate = differentiate(angle, dt, rule)
-            truth = turned.velocity[: len(rate)]
+            truth = velocity[: len(rate)]
             errors.append(rms(rate - truth) / rms(truth))
             # A resolver that does not move follows nothing.
             r = np.corrcoef(rate, truth)[0, 1] if np.ptp(rate) > 0 else 0.0
             twice = differentiate(rate, dt, rule)
-            exact = np.gradient(turned.velocity, dt)[: len(twice)]
+            exact = np.gradient(velocity, dt)[: len(twice)]
             worse = 100 * rms(twice - exact) / rms(exact)
             cells.append(f"{100 * errors[-1]:.0f} %, r = {r:.2f}; {worse:.0f} %")
         rows.append(cells)
@@ -487,9 +478,9 @@ def signals(seed: int) -> Section:
     ]
 
     turn_rows, fails = resolver_rows(turned, told["resolver_bits"])
-    turns, units = np.ptp(turned.angle) / RESOLVER_UNIT, np.ptp(turned.resolver)
+    turns, units = np.ptp(turned[0]) / RESOLVER_UNIT, np.ptp(turned[2])
     play_units, unit_rate = GEAR_PLAY / RESOLVER_UNIT, RESOLVER_UNIT * RESOLVER_RATE
-    true_rms, every_ms = rms(turned.velocity), 1000 / RESOLVER_RATE
+    true_rms, every_ms = rms(turned[1]), 1000 / RESOLVER_RATE
 
     base_rows, fitted = [], []
     for name, run in records.shaken_by.items():
@@ -507,7 +498,7 @@ def signals(seed: int) -> Section:
             angle_figure(alpha, found - alpha, line - alpha, correlation),
             moment_figure(records),
             velocity_figure(records, case, told),
-            resolver_figure(turned),
+            resolver_figure(*turned),
         ],
     )
 
@@ -579,7 +570,7 @@ def velocity_figure(records: SlideRecords, case: int, told: Mapping[str, Any]) -
     return figure
 
 
-def resolver_figure(turned: ResolverRecords) -> Figure:
+def resolver_figure(angle: Array, velocity: Array, resolver: Array) -> Figure:
     """Draw angle and velocity by the resolver beside those of the link."""
     count = round(0.12 * RESOLVER_RATE)
     time = 1000 * np.arange(count) / RESOLVER_RATE
@@ -589,13 +580,13 @@ def resolver_figure(turned: ResolverRecords) -> Figure:
         up=["units", "rad/s"],
         height=1.3,
     )
-    middle = np.median(turned.angle[:count]) / RESOLVER_UNIT
-    upper.plot(time, turned.angle[:count] / RESOLVER_UNIT - middle, color=TRUTH, linewidth=1.2)
-    steps = turned.resolver[:count] - np.median(turned.resolver[:count])
+    middle = np.median(angle[:count]) / RESOLVER_UNIT
+    upper.plot(time, angle[:count] / RESOLVER_UNIT - middle, color=TRUTH, linewidth=1.2)
+    steps = resolver[:count] - np.median(resolver[:count])
     upper.step(time, steps, where="post", color=MEASURED, linewidth=1.2)
-    rate = differentiate(RESOLVER_UNIT * turned.resolver, 1 / RESOLVER_RATE, "two_point")
+    rate = differentiate(RESOLVER_UNIT * resolver, 1 / RESOLVER_RATE, "two_point")
     lower.step(time, rate[:count], where="post", color=MEASURED, linewidth=0.9)
-    lower.plot(time, turned.velocity[:count], color=TRUTH, linewidth=1.2)
+    lower.plot(time, velocity[:count], color=TRUTH, linewidth=1.2)
     for panel in (upper, lower):
         panel.set_xlim(0, time[-1])
     note(upper, 1.0, 1.06, "link", color=TRUTH, inside=True, ha="right")
