@@ -18,7 +18,7 @@ from mujoco.batch import Batch
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from loose_env.envs import INK, MEASURED, MUTED, SHAKEN, TRUTH
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidData
 from loose_env.typing import Array
 from scripts.thesis.loose_joint import mass_matrix
 from scripts.thesis.page import Section, printed, section
@@ -278,11 +278,6 @@ def _travel(t: Array, pose: StrokePose, settings: Guideway) -> Array:
     # A raised-cosine run up, steady speed, and the same down.
     ramp, speed = settings.ramp, settings.speed * np.sign(distance)
     steady = abs(distance) / settings.speed - ramp
-    if steady < 0:
-        raise InvalidSetting(
-            f"a stroke of {distance:g} m is too short for ramps of {ramp:g} s to "
-            f"{settings.speed:g} m/s"
-        )
 
     def run_up(x: Array) -> Array:
         x = np.clip(x, 0.0, ramp)

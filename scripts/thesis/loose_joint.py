@@ -201,23 +201,13 @@ def rotation_arms(velocities: ArrayLike, rates: ArrayLike) -> Array:
     return np.asarray(np.column_stack([v[:, 1], -v[:, 0]]) / w[:, None])
 
 
-def identify_planar(
-    velocities: ArrayLike,
-    rates: ArrayLike,
-    angles: ArrayLike,
-    *,
-    kinds: Sequence[JointKind] = (),
-) -> PlanarParameters:
+def identify_planar(velocities: ArrayLike, rates: ArrayLike, angles: ArrayLike) -> PlanarParameters:
     """Find lengths and offsets from the tool to the base (3.49, 3.50, 3.63, 3.64, 3.66, 3.67).
 
-    The joint angle is that between link i and link i-1. The thesis prints (3.65) instead, which
-    changes with the joints beyond; see `distended_angles`.
+    All joints turn: a slide's velocity is a free vector, the same wherever the slide lies, so the
+    recursion ends there. The joint angle is that between link i and link i-1. The thesis prints
+    (3.65) instead, which changes with the joints beyond; see `distended_angles`.
     """
-    if "prismatic" in kinds:
-        raise InvalidData(
-            f"joint {list(kinds).index('prismatic') + 1} is prismatic: its velocity is a free "
-            "vector, the same wherever the slide lies, so the recursion ends there"
-        )
     arms, q = rotation_arms(velocities, rates), np.asarray(angles, dtype=float)
     links = arms - np.vstack([arms[1:], np.zeros((1, 2))])
     directions = np.arctan2(links[:, 1], links[:, 0])
@@ -302,9 +292,7 @@ def seat_twist(jacobian: Array, angles: Array) -> Array:
     It is that of the velocity which the seat alone gives the tool (3.57, 3.68, 3.69).
     """
     motion = -jacobian @ (angles - angles.mean(axis=1, keepdims=True))
-    left, values, _ = np.linalg.svd(motion, full_matrices=False)
-    if values[0] == 0:
-        raise InvalidData("the joints did nothing at the tool: there is no motion to read")
+    left, _, _ = np.linalg.svd(motion, full_matrices=False)
     return np.asarray(left[:, 0] * np.sign(left[np.argmax(np.abs(left[:, 0])), 0]))
 
 

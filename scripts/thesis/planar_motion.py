@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loose_env.errors import InvalidData
 from loose_env.typing import Array
 
 Regions = NDArray[np.int64]
@@ -279,8 +278,6 @@ def histogram(samples: ArrayLike, bins: int = 120) -> Histogram:
     values = np.atleast_2d(np.asarray(samples, dtype=float))
     lowest, highest = values.min(axis=1), values.max(axis=1)
     largest = float((highest - lowest).max())
-    if largest <= 0.0:
-        raise InvalidData("samples do not vary in any direction; a histogram needs a range")
     low, width = 0.5 * (lowest + highest) - 0.5 * largest, largest / bins
     # The highest sample lies on the upper edge and belongs to the last bin.
     index = np.clip(np.floor((values - low[:, None]) / width), 0, bins - 1).astype(np.int64)
