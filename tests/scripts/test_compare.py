@@ -89,7 +89,7 @@ def test_estimators_are_crossed_with_policies() -> None:
 
 
 def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from loose_agents import comparison as evaluation_shards
+    from loose_agents import sharded_play as evaluation_shards
 
     played: list[int] = []
     real = evaluation_shards.evaluate_shard

@@ -12,7 +12,7 @@ from loose_agents.jobs import BackendSettings
 
 from loose_env.arms import planar, scara
 from loose_env.diagnosis import ToolFrames
-from scripts.studies import links
+from scripts.studies import link_finding
 from scripts.studies import pose_sets as script
 from scripts.studies.pose_sets import LIMIT, Directions, Records, Task
 from scripts.study import MARKS, write_between
@@ -110,7 +110,7 @@ def test_tables_go_between_their_marks(tmp_path: Path) -> None:
 def test_a_quick_run_of_link_finding_prints_both_tables(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    links.main(["--quick", "--arm", "planar4", "--out", str(tmp_path / "links.json")])
+    link_finding.main(["--quick", "--arm", "planar4", "--out", str(tmp_path / "link_finding.json")])
     printed = capsys.readouterr().out
     assert "scatter 20 degrees" in printed
     assert "(b) simulated" in printed
@@ -118,13 +118,13 @@ def test_a_quick_run_of_link_finding_prints_both_tables(
 
 
 def test_the_bound_counts_links_that_no_move_tells_apart() -> None:
-    assert links.bound(ToolFrames(planar(4)), 20, 0) == 1.0
+    assert link_finding.bound(ToolFrames(planar(4)), 20, 0) == 1.0
     # Links 2 and 3 of a SCARA are alike: half of their cases are lost.
-    assert links.bound(ToolFrames(scara()), 40, 0) == pytest.approx(0.75)
+    assert link_finding.bound(ToolFrames(scara()), 40, 0) == pytest.approx(0.75)
 
 
 def test_images_need_fewer_poses_than_turns() -> None:
-    right = links.by_scatter(ToolFrames(planar(4)), np.radians(5), 40, 2, 3)
-    by_method = dict(zip(links.METHODS, right[:, 1], strict=True))
+    right = link_finding.by_scatter(ToolFrames(planar(4)), np.radians(5), 40, 2, 3)
+    by_method = dict(zip(link_finding.METHODS, right[:, 1], strict=True))
     assert by_method["images all"] > 0.9
     assert by_method["images all"] > by_method["4.31 outward"] + 0.2
