@@ -30,7 +30,7 @@ from loose_env.gap.output.evidence_schema import (
 from loose_env.gap.residuals.autocorrelation import independent_rows
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
-from loose_env.gap.selection.screening.grouping import confusable
+from loose_env.gap.selection.screening.confusable_effects import confusable
 from loose_env.gap.selection.screening.screening import along
 from loose_env.gap.selection.screening.signatures import Signatures
 from loose_env.gap.settings import (

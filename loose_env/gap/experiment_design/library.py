@@ -1,4 +1,4 @@
-"""Library of motions of an arm, scaled to its limits and checked by simulation."""
+"""Libraries of motions for an arm (full, brief, battery), scaled to its limits, simulated."""
 
 from __future__ import annotations
 

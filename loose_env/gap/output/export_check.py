@@ -20,7 +20,7 @@ from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.effect import have_stops
 from loose_env.gap.model.hypothesis import Hypothesis, compiled
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.output.export_mjcf import corrected_spec
+from loose_env.gap.output.corrected_model import corrected_spec
 from loose_env.gap.residuals.physical_units import rms
 from loose_env.gap.residuals.residual_model import DIVERGED_RESIDUAL, ResidualModel
 from loose_env.gap.settings import (

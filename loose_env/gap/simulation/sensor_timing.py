@@ -18,8 +18,8 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of, is_position_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.simulation.applied_torque_terms import has_terms, torque_terms
 from loose_env.gap.simulation.driven_effects import Driven
-from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
 from loose_env.typing import Array
 
 PARTS = 2

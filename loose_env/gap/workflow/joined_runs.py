@@ -1,4 +1,4 @@
-"""Recordings of one machine joined as one, read with an earlier result where there is one."""
+"""Recordings of one machine joined as one, beside the result of the first where there is one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Seat motion in a block of spectral lines: likelihood gain and power, marginalised by line."""
+"""Seats (fault locations), and likelihood of their motion in a block of spectral lines."""
 
 from __future__ import annotations
 

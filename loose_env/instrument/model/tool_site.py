@@ -1,4 +1,4 @@
-"""Site of the tool accelerometer among a model's sensed sites, marked and found."""
+"""Site of the tool accelerometer, all sensed sites, and the body beyond the last link."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Excitation proposed in a pose within torque and band, and the change by each fault it shows.
+"""Excitation proposed in a pose within torque and band, and its sensitivity to each fault.
 
 How well one record would show each fault: how far seats open, and the smallest gap seen.
 

@@ -1,4 +1,4 @@
-"""Choice of the next measurement: pose and joint whose record has most expected information.
+"""Choice of the next measurement (pose, joint) by expected information; features of seats.
 
 `next_measurement` serves the plan and the diagnosis alike. What is known is spread over locations,
 directions and frictions; a few dozen imagined faults are drawn from it; and for each candidate the

@@ -24,7 +24,7 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.deletion import at_bound, worse_quantity
 from loose_env.gap.selection.impacts.impact_power import ImpactPower
 from loose_env.gap.selection.impacts.impact_search import ImpactFit, find_impacts
-from loose_env.gap.selection.revision import drop_insignificant, refit_without
+from loose_env.gap.selection.swap_step import drop_insignificant, refit_without
 from loose_env.gap.settings import GapSettings
 
 

@@ -1,4 +1,4 @@
-"""Torque terms and dry frictions of effects, applied step by step to a batch of simulations.
+"""Torque terms and dry frictions of effects, summed and applied step by step to simulations.
 
 MJCF cannot express them, so that Python adds them to a simulation step by step. A torque held over
 a step and evaluated at its beginning is late by half a step, so that a spring adds energy. Under a

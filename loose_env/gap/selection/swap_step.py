@@ -34,8 +34,8 @@ from loose_env.gap.residuals.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits
+from loose_env.gap.selection.screening.confusable_effects import confusable, joint_of, near
 from loose_env.gap.selection.screening.data_driven_starts import proposals
-from loose_env.gap.selection.screening.grouping import confusable, joint_of, near
 from loose_env.gap.selection.screening.relinearised_sets import alternative_sets
 from loose_env.gap.selection.screening.screening import screen
 from loose_env.gap.selection.screening.window_fits import WindowFits
