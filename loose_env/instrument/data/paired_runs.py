@@ -1,4 +1,4 @@
-"""Run under test beside the same run of the healthy arm: spectral lines of both, on one drive.
+"""Spectral lines of a run and of the healthy run that repeats it, the latter at equal drive.
 
 What a model gets wrong it gets wrong in both alike. The difference between the two is noise, what
 varies from one session to the next, and the fault.

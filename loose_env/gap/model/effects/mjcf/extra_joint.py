@@ -1,4 +1,4 @@
-"""Addition of a joint with stops or rotor to a link of an MJCF spec, and inertia at a joint."""
+"""Extra joint added to a link of an MJCF spec, its stops and motor-side inertia."""
 
 from __future__ import annotations
 

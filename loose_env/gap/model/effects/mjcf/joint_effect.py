@@ -1,4 +1,4 @@
-"""Base class of effects at a joint: units and scales; unused names, least-squares start."""
+"""Base class JointEffect; unit of a joint's angle, unused element names, least-squares rate."""
 
 from __future__ import annotations
 
