@@ -1,4 +1,4 @@
-"""Sensor models: band, gain and cross-axis sensitivity, noise, quantisation."""
+"""Sensor models: accelerometers (noise, gain, cross-axis), encoders, and the suite of an arm."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of a study, stored case by case; its figures; tables between the marks of a page."""
+"""Rows of a study stored case by case, its figures saved, its tables written into a page."""
 
 from __future__ import annotations
 

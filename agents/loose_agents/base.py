@@ -1,4 +1,4 @@
-"""What every agent rests on: the problem it is given, predict, and the seeds."""
+"""Base classes of agents (`predict`), their problem, hypothesis prior and training seeds."""
 
 from __future__ import annotations
 

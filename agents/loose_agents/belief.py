@@ -1,4 +1,4 @@
-"""Agents of an estimator, a policy and a stopping rule; estimators, weights and tuned settings."""
+"""Agent of estimator, policy and stopping rule; estimators made by name, shipped weights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Episodes of a comparison played in shards, and the lower bound on records that follows from them.
+"""Play one agent's episodes in stored shards, and bound the mean number of records from below.
 
 The bounds of `loose_env.diagnosis.least_records` need the most that a record says and the most arms
 that k records allow to get right. Neither is known. Both are taken from whoever plays:

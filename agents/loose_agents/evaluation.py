@@ -1,4 +1,4 @@
-"""Evaluation shared by all agents: environments by name, the same hidden faults, rows."""
+"""Evaluation of an agent: environments made by name, episodes played by seed, a row for each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Work in parallel by joblib, in processes or on a cluster; results are kept as they come.
+"""Parallel tasks by joblib (processes or cluster), stored results by episode, progress line.
 
 No result depends on the backend, the number of workers, the size of a task or what was interrupted:
 everything random in episode k comes from streams of its own, never from a worker or an order.

@@ -1,4 +1,4 @@
-"""Banks of simulated records: episodes of random actions and the truth behind them, in shards.
+"""Banks of simulated records and their features: random episodes with ground truth, in shards.
 
 What limits a learned diagnosis is the number of records it has seen. A bank holds, for each of its
 episodes, the observation slots of a few records taken at random and what was hidden. Episode k of a

@@ -1,4 +1,4 @@
-"""Registry of agents, with their shipped settings and weights.
+"""Registry of agents: made by name or as ``estimator/policy``, described, hashed.
 
 An agent is a name of `AGENTS`, or an estimator and a policy in the form ``estimator/policy``,
 such as ``posterior/random``.

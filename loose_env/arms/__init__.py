@@ -1,4 +1,4 @@
-"""Arms under test: their models, their linear response, how joints are braked or servoed."""
+"""Arms under test: library, model files, linear response, brakes and servos, model mismatch."""
 
 from loose_env.arms.arm import (
     COIL,

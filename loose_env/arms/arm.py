@@ -1,4 +1,4 @@
-"""The arm under test: a MuJoCo spec, its joints in order, its tool, its gears, its shaker."""
+"""`Arm`, the arm under test: MuJoCo spec, joints, tool, gears, holding, shaker, link sites."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The serial chain in a model file, and a spec of its own for it."""
+"""Serial chain found in a compiled model file, and a MuJoCo spec rebuilt from it."""
 
 from __future__ import annotations
 

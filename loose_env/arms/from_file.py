@@ -1,4 +1,4 @@
-"""Arms from model files: torque limits, levels, time step, report."""
+"""Arms built from MJCF or URDF files, with proposed torque limits and levels; file report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Brakes, servos and elastic gears that hold an arm's joints."""
+"""Brakes, servos and elastic gears added to an arm; spec and link builders, settling time."""
 
 from __future__ import annotations
 

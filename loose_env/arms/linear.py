@@ -1,4 +1,4 @@
-"""Frequency response of the nominal arm to small excitation, in closed form."""
+"""Linearised nominal arm: frequency response in a pose, healthy and through each open seat."""
 
 from __future__ import annotations
 

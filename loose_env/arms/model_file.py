@@ -1,4 +1,4 @@
-"""Reading of MJCF and URDF files: safety, packages, drives, ties."""
+"""Safe reading of MJCF and URDF files: spec, compiled model, drives, equality constraints."""
 
 from __future__ import annotations
 

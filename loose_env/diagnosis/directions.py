@@ -1,4 +1,4 @@
-"""Directions of looseness: measured in one pose, carried into links, and what they say together."""
+"""Directions of looseness: sighted in a pose, turned into link frames, posterior over links."""
 
 from __future__ import annotations
 

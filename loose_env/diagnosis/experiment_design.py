@@ -1,4 +1,4 @@
-"""Design of experiments: excitation in a pose, expected information, coverage, and bounds."""
+"""Design of one record: band and level by joint, information, seats shown; fewest records."""
 
 from __future__ import annotations
 

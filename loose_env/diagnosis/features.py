@@ -1,4 +1,4 @@
-"""Features of one record by location of the loose seat, inputs of the network.
+"""Transmission change of a record, and its features by seat location: inputs of the network.
 
 For every location (a sliding direction of a link, or the play of a joint) the nominal arm says how
 the record would have changed had that seat floated. The measured change is set against it in

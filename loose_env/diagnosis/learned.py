@@ -1,4 +1,4 @@
-"""The posterior over faults with a learned likelihood.
+"""Posterior over faults with a learned likelihood; its network read from and written to files.
 
 It keeps the shape of `loose_env.diagnosis.posterior`: log-weights over locations (slide
 directions of every link, plays of every joint) and nodes of friction, summed over records, with

@@ -1,4 +1,4 @@
-"""Link finding of the thesis, and moves that tell links apart."""
+"""Link finding by turns of direction: tests, search over links, next poses, motion shape."""
 
 from __future__ import annotations
 

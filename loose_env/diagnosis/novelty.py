@@ -1,4 +1,4 @@
-"""Novelty test of an episode's records against those of the training.
+"""Novelty test of an episode: statistics of its records, training mixture, conformal p-value.
 
 Every posterior adds up to one, also where none of its hypotheses is true: two faults at once, an
 arm that is no draw of the nominal one. Three statistics can give such an arm away: the change of

@@ -1,4 +1,4 @@
-"""Pose sets: strategies that choose poses before anything is measured, and their limits."""
+"""Pose sets chosen before measurement, by strategy; scattered axes, limit on link accuracy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Posterior over faults, given all records so far, with the nominal arm as the only model.
+"""Posterior over faults from all records by the nominal arm; record likelihood, opening table.
 
 Nuisances are carried on a grid: the direction of the slide, the friction of the guide, and the
 stiffness of the bending modes of the arm, if it has any. The opening of the seat differs from

@@ -1,4 +1,4 @@
-"""Statistics of a record: predicted by the nominal arm, and measured at the tool and on links.
+"""Statistics of records at tool and links: measured; predicted healthy, by open seat, by error.
 
 Predictions are of the arm healthy, with one seat freed, and with errors of the model. A shut seat
 transmits a force. If it floats, the two sides part with acceleration

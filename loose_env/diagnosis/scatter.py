@@ -1,4 +1,4 @@
-"""Scatter of measured changes of motion about the direction that each place predicts, pooled.
+"""Scatter of measured motion changes about each fault location's direction, over records.
 
 Errors of sensors, joint zeros and springs are those of the arm, the same in every record: they are
 fitted beside the place over all records, within their standard deviations. Counted anew in every

@@ -1,4 +1,4 @@
-"""The diagnosis environments.
+"""Gymnasium environments: diagnosis of a hidden fault, single and vector, and model errors.
 
 Data flow: palette -> settings -> faults -> spaces -> batch -> rendering -> env -> vector_env ->
 sb3; gap_env.

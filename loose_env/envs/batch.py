@@ -1,4 +1,4 @@
-"""Episodes: the rules of the diagnosis, for any number of arms at once.
+"""Rules of diagnosis episodes (`EpisodeBatch`): reset and step of any number of arms at once.
 
 The single and the vector environment are thin shells around `EpisodeBatch`, so that both
 give the same episode bit for bit. Every random draw comes from a stream of its own, keyed by

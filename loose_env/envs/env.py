@@ -1,4 +1,4 @@
-"""The Gymnasium environment: one arm with a hidden fault."""
+"""Single Gymnasium environment `DiagnosisEnv`: one arm with a hidden fault; its saved state."""
 
 from __future__ import annotations
 

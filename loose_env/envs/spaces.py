@@ -1,4 +1,4 @@
-"""Action and observation spaces: what each entry means, with name, unit and bounds."""
+"""Layouts of action and observation spaces: coding, name, unit and bounds of each entry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The native vector form: many arms stepped together."""
+"""Vector environment `DiagnosisVectorEnv`: many arms stepped in one batch; its saved state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameters of a hidden fault that decide how hard it is to find."""
+"""Parameters of a hidden fault that decide its difficulty, such as seat drive over friction."""
 
 from __future__ import annotations
 

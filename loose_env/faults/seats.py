@@ -1,4 +1,4 @@
-"""Seats of faults: degrees of freedom, their motion and load, and how a MuJoCo model gets them.
+"""Seats of faults, the extra degrees of freedom of looseness, added to and set in a MuJoCo model.
 
 A seat is one or more extra degrees of freedom between the flange of a link and the link
 itself, called ``seat``, ``seat2``, ...: a slide for structural looseness, a hinge for rotational

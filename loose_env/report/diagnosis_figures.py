@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: the arm in a pose, posterior by record, loops, transmissions."""
+"""Figures of a diagnosis: arm in a pose, posterior by record, loops and transmissions by run."""
 
 from __future__ import annotations
 

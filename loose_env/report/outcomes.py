@@ -1,4 +1,4 @@
-"""Outcomes of a comparison: trainings, strata, curves, the Pareto front, and calibration.
+"""Statistics of a comparison: means over trainings, strata, curves, Pareto front, calibration.
 
 A posterior is calibrated if, of all times it gave its best hypothesis the probability p, the
 best hypothesis was right in the share p. That is a statement about what the agent can see.

@@ -1,4 +1,4 @@
-"""Report of a plan: steps at the machine, pose, signals, limits, expected observations."""
+"""Report of a plan as text and page: pose, signals, limits, steps, expected observations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arms simulated by their linearised equations of motion, each in one pose.
+"""Rig that simulates arms by equations of motion linearised in each pose (`ReducedRig`).
 
 Within a record the joints move by fractions of a milliradian and the seat by fractions of a
 millimetre, so the inertia matrix, the tool's Jacobian and gravity's linear part may be taken as

@@ -1,4 +1,4 @@
-"""Measurements, and rigs that take them on arms simulated by the batched engine of MuJoCo."""
+"""Measurement, job and rig protocol; sensor readings; rigs simulated by MuJoCo or recorded."""
 
 from __future__ import annotations
 

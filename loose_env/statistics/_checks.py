@@ -1,4 +1,4 @@
-"""Input validation of the statistics."""
+"""Input validation of the statistics: arrays of samples, records, directions, bands."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Axial directions, and coherence of the motion of the tool with the excited joints along them.
+"""Axial directions, direction of lowest coherence with excited joints, comparative index.
 
 A direction and its opposite are one axis: half a circle, or half a sphere, holds all. Planar angles
 are in radians, from the x axis of the tool towards its y axis.

@@ -1,4 +1,4 @@
-"""Build a bank of simulated records, and work out the figures a posterior is trained on.
+"""Build a bank of simulated records, and compute the features a posterior is trained on.
 
 Usage: python scripts/agents/build_bank.py --env loose_env/Planar-v0 --episodes 20000 --out
 banks/planar4

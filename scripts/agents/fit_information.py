@@ -1,4 +1,4 @@
-"""Fit which share of the expected information comes true, on held-out records of a bank.
+"""Fit the realised share of the expected information gain, on held-out records of a bank.
 
 Usage: python scripts/agents/fit_information.py --env loose_env/Planar-v0 --out banks/planar4
 

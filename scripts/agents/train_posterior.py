@@ -1,4 +1,4 @@
-"""Train the posterior's likelihood on a bank of records.
+"""Train the posterior's likelihood and novelty reference on a bank of records.
 
 Usage: python scripts/agents/train_posterior.py --env loose_env/Planar-v0 --out banks/planar4
 

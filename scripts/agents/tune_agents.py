@@ -1,4 +1,4 @@
-"""Tune when agents stop, and which records those take that look at no result.
+"""Tune stopping thresholds of agents, and excitations of constant and fixed-sequence agents.
 
 The constant policy is given its joint and the fixed one its sequences, all on training episodes.
 

@@ -1,4 +1,4 @@
-"""Tune the classical method, or its letter, on training episodes of one arm or of several.
+"""Tune the classical and the literal link-finding method on training episodes of arms.
 
 Random search by successive halving (Jamieson and Talwalkar 2016): every candidate plays the same
 training episodes, and the better third plays on, on as many further ones as doubles what it has

@@ -1,4 +1,4 @@
-"""Speed and size of the vector environment, each as a ratio within one run.
+"""Speed and memory of the vector environment, each as a ratio within one run.
 
 Usage: python scripts/dev/benchmark.py [--arms 64] [--rounds 4] [--ids ...]
 """

@@ -1,4 +1,4 @@
-"""Write the parts of docs/environments.md that the code itself knows, between their marks.
+"""Write the generated parts of docs/environments.md: tables of arms, difficulties, spaces, ids.
 
 Usage: python scripts/dev/write_docs.py [--check]
 

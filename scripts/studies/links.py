@@ -1,4 +1,4 @@
-"""Poses needed to find the loose link: 4.31 against predicted images.
+"""Share of loose links found by pose: thesis equation (4.31) against predicted directions.
 
 Part (a) gives every method directions with a known scatter, without simulation. Part (b) takes
 them from simulated records of open seats: structural looseness with little friction, the default

@@ -1,4 +1,4 @@
-"""Halve the simulation step and see whether a record's statistics notice.
+"""Halve the simulation step and test a record's statistics for changes, by arm and step.
 
 After an impact two simulations part ways, so single records cannot be compared. What must not
 depend on the step is what a diagnosis reads off a record: the transmission, the covariance of

@@ -1,4 +1,4 @@
-"""Golden results: figures that stay from one release to the next, computed anew and compared.
+"""Golden results of every part, computed anew and compared with the stored ones, or stored.
 
     python -m scripts.suites.golden                        # compute all parts and compare
     python -m scripts.suites.golden environments gap       # these parts alone

@@ -1,4 +1,4 @@
-"""Rows of a suite (JSON lines), kept as cases finish: the same command goes on where it stopped."""
+"""Rows of a suite in JSON lines: run and resumed case by case, with a hash of the code."""
 
 from __future__ import annotations
 

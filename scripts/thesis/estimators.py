@@ -1,4 +1,4 @@
-"""Estimators of the thesis on one record: correlation by direction, moments, transfer function.
+"""Estimators on one record: correlation by direction, skewness, kurtosis, transfer function.
 
 x is the acceleration of the excited joint (N,), a that of the tool (2, N) in the tool frame.
 """

@@ -1,4 +1,4 @@
-"""Experiment Four: the looseness joint on the slide rig at four angles (6.3.3)."""
+"""Experiment Four, simulated: slide rig shaken at four angles of its joint, tight and loose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Experiment One: repeatability of a large cylindrical arm (6.2.1).
+"""Experiment One, simulated: repeatability of a cylindrical arm whose boom has play.
 
 The boom of the arm runs through four roller bearing blocks with play. With its weight behind their
 middle one diagonal pair of blocks carries it, ahead of it the other pair. As it strokes through the
@@ -219,6 +219,11 @@ class Strokes:
     pitch: Array = field(repr=False)
     """True pitch of the boom on its blocks [rad] (strokes, N)."""
 
+    @property
+    def mean(self) -> Array:
+        """Mean acceleration over the strokes (N,)."""
+        return np.asarray(self.acceleration.mean(axis=0))
+
 
 def stroke_many(
     pose: StrokePose, count: int, settings: Guideway, rng: np.random.Generator
@@ -329,18 +334,6 @@ def _at_rest(model: mujoco.MjModel, pose: StrokePose, settings: Guideway) -> tup
     return state, data.ctrl.copy()
 
 
-class Shudder(NamedTuple):
-    """The boom going over from one pair of blocks to the other."""
-
-    size: float
-    """Rms of the mean acceleration in the shudder's band, in the 0.2 s after the boom lands."""
-    leaves: float
-    lands: float
-    """Reach at which the boom leaves its rear seat and lands on the other, means [m]."""
-    spread: float
-    """Standard deviation of the latter over strokes [m]."""
-
-
 def repeatability(strokes: Array) -> tuple[float, float]:
     """Rms of a stroke about the mean of its set, and the lowest correlation with the others' mean.
 
@@ -365,8 +358,12 @@ def right_sets(sets: Mapping[str, Array]) -> float:
     return float(np.mean(right))
 
 
-def shudder(strokes: Strokes, settings: Guideway) -> Shudder | None:
-    """Find the shudder from the boom's true pitch; None if the boom does not go over."""
+def shudder(strokes: Strokes, settings: Guideway) -> Array | None:
+    """Find where the boom goes over by its true pitch (strokes, 3); None if it does not.
+
+    By stroke: rms of the mean acceleration in the shudder's band in the 0.2 s after the boom lands,
+    reach at which the boom leaves its rear seat, and at which it lands on the other [m].
+    """
     half, quick = settings.gap / 2, _quick(strokes, settings)
     over = (strokes.pitch[:, 0] < -0.9 * half) & (strokes.pitch[:, -1] > 0.9 * half)
     if half == 0 or not over.all():
@@ -378,8 +375,7 @@ def shudder(strokes: Strokes, settings: Guideway) -> Shudder | None:
         left = int(np.flatnonzero(pitch[:landed] <= -half)[-1])
         after = quick[landed : landed + round(0.2 * settings.rate)]
         found.append((after.std(), reach[left], reach[landed]))
-    size, leaves, lands = np.mean(found, axis=0)
-    return Shudder(float(size), float(leaves), float(lands), float(np.std(found, axis=0)[2]))
+    return np.array(found)
 
 
 def ringing(settings: Guideway) -> float:
@@ -414,7 +410,7 @@ def experiment_one(seed: int) -> Section:
     rings, weight_over = ringing(settings), transfer_point()
 
     def distance(one: Strokes, other: Strokes) -> float:
-        return rms(one.acceleration.mean(axis=0) - other.acceleration.mean(axis=0))
+        return rms(one.mean - other.mean)
 
     own = {name: repeatability(s.acceleration) for name, s in sets.items()}
     apart = {(p, q): distance(sets[p], sets[q]) for p in sets for q in sets if p != q}
@@ -429,14 +425,16 @@ def experiment_one(seed: int) -> Section:
     goes_over = {name: shudder(s, settings) for name, s in sets.items()}
     at = {name: found for name, found in goes_over.items() if found is not None}
     crossing = " and ".join(at)
-    leaves, lands = (float(np.mean([s[k] for s in at.values()])) for k in (1, 2))
-    ahead, scatter = leaves - weight_over, max(s.spread for s in at.values())
+    _, leaves, lands = np.mean([s.mean(axis=0) for s in at.values()], axis=0)
+    ahead, scatter = leaves - weight_over, max(s[:, 2].std() for s in at.values())
     with_play, without, quiet = _same_window(sets["B"], tight, settings)
 
     pose_rows, end_rows = [], []
     for name, (size, correlation) in own.items():
         other, seen = min((d, q) for (p, q), d in apart.items() if p == name), goes_over[name]
-        shuddered = "none" if seen is None else f"{seen.size:.2f} from {seen.lands:.3f} m"
+        shuddered = "none"
+        if seen is not None:
+            shuddered = f"{seen[:, 0].mean():.2f} from {seen[:, 2].mean():.3f} m"
         pose_rows.append((name, size, correlation, *other, shuddered))
     for by in sorted(shifted):
         change = distance(shifted[by], base)
@@ -461,7 +459,7 @@ def experiment_one(seed: int) -> Section:
 def _quick(strokes: Strokes, settings: Guideway) -> Array:
     """Mean acceleration of a set in the shudder's band [m/s²] (N,)."""
     filter_ = butter(4, SHUDDER_BAND, "bandpass", fs=settings.rate, output="sos")
-    return np.asarray(sosfiltfilt(filter_, strokes.acceleration.mean(axis=0)))
+    return np.asarray(sosfiltfilt(filter_, strokes.mean))
 
 
 def _same_window(loose: Strokes, tight: Strokes, settings: Guideway) -> tuple[float, float, float]:
@@ -530,13 +528,12 @@ def end_figure(shifted: Mapping[int, Strokes]) -> Figure:
     base = shifted[0]
     window = (base.time > 0.86) & (base.time < 1.10)
     spread = base.acceleration.std(axis=0)[window]
-    middle = base.acceleration.mean(axis=0)[window]
+    middle = base.mean[window]
     panel.fill_between(
         base.time[window], middle - spread, middle + spread, color=INK, alpha=0.15, linewidth=0
     )
     for row, by in enumerate(sorted(shifted)):
-        mean = shifted[by].acceleration.mean(axis=0)[window]
-        panel.plot(base.time[window], mean, color=colours[by], linewidth=1.4)
+        panel.plot(base.time[window], shifted[by].mean[window], color=colours[by], linewidth=1.4)
         name = f"{by:+d} mm" if by else "unmoved"
         note(panel, 0.975, 0.08 + 0.105 * row, name, color=colours[by], inside=True, ha="right")
     panel.set_xlim(0.86, 1.10)
@@ -553,7 +550,7 @@ def shudder_figure(loose: Strokes, tight: Strokes, weight_over: float) -> Figure
     )
     for strokes, colour in ((tight, MUTED), (loose, MEASURED)):
         reach = strokes.reach.mean(axis=0)
-        upper.plot(reach, strokes.acceleration.mean(axis=0), color=colour, linewidth=1.2)
+        upper.plot(reach, strokes.mean, color=colour, linewidth=1.2)
         lower.plot(reach, 1000 * strokes.pitch.mean(axis=0), color=colour, linewidth=1.2)
     for panel in (upper, lower):
         panel.axvline(weight_over, color=TRUTH, linewidth=1.1, linestyle=(0, (4, 2)))

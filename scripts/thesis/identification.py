@@ -1,4 +1,4 @@
-"""Chapter 3.3 and 8.1.2: kinematic parameters joint by joint, and the docked-tool test."""
+"""Identification of kinematic parameters by joint, and of loose links with the tool held."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from scripts.thesis.loose_joint import (
     velocity_components,
 )
 from scripts.thesis.page import Rows, Section, section
-from scripts.thesis.plots import note
+from scripts.thesis.plots import axis_line, note
 from scripts.thesis.rigs import LOOSE_GAP
 
 if TYPE_CHECKING:
@@ -222,9 +222,8 @@ def _frames_figure(own: Sequence[Array], link: int) -> Figure:
         axes.plot(np.cos(turn), np.sin(turn), color=FAINT, linewidth=1.0)
         loose = k + 1 == link
         for x, y in lines:
-            size = float(np.hypot(x, y))
-            colour = TRUTH if loose else MEASURED
-            axes.plot([-x / size, x / size], [-y / size, y / size], color=colour, linewidth=2.0)
+            end = np.array([x, y]) / np.hypot(x, y)
+            axis_line(axes, end, color=TRUTH if loose else MEASURED, linewidth=2.0)
         look: dict[str, Any] = {"color": INK if loose else MUTED, "ha": "center", "va": "bottom"}
         name = f"link {k + 1}" + (" (loose)" if loose else "")
         note(axes, 0.5, 1.04, name, size=9.5, inside=True, **look)

@@ -1,4 +1,4 @@
-"""Tables 6.3 to 6.7 recomputed from the thesis's own data: errors and the index (6.5.1)."""
+"""Thesis tables 6.3 to 6.7 recomputed from its data: direction errors and comparative index."""
 
 from __future__ import annotations
 

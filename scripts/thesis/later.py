@@ -1,4 +1,4 @@
-"""What the thesis recommends for later, each study a table: loose arms beside their healthy twins.
+"""Studies of the thesis's future work: whitening, compliance, motor signals, sensors, stopping.
 
 Usage: python scripts/thesis/later.py compensation --arms 400
 """

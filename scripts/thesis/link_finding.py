@@ -1,4 +1,4 @@
-"""Finding the loose link: arms searched joint by joint (4.2.2), and VERA's printed directions."""
+"""Link finding by the thesis's steps: simulated arms, and VERA by its printed directions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from loose_env.statistics import axial_difference, axial_mean
 from loose_env.typing import Array
 from scripts.thesis.later import Twins
 from scripts.thesis.page import Section, printed, section
-from scripts.thesis.plots import Points, by_category, rms
+from scripts.thesis.plots import by_category, rms
 from scripts.thesis.rigs import shaken_vera
 from scripts.thesis.shaken_vera import (
     LOOSE,
@@ -143,14 +143,9 @@ def link_finding(seed: int) -> Section:
     expected, fewest = (LINKS - 1) * (LINKS + 2) / (2 * LINKS), np.log2(LINKS)
     blind = 1 / LINKS
     rows = [(", ".join(key), right[key].mean(), *ends[key], moves[key]) for key in found]
-    points = [
-        Points(
-            e,
-            [100 * float(right[e, o].mean()) for o in ORDERS],
-            *([100 * float(getattr(ends[e, o], end)) for o in ORDERS] for end in ("low", "high")),
-        )
-        for e in ESTIMATORS
-    ]
+    points = {
+        e: 100 * np.array([(right[e, o].mean(), *ends[e, o]) for o in ORDERS]).T for e in ESTIMATORS
+    }
     figure = by_category(points, ORDERS, ylabel="right link [%]", xlabel="order of the joints")
     return section("link_finding", locals(), [rows], [figure])
 
@@ -295,10 +290,9 @@ def _informative(which: Sequence[int]) -> bool:
 
 def _frames_figure(directions: Sequence[float]) -> Figure:
     """Draw printed directions in either link's frame, from their mean axis."""
-    seen, theta2, points = np.array(directions), np.array(poses()), []
+    seen, theta2, points = np.array(directions), np.array(poses()), {}
     for name, own in (("link 2's frame", seen), ("link 1's frame", seen + theta2)):
-        turns = np.degrees(axial_difference(own, axial_mean(own))).tolist()
-        points.append(Points(name, turns, turns, turns))
+        points[name] = [np.degrees(axial_difference(own, axial_mean(own)))] * 3
     return by_category(
         points,
         [f"{np.degrees(t):.0f}°" for t in poses()],

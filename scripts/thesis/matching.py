@@ -1,4 +1,4 @@
-"""Marginal distribution matching: fit a Gaussian ridge to a histogram (4.1.1, 5.3.1).
+"""Gaussian ridge fitted to a histogram of motion (marginal distribution matching), studied.
 
 The motion is taken as Gaussian in all directions but one, and uniform along that one, which is the
 direction of the looseness. Bins are points with two kinds of error, so distances are orthogonal: a

@@ -1,4 +1,4 @@
-"""Chapter 3.2: seven ways to model looseness, and what a loose seat does to two matrices.
+"""Seven models of looseness compared; a loose seat's effect on Jacobian and inertia matrix.
 
 Every alternative predicts one measured quantity from others; what is left over is called the
 disagreement. A loose seat changes it, the sensors' noise adds to it, and what the model does not
@@ -122,7 +122,8 @@ def compare_alternatives(arm: Arm, pose: Array, rng: np.random.Generator) -> lis
 
     The free arm is shaken in its band, all joints at once. For the two alternatives with a
     constrained tool a pin holds it; the static one is driven slowly. Healthy and loose arm get
-    the same torques, and the gap counts by the rms difference of their disagreements.
+    the same torques, and the gap counts by the rms difference of their disagreements, in velocity
+    J q' (4.21) as in all others: the loose arm's less the nominal one's (3.34).
     """
     linear = LinearArm(arm).at(pose)
     kinematic, inertia = linear.kinematic, seated_inertia(arm, pose, Healthy())
@@ -340,20 +341,12 @@ def jacobian_rank(n: int) -> list[int]:
     return [int(np.linalg.matrix_rank(geometric_jacobian(c)[[0, 1, 5]])) for c in loose]
 
 
-class _Inertia(NamedTuple):
-    """Condition of the inertia matrix with a seat."""
+def inertia_condition(seed: int) -> tuple[Rows, dict[str, float], list[tuple[str, int, float]]]:
+    """Compare the condition of the inertia matrix with a slide and with play in a joint.
 
-    rows: Rows
-    slide: float
-    """Largest median of the scaled condition with a slide [1]."""
-    play: float
-    """The same with play [1]."""
-    joints: Sequence[tuple[str, int, float]]
-    """Arm, joint, and its motor side over its link side with play [1]."""
-
-
-def inertia_condition(seed: int) -> _Inertia:
-    """Compare the condition of the inertia matrix with a slide and with play in a joint."""
+    Returns the rows, the largest median of the scaled condition by seat, and by arm and joint its
+    motor side over its link side with play [1].
+    """
     rows, joints, worst = [], [], {"slide": 0.0, "play": 0.0}
 
     def medians(found: list[Condition], kind: str = "") -> tuple[str, str]:
@@ -377,7 +370,7 @@ def inertia_condition(seed: int) -> _Inertia:
             ratio = float(np.median([m[joint - 1, joint - 1] / m[-1, -1] - 1 for m in matrices]))
             joints.append((arm.name, joint, ratio))
             rows.append((f"{arm.name}, play in joint {joint}", *cells, f"{ratio:.2g}"))
-    return _Inertia(rows, worst["slide"], worst["play"], joints)
+    return rows, worst, joints
 
 
 def modelling(seed: int) -> Section:
@@ -399,9 +392,9 @@ def modelling(seed: int) -> Section:
     columns, right, largest = jacobian_columns()
     ranks = {n: jacobian_rank(n) for n in (2, 3, 4)}
     gains = [rank - ranks[2][0] for rank in ranks[2][1:]]
-    matrix = inertia_condition(seed)
-    low = min(r for *_, r in matrix.joints)
-    play_most = max(backlash_condition(r) for *_, r in matrix.joints)
+    matrix_rows, matrix, joints = inertia_condition(seed)
+    low = min(r for *_, r in joints)
+    play_most = max(backlash_condition(r) for *_, r in joints)
     direct = backlash_condition(low / 100)
     sizes = [len(seated_inertia(arm, [0.3, POSES[1]], fault)) for fault in (Healthy(), SEAT)]
     density = SENSORS.accelerometer.noise_density / 9.80665e-6
@@ -426,9 +419,9 @@ def modelling(seed: int) -> Section:
             table(stiff),
             columns,
             rank_rows,
-            matrix.rows,
+            matrix_rows,
         ],
-        [ratios_figure(flexible), condition_figure(matrix.joints)],
+        [ratios_figure(flexible), condition_figure(joints)],
     )
 
 

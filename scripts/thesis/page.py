@@ -1,4 +1,4 @@
-"""Sections of the thesis: their text, their runs in processes of their own, and the page.
+"""Sections of the thesis page: text and printed values, runs in processes, and the HTML page.
 
 A section is a function of the seed in a module of this folder. It computes; ``text/KEY.toml`` holds
 what the page says, what the thesis printed, and the function behind every equation.
@@ -22,7 +22,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.report import FigureCard, shown, template, to_svg
 
 if TYPE_CHECKING:
@@ -67,13 +67,6 @@ class Table:
     caption: str
     columns: Sequence[str]
     rows: Rows
-
-    def __post_init__(self) -> None:
-        for row in self.rows:
-            if len(row) != len(self.columns):
-                raise InvalidData(
-                    f"table {self.caption!r} has {len(self.columns)} columns, got the row {row}"
-                )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

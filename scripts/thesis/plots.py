@@ -1,9 +1,9 @@
-"""Small multiples of several sections: correlation loops, statistics by pose, signals."""
+"""Plots shared by sections: correlation loops, statistics by pose or direction; centring, rms."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from loose_env.envs import FAINT, INK, MUTED
 from loose_env.report import WIDTH, new_figure, quiet_axes
 from loose_env.typing import Array
 from scripts.thesis.estimators import correlation_loop
+from scripts.thesis.planar_motion import contour_levels, histogram
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,32 +20,6 @@ if TYPE_CHECKING:
 COLOURS = ("#0072b2", "#d0451b", "#5b8c5a", "#8a5aa8")
 """Colours of states in order: tight, loose, in between, and one more."""
 _STYLES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.4, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
-
-
-class LoopPanel(NamedTuple):
-    """One pose: reference x (N,) and acceleration a (2, N) of each state."""
-
-    title: str
-    loops: Sequence[tuple[Array, Array]]
-    direction: float
-    """True direction of the fault, from the x axis [rad]."""
-
-
-class Points(NamedTuple):
-    """A statistic in every category, with the ends of its intervals."""
-
-    name: str
-    values: Sequence[float]
-    low: Sequence[float]
-    high: Sequence[float]
-
-
-class Curve(NamedTuple):
-    """A statistic along directions from the x axis [rad]."""
-
-    name: str
-    angles: Array
-    values: Array
 
 
 def note(
@@ -97,24 +72,48 @@ def square_panels(count: int, names: Sequence[str], columns: int = 3) -> tuple[F
     return figure, found
 
 
-def loop_panels(panels: Sequence[LoopPanel], names: Sequence[str], columns: int = 3) -> Figure:
-    """Draw polar loops of correlation against direction, a panel a pose."""
+def loop_panels(
+    panels: Mapping[str, Sequence[tuple[Array, Array]]],
+    names: Sequence[str],
+    direction: float,
+    columns: int = 3,
+) -> Figure:
+    """Draw polar loops of correlation against direction, a panel a pose.
+
+    A panel has the reference x (N,) and the acceleration a (2, N) of each state; the true direction
+    of the fault [rad] is the same in all.
+    """
     figure, places = square_panels(len(panels), names, columns)
     angles = np.linspace(0.0, np.pi, 181)
-    for panel, axes in zip(panels, places, strict=True):
+    for (title, loops), axes in zip(panels.items(), places, strict=True):
         axes.set(xlim=(-1.15, 1.15), ylim=(-1.1, 1.2), aspect="equal")
         turn = np.linspace(0.0, 2 * np.pi, 121)
         for radius in (0.5, 1.0):
             axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, linewidth=0.8)
-        end = 1.08 * np.array([np.cos(panel.direction), np.sin(panel.direction)])
-        axes.plot([-end[0], end[0]], [-end[1], end[1]], color=INK, linewidth=1.0, zorder=1)
-        for (x, a), colour, style in zip(panel.loops, COLOURS, _STYLES, strict=False):
+        end = 1.08 * np.array([np.cos(direction), np.sin(direction)])
+        axis_line(axes, end, color=INK, linewidth=1.0, zorder=1)
+        for (x, a), colour, style in zip(loops, COLOURS, _STYLES, strict=False):
             r = correlation_loop(x, a, angles)
             axes.plot(
                 r * np.cos(angles), r * np.sin(angles), color=colour, linewidth=1.5, linestyle=style
             )
-        axes.text(0.0, 1.04, panel.title, color=INK, fontsize=9, ha="center", va="bottom")
+        axes.text(0.0, 1.04, title, color=INK, fontsize=9, ha="center", va="bottom")
     return figure
+
+
+def axis_line(axes: Axes, end: Sequence[float] | Array, **look: Any) -> None:
+    """Draw a line through the origin, from one end to its opposite."""
+    axes.plot([-end[0], end[0]], [-end[1], end[1]], **look)
+
+
+def contours(
+    axes: Axes, samples: Array, *, bins: int, shares: Sequence[float], colour: str, **look: Any
+) -> None:
+    """Draw the contours of a histogram that hold shares of the samples (2, N)."""
+    found = histogram(samples, bins)
+    levels = np.unique(contour_levels(found, shares))
+    across, up = found.centres(0), found.centres(1)
+    axes.contour(across, up, found.counts.T, levels=levels, colors=[colour], **look)
 
 
 def legend_row(figure: Figure, names: Sequence[str], height: float) -> None:
@@ -134,23 +133,23 @@ def legend_row(figure: Figure, names: Sequence[str], height: float) -> None:
 
 
 def by_category(
-    points: Sequence[Points],
+    points: Mapping[str, Any],
     categories: Sequence[str],
     *,
     ylabel: str,
     xlabel: str,
     symlog: float | None = None,
 ) -> Figure:
-    """Draw statistics with intervals, side by side in every category."""
+    """Draw statistics, each with its values and their intervals' ends, side by side by category."""
     height = 2.7
     figure = new_figure(height)
-    legend_row(figure, [p.name for p in points], height)
+    legend_row(figure, list(points), height)
     axes = figure.add_axes((0.75 / WIDTH, 0.5 / height, 1 - 0.8 / WIDTH, 1 - 0.85 / height))
     quiet_axes(axes)
-    for k, (series, colour) in enumerate(zip(points, COLOURS, strict=False)):
+    for k, ((values, *ends), colour) in enumerate(zip(points.values(), COLOURS, strict=False)):
         at = np.arange(len(categories)) + 0.16 * (k - (len(points) - 1) / 2)
-        axes.vlines(at, series.low, series.high, color=colour, linewidth=2.0, alpha=0.55)
-        axes.plot(at, series.values, "o", color=colour, markersize=4.5)
+        axes.vlines(at, *ends, color=colour, linewidth=2.0, alpha=0.55)
+        axes.plot(at, values, "o", color=colour, markersize=4.5)
     if symlog is not None:
         axes.set_yscale("symlog", linthresh=symlog)
         low, high = axes.get_ylim()
@@ -166,23 +165,21 @@ def by_category(
 
 
 def curves_by_direction(
-    panels: Sequence[tuple[str, Sequence[Curve]]], *, direction: float, label: str
+    panels: Mapping[str, Mapping[str, Array]], angles: Array, *, direction: float, label: str
 ) -> Figure:
-    """Draw statistics against direction, one panel below the other."""
+    """Draw statistics at angles from the x axis [rad], one panel below the other."""
     each = 1.45
     height = each * len(panels) + 0.95
     figure = new_figure(height)
-    legend_row(figure, [c.name for c in panels[0][1]], height)
-    for k, (name, curves) in enumerate(panels):
+    legend_row(figure, list(next(iter(panels.values()))), height)
+    shown = (np.degrees(angles) - 90) % 180
+    order = np.argsort(shown)
+    for k, (name, curves) in enumerate(panels.items()):
         bottom = (height - 0.5 - (k + 1) * each + 0.12) / height
         axes = figure.add_axes((0.75 / WIDTH, bottom, 1 - 0.85 / WIDTH, (each - 0.2) / height))
         quiet_axes(axes)
-        for curve, colour, style in zip(curves, COLOURS, _STYLES, strict=False):
-            shown = (np.degrees(curve.angles) - 90) % 180
-            order = np.argsort(shown)
-            axes.plot(
-                shown[order], curve.values[order], color=colour, linewidth=1.6, linestyle=style
-            )
+        for values, colour, style in zip(curves.values(), COLOURS, _STYLES, strict=False):
+            axes.plot(shown[order], values[order], color=colour, linewidth=1.6, linestyle=style)
         marked = (np.degrees(direction) - 90) % 180
         axes.axvline(marked, color=INK, linewidth=1.0)
         if k == 0:

@@ -1,4 +1,4 @@
-"""Experiments Five and Six: VERA on the shaker, with looseness and with play (6.4.1, 6.4.2)."""
+"""Experiments Five and Six, simulated: direction errors on VERA, loose or with backlash."""
 
 from __future__ import annotations
 
@@ -34,15 +34,14 @@ from scripts.thesis.estimators import (
     transfer_function,
 )
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.planar_motion import contour_levels, histogram
 from scripts.thesis.plots import (
     COLOURS,
-    Curve,
-    LoopPanel,
-    Points,
+    axis_line,
     by_category,
+    contours,
     curves_by_direction,
     loop_panels,
+    note,
     rms,
     square_panels,
 )
@@ -530,32 +529,28 @@ def experiment_six(seed: int) -> Section:
     )
 
 
-def points_of(name: str, values: Sequence[Sequence[float]]) -> Points:
-    """Mean and interval of single records in every category."""
-    mean, low, high = zip(*map(Spread.of, values), strict=True)
-    return Points(name, mean, low, high)
-
-
 def loops_of(
     cases: Cases, states: Sequence[str], direction: float, symbol: str, columns: int = 3
 ) -> Figure:
     """Loops of the first record of each case, a panel an angle."""
-    panels = [
-        LoopPanel(f"{symbol} = {case.name}", [cases[s][k].pairs[0] for s in states], direction)
+    panels = {
+        f"{symbol} = {case.name}": [cases[s][k].pairs[0] for s in states]
         for k, case in enumerate(cases[states[0]])
-    ]
-    return loop_panels(panels, states, columns)
+    }
+    return loop_panels(panels, states, direction, columns)
 
 
 def moment_figures(
     cases: Cases, states: Sequence[str], direction: float, xlabel: str
 ) -> list[Figure]:
     """Skewness and kurtosis along a direction at each angle, with intervals of single records."""
-    names = [case.name for case in cases[TIGHT]]
     return [
         by_category(
-            [points_of(s, [c.moments(direction, third=third) for c in cases[s]]) for s in states],
-            names,
+            {
+                s: np.transpose([Spread.of(c.moments(direction, third=third)) for c in cases[s]])
+                for s in states
+            },
+            [case.name for case in cases[TIGHT]],
             ylabel="skewness" if third else "kurtosis",
             xlabel=xlabel,
             symlog=1.0,
@@ -582,21 +577,16 @@ def direction_figure(
     """Kurtosis, flatness of the spectrum and coherence against direction, first record."""
     angles = np.radians(np.arange(90.0, 270.0, 3.0))
     units = np.stack([np.cos(angles), np.sin(angles)])
-    panels: dict[str, list[Curve]] = {"kurtosis": [], "flatness": [], "coherence": []}
-    for state in states:
-        x, a = cases[state][pose].pairs[0]
-        values = (
-            np.array([kurtosis(a, u) for u in units.T]),
-            spectral_flatness(units.T @ a, RATE, SHAKEN_BAND),
-            coherence_by_direction(x, a, angles),
-        )
-        for curves, curve in zip(panels.values(), values, strict=True):
-            curves.append(Curve(state, angles, curve))
-    return curves_by_direction(list(panels.items()), direction=direction, label=label)
-
-
-_BINS = 31
-_SHARE = 0.9
+    first = {state: cases[state][pose].pairs[0] for state in states}
+    panels: dict[str, Callable[[Array, Array], Array]] = {
+        "kurtosis": lambda x, a: np.array([kurtosis(a, u) for u in units.T]),
+        "flatness": lambda x, a: spectral_flatness(units.T @ a, RATE, SHAKEN_BAND),
+        "coherence": lambda x, a: coherence_by_direction(x, a, angles),
+    }
+    found = {
+        name: {state: of(*pair) for state, pair in first.items()} for name, of in panels.items()
+    }
+    return curves_by_direction(found, angles, direction=direction, label=label)
 
 
 def histogram_panels(cases: Cases, states: Sequence[str], direction: float) -> Figure:
@@ -613,29 +603,13 @@ def histogram_panels(cases: Cases, states: Sequence[str], direction: float) -> F
     for k, axes in enumerate(places):
         axes.set(xlim=(-1.1 * most, 1.1 * most), ylim=(-most, 1.2 * most), aspect="equal")
         end = most * np.array([np.cos(direction), np.sin(direction)])
-        axes.plot([-end[0], end[0]], [-end[1], end[1]], color=INK, linewidth=1.0, zorder=1)
-        for u in ((1, 0), (0, 1)):
-            axes.plot([-most * u[0], most * u[0]], [-most * u[1], most * u[1]], color=FAINT, lw=0.8)
+        axis_line(axes, end, color=INK, linewidth=1.0, zorder=1)
+        for u in ((most, 0), (0, most)):
+            axis_line(axes, u, color=FAINT, lw=0.8)
         for state, colour in zip(states, COLOURS, strict=False):
-            found = histogram(samples[state, k], bins=_BINS)
-            level = contour_levels(found, (_SHARE,))[0]
-            axes.contour(
-                found.centres(0),
-                found.centres(1),
-                found.counts.T,
-                levels=[level],
-                colors=[colour],
-                linewidths=1.4,
-            )
-        name = f"θ₂ = {cases[states[0]][k].name}"
-        axes.text(0.0, 1.05 * most, name, color=INK, fontsize=9, ha="center")
+            contours(axes, samples[state, k], bins=31, shares=(0.9,), colour=colour, linewidths=1.4)
+        note(axes, 0.0, 1.05 * most, f"θ₂ = {cases[states[0]][k].name}", ha="center")
         axes.plot([0.1 * most, 0.1 * most + tick], [-0.93 * most] * 2, color=MUTED, linewidth=2)
-        axes.text(
-            0.1 * most + tick + 0.06 * most,
-            -0.93 * most,
-            f"{tick:.0f} g",
-            color=MUTED,
-            fontsize=8,
-            va="center",
-        )
+        beside = 0.1 * most + tick + 0.06 * most
+        note(axes, beside, -0.93 * most, f"{tick:.0f} g", color=MUTED, size=8, va="center")
     return figure

@@ -1,4 +1,4 @@
-"""Chapter 5: simulated motion, matching of distributions, and the lowest correlation."""
+"""Chapter 5 of the thesis: motion distributions of a loose arm, ridge fits, correlation loops."""
 
 from __future__ import annotations
 
@@ -33,12 +33,10 @@ from scripts.thesis.planar_motion import (
     LoosePlanarArm,
     MonteCarlo,
     SeatMotion,
-    contour_levels,
     displacement_chain,
     draw_tool_acceleration,
     draw_tool_displacement,
     draw_tool_velocity,
-    histogram,
     looseness_direction,
     region_probabilities,
     regions,
@@ -46,7 +44,7 @@ from scripts.thesis.planar_motion import (
     tool_velocity,
     transition_table,
 )
-from scripts.thesis.plots import note
+from scripts.thesis.plots import axis_line, contours, note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,24 +69,13 @@ KINDS: tuple[tuple[str, Draw], ...] = (
 )
 
 
-class Motion(NamedTuple):
-    """Motion of the tool in one pose, drawn tight and loose (2, N)."""
-
-    theta2: float
-    """Angle of joint 2 [deg]."""
-    slide: Array
-    """Unit vector along the slide in the world (2,)."""
-    tight: Array
-    loose: Array
-
-    @property
-    def across(self) -> Array:
-        """Unit vector across the slide (2,)."""
-        return np.array([-self.slide[1], self.slide[0]])
+Motion = tuple[float, Array, Array, Array]
+"""Angle of joint 2 [deg], unit vector along the slide in the world (2,), and the tool's motion in
+this pose, tight and loose (2, N)."""
 
 
 def draw_motions(draw: Draw, seed: int, first: int) -> list[Motion]:
-    """Draw the motion in each pose, tight and loose, from the seeds ``[seed, first + i]``."""
+    """Draw the motion in each pose from the seeds ``[seed, first + i]``."""
     found = []
     for k, theta2 in enumerate(POSES):
         loose = MonteCarlo(
@@ -98,11 +85,11 @@ def draw_motions(draw: Draw, seed: int, first: int) -> list[Motion]:
             rate_sd=0.1,
             acceleration_sd=100.0,
         )
-        both = [
+        tight, slack = (
             draw(setting, SAMPLES, np.random.default_rng([seed, first + 2 * k + j]))
             for j, setting in enumerate((replace(loose, seat=None), loose))
-        ]
-        found.append(Motion(theta2, looseness_direction(loose.arm, loose.theta), *both))
+        )
+        found.append((theta2, looseness_direction(loose.arm, loose.theta), tight, slack))
     return found
 
 
@@ -135,10 +122,10 @@ def simulations(seed: int) -> Section:
     source = printed("simulations")
     told = source["matching"]
     motions = {name: draw_motions(draw, seed, 10 * k) for k, (name, draw) in enumerate(KINDS)}
-    every = [(name, m) for name, group in motions.items() for m in group]
+    every = [(name, *m) for name, group in motions.items() for m in group]
     excess = [
-        (kurtosis(m.tight, m.slide), kurtosis(m.loose, m.slide), kurtosis(m.loose, m.across))
-        for _, m in every
+        (kurtosis(tight, u), kurtosis(loose, u), kurtosis(loose, [-u[1], u[0]]))
+        for *_, u, tight, loose in every
     ]
     along, across = [along for _, along, _ in excess], [across for *_, across in excess]
     # Four deviations of the kurtosis of a Gaussian sample, sqrt(24 / N), since there are many.
@@ -198,7 +185,7 @@ def simulations(seed: int) -> Section:
         "simulations",
         locals(),
         [
-            [(*each, *row) for each, row in zip(every, excess, strict=True)],
+            [(*each[:2], *row) for each, row in zip(every, excess, strict=True)],
             [*chain_rows, ("sum", *table.sum(axis=0), table.sum(), "1")],
             error_rows,
             [(n, *np.median(errors, axis=0), np.median(s)) for n, (errors, s) in spatial.items()],
@@ -217,30 +204,22 @@ def _tiny(percent: float) -> str:
 
 def _contours(motions: list[Motion], scale: float, unit: str) -> Figure:
     figure = new_figure(3.9)
-    reach = scale * max(float(np.quantile(np.abs(m.loose), 0.9995)) for m in motions)
-    for k, m in enumerate(motions):
+    reach = scale * max(float(np.quantile(np.abs(loose), 0.9995)) for *_, loose in motions)
+    for k, (theta2, slide, tight, loose) in enumerate(motions):
         for row, (samples, name, colour) in enumerate(
-            ((m.tight, "tight", MEASURED), (m.loose, "loose", TRUTH))
+            ((tight, "tight", MEASURED), (loose, "loose", TRUTH))
         ):
             axes = figure.add_axes((0.075 + 0.31 * k, 0.475 - 0.43 * row, 0.30, 0.42))
-            found = histogram(samples * scale, 50)
-            levels = np.unique(contour_levels(found, SHARES))
-            axes.contour(
-                found.centres(0),
-                found.centres(1),
-                found.counts.T,
-                levels=levels,
-                colors=[colour],
-                linewidths=np.linspace(0.8, 1.8, len(levels)),
-            )
-            bar = reach * np.outer(m.slide, [-0.95, 0.95])
-            axes.plot(*bar, color=MUTED, linewidth=1.0, dashes=(3, 3), zorder=0)
+            look: dict[str, Any] = {"shares": SHARES, "linewidths": np.linspace(0.8, 1.8, 3)}
+            contours(axes, samples * scale, bins=50, colour=colour, **look)
+            bar: dict[str, Any] = {"linewidth": 1.0, "dashes": (3, 3), "zorder": 0}
+            axis_line(axes, 0.95 * reach * slide, color=MUTED, **bar)
             axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
             axes.axis("off")
             if row == 0:
-                axes.set_title(f"θ₂ = {m.theta2:g}°", fontsize=9.5, color=INK, pad=4)
+                axes.set_title(f"θ₂ = {theta2:g}°", fontsize=9.5, color=INK, pad=4)
             if k == 0:
-                look: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "center"}
+                look = {"rotation": 90, "ha": "center", "va": "center"}
                 figure.text(0.03, 0.685 - 0.43 * row, name, fontsize=9.5, color=INK, **look)
             if k == 0 and row == 1:
                 length = 10.0 ** math.floor(math.log10(reach))

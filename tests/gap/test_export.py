@@ -18,8 +18,8 @@ from loose_env.gap.model.effects.joint_elasticity import JointCompliance
 from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
+from loose_env.gap.output.corrected_model import correction_code
 from loose_env.gap.output.export_check import Exported
-from loose_env.gap.output.export_mjcf import correction_code
 from loose_env.gap.residuals.preparation.prepare import GapProblem
 from loose_env.recording import ModelColumns
 from tests.gap.cases.effect_arms import PLANAR, SPATIAL, machine_of

@@ -31,7 +31,7 @@ from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_o
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.output.export_mjcf import correction_code
+from loose_env.gap.output.corrected_model import correction_code
 from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.gap.workflow.session import TriedEffect

@@ -13,7 +13,7 @@ from loose_env.gap.model.effects.mjcf.geometry import link_ends
 from loose_env.gap.model.element_names import naming_notes
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.output.export_mjcf import corrected_spec
+from loose_env.gap.output.corrected_model import corrected_spec
 
 NAMED = """
 <mujoco>

@@ -13,7 +13,7 @@ from scripts.studies import links
 from scripts.studies import pose_sets as script
 from scripts.studies.pose_sets import Directions, Task
 
-SMALL = Directions(arms=("planar2", "planar3"), sds=(10.0,), cases=6, block=3, poses=3, samples=500)
+SMALL = Directions(arms=("planar2",), sds=(10.0,), cases=4, block=2, poses=2, samples=200)
 
 
 def worked_out(folder: Path, settings: Directions, workers: int = 1) -> list[dict[str, Any]]:
@@ -29,6 +29,7 @@ def test_rows_are_the_same_for_any_number_of_workers(tmp_path: Path) -> None:
     assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_run_cut_short_goes_on_where_it_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -47,9 +48,16 @@ def test_a_run_cut_short_goes_on_where_it_stopped(
     monkeypatch.setattr(script, "directions_block", watched)
     assert worked_out(tmp_path, SMALL, 1) == whole
     assert {task.strategy for task in worked} == {"one joint"}
-    assert len(worked) == 4
+    assert len(worked) == 2
 
 
+def test_a_block_has_a_row_for_each_scatter() -> None:
+    task = Task(arm="planar2", strategy="random", first=0, cases=2)
+    (row,) = script.directions_block(task, SMALL)
+    assert (row["strategy"], row["sd"], row["cases"]) == ("random", 10.0, 2)
+
+
+@pytest.mark.slow
 def test_both_levels_are_drawn_and_printed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -65,6 +73,7 @@ def test_both_levels_are_drawn_and_printed(
     assert (tmp_path / "pose_sets.svg").read_bytes() == svg
 
 
+@pytest.mark.slow
 def test_a_quick_run_of_link_finding_prints_both_tables(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -29,7 +29,7 @@ from scripts.suites.trust.fuzz import MODEL
 pytestmark = pytest.mark.slow
 
 HANGS = 120
-"""Time after which an example hangs [s]; it takes a second or two."""
+"""Processor time after which an example hangs [s]; it takes a second or two."""
 few = settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 many = settings(few, max_examples=60)
 ARMS = {
@@ -47,12 +47,12 @@ def no_hang() -> Iterator[None]:
     def late(*_: object) -> None:
         raise TimeoutError(f"an example took more than {HANGS} s")
 
-    before = signal.signal(signal.SIGALRM, late)
+    before = signal.signal(signal.SIGPROF, late)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
+    signal.setitimer(signal.ITIMER_PROF, 0)
+    signal.signal(signal.SIGPROF, before)
 
 
 # ---- arms, faults and actions
@@ -105,7 +105,7 @@ def play(env: DiagnosisEnv, seed: int, *, steps: int = 3) -> None:
 def test_any_chain_is_refused_in_words_or_described_and_measured(
     tmp_path: Path, text: str, seed: int
 ) -> None:
-    signal.alarm(HANGS)
+    signal.setitimer(signal.ITIMER_PROF, HANGS)
     file = tmp_path / "arm.xml"
     file.write_text(text)
     try:
@@ -128,7 +128,7 @@ def test_any_chain_is_refused_in_words_or_described_and_measured(
 def test_any_fault_and_action_gives_finite_observations(
     name: str, seed: int, difficulty: str, engine: str
 ) -> None:
-    signal.alarm(HANGS)
+    signal.setitimer(signal.ITIMER_PROF, HANGS)
     given = {"difficulty": difficulty, "engine": engine, "max_records": 3, "durations": (0.2,)}
     play(DiagnosisEnv(ARMS[name](), DiagnosisSettings(**given), threads=1), seed)
 
@@ -150,7 +150,7 @@ def env() -> Iterator[DiagnosisEnv]:
 def test_any_hidden_arm_is_measured_or_said_to_diverge(
     env: DiagnosisEnv, fault: str, scale: float, preload: float, seed: int
 ) -> None:
-    signal.alarm(HANGS)
+    signal.setitimer(signal.ITIMER_PROF, HANGS)
     options: dict[str, Any] = {"fault": fault, "mismatch_scale": scale}
     if fault != "healthy":
         options["preload_g"] = preload
@@ -182,7 +182,7 @@ anything = st.one_of(
 def test_anything_else_than_an_action_or_options_is_refused(
     env: DiagnosisEnv, action: Any, options: Any
 ) -> None:
-    signal.alarm(HANGS)
+    signal.setitimer(signal.ITIMER_PROF, HANGS)
     try:
         assert np.isfinite(env.reset(seed=2, options=options)[0]).all()
     except LooseEnvError as error:
@@ -214,7 +214,7 @@ def test_anything_else_than_an_action_or_options_is_refused(
 def test_any_numbers_are_written_and_read_to_the_last_bit_or_refused(
     tmp_path: Path, time: list[float], angle: list[float], file_format: Any, ordered: bool
 ) -> None:
-    signal.alarm(HANGS)
+    signal.setitimer(signal.ITIMER_PROF, HANGS)
     given_time = np.array(sorted(set(time)) if ordered else time, dtype=float)
     count = len(given_time)
     run = Run(name="run", time=given_time, sensors={"angle": np.array(angle[:count])})
@@ -308,7 +308,7 @@ def test_any_recording_is_refused_or_weighed(
     tmp_path: Path, models: dict[str, Path], name: str, hows: list[Any], tolerance: float,
     healthy: float,
 ) -> None:  # fmt: skip
-    signal.alarm(HANGS)
+    signal.setitimer(signal.ITIMER_PROF, HANGS)
     home, model = tmp_path / "recording", models[name]
     runs = [run_of(model, k, how) for k, how in enumerate(hows)]
     chosen = DiagnoseSettings(

@@ -1,4 +1,4 @@
-"""Tasks and frozen episode sets of the benchmark, those out of distribution among them.
+"""Tasks and frozen episode sets of the benchmark, in and out of distribution, and play on them.
 
 Out of distribution: two faults at once, a mismatch three times as large, an arm of other lengths
 and masses, a load that presses every loose seat against its stop, friction beyond the range,

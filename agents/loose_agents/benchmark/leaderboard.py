@@ -1,4 +1,4 @@
-"""The leaderboard: stored results files as tables, paired on the same episodes."""
+"""Leaderboard of the benchmark: stored results as Markdown tables, paired on equal episodes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Results files of the benchmark, ``loose-benchmark/1``: made by playing, checked by replay."""
+"""Results files of the benchmark (``loose-benchmark/1``): play, reading, schema, replay check."""
 
 from __future__ import annotations
 

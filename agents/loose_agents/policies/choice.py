@@ -1,4 +1,4 @@
-"""Policies, which choose the next record: random, fixed, by expected information."""
+"""Policies choosing the next record: random, constant, fixed, greedy, look-ahead, open loop."""
 
 from __future__ import annotations
 

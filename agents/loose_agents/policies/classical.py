@@ -1,4 +1,4 @@
-"""The classical method as run today: directions of change, pooled over all poses seen.
+"""Classical-method agents: directions of motion change pooled over poses, at tool and links.
 
 The steps of 4.2.2: shake, find the direction in which motion is not passed on, move one joint,
 shake again, see whether the direction turned, repeat. The direction is that of the change of

@@ -1,4 +1,4 @@
-"""Link finding: the thesis's method to the letter, and by the direction of the transmission change.
+"""Link-finding agents: the thesis's planar method to the letter, and one by spatial directions.
 
 Of the latter all joints are excited at once: the regression of the tool's motion on theirs takes
 them apart, and one record then sees a slide in any direction. Where nothing stands out, the seat

@@ -1,4 +1,4 @@
-"""Policies that choose poses only, all with the same excitation: the choice stands alone."""
+"""Policies that choose poses at one common excitation: pose sets, greedy, copied moves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Policy of loose_env/Gap-v0 that scores every motion and every verdict by the same networks."""
+"""Agent learned for loose_env/Gap-v0, and its policy: a network for motions, one for verdicts."""
 
 from __future__ import annotations
 

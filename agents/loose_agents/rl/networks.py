@@ -1,4 +1,4 @@
-"""Networks of the policies in torch: the actor at play, its weights, and the set network.
+"""Policy networks in torch: the actor for play, its stored weights, the record-set extractor.
 
 Weights are read without running code: safetensors, or the tensors of a model file.
 """

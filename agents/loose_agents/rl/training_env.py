@@ -1,4 +1,4 @@
-"""Training environment of a policy on a posterior: posterior in, compact choices out."""
+"""Vector environment that shows a posterior, for training; its seeds and curriculum."""
 
 from __future__ import annotations
 

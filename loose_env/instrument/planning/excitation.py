@@ -1,4 +1,4 @@
-"""Excitation in a pose, within the torque and the band of the settings.
+"""Excitation proposed in a pose within torque and band, and its sensitivity to each fault.
 
 How well one record would show each fault: how far seats open, and the smallest gap seen.
 

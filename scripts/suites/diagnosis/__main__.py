@@ -1,4 +1,4 @@
-"""Blind recordings for loose diagnose: an arm integrated without MuJoCo, truth kept apart."""
+"""Blind suite of `loose diagnose`: simulated arms diagnosed without their truth, and graded."""
 
 from __future__ import annotations
 

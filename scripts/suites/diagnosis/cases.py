@@ -1,4 +1,4 @@
-"""Cases of the diagnosis suite: arm, fault and sensors drawn by number, and their runs."""
+"""Cases of the diagnosis suite by number: arm, fault, sensors; their runs, and their rig."""
 
 from __future__ import annotations
 

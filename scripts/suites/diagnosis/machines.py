@@ -1,4 +1,4 @@
-"""Machines richer than the model of `loose diagnose`: disturbances, sampled servos, recorders."""
+"""Rich cases of the diagnosis suite by number: disturbances, sampled servos, recorders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nominal arms in numbers, and as MJCF."""
+"""Nominal arms of the gap suite: parameters of six serial arms, and their MJCF."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cases of the suite: drawn by number, sized to be visible, written with a sealed truth."""
+"""Cases of the gap suite by number, effects sized to be visible; recordings, sealed truth."""
 
 from __future__ import annotations
 

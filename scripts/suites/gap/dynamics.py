@@ -1,4 +1,4 @@
-"""The true arm as arrays: laws in its joints, equations of motion, integration in time."""
+"""True arm as arrays: built, altered by extra joints and masses, and integrated in time."""
 
 from __future__ import annotations
 

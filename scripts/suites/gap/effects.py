@@ -1,4 +1,4 @@
-"""Effects that blind recordings hide: the catalogue, and kinds that it does not have."""
+"""Effects that blind recordings hide: kinds, places and sizes, and a true arm changed by them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Marks for a result: against the truth, its parameters, and what data cannot tell apart."""
+"""Grade of a `loose gap` result against the truth: effects, parameters, intervals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A true arm: its motions, its sensors, and running it."""
+"""Motions of a true arm, its simulated runs, and its sensors' readings and noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`loose gap` on measured recordings: what is named, and the held-out error before and after.
+"""Run `loose gap` on measured recordings: effects identified, held-out error before and after.
 
 python -m scripts.suites.gap.measured RECORDING [RECORDING ...] --out FILE.jsonl [--each]
 """

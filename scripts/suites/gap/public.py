@@ -1,4 +1,4 @@
-"""Public benchmark "naming missing physics": suites with sealed truths, and answers in JSON.
+"""Public benchmark of missing physics: make a suite, answer it, score answers, leaderboard.
 
     python -m scripts.suites.gap.public make FOLDER [--cases 12]      # FOLDER/sealed is kept back
     python -m scripts.suites.gap.public answer RECORDING OUT          # run loose gap on a recording

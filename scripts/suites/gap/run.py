@@ -1,4 +1,4 @@
-"""Grade the gap tool on blind recordings: the table of targets.
+"""Run and grade `loose gap` or a rival on blind recordings; tables of targets and methods.
 
 Each case is made by an arm that is integrated without MuJoCo, given to the tool as a recording and
 nothing else, and graded against its sealed truth once the result is written. Rows of finished cases
@@ -111,7 +111,7 @@ def exported_gap(found: GapSolution, folder: Path) -> tuple[float, float] | None
 def tool_named(name: str) -> Tool:
     """The tool under test, or another method by its name."""
     if name == "sysid":
-        from scripts.suites.gap.rivals import run_sysid
+        from scripts.suites.gap.sysid import run_sysid
 
         return run_sysid
     if name == "stepwise_bic":
@@ -408,7 +408,7 @@ def code_of(tool: str) -> str:
     own = [Path(loose_env.__file__).parent / part for part in ("gap", "recording", "statistics")]
     here = Path(__file__).parent
     if tool != TOOL:
-        own = [here / "rivals.py"]
+        own = [here / "rivals.py", here / "sysid.py"]
     suite = ("arms", "dynamics", "machine", "effects", "cases", "grading")
     return code_hash(*own, *(here / f"{name}.py" for name in suite))
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ast
-import dataclasses
-import json
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,25 +13,17 @@ import pytest
 
 pytest.importorskip("numba")
 
-from loose_env.instrument import TrendSettings, change_since
 from loose_env.recording import Run, read_recording, write_recording
 from scripts.suites import machines as command
 from scripts.suites.diagnosis import __main__ as suite
-from scripts.suites.diagnosis import machines, months
 from scripts.suites.diagnosis.cases import KINDS, draw, random_motion, taken
 from scripts.suites.diagnosis.machines import (
     DISTURBANCES,
-    Machine,
     RichCase,
-    Sizes,
-    Unstable,
     alone,
     draw_rich,
-    drawn_disturbances,
 )
 from scripts.suites.rows import kept
-from tests.instrument.arms import named, session
-from tests.instrument.test_result import diagnosis
 
 OPENS = 5  # a case whose fault opens
 
@@ -61,15 +51,6 @@ def test_the_generator_shares_no_code_with_what_it_tests(place: str) -> None:
             assert node.module in ("loose_env.typing", "loose_env.recording")
         elif isinstance(node, ast.Import):
             assert not any(alias.name.startswith(("loose", "mujoco")) for alias in node.names)
-
-
-def test_arms_have_three_to_seven_joints_and_a_model_of_each_compiles() -> None:
-    found = [short(number) for number in range(16)]
-    models = [mujoco.MjModel.from_xml_string(case.model_xml) for case in found]
-    assert {model.nv for model in models} == {3, 4, 5, 6, 7}
-    assert {case.servoed for case in found} == {True, False}
-    healthy = [case for case in found[:8] if case.fault is None]
-    assert len(healthy) == 4 and sum(case.reference for case in healthy) == 2
 
 
 @pytest.mark.slow
@@ -112,75 +93,6 @@ def test_each_disturbance_alone_changes_the_record(name: str) -> None:
     )
     assert changed > 3e-4
     assert all(np.isfinite(values).all() for values in other.sensors.values())
-
-
-@pytest.mark.slow
-def test_a_loose_seat_changes_the_tools_motion() -> None:
-    assert made("none", healthy=False)[2][0] > suite.OPENS
-    assert made("none")[2] == []
-
-
-def machine_of(case: RichCase, sizes: Sizes) -> Machine:
-    return Machine(case.figures, sizes, None, servoed=case.servoed, seed=[1, OPENS, 1])
-
-
-@pytest.mark.slow
-def test_a_drive_saturates_at_its_own_limit_and_not_at_the_models() -> None:
-    case = short(OPENS, sizes={}, healthy=True)
-    joint, pose = case.plans[0].joint, case.plans[0].pose
-    link = case.figures.links[joint]
-    commands = case._commands(case.plans[0], pose)[:500]
-    commands[495:, joint] += 3 * link.limit / link.kp
-    peaks = [
-        np.abs(machine_of(case, sizes).play(commands, pose, 1.0).torque[:, joint]).max()
-        for sizes in ({}, alone("torque_saturation"))
-    ]
-    assert peaks[0] == pytest.approx(link.limit)
-    assert peaks[1] == pytest.approx(0.8 * (0.35 / 0.8) ** 0.75 * link.limit)
-
-
-@pytest.mark.slow
-def test_friction_differs_between_sessions_only_where_it_drifts() -> None:
-    drifting = {"coulomb_friction": {"share": 0.02}, "friction_drift": {"relative": 0.4}}
-    for sizes, same in ((alone("coulomb_friction"), True), (drifting, False)):
-        healthy, suspect = short(2, sizes=sizes, healthy=True).played()[0]
-        equal = np.array_equal(healthy.sensors["joint1_pos"], suspect.sensors["joint1_pos"])
-        assert equal == same
-
-
-def test_sizes_lie_within_their_ranges() -> None:
-    rng = np.random.default_rng(0)
-    drawn = [drawn_disturbances(rng) for _ in range(60)]
-    assert {name for sizes in drawn for name in sizes} == set(DISTURBANCES)
-    for sizes in (*drawn, *map(alone, DISTURBANCES)):
-        for name, values in sizes.items():
-            for key, value in values.items():
-                low, high = DISTURBANCES[name][key]
-                assert low <= value <= high
-
-
-@pytest.mark.slow
-def test_a_loop_that_does_not_hold_its_pose_is_unstable() -> None:
-    case = short(OPENS, sizes={}, healthy=True)
-    stiff = machines._with(case.figures, kv=np.array([-link.kv for link in case.figures.links]))
-    commands = case._commands(case.plans[0], case.plans[0].pose)
-    with pytest.raises(Unstable):
-        machine_of(dataclasses.replace(case, figures=stiff), {}).play(
-            commands, case.plans[0].pose, 1.0
-        )
-
-
-@pytest.mark.slow
-def test_months_scatter_and_wear_grows_from_its_onset() -> None:
-    case = months.machine(0, 1)
-    first, second = (months.as_found(case, month, "healthy", 0) for month in (0, 1))
-    assert not first.arm.effects
-    change = second.arm.factors.kp / first.arm.factors.kp - 1
-    assert 0 < np.abs(change).max() < 0.03
-    play = months.as_found(case, 9, "play", 3).arm.effects[0]
-    assert play.kind == "backlash" and play.parameters["gap"] == pytest.approx(3 * months.PLAY)
-    softer = months.as_found(case, 9, "softer drive", 20).arm.factors.kp
-    assert softer[1] < 0.95 * months.as_found(case, 9, "healthy", 0).arm.factors.kp[1]
 
 
 # ---------------------------------------------------------------------- recordings and rows
@@ -229,23 +141,6 @@ def test_a_case_is_diagnosed_and_a_finished_one_is_kept(
     assert len(kept(file)) == 1 and kept(file)[0]["disturbances"] == {}
     with pytest.raises(SystemExit, match="rows of another seed or --only"):
         command.main([*words, "--only", "cables"])
-
-
-def test_a_machine_that_holds_no_pose_is_counted_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    def falls(*_: Any, **__: Any) -> None:
-        raise Unstable("a joint left its pose by more than 0.1 rad")
-
-    monkeypatch.setattr(Machine, "play", falls)
-    found = suite.recorded(short(3), 1)
-    assert "left its pose" in suite.line_of(found)
-    assert suite.tables([found, row(**HEALTHY)]).startswith("1 cases, seed 1. 1 more machines")
-
-
-def test_a_result_is_kept_with_its_verdict_and_errors() -> None:
-    found = suite.result_of(draw(1, 1), diagnosis(), [dict(diagnosis().posterior)])
-    assert found["verdict"] in ("healthy", "faulty", "open", "model_mismatch")
-    assert found["named"] == diagnosis().fault.hypothesis
-    json.dumps(found | suite.truth_of(short(7)))
 
 
 # ---------------------------------------------------------------------------------- tables
@@ -297,12 +192,3 @@ def test_tables_count_false_alarms_links_and_what_was_refused() -> None:
         assert f"\n| {line}" in said
     assert "no run can be used" in suite.line_of(refused)
     assert suite.tables([])
-
-
-def test_the_table_of_months_counts_false_alarms_before_wear_and_delays_after_it() -> None:
-    healthy = change_since(session(9), named(9))
-    worn = change_since(session(9, factor={"elbow": 1.4}), named(9))
-    assert months.alarms_of(worn) == [9]
-    words = months.table({"healthy": [healthy], "play": [worn]}, 9, TrendSettings())
-    assert "false alarms: 0 in 15 sessions" in words
-    assert "play: found on 1 of 1 machines, after 1 worn sessions" in words

@@ -1,4 +1,4 @@
-"""Joint torque terms and dry frictions that an effect defines as functions of the state.
+"""Torque terms and dry frictions of effects, summed and applied step by step to simulations.
 
 MJCF cannot express them, so that Python adds them to a simulation step by step. A torque held over
 a step and evaluated at its beginning is late by half a step, so that a spring adds energy. Under a

@@ -1,4 +1,4 @@
-"""Swap step: replaces identified effects by confusable ones with a better fit.
+"""Swap step: exchanges effects for confusable ones that fit better, and drops insignificant ones.
 
 Forward selection identifies the first effect from a residual that is due to several. Its best proxy
 for the mixture may have a better alternative, or need fewer effects beside it, once the others are
@@ -34,8 +34,8 @@ from loose_env.gap.residuals.preparation.prepare import GapProblem
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits
+from loose_env.gap.selection.screening.confusable_effects import confusable, joint_of, near
 from loose_env.gap.selection.screening.data_driven_starts import proposals
-from loose_env.gap.selection.screening.grouping import confusable, joint_of, near
 from loose_env.gap.selection.screening.relinearised_sets import alternative_sets
 from loose_env.gap.selection.screening.screening import screen
 from loose_env.gap.selection.screening.window_fits import WindowFits

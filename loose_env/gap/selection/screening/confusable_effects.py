@@ -1,4 +1,4 @@
-"""Confusable effects, and the joint at which an effect acts."""
+"""Joint at which an effect acts, and tests for effects that are confusable or at one joint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Export of the corrected model as plain MJCF, with notes on its effects.
+"""Export of the corrected model: MJCF with notes, and Python code for what MJCF cannot express.
 
 The file loads in any MuJoCo without this package. It lists the identified effects, and those it has
 besides. Where the residual is too large for the accepted effects to be the explanation, none is
