@@ -22,12 +22,12 @@ from loose_agents.belief import (
     weights_digest,
     weights_path,
 )
-from loose_agents.comparison import EvaluationTask, evaluate_shard
 from loose_agents.evaluation import EpisodeRow, diagnosis_env, evaluate
 from loose_agents.registry import content_of, describe, is_outside, make_agent
 from loose_agents.rl.agents import CONFIGURATION, LearnedAgent, PolicyForm
 from loose_agents.rl.model_files import TRAINED_ON
 from loose_agents.rl.networks import FORMAT, load_network, network_of, save_network
+from loose_agents.sharded_play import EvaluationTask, evaluate_shard
 
 from loose_env.arms import planar, vera
 from loose_env.envs import DiagnosisEnv, DiagnosisSettings, DiagnosisVectorEnv
@@ -292,10 +292,10 @@ def test_a_task_is_played_on_the_true_arm(monkeypatch: pytest.MonkeyPatch) -> No
         seen.append((given[2].name, named["true_arm"].name))
         return []
 
-    monkeypatch.setattr("loose_agents.comparison.evaluate", play)
+    monkeypatch.setattr("loose_agents.sharded_play.evaluate", play)
     arguments = {"n_links": 2, "true_arm": replace(planar(2), name="another")}
     monkeypatch.setattr(
-        "loose_agents.comparison.diagnosis_env",
+        "loose_agents.sharded_play.diagnosis_env",
         lambda env_id, given: diagnosis_env(env_id, arguments),
     )
     task = EvaluationTask(agent="random", env_id="loose_env/Planar-v0", count=1, seed=0)

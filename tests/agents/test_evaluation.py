@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from loose_agents.base import BENCHMARK_SEED, EVALUATION_SEED, Problem, check_training_seed
-from loose_agents.comparison import record_bound
 from loose_agents.evaluation import EpisodeRow, arguments_of, diagnosis_env, evaluate
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.registry import AGENTS, make_agent
+from loose_agents.sharded_play import record_bound
 from scipy.special import softmax
 from scipy.stats import entropy
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents import comparison
+from loose_agents import sharded_play
 from loose_agents.base import Problem
 from loose_agents.belief import BeliefAgent, Sure
 from loose_agents.evaluation import evaluate, problem_of
@@ -154,13 +154,13 @@ def test_shards_go_on_and_grow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
     first = play(2)
     played: list[int] = []
-    real = comparison.evaluate
+    real = sharded_play.evaluate
 
     def counted(*given: Any, **settings: Any) -> Any:
         played.append(settings["first"])
         return real(*given, **settings)
 
-    monkeypatch.setattr(comparison, "evaluate", counted)
+    monkeypatch.setattr(sharded_play, "evaluate", counted)
     more = play(4)
     assert played == [2]  # the first shard was there
     np.testing.assert_array_equal(more.confidence[:2], first.confidence)

@@ -13,7 +13,7 @@ import torch
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from loose_agents.policies.model_gap import GAP_AGENTS, GapAgent
-from loose_agents.rl.motion_policy import LearnedGapAgent
+from loose_agents.rl.gap_policy import LearnedGapAgent
 
 from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.envs import GapPrices, ModelGapEnv, ModelGapSettings

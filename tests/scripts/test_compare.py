@@ -72,7 +72,7 @@ def test_rows_are_the_same_for_any_worker_count_and_shard(whole: Path, tmp_path:
 
 
 def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from loose_agents import comparison as evaluation_shards
+    from loose_agents import sharded_play as evaluation_shards
 
     played: list[int] = []
     real = evaluation_shards.evaluate_shard
