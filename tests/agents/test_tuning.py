@@ -21,7 +21,6 @@ from loose_agents.tuning import (
     Player,
     Trails,
     best_constant,
-    best_sequences,
     best_threshold,
     names_of,
     play_player,
@@ -117,20 +116,6 @@ def test_the_best_constant_is_found_by_halving() -> None:
     assert [n for _, n in asked] == [2] * 5 + [4] * 3 + [8] * 2
     assert asked[-2:] == [((0, 2), 8), ((2, 0), 8)]
     assert best_constant([(1, 0)], play, episodes=8) == (1, 0)
-
-
-def test_halving_finds_the_best_sequences() -> None:
-    worth = {((k,),) * 2: (0.1 * k, 1.0 - 0.1 * k) for k in range(8)}
-
-    def play(sequence: Any, episodes: int) -> Trails:
-        reward = np.tile(worth[sequence], (episodes, 1))
-        sure = np.full(reward.shape, 0.4)
-        return Trails(confidence=sure, reward=reward, right=reward > 0.5)
-
-    found = best_sequences(list(worth), play, episodes=8, lengths=2)
-    assert found["stopping"] == ((0,), (0,))  # the last record counts: no threshold is reached
-    assert found["2"] == found["stopping"]
-    assert found["1"] == ((1,),)  # the better of the two of the last round
 
 
 def test_settings_of_others_are_kept(tmp_path: Path) -> None:

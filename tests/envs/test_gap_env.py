@@ -85,15 +85,6 @@ def test_rewards_of_verdicts() -> None:
     assert prices.verdict((), both, parameter_error=1.0) == -1.0
 
 
-def test_one_seed_gives_one_episode() -> None:
-    made = env(belief=BeliefSettings(simulations=0))
-    first = [made.reset(seed=5)[0], made.step(0)[0]]
-    again = [made.reset(seed=5)[0], made.step(0)[0]]
-
-    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
-    assert not np.array_equal(made.reset(seed=6)[0] * 0 + made.step(0)[0], first[1])
-
-
 @pytest.mark.parametrize(
     "rule",
     [
