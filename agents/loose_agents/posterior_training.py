@@ -1,4 +1,4 @@
-"""Training of the learned posterior on a bank: likelihood, novelty reference, information factors.
+"""Training of the learned posterior on a bank: likelihood, novelty reference, gain factors.
 
 The loss is the log score of the hypotheses after each record, and beside it, in small part, of
 direction and friction where the truth is loose: the sums over them stay meaningful, and policies

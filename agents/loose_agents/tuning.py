@@ -27,10 +27,10 @@ from loose_agents.belief import (
     setting_name,
     weights_path,
 )
-from loose_agents.comparison import EvaluationTask, play_task
 from loose_agents.jobs import BackendSettings
 from loose_agents.policies.choice import POLICIES, ConstantPolicy, FixedPolicy, Records
 from loose_agents.registry import LEARNED, make_agent
+from loose_agents.sharded_play import EvaluationTask, play_task
 from loose_env.envs import Prices
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.io import write_text

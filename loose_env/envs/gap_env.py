@@ -1,4 +1,4 @@
-"""Gymnasium environment `ModelGapEnv`: choose motions that tell missing effects apart."""
+"""Gymnasium environment `ModelGapEnv`: motions that tell missing effects apart; its settings."""
 
 from __future__ import annotations
 

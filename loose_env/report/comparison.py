@@ -1,4 +1,4 @@
-"""Report of a comparison of agents: its tables for terminal and page, its figures, its page."""
+"""Report of a comparison of agents: tables as text, page, figures, timeline of one episode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signals and their spectra: band filter, differentiation, delay, noise.
+"""Signals and their spectra: band filter, differentiation, phase delay, noise floor, resolution.
 
 Frequencies and rates are in Hz.
 """

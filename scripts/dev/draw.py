@@ -1,4 +1,4 @@
-"""Draw the figures of the pages: a record with its truth, the method, the classical method's steps.
+"""Draw figures of the pages: a record with its truth, the method, the classical method's steps.
 
 Usage: python scripts/dev/draw.py pose --arm six_axis
        python scripts/dev/draw.py method

@@ -164,7 +164,7 @@ def play(case: Case, *, settings: Settings, ppo: Path | None) -> list[Row]:
     name, number = case
     env = _env(settings.model)
     if name == "ppo":
-        from loose_agents.rl.motion_policy import LearnedGapAgent  # torch where it is used
+        from loose_agents.rl.gap_policy import LearnedGapAgent  # torch where it is used
 
         assert ppo is not None
         agent: Any = LearnedGapAgent(ppo, env)

@@ -49,7 +49,7 @@ class Options:
 def train(options: Options, env: ModelGapEnv) -> None:
     """Train from the stored weights on, and store weights and learning curve."""
     import torch
-    from loose_agents.rl.motion_policy import MotionPolicy, load_policy
+    from loose_agents.rl.gap_policy import MotionPolicy, load_policy
     from sb3_contrib import MaskablePPO
 
     weights = options.out / "policy.pt"

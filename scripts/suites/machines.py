@@ -1,4 +1,4 @@
-"""Blind suite of diagnosis on machines richer than its model; finished cases are kept."""
+"""Command of the blind diagnosis suite on rich machines; finished cases are kept."""
 
 from __future__ import annotations
 

@@ -18,23 +18,20 @@ from loose_agents.belief import (
     OWN_WEIGHTS,
     WEIGHTS,
     Tracker,
-    setting_name,
     tuned,
     weights_digest,
     weights_path,
 )
-from loose_agents.comparison import EvaluationTask, evaluate_shard
 from loose_agents.evaluation import EpisodeRow, diagnosis_env, evaluate
 from loose_agents.registry import content_of, describe, is_outside, make_agent
 from loose_agents.rl.agents import CONFIGURATION, LearnedAgent, PolicyForm
 from loose_agents.rl.model_files import TRAINED_ON
 from loose_agents.rl.networks import FORMAT, load_network, network_of, save_network
+from loose_agents.sharded_play import EvaluationTask, evaluate_shard
 
-from loose_env.arms import planar, scara, vera
-from loose_env.diagnosis import statistics_of
+from loose_env.arms import planar, vera
 from loose_env.envs import DiagnosisEnv, DiagnosisSettings, DiagnosisVectorEnv
 from loose_env.errors import InvalidData, UnknownName
-from loose_env.wrappers import record_from
 
 pytest.importorskip("safetensors")
 
@@ -42,39 +39,6 @@ pytest.importorskip("safetensors")
 @pytest.fixture(scope="module")
 def problem() -> Problem:
     return Problem.of(planar(2), DiagnosisSettings(engine="reduced"))
-
-
-def test_an_observation_gives_back_the_statistics_of_its_records(problem: Problem) -> None:
-    env = DiagnosisEnv(planar(2), DiagnosisSettings(raw=True))
-    env.reset(seed=4)
-    shake = env.actions.encode(levels=np.array([2, 0]), duration=1)
-    observation, _, _, _, _ = env.step(shake)
-    episode = env.batch.episode(0)
-    assert episode is not None
-    assert episode.last is not None
-    expected = statistics_of(episode.last)
-    found = record_from(problem.layout, observation["statistics"], 0)
-    assert found is not None
-    for name in ("pose", "torque", "transmission_by_instrument", "joint_rms", "inertia"):
-        np.testing.assert_allclose(
-            getattr(found, name), getattr(expected, name), rtol=1e-4, atol=1e-6, err_msg=name
-        )
-    np.testing.assert_allclose(found.tool_covariance, expected.tool_covariance, rtol=1e-3)
-    assert abs(float(found.lowest_direction @ expected.lowest_direction)) == pytest.approx(1)
-    assert record_from(problem.layout, observation["statistics"], 1) is None
-
-
-def test_a_tracker_takes_each_record_in_once(problem: Problem) -> None:
-    env = DiagnosisEnv(planar(2), DiagnosisSettings())
-    first, _ = env.reset(seed=4)
-    tracker = Tracker(problem)
-    memory = tracker.begin()
-    prior = tracker.follow(first, memory)
-    assert prior == pytest.approx(tracker.posterior.start().probabilities)
-    observation, _, _, _, _ = env.step(env.actions.encode(levels=np.array([3, 0])))
-    once = tracker.follow(observation, memory)
-    assert not np.allclose(once, prior)
-    assert np.array_equal(tracker.follow(observation, memory), once)
 
 
 def test_the_random_agent_names_what_its_posterior_holds_most_probable(problem: Problem) -> None:
@@ -114,54 +78,6 @@ def write_policy(problem: Problem, folder: Path, algorithm: str = "ppo") -> Any:
     described = {"format": FORMAT, "arm": problem.arm.name, "estimator": "posterior"}
     (folder / CONFIGURATION).write_text(json.dumps(described))
     return model
-
-
-def test_it_stops_neither_before_the_first_record_nor_after_the_last(problem: Problem) -> None:
-    form = PolicyForm(problem)
-    p, most = np.array([0.1, 0.1, 0.6, 0.1, 0.1]), problem.settings.max_records
-
-    def names(stop: int, records: int, least: int = 1) -> bool:
-        choice = np.array([2, 2, 1, 0, 0, stop])
-        k = problem.actions.decode(form.action(choice, p, records, least=least)).verdict
-        assert k in (0, 1 + 2)  # the most probable hypothesis is named
-        return bool(k)
-
-    assert [names(1, 0), names(1, 1), names(1, 2, 3), names(1, 3, 3)] == [False, True, False, True]
-    assert [names(0, most - 1), names(0, most), names(0, most, most + 5)] == [False, True, True]
-
-
-def test_masks_leave_the_moves_and_stops_that_make_sense() -> None:
-    problem = Problem.of(scara(), DiagnosisSettings())
-    form = PolicyForm(problem)
-    n, moves = problem.arm.n, len(problem.settings.moves)
-    pose = np.array([0.0 if r is None else r[1] for r in problem.arm.joint_ranges])
-    mask = form.mask(pose, records=0)
-    assert mask.shape == (form.nvec.sum(),)
-    allowed = mask[: n * moves].reshape(n, moves)
-    assert np.array_equal(allowed, problem.actions.allowed_moves(pose)) and not allowed.all()
-    assert mask[n * moves : -2].all() and mask[-2:].tolist() == [True, False]
-    most = problem.settings.max_records
-    for records, least, ends in ((2, 3, [1, 0]), (3, 3, [1, 1]), (most, 99, [0, 1])):
-        assert form.mask(pose, records=records, least=least)[-2:].tolist() == ends
-    limited = Problem.of(planar(3), DiagnosisSettings(max_moved=1, max_excited=1))
-    form = PolicyForm(limited)
-    assert form.nvec.tolist() == [*limited.actions.nvec[:-1].tolist(), 2]
-    mask = form.mask(np.zeros(3), records=0)
-    # One move of one joint, then one level of one joint, which is never none.
-    assert mask[: form.nvec[0]].all() and not mask[form.nvec[0]]
-
-
-def test_what_it_sees_lies_in_its_space(problem: Problem) -> None:
-    form = PolicyForm(problem, further=2)
-    env = DiagnosisEnv(planar(2), DiagnosisSettings())
-    observation, _ = env.reset(seed=3)
-    for p in (np.eye(5)[1], np.full(5, 0.2)):
-        seen = form.features(observation, p, np.array([99.0, -0.5]))
-        assert form.observation_space.contains(seen)
-        assert seen[:5] == pytest.approx(p)
-        assert seen[-2:] == pytest.approx([5.0, -0.5])
-    with pytest.raises(InvalidData, match="shows 2 numbers"):
-        form.features(observation, np.full(5, 0.2))
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -222,14 +138,6 @@ def test_missing_and_broken_weights_are_refused(problem: Problem, tmp_path: Path
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(InvalidData, match="no safetensors file"):
         LearnedAgent.load(problem, tmp_path)
-
-
-def test_the_registry_plays_the_weights_of_the_arm(
-    problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_policy(problem, tmp_path / f"ppo-{setting_name(problem)}")
-    monkeypatch.setenv("LOOSE_ENV_WEIGHTS", str(tmp_path))
-    assert isinstance(make_agent("ppo", problem), LearnedAgent)
 
 
 SETTINGS = DiagnosisSettings(durations=(0.1,), max_records=2)
@@ -384,10 +292,10 @@ def test_a_task_is_played_on_the_true_arm(monkeypatch: pytest.MonkeyPatch) -> No
         seen.append((given[2].name, named["true_arm"].name))
         return []
 
-    monkeypatch.setattr("loose_agents.comparison.evaluate", play)
+    monkeypatch.setattr("loose_agents.sharded_play.evaluate", play)
     arguments = {"n_links": 2, "true_arm": replace(planar(2), name="another")}
     monkeypatch.setattr(
-        "loose_agents.comparison.diagnosis_env",
+        "loose_agents.sharded_play.diagnosis_env",
         lambda env_id, given: diagnosis_env(env_id, arguments),
     )
     task = EvaluationTask(agent="random", env_id="loose_env/Planar-v0", count=1, seed=0)

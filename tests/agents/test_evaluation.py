@@ -7,16 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 from loose_agents.base import BENCHMARK_SEED, EVALUATION_SEED, Problem, check_training_seed
-from loose_agents.comparison import bound_line, record_bound
 from loose_agents.evaluation import EpisodeRow, arguments_of, diagnosis_env, evaluate
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.registry import AGENTS, make_agent
+from loose_agents.sharded_play import record_bound
 from scipy.special import softmax
 from scipy.stats import entropy
 
 from loose_env.arms import planar
 from loose_env.diagnosis import LinkFindingSettings, least_records
-from loose_env.diagnosis.experiment_design import needed_information
 from loose_env.envs import DiagnosisSettings
 from loose_env.errors import InvalidSetting, LooseEnvError, UnknownName
 
@@ -152,19 +151,6 @@ def test_the_exact_posterior_does_not_beat_the_bound_by_success() -> None:
         assert 0.3 * records < bound < records + 0.05
 
 
-def test_the_needed_information_by_hand() -> None:
-    third = [1 / 3] * 3
-    expected = np.log(3) - (-0.1 * np.log(0.1) - 0.9 * np.log(0.9)) - 0.1 * np.log(2)
-    assert float(needed_information(third, 0.1)) == pytest.approx(expected)
-    assert float(needed_information(third, 0.0)) == pytest.approx(np.log(3))
-    errors = np.linspace(0, 1, 50)
-    needed = needed_information(third, errors)
-    assert (np.diff(needed) <= 1e-12).all() and needed[-1] == pytest.approx(0.0, abs=1e-12)
-    assert needed_information([1.0, 0.0], [0.0, 0.3]).tolist() == [0.0, 0.0]
-    # Where one is likely, guessing it errs little: nothing is needed.
-    assert float(needed_information([0.98, 0.01, 0.01], 0.03)) == 0.0
-
-
 def row(agent: str, k: int, **told: Any) -> dict[str, Any]:
     plain = {"agent": agent, "seed": 1, "episode": k, "difficulty": "default", "truth": "healthy"}
     rest = {"link_success": True, "poses": 1, "seconds": 1.2, "reward": 0.5, "success": True}
@@ -190,17 +176,3 @@ def test_the_most_telling_record_and_the_best_success_count(problem: Problem) ->
     assert some.success[0] == pytest.approx(0.596, abs=0.01)  # Wilson's upper end of 50 of 100
     by_success = least_records(0.1, some.prior, success=some.success)
     assert float(by_success) == pytest.approx(1.304, abs=0.01)
-
-
-def test_the_line_is_about_the_best_agent(problem: Problem) -> None:
-    trails: dict[str, Any] = {"trail_truth": [0.6, 0.8], "trail_best": ["healthy"] * 2}
-    rows = [
-        row(name, k, reward=reward, success=k % 10 > 0, **trails)
-        for name, reward in (("good", 0.5), ("bad", 0.1))
-        for k in range(50)
-    ]
-    line = bound_line(problem, rows)
-    assert "at the error of good, 10.0 %, which took 2.00" in line
-    assert "bad" not in line and line.count("\n") == 0
-    silent = [row("thesis", k, trail_truth=(), trail_best=()) for k in range(50)]
-    assert "more cannot be said" in bound_line(problem, silent)

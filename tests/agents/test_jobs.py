@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import io
 import os
 import signal
 import subprocess
@@ -22,7 +21,6 @@ pytest.importorskip("joblib")
 
 from loose_agents.jobs import (
     BackendSettings,
-    ProgressLine,
     Store,
     WorkerDied,
     canonical,
@@ -280,21 +278,3 @@ def test_the_hash_tells_values_apart_and_nothing_else() -> None:
     assert hashed({"a": True}) != hashed({"a": 1})
     with pytest.raises(InvalidData, match="cannot hold"):
         hashed({"a": {1, 2}})
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_progress_is_ten_lines_in_a_log_and_one_on_a_terminal() -> None:
-    log, terminal = io.StringIO(), Terminal()
-    for stream in (log, terminal):
-        with ProgressLine(200, done=100, stream=stream) as line:
-            for k in range(100):
-                line.advance(1, f"loss {k}")
-    lines = log.getvalue().splitlines()
-    assert len(lines) == 5
-    assert lines[-1].startswith("100%|") and "200/200" in lines[-1]
-    assert lines[-1].endswith("episodes/s, loss 99]")
-    assert terminal.getvalue().count("\n") == 1

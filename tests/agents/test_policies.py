@@ -14,7 +14,6 @@ from loose_agents.policies.choice import (
     POLICIES,
     ConstantPolicy,
     FixedPolicy,
-    candidate_at,
     drawn_sequences,
     information_of,
     make_policy,
@@ -23,23 +22,12 @@ from loose_agents.policies.pose_sets import (
     GreedySeparation,
     MovesOf,
     PoseSetPolicy,
-    image_posterior,
 )
 from loose_agents.registry import make_agent
 
-from loose_env.arms import Arm, planar, six_axis
-from loose_env.diagnosis import DirectionSighting, ToolFrames, link_posterior
-from loose_env.envs import DiagnosisSettings, EpisodeBatch, Prices
+from loose_env.arms import planar
+from loose_env.envs import DiagnosisSettings, EpisodeBatch
 from loose_env.errors import InvalidSetting, UnknownName
-from scripts.studies.pose_sets import (
-    GREEDY,
-    Directions,
-    Records,
-    Task,
-    directions_block,
-    link_log_likelihoods,
-    records_block,
-)
 
 
 @pytest.fixture(scope="module")
@@ -83,18 +71,6 @@ def test_every_policy_measures_and_stays_in_range(problem, estimator, name):
         assert allowed[np.arange(3), action.moves].all()
         again = situation(problem, estimator, seed)
         assert np.array_equal(problem.actions.decode(policy.choose(again)).moves, action.moves)
-
-
-def test_candidates_cost_what_the_environment_charges(problem):
-    rng = np.random.default_rng(0)
-    pose = problem.arm.random_pose(rng)
-    levels, duration = np.array([3, 0, 2]), 1
-    one = candidate_at(problem, np.full(3, 2), pose, levels, duration)
-    prices = Prices()
-    seconds = problem.settings.durations[1]
-    assert one.price == pytest.approx(prices.record + prices.second * seconds + prices.level * 5)
-    assert (one.torque > 0).tolist() == [True, False, True]
-    assert (one.torque <= problem.arm.torque_limits).all()
 
 
 def test_a_record_says_little_that_drives_no_seat_or_that_is_known_already(problem, estimator):
@@ -198,25 +174,6 @@ def test_a_set_is_played_one_pose_after_the_other() -> None:
     assert reached == [[0, 0], [0, 90], [45, 0], [0, 0]]
 
 
-@pytest.mark.parametrize("arm", [planar(3), six_axis()])
-def test_the_belief_gives_each_link_its_likeliest_direction(arm: Arm) -> None:
-    problem = Problem.of(arm, USUAL)
-    tracker = Tracker(problem)
-    memory = tracker.begin()
-    n, axes = arm.n, memory.belief.directions
-    node = 7
-    loose = memory.belief.loose.copy()
-    loose[:, : n * len(axes)] -= 12.0
-    loose[:, len(axes) + node] += 12.0  # link 2 along one direction
-    memory.belief = type(memory.belief)(
-        healthy=memory.belief.healthy, loose=loose, links=n, directions=axes
-    )
-    found = image_posterior(problem, at_pose(problem, np.zeros(n), 1, memory))
-    assert abs(found.directions[1] @ axes[node]) == pytest.approx(1.0, abs=1e-3)
-    assert found.direction_sd[1] < 0.1
-    assert found.direction_sd[0] > 0.4  # nothing is known about link 1's
-
-
 def test_greedy_separation_goes_where_two_links_look_different() -> None:
     arm = planar(2)
     problem = Problem.of(arm, USUAL)
@@ -254,35 +211,3 @@ def test_another_agents_moves_are_played_without_its_excitation_and_verdict() ->
         moved += int(np.sum(decoded.moves != USUAL.stay))
         batch.step([0], [action])
     assert moved > 0
-
-
-@pytest.mark.parametrize("arm", [planar(3), six_axis()])
-def test_likelihoods_of_many_cases_are_those_of_one(arm: Arm) -> None:
-    rng, frames, width = np.random.default_rng(0), ToolFrames(arm), 0.2
-    poses = np.array([arm.random_pose(rng) for _ in range(3)])
-    seen = rng.standard_normal((3, frames.dimension))
-    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
-    many = link_log_likelihoods(frames.images(poses)[None], seen[None], width)[0]
-    for t in range(3):
-        sightings = [DirectionSighting.of(poses[i], seen[i], width) for i in range(t + 1)]
-        one = link_posterior(frames, sightings).log_likelihoods[: arm.n]
-        np.testing.assert_allclose(many[t], one, atol=1e-9)
-
-
-def test_blocks_of_directions_do_not_depend_on_their_size() -> None:
-    settings = Directions(arms=("planar3",), sds=(10.0,), poses=3)
-    for strategy in ("random", GREEDY):
-        whole = directions_block(Task(arm="planar3", strategy=strategy, first=0, cases=6), settings)
-        parts = [
-            directions_block(Task(arm="planar3", strategy=strategy, first=k, cases=3), settings)
-            for k in (0, 3)
-        ]
-        added = np.sum([part[0]["right"] for part in parts], axis=0)
-        assert whole[0]["right"] == added.tolist()
-
-
-@pytest.mark.slow
-def test_knowing_direction_and_friction_names_the_link_more_often() -> None:
-    settings = Records(arms=("planar4",), poses=2)
-    row = records_block(Task(arm="planar4", strategy="random", first=0, cases=24), settings)[0]
-    assert row["informed"][0] > row["right"][0]

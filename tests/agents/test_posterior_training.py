@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +13,7 @@ import torch
 from loose_agents.base import Problem
 from loose_agents.belief import BeliefAgent, Sure
 from loose_agents.benchmark.episodes import OFF, OtherArmRig
-from loose_agents.jobs import BackendSettings, Store
+from loose_agents.jobs import BackendSettings
 from loose_agents.policies.choice import RandomPolicy
 from loose_agents.posterior_training import (
     NoveltySettings,
@@ -44,15 +43,12 @@ from loose_env.diagnosis import (
     SeatFeatures,
     SeatNetwork,
     Seen,
-    read_network,
-    write_network,
 )
 from loose_env.diagnosis.features import TransmissionChange
 from loose_env.envs import DiagnosisSettings, EpisodeBatch
 from loose_env.faults import UNSURE, Healthy
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
-from scripts.agents.train_posterior import reference_of
 
 DIRECTIONS = 8
 
@@ -297,35 +293,6 @@ def test_episodes_of_the_trained_kind_do_not_surprise_and_others_do(
     far = episodes(rng, 10, size=30.0)
     assert (surprises(far, posterior(reference)) == 1 / 201).all()
     assert (surprises(far, posterior(None)) == 1.0).all()
-
-
-def test_weights_are_stored_with_the_reference_of_their_bank(
-    tensors: dict[str, np.ndarray], tmp_path: Path
-) -> None:
-    pytest.importorskip("safetensors")
-    plan = BankPlan(
-        env_id="loose_env/Planar-v0",
-        arguments={"engine": "reduced", "n_links": JOINTS},
-        episodes=501,
-        directions=SIX,
-        records=BankSettings(records=1, long_every=0),
-    )
-    problem = plan.problem()
-    store = Store(tmp_path / "bank" / "records", plan.configuration, arrays=True)
-    for shard in plan.shards:  # a few episodes stand for each shard
-        bank = play_episodes(
-            problem, plan.records, seed=plan.seed, start=shard.start, stop=shard.start + 20
-        )
-        store.write(shard, vars(bank))
-    reference = reference_of(tensors, plan, tmp_path / "bank")
-    configuration = {"arm": "planar2", "directions": SIX, "friction": [0.02, 1.0]}
-    write_network(tmp_path / "weights", configuration, with_reference(tensors, reference))
-    _, stored = read_network(tmp_path / "weights")
-    assert all(np.array_equal(stored[name], values) for name, values in tensors.items())
-    loaded = AmortisedPosterior.load(
-        tmp_path / "weights", problem.linear, SensorSuite(), Mismatch()
-    ).reference
-    assert loaded is not None and len(loaded.scores[0]) == 20
 
 
 def test_another_arm_is_off_in_every_length_and_mass_and_the_same_each_time() -> None:

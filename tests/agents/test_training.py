@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 from loose_agents.base import EVALUATION_SEEDS, Problem
-from loose_agents.belief import Tracker
 from loose_agents.rl.hyperparameters import (
     HYPERPARAMETERS,
     LinearSchedule,
@@ -20,7 +19,6 @@ from loose_agents.rl.hyperparameters import (
     read_hyperparameters,
 )
 from loose_agents.rl.networks import RecordSetExtractor, record_set_arguments
-from loose_agents.rl.training import Budget
 from loose_agents.rl.training_env import (
     TrackedVecEnv,
     evaluation_seed,
@@ -74,11 +72,6 @@ def test_the_shaping_sums_to_what_the_episode_added_to_the_log_posterior() -> No
     assert ended >= 6
 
 
-def test_the_log_posterior_of_the_truth_is_cut_off() -> None:
-    assert log_posterior(0.0) == log_posterior(1e-9) == pytest.approx(-5.0)
-    assert log_posterior(0.5) == pytest.approx(np.log(0.5))
-
-
 def test_forced_records_forbid_early_stops() -> None:
     vec = make()
     vec.reset()
@@ -123,32 +116,6 @@ def test_masks_are_those_of_the_policys_choices() -> None:
     assert ignored > 0
 
 
-class Showing(Tracker):
-    """A tracker that shows how many records it took in, and how many were asked for."""
-
-    feature_size = 2
-
-    def features(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.float64]:
-        return np.array([memory.records / 4, 0.25])
-
-
-def test_what_an_estimator_shows_is_seen_at_the_end() -> None:
-    arm = planar(2)
-    problem = Problem.of(arm, SETTINGS)
-    plain, showing = make(arm), make(arm, estimator=Showing(problem))
-    first, more = plain.reset(), showing.reset()
-    own = Tracker(problem).feature_size
-    assert np.array_equal(more[:, :-2], first[:, :-own])
-    assert np.array_equal(more[:, -2:], [[0.0, 0.25]] * 3)
-    go = choices(plain, np.random.default_rng(6), stop=False)
-    assert np.array_equal(showing.step(go)[0][:, -2:], [[0.25, 0.25]] * 3)
-    stop = choices(plain, np.random.default_rng(6), stop=True)
-    seen, _, dones, infos = showing.step(stop)
-    assert dones.all()
-    assert np.array_equal(seen[:, -2:], [[0.0, 0.25]] * 3)
-    assert [info["terminal_observation"][-2] for info in infos] == [0.25] * 3
-
-
 def test_seeds_of_training_meet_neither_each_other_nor_those_of_evaluation() -> None:
     seeds = [training_seed(seed, steps) for seed in range(20) for steps in range(0, 5120, 512)]
     seeds += [evaluation_seed(seed) for seed in range(20)]
@@ -156,18 +123,6 @@ def test_seeds_of_training_meet_neither_each_other_nor_those_of_evaluation() -> 
     assert np.diff(np.sort(seeds)).min() > 10_000
     assert min(seeds) > EVALUATION_SEEDS[-1]
     assert training_seed(1, 512) == training_seed(1, 512)
-
-
-def test_the_budget_that_runs_out_first_decides_the_schedule() -> None:
-    budget = Budget(steps=100, seconds=10.0)
-    budget.spent = 8.0
-    schedule = LinearSchedule(1.0, budget)
-    assert schedule(0.9) == pytest.approx(0.2)
-    assert schedule(0.1) == pytest.approx(0.1)
-    assert not budget.timed_out()
-    budget.spent = 10.0
-    assert budget.timed_out()
-    assert LinearSchedule(1.0, Budget(steps=100))(0.9) == LinearSchedule(1.0)(0.9) == 0.9
 
 
 @pytest.fixture(scope="module")

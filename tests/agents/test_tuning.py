@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents import comparison
+from loose_agents import sharded_play
 from loose_agents.base import Problem
 from loose_agents.belief import BeliefAgent, Sure
 from loose_agents.evaluation import evaluate, problem_of
@@ -21,7 +21,6 @@ from loose_agents.tuning import (
     Player,
     Trails,
     best_constant,
-    best_sequences,
     best_threshold,
     names_of,
     play_player,
@@ -119,20 +118,6 @@ def test_the_best_constant_is_found_by_halving() -> None:
     assert best_constant([(1, 0)], play, episodes=8) == (1, 0)
 
 
-def test_halving_finds_the_best_sequences() -> None:
-    worth = {((k,),) * 2: (0.1 * k, 1.0 - 0.1 * k) for k in range(8)}
-
-    def play(sequence: Any, episodes: int) -> Trails:
-        reward = np.tile(worth[sequence], (episodes, 1))
-        sure = np.full(reward.shape, 0.4)
-        return Trails(confidence=sure, reward=reward, right=reward > 0.5)
-
-    found = best_sequences(list(worth), play, episodes=8, lengths=2)
-    assert found["stopping"] == ((0,), (0,))  # the last record counts: no threshold is reached
-    assert found["2"] == found["stopping"]
-    assert found["1"] == ((1,),)  # the better of the two of the last round
-
-
 def test_settings_of_others_are_kept(tmp_path: Path) -> None:
     path = tmp_path / "new" / "arm.json"
     write_tuned(path, {"a/x": 0.9}, constant=(0, 3))
@@ -169,13 +154,13 @@ def test_shards_go_on_and_grow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
     first = play(2)
     played: list[int] = []
-    real = comparison.evaluate
+    real = sharded_play.evaluate
 
     def counted(*given: Any, **settings: Any) -> Any:
         played.append(settings["first"])
         return real(*given, **settings)
 
-    monkeypatch.setattr(comparison, "evaluate", counted)
+    monkeypatch.setattr(sharded_play, "evaluate", counted)
     more = play(4)
     assert played == [2]  # the first shard was there
     np.testing.assert_array_equal(more.confidence[:2], first.confidence)

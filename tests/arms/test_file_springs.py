@@ -92,15 +92,6 @@ def test_the_arm_has_the_dynamics_of_the_file(write: Write, where: str) -> None:
         assert getattr(arm.model.joint(spring), figure) == getattr(file.joint(spring), figure)
 
 
-def test_a_bend_lies_behind_the_seat_and_a_gear_before_it(write: Write) -> None:
-    bend = '<joint name="bow" axis="0 1 0" stiffness="3000" damping="2"/>'
-    bent, geared = read(write, bend=bend), read(write, gear=GEAR.format(k=5000))
-    body = bent.model.body(int(bent.model.joint("bow").bodyid[0]))
-    assert bent.model.body(int(body.parentid[0])).name == "one"
-    assert geared.model.joint("gear").bodyid == geared.model.joint("b").bodyid
-    assert geared.model.body("two").parentid[0] == geared.model.joint("gear").bodyid[0]
-
-
 @pytest.mark.parametrize("engine", [SimulatedRig, ReducedRig])
 def test_it_rests_at_the_pose_that_was_asked_for(write: Write, engine: type) -> None:
     arm = read(write, gear=GEAR.format(k=3000))

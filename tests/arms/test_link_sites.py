@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, Mismatch, MismatchDraw, link_site, planar, scara, six_axis, vera
+from loose_env.arms import Arm, link_site, planar, scara, six_axis, vera
 from loose_env.arms.arm import CLEARANCE
 from loose_env.errors import UnknownName
 from loose_env.typing import Array
@@ -55,22 +55,3 @@ def test_a_place_that_does_not_exist_is_refused() -> None:
         link_site(planar(3), 4)
     with pytest.raises(UnknownName, match="'proximal' or 'distal' end, got 'middle'"):
         link_site(planar(3), 1, "middle")  # type: ignore[arg-type]
-
-
-def test_each_link_has_a_sensor_of_its_own_that_changes_no_other_draw() -> None:
-    arm = planar(3)
-    rng, bare = np.random.default_rng(5), np.random.default_rng(5)
-    draw = Mismatch().draw(arm, rng)
-    # What the tool's accelerometer took before there were others.
-    bare.standard_normal(9 + 3 + 3)
-    length = np.clip(bare.standard_normal(arm.model.nbody), -3, 3)
-    np.testing.assert_array_equal(draw.length, 1 + Mismatch().length * length)
-    sensors = [draw.sensor, *draw.link_sensors]
-    assert len(draw.link_sensors) == 3
-    for k, one in enumerate(sensors):
-        assert 1e-4 < np.abs(one - np.eye(3)).max() < 0.1
-        assert all(np.abs(one - other).max() > 1e-3 for other in sensors[:k])
-    again = Mismatch().draw(arm, np.random.default_rng(5))
-    np.testing.assert_array_equal(draw.link_sensors, again.link_sensors)
-    none = MismatchDraw.none(arm).link_sensors
-    np.testing.assert_array_equal(none, np.broadcast_to(np.eye(3), (3, 3, 3)))

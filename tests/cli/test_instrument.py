@@ -12,13 +12,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.cli.instrument import trend_summary
 from loose_env.cli.main import main
 from loose_env.instrument import (
     Diagnosis,
     Fault,
     NextSettings,
-    change_since,
     diagnose,
     next_for,
     read_arm,
@@ -28,7 +26,7 @@ from loose_env.recording import read_recording, write_csv, write_recording
 from scripts.suites.diagnosis.months import machine, session_runs
 from scripts.suites.gap.arms import model_xml
 from scripts.suites.golden import DIAGNOSES, write_shaken_recording
-from tests.instrument.arms import MOTORS, SERVOED, named, session, written
+from tests.instrument.arms import MOTORS, SERVOED, written
 
 MONTHS = 5
 Capture = pytest.CaptureFixture[str]
@@ -360,10 +358,3 @@ def test_what_makes_no_sense_is_refused_before_anything_is_diagnosed(
     said = refused(capsys, *given, *options)
     assert words in said and (work is None or "work.json" in said)
     assert not (tmp_path / "out").exists()
-
-
-def test_the_console_says_what_changed_and_the_rate_of_false_alarms() -> None:
-    before = named(10)
-    assert trend_summary(change_since(session(10), before)).startswith("no change since 10")
-    words = trend_summary(change_since(session(10, factor={"elbow": 1.4}), before))
-    assert "transmission from elbow to tool." in words and "1 %" in words

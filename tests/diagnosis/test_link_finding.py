@@ -31,7 +31,6 @@ from loose_env.diagnosis import (
 from loose_env.diagnosis.link_finding import (
     blind_joints,
     expected_openness,
-    judge_axes,
 )
 from loose_env.errors import InvalidData, InvalidSetting
 from scripts.thesis.rigs import cylindrical
@@ -143,24 +142,6 @@ def test_images_and_lines_are_those_of_the_simulator(arm: Arm) -> None:
             axis = tool.T @ data.joint(arm.joints[i]).xaxis
             np.testing.assert_allclose(axes[k, i], axis, atol=1e-9)
         np.testing.assert_allclose(lines[k], linear.at(pose).kinematic.T, atol=1e-9)
-
-
-# 4.31 in space and its limit.
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("move", [np.pi / 2, -np.pi / 4, 3 * np.pi / 4])
-def test_a_turn_across_the_axis_is_told_from_none_whatever_the_sign(
-    sign: float, move: float
-) -> None:
-    axis = np.array([0.0, 0.6, 0.8])
-    p = np.array([1.0, 0.0, 0.0])
-    rules = LinkFindingSettings()
-    after = sign * turned(p, axis, -move)
-    assert judge_axes(p, after, axis=axis, move=move, settings=rules) == "turned"
-    assert judge_axes(p, sign * p, axis=axis, move=move, settings=rules) == "still"
-    other = turned(p, np.array([0.0, 1.0, 0.0]), -np.pi / 2)
-    assert judge_axes(p, other, axis=[0, 0, 1], move=np.pi / 2, settings=rules) == "unclear"
 
 
 @pytest.mark.parametrize("order", ["outward", "inward", "bisection"])
@@ -341,32 +322,12 @@ def test_links_of_a_scara_that_no_move_tells_apart(
     assert ("backlash@joint3" in found) == (direction[2] == 1.0)
 
 
-def test_play_in_the_last_joint_looks_like_a_slide_of_the_last_link() -> None:
-    assert confusable_faults(SIX, "backlash@joint6") == (
-        "structural_looseness@link6",
-        "backlash@joint6",
-    )
-
-
 def test_a_planar_arm_has_no_look_alikes_among_its_links() -> None:
     frames = ToolFrames(planar(4))
     for link in range(1, 5):
         name = f"structural_looseness@link{link}"
         assert name in confusable_faults(frames, name, [0.6, 0.8])
         assert len([f for f in confusable_faults(frames, name, [0.6, 0.8]) if "link" in f]) == 1
-
-
-def test_gravity_along_a_slide_holds_it_shut() -> None:
-    linear, pose = LinearArm(SIX.arm), np.array([0.2, -1.2, 1.0, 0.4, 0.6, 0.1])
-    up = SIX.images(pose)[0, 0] @ [0.0, 0.0, 1.0]  # joint 1 turns about the vertical
-    across = np.cross(up, [1.0, 0.0, 0.0])
-    shares = []
-    for p in (up, across):
-        seen = [DirectionSighting.of(pose, p, 0.02)]
-        found = link_posterior(SIX, seen, prior=slides_only(SIX))
-        shares.append(expected_openness(linear, found, pose, level=4.0)[0, :6])
-    assert (shares[0] < 0.6).all()
-    assert (shares[1] > 0.99).all()
 
 
 def test_of_moves_that_tell_as_much_the_one_that_opens_the_seats_is_taken() -> None:

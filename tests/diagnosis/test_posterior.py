@@ -8,23 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import wishart
 
 from loose_env.arms import Arm, LinearArm, Mismatch, planar, scara, six_axis, vera
 from loose_env.diagnosis import (
     OPENINGS,
     PRESSES,
-    RATIOS,
     Belief,
     FaultPosterior,
     PosteriorSettings,
     RecordStatistics,
     shipped_table,
     statistics_of,
-)
-from loose_env.diagnosis.posterior import (
-    OpeningTable,
-    wishart_fit,
 )
 from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidSetting
@@ -268,58 +262,3 @@ def test_several_excited_joints_are_one_record_too() -> None:
     posterior = FaultPosterior(linear, SensorSuite())
     belief = posterior.update(posterior.start(), statistics_of(rig.measure(pose, excitation)))
     assert posterior.hypotheses[int(np.argmax(belief.probabilities))].endswith("link3")
-
-
-def test_an_axis_is_a_unit_vector_before_any_record() -> None:
-    belief = FaultPosterior(LinearArm(six_axis()), SensorSuite()).start()
-    assert np.linalg.norm(belief.axis(1)) == pytest.approx(1.0)
-
-
-def test_gravity_keeps_a_driven_seat_from_opening() -> None:
-    table = shipped_table()
-    driven = RATIOS > 4.0
-    for part in (table.slide, table.hinge):
-        opened = np.einsum("hrsq,s->hr", part, OPENINGS)[:, driven].mean(axis=1)
-        assert opened[0] > 0.08
-        assert (opened[PRESSES >= 0.5] < 0.3 * opened[0]).all()
-
-
-def test_places_between_nodes_share_their_weight() -> None:
-    force = np.array([0.0, 1e-3, 2.0, 2.0, 1e6])
-    friction, load = np.ones(5), np.array([0.0, 1.0, 0.0, 3.0, 1e9])
-    nodes = OpeningTable.nodes(force, friction, load)
-    assert sum(weight for _, weight in nodes) == pytest.approx(np.ones(5))
-    for node, weight in nodes:
-        assert ((node >= 0) & (node < len(PRESSES) * len(RATIOS))).all()
-        assert (weight >= 0).all()
-    # The mean of the nodes' own ratio and press is that of the seat.
-    ratio = sum(w * np.log(RATIOS[n % len(RATIOS)]) for n, w in nodes)
-    assert ratio[2:4] == pytest.approx(np.log([2.0, 2.0]))
-    press = sum(w * PRESSES[n // len(RATIOS)] for n, w in nodes)
-    assert press[2:4] == pytest.approx([0.0, 0.6])
-
-
-AMOUNTS = np.array([0.0, 0.01, 0.5, 3.0, 200.0])
-
-
-def scatter(rng: np.random.Generator, d: int, rows: int) -> np.ndarray:
-    drawn = rng.standard_normal((d, rows))
-    return drawn @ drawn.T / rows
-
-
-@pytest.mark.parametrize("d", [2, 3])
-def test_it_is_scipys_density_up_to_a_constant(d: int) -> None:
-    rng = np.random.default_rng(d)
-    found, degrees = scatter(rng, d, 9), 17.0
-    fixed = np.stack([scatter(rng, d, 6) * scale for scale in (0.1, 1.0, 20.0)])
-    added = np.stack([scatter(rng, d, rows) for rows in (1, 4)])  # the first has rank one
-    here = wishart_fit(found, fixed[:, None], added, AMOUNTS, degrees)
-    assert here.shape == (3, 2, len(AMOUNTS))
-    there = np.array(
-        [
-            [[wishart.logpdf(degrees * found, degrees, a + q * b) for q in AMOUNTS] for b in added]
-            for a in fixed
-        ]
-    )
-    constant = here - there
-    assert constant == pytest.approx(np.full(constant.shape, constant[0, 0, 0]), abs=1e-5)

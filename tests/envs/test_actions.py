@@ -67,20 +67,6 @@ def test_a_sliding_joint_goes_through_its_range_in_proportion(
     np.testing.assert_allclose(env.actions.steps[0], np.radians(MOVES))
 
 
-def test_every_move_of_a_mask_stays_in_range(make_env: Make) -> None:
-    for name in ("six_axis", "scara", "desk"):
-        env = make_env(name, max_records=40, durations=(0.1,), engine="reduced")
-        rng = np.random.default_rng(0)
-        _, info = env.reset(seed=1)
-        for _ in range(40):
-            parts = mask_parts(env, info["action_mask"])[: env.arm.n]
-            moves = np.array([rng.choice(np.flatnonzero(part)) for part in parts])
-            info = env.step(env.actions.encode(moves=moves))[-1]
-            assert not info["move_ignored"].any()
-            pose = env.batch.episode(0).pose
-            assert env.arm.within_ranges(pose).all()
-
-
 def test_with_every_joint_off_the_last_one_is_excited(
     make_env: Make, spy_on: Callable[..., Any]
 ) -> None:

@@ -161,15 +161,6 @@ def test_the_first_record_is_of_the_arm_as_drawn_and_later_ones_of_one_that_walk
     assert not np.array_equal(seen[2], as_drawn[2])
 
 
-def test_nominal_columns_know_nothing_of_the_drift() -> None:
-    layout = EpisodeBatch(ARM, DRIFTING, num=1, threads=1).observations
-    named = [e.name for e in layout.slot_elements]
-    nominal = [k for k, name in enumerate(named) if name.startswith("nominal")]
-    assert nominal
-    steady, drifting = (layout.slots_of(drifted(s)[1][-1])[2] for s in (STEADY, DRIFTING))
-    np.testing.assert_array_equal(steady[nominal], drifting[nominal])
-
-
 def test_an_episode_drifts_alike_beside_others_and_from_a_saved_state() -> None:
     np.testing.assert_array_equal(drifted(DRIFTING)[1][-1], drifted(DRIFTING, beside=3)[1][-1])
     batch = EpisodeBatch(ARM, DRIFTING, num=2, threads=1)

@@ -67,35 +67,6 @@ def recorded(make_env: Make, name: str, **options: Any) -> Any:
     return [s[-1]["measurement"] for s in steps], [s[0]["statistics"] for s in steps], actions
 
 
-@pytest.mark.parametrize(
-    ("name", "arguments"),
-    [
-        ("planar", {"n_links": 2, "difficulty": "hard", "vertical": True}),
-        ("planar", {"n_links": 4, "hold": "servo"}),
-        ("planar", {"n_links": 7, "difficulty": "easy"}),
-        ("vera", {}),
-        ("six_axis", {"difficulty": "hard"}),
-        ("scara", {"sensors": SensorSuite.ideal()}),
-        ("desk", {"difficulty": "easy"}),
-    ],
-)
-def test_whatever_is_done_the_observation_stays_in_its_space(
-    make_vector: Make, name: str, arguments: dict[str, Any]
-) -> None:
-    env = make_vector(name, num_envs=4, engine="reduced", **arguments)
-    observation, _ = env.reset(seed=11)
-    assert observation in env.observation_space
-    rng = np.random.default_rng(0)
-    for _ in range(12):
-        actions = rng.integers(0, env.actions.nvec, (4, len(env.actions.nvec)))
-        actions[:, -2] = 0
-        actions[rng.random(4) < 0.8, -1] = 0
-        observation, _, _, _, infos = env.step(actions)
-        assert observation in env.observation_space
-        for final in infos.get("final_obs", []):
-            assert final is None or final in env.single_observation_space
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_every_element_has_a_name_of_its_own_and_a_unit(make_env: Make, name: str) -> None:
     env = make_env(name, max_records=3)
@@ -173,23 +144,6 @@ def test_a_slot_shows_the_statistics_of_its_record(make_env: Make, name: str) ->
         for group, expected in shown(layout.arm, statistics_of(measurement)).items():
             found = layout.physical(observations[-1], group)[slot]
             np.testing.assert_allclose(found, expected, rtol=2e-6, atol=1e-6, err_msg=group)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_reset_shows_the_pose_and_no_record(
-    make_env: Make, spy_on: Callable[..., Any], name: str
-) -> None:
-    env = make_env(name)
-    spy = spy_on(env)
-    poses = []
-    for seed in range(5):
-        observation, _ = env.reset(seed=seed)
-        assert not env.layout.slots_of(observation).any()
-        assert env.layout.physical(observation, "left") == 1.0
-        assert not env.layout.physical(observation, "spent").any()
-        poses.append(env.layout.physical(observation, "now.sin_pose"))
-    assert spy.calls == 0
-    assert len(np.unique(poses, axis=0)) == 5
 
 
 def test_raw_gives_the_signals_of_the_latest_record(make_env: Make) -> None:

@@ -163,17 +163,6 @@ def test_two_batches_share_no_root_seed() -> None:
     assert len(set(hidden)) == 6
 
 
-def test_what_ran_before_changes_nothing(make_env: Make) -> None:
-    env, fresh = make_env(n_links=3), make_env(n_links=3)
-    env.reset(seed=9, options={"fault": "backlash@joint1", "pose": np.zeros(3)})
-    shake = env.actions.encode(levels=np.array([3, 3, 3]), duration=0)
-    env.step(shake)
-    env.reset()
-    for seed in (7, None):  # an episode, and the one that follows
-        np.testing.assert_array_equal(env.reset(seed=seed)[0], fresh.reset(seed=seed)[0])
-        np.testing.assert_array_equal(env.step(shake)[0], fresh.step(shake)[0])
-
-
 def test_options_disturb_no_other_draw(make_env: Make) -> None:
     # The same true arm and the same pose, with another fault in it.
     env = make_env(n_links=2)
@@ -217,26 +206,6 @@ def test_the_excitation_of_a_record_does_not_depend_on_what_was_done_before(
     np.testing.assert_allclose(played[1:], np.stack([played[0]] * 2), rtol=1e-9, atol=1e-9)
     # In the same pose the readings are the same too, noise included.
     np.testing.assert_array_equal(readings[1], readings[0])
-
-
-def going_on(env: DiagnosisVectorEnv) -> NDArray[np.int64]:
-    """A short record in every environment."""
-    levels = np.ones(env.arm.n, dtype=int)
-    return np.stack([env.actions.encode(levels=levels, duration=0)] * env.num_envs)
-
-
-@pytest.mark.parametrize("raw", [False, True])
-def test_records_of_different_length_can_be_taken_together(make_vector: Make, raw: bool) -> None:
-    env = make_vector(n_links=2, num_envs=3, raw=raw)
-    env.reset(seed=0)
-    actions = going_on(env)
-    actions[:, -2] = [0, 2, 1]
-    actions[2, 2:4] = 0  # which excites the last joint
-    observation = env.step(actions)[0]
-    assert observation in env.observation_space
-    flat = observation["statistics"] if raw else observation
-    seen = env.layout.physical(flat, "duration")[:, 0, 0]
-    np.testing.assert_allclose(seen, [0.2, 1.2, 0.4], rtol=1e-6)
 
 
 def test_a_reset_mask_takes_seeds_and_options(make_env: Make, make_vector: Make) -> None:

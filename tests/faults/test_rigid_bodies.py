@@ -27,7 +27,6 @@ from loose_env.faults import (
     twist_of,
 )
 from loose_env.typing import Array
-from scripts.thesis.rigs import cylindrical
 from tests.faults.seats import (
     ARMS,
     apart,
@@ -283,25 +282,6 @@ def test_a_compound_seat_with_one_part_shut_is_the_other_part(
     assert apart(joint, lone) < 0.01
     for other in (both, healthy):
         assert apart(other, lone) > 0.05
-
-
-@pytest.mark.parametrize(("name", "joints"), [("scara", [3]), ("cylindrical", [2, 3])])
-def test_play_of_a_sliding_joint_is_along_it(name: str, joints: list[int]) -> None:
-    arm = cylindrical() if name == "cylindrical" else arm_of(name)
-    pose = pose_of(arm)
-    linear = LinearArm(arm).at(pose)
-    for joint in joints:
-        model, data = seated(arm, play(joint), pose)
-        assert model.joint("seat").type[0] == mujoco.mjtJoint.mjJNT_SLIDE
-        mujoco.mj_kinematics(model, data)
-        before = data.site(arm.tool).xpos.copy()
-        data.joint("seat").qpos[0] = 0.01
-        mujoco.mj_kinematics(model, data)
-        along = data.joint(arm.joints[joint - 1]).xaxis
-        np.testing.assert_allclose(data.site(arm.tool).xpos - before, 0.01 * along, atol=1e-12)
-        # The tool moves with the play as with the joint.
-        column = linear.jacobian[:, linear.linear.hinge_dofs[joint - 1]]
-        np.testing.assert_allclose(column, linear.kinematic[:, joint - 1], atol=1e-12)
 
 
 def test_stops_that_are_too_stiff_together_are_refused_with_what_would_do() -> None:

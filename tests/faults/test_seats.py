@@ -105,33 +105,6 @@ def test_a_shut_seat_shows_nowhere(flat: Arm) -> None:
         np.testing.assert_allclose(own, bare, atol=1e-4 * np.abs(bare).max(), err_msg=str(place))
 
 
-def test_a_seat_can_be_set_again() -> None:
-    arm = planar(3)
-    spec = seated_spec(arm, 2, "slide")
-    spec.option.timestep = arm.timestep
-    once, again = spec.compile(), spec.compile()
-    final = slide(2, direction=(1.0, 1.0, 0.0), friction=2.0)
-    set_seat(once, final)
-    for first in (
-        Healthy(),
-        Preload(link=2, direction=(0.0, 1.0, 0.0), stiffness=1e6, damping=10.0),
-        slide(2, gap=3e-4),
-    ):
-        set_seat(again, first)
-    set_seat(again, final)
-    for field in (
-        "eq_active0",
-        "eq_solref",
-        "jnt_axis",
-        "jnt_stiffness",
-        "dof_damping",
-        "dof_frictionloss",
-        "tendon_range",
-        "tendon_solref_lim",
-    ):
-        np.testing.assert_array_equal(getattr(again, field), getattr(once, field), err_msg=field)
-
-
 def test_hypotheses_name_every_place_and_each_fault_its_own(flat: Arm) -> None:
     names = hypotheses(flat, NAMED)
     assert len(names) == len(set(names)) == 3 * flat.n + 1
@@ -202,14 +175,6 @@ def test_a_seat_that_nothing_opens_leaves_the_other_as_it_is_alone(arm: Arm) -> 
     assert np.linalg.norm(both[:, start] - alone[:, start]) > 0.05 * size
 
 
-def test_records_do_not_depend_on_what_stands_in_other_slots(arm: Arm) -> None:
-    fault = SeveralFaults(faults=(slide(1), play(2)))
-    across = CompoundLooseness(link=2, parts=(slide(2), rock(2)))
-    (alone,) = records(arm, [fault])
-    mixed = records(arm, [Healthy(), fault, across, slide(2)])
-    np.testing.assert_array_equal(mixed[1], alone)
-
-
 @pytest.mark.parametrize("load", [20.0, -3.5])
 def test_a_preload_is_a_constant_force_on_the_seat(arm: Arm, load: float) -> None:
     for fault in (slide(2, preload=load), play(1, preload=load), rock(2, preload=load)):
@@ -265,18 +230,6 @@ def test_the_weight_on_a_seat_is_the_most_that_gravity_can_do(arm: Arm) -> None:
             mujoco.mj_forward(plant.model, data)
             forces.append(data.qfrc_bias[dof])
         assert seat_weight(arm, part) == pytest.approx(float(np.linalg.norm(forces)), rel=1e-9)
-
-
-def test_every_loose_seat_of_a_fault_is_pressed() -> None:
-    arm = planar(3)
-    cross = CompoundLooseness(link=1, parts=(slide(1), rock(1)))
-    for fault in (slide(2), play(3), rock(1), cross, SeveralFaults(faults=(cross, play(2)))):
-        pressed = preloaded(arm, fault, 0.5)
-        assert type(pressed) is type(fault)
-        for before, after in zip(parts_of(fault), parts_of(pressed), strict=True):
-            assert after == replace(before, preload=0.5 * seat_weight(arm, before))  # type: ignore[type-var,call-arg]
-    tight = Preload(link=1, direction=(1, 0, 0), stiffness=1e6)
-    assert preloaded(arm, tight, 1.0) is tight and preloaded(arm, Healthy(), 1.0) == Healthy()
 
 
 # ---- what is refused

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
-import numpy as np
 import pytest
 
 pytest.importorskip("jinja2")
@@ -17,15 +16,10 @@ from loose_env.errors import InvalidData
 from loose_env.instrument import Diagnosis, Fault
 from loose_env.io import sentence
 from loose_env.report import (
-    THEMED,
     diagnosis_headline,
     diagnosis_html,
     diagnosis_text,
-    to_svg,
     write_page,
-)
-from loose_env.report.diagnosis_figures import (
-    arm_figure,
 )
 from loose_env.report.words import percent, short_name
 from tests.report.diagnosis_case import CASES, desk, diagnosis, flat
@@ -140,22 +134,3 @@ def test_what_the_arm_does_not_have_is_refused_with_what_it_has(tmp_path: Path) 
     other = replace(found, fault=healthy, posterior={"healthy": 1.0}, spectra=())
     with pytest.raises(InvalidData, match=r"joints .*joint1.*it has base, shoulder"):
         page_of(other, desk(), tmp_path)
-
-
-def test_the_arm_shows_what_is_suspected_and_the_slide_turns_with_it() -> None:
-    colour = {role: each for each, role in THEMED.items()}["truth"]
-    for arm in (flat(), desk()):
-        pose = dict.fromkeys(arm.joints, 0.3)
-        loose = Fault(kind="structural_looseness", where=arm.seat_bodies[1])
-        play = Fault(kind="backlash", where=arm.joints[1])
-        seen = [to_svg(arm_figure(arm, pose, fault=f)).decode() for f in (None, loose, play)]
-        assert [colour in each for each in seen] == [False, True, True]
-    fault = Fault(kind="structural_looseness", where="link2", direction=(1.0, 0.0, 0.0))
-    ways = []
-    for turn in (0.0, np.pi / 2):
-        figure = arm_figure(flat(), {"joint1": turn}, fault=fault)
-        arrows = [a for a in figure.axes[0].texts if getattr(a, "arrow_patch", None)]
-        spans = [np.subtract(a.xy, a.xyann) for a in arrows]
-        ways.append(max(spans, key=lambda span: float(np.linalg.norm(span))))
-    first, second = (way / np.linalg.norm(way) for way in ways)
-    assert abs(first @ second) < 1e-6 and abs(abs(first[0]) - 1) < 1e-6

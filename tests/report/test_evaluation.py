@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from loose_env.arms import LinearArm, planar
 from loose_env.errors import InvalidData, UnknownName
 from loose_env.evaluation import (
     bootstrap_mean,
@@ -22,18 +20,10 @@ from loose_env.evaluation import (
     standings,
     write_rows,
 )
-from loose_env.evaluation.hidden_faults import SeatOpenness
-from loose_env.faults import Backlash, CompoundLooseness, Healthy, StructuralLooseness
 from loose_env.inference import log_score
 from loose_env.report.outcomes import (
-    calibration_of,
-    claims_of,
-    crossing,
     divisions,
-    pareto_front,
     runs_of,
-    stratified_interval,
-    trained_agents,
     who_won,
 )
 
@@ -94,21 +84,6 @@ def test_the_words_say_who_won_and_whether_it_may_be_sampling_error() -> None:
     assert len(who_won(a)) == 1
 
 
-@pytest.mark.parametrize(
-    ("cost", "value", "front"),
-    [
-        ([1, 2, 3], [0.1, 0.2, 0.3], [True, True, True]),
-        ([1, 1, 2], [0.5, 0.5, 0.5], [True, True, False]),
-        ([3, 1, 2], [0.9, 0.9, 0.95], [False, True, True]),
-        ([], [], []),
-    ],
-)
-def test_the_front_holds_what_nothing_beats_in_both(
-    cost: list[float], value: list[float], front: list[bool]
-) -> None:
-    assert pareto_front(np.array(cost), np.array(value)).tolist() == front
-
-
 def test_false_alarms_are_counted_on_healthy_arms_and_misses_on_faulty_ones() -> None:
     found = standings(rows_of("a", right=15))[0]
     assert found.false_alarms == 5 / 10
@@ -139,16 +114,6 @@ def test_every_episode_lies_in_one_group_of_each_division() -> None:
     assert by_kind.cells["net/greedy"][0].success == 0.9
 
 
-def test_estimators_stand_across_and_policies_down() -> None:
-    found = crossing(standings(ROWS))
-    assert {policy: list(cells) for policy, cells in found.items()} == {
-        "greedy": ["net", "analytic"],
-        "random": ["net"],
-    }
-    assert found["greedy"]["analytic"].right == 15
-    assert not crossing(standings(rows_of("thesis", right=3)))
-
-
 def test_the_error_weighs_each_bin_by_its_claims() -> None:
     # Ten claims of 0.9, all right: off by 0.1. Thirty of 0.6, a third right: off by 0.2667.
     confidence = [0.9] * 10 + [0.6] * 30
@@ -176,25 +141,6 @@ def row(best: list[str], confidence: list[float], ratio: float | None = 3.0) -> 
     }
 
 
-def test_beliefs_are_judged_by_record_and_by_friction() -> None:
-    rows = [
-        row(["y", "x"], [0.6, 1.0]),
-        row(["x"], [0.6], ratio=0.5),
-        row(["x", "x", "x"], [0.6, 0.7, 0.7], ratio=None),
-    ]
-    claims = claims_of(rows)
-    assert claims.record.tolist() == [1, 2, 1, 1, 2, 3]
-    assert claims.last.tolist() == [False, True, True, False, False, True]
-    found = calibration_of("a", rows, edges=(1.0, 4.0), records=2)
-    assert found is not None
-    assert found.claims == 6
-    assert found.by_record[0] == pytest.approx(abs(0.6 - 2 / 3))
-    assert found.by_record[2] == pytest.approx(0.3)
-    assert found.by_ratio == pytest.approx((0.4, 0.5 * 0.6 + 0.0, np.nan), nan_ok=True)
-    assert found.score == pytest.approx(np.mean(np.log([1.0, 0.6, 0.7])))
-    assert calibration_of("a", [{"truth": "x", "trail_best": ()}], edges=(1.0,)) is None
-
-
 def rows_with(rewards: Any, *, truth: str = "healthy", seed: int = 1) -> list[dict[str, Any]]:
     return [
         {"difficulty": "default", "seed": seed, "episode": k, "truth": truth, "reward": float(r)}
@@ -216,31 +162,6 @@ def test_the_paired_interval_holds_the_difference_and_is_narrower_than_the_arms_
     assert 180 <= held <= 198
     # Unpaired it would be 2 * 1.96 * sqrt(2 * (9 + 1) / 150) = 1.43 wide.
     assert np.mean(widths) == pytest.approx(2 * 1.96 * np.sqrt(2 / 150), rel=0.1)
-
-
-def test_a_quarter_of_the_scores_is_cut_at_each_end() -> None:
-    rng = np.random.default_rng(0)
-    middle = stratified_interval([[9, 1, 2, 3], [4, 5, -100, 80]], rng=rng)
-    assert middle.estimate == (2 + 3 + 4 + 5) / 4
-    assert stratified_interval([[5, 1, 2, 3, 100]], rng=rng).estimate == pytest.approx(10 / 3)
-
-
-def test_the_interval_of_two_runs_is_that_of_the_enumerated_resamples() -> None:
-    # Two runs 0 and 1 of one task: resamples are 0, 0.5, 0.5, 1 with equal chance.
-    found = stratified_interval([[0.0], [1.0]], rng=np.random.default_rng(0))
-    assert (found.low, found.estimate, found.high) == (0.0, 0.5, 1.0)
-
-
-def test_trainings_are_told_by_their_names_and_scored_in_each_difficulty() -> None:
-    rows = [
-        {"agent": f"ppo#{run}", "difficulty": level, "success": run > k, "records": 2, "reward": k}
-        for run in (1, 2, 3)
-        for level in ("easy", "hard")
-        for k in range(4)
-    ]
-    assert trained_agents(row["agent"] for row in rows) == {"ppo": ["ppo#1", "ppo#2", "ppo#3"]}
-    found = runs_of(rows, rng=np.random.default_rng(0))
-    assert found["ppo"]["success"].estimate == 0.5
 
 
 CONFIGURATION = {"env": "loose_env/Vera-v0", "seed": 3, "agents": ["a"], "ranges": [0.02, 1.0]}
@@ -332,25 +253,3 @@ def paired(other: list[dict[str, Any]]) -> object:
 def test_what_cannot_be_evaluated_is_refused(given: Any, error: type, words: str) -> None:
     with pytest.raises(error, match=words):
         given()
-
-
-def test_seats_open_by_drive_over_friction_and_gravity() -> None:
-    def slide(*direction: float, friction: float = 5.0) -> StructuralLooseness:
-        axis, seat = (direction[0], direction[1], direction[2]), (1e4, 1e4)
-        return StructuralLooseness(
-            link=2, direction=axis, gap=1e-4, stiffness=seat, friction=friction
-        )
-
-    arm = planar(3)
-    lying, upright = (SeatOpenness(LinearArm(planar(3, vertical=v))) for v in (False, True))
-    once = lying.ratio(slide(0, 1, 0)) or 0.0
-    assert lying.ratio(slide(0, 1, 0, friction=10.0)) == pytest.approx(once / 2)
-    assert (lying.ratio(Backlash(joint=1, gap=1e-3, stiffness=(1e3, 1e3), friction=2.0)) or 0) > 0
-    levels = tuple(level / 10 for level in arm.levels)
-    gentle = SeatOpenness(LinearArm(dataclasses.replace(arm, levels=levels)))
-    assert (gentle.ratio(slide(0, 1, 0)) or 0) < 0.7 * once  # joint 1 is at its torque limit
-    free = slide(0, 1, 0, friction=1e-6)
-    assert (lying.ratio(free) or 0) > 1e4
-    assert (upright.ratio(free) or 0) < 0.1 * (lying.ratio(free) or 0)
-    both = CompoundLooseness(link=2, parts=(slide(1, 0, 0), slide(0, 1, 0)))
-    assert lying.ratio(Healthy()) is lying.ratio(both) is None

@@ -37,11 +37,9 @@ from loose_env.report import gap_headline, gap_text, render_gap_page, to_svg, wr
 from loose_env.report.gap import (
     gap_steps,
     parameters_section,
-    size_words,
     summary_words,
 )
 from loose_env.report.gap_figures import channel_bars, residual_panels
-from loose_env.report.words import effect_words
 from tests.gap.cases.gap_case import record, solution_for
 from tests.report.page_checks import checked, words
 
@@ -210,25 +208,6 @@ def result(verdict: str, **given: object) -> GapResult:
     return GapResult(verdict=verdict, gap=gap, **given)  # type: ignore[arg-type]
 
 
-def test_words_follow_the_verdict_and_the_size() -> None:
-    assert gap_headline(result("no_gap")).startswith("No model error")
-    assert "not in the catalogue" in gap_headline(result("unexplained"))
-    assert "down to the noise" in size_words(result("named"))[0]
-    wide = result("named", gap=Gap(before=4.0, after=3.9))
-    assert "Most of it remains" in size_words(wide)[0]
-    assert "not eliminated" in size_words(result("named", gap=Gap(before=9.0, after=3.0)))[0]
-    assert effect_words("payload", "tool") == "a payload at the tool"
-    assert effect_words("base_tilt", "base") == "a tilted base"
-    assert effect_words("command_delay", "all") == "late commands at all actuators"
-    # Joints may have such names, too.
-    assert effect_words("coulomb_friction", "base") == "dry friction (base)"
-    assert effect_words("backlash", "tool") == "backlash (tool)"
-    assert effect_words("sensor_gain", "all") == "a sensor whose scale is off (all)"
-    assert effect_words("own_effect", "joint1") == "own effect (joint1)"
-    steps = gap_steps(result("unexplained", location_words=("joint1 got 3 N·m.",)))
-    assert steps[0] == "Look here: joint1 got 3 N·m."
-
-
 def test_what_short_runs_leave_unsure_is_not_said_to_be_outside_the_catalogue() -> None:
     likely = RankedHypothesis(
         kind="coulomb_friction", where="joint2", held_out=1.01, bic=-9e3, improvement_z=1.7
@@ -263,15 +242,6 @@ def test_every_ambiguous_effect_gets_a_motion_that_separates_it() -> None:
     steps = gap_steps(result("named", effects=(effect,)))
     assert "gravity pulling to one side" in steps[1]
     assert "move joint1 while joint2 is held" in steps[2]
-
-
-def test_a_remainder_is_told_in_the_headline_and_in_words() -> None:
-    part = result(
-        "named", gap=Gap(before=115.0, after=43.0), effects=named("m1"),
-        remaining=("43 noise standard deviations are left.", "sensor.q is up to 50 off."),
-    )  # fmt: skip
-    assert gap_headline(part) == "The model lacks another gain (m1), and a further effect."
-    assert any("sensor.q is up to 50 off." in step for step in gap_steps(part))
 
 
 def named(*where: str) -> tuple[NamedEffect, ...]:

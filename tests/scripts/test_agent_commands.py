@@ -6,7 +6,6 @@ import importlib
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from loose_agents.policies.classical import ClassicalSettings
 
@@ -133,10 +132,3 @@ def test_the_best_settings_are_written_for_one_arm_and_for_several(
     assert table[0] == "classical: 6 training episodes an arm"
     assert [line.split()[0] for line in table[2:]] == ["planar4", "scara"]
     assert len(table[2].split()) == 4
-
-
-def test_of_settings_that_earn_alike_the_one_most_often_right_is_chosen() -> None:
-    rng = np.random.default_rng(0)
-    returns = rng.standard_normal((3, 2, 400)) * 0.1 + np.array([0.500, 0.499, 0.2])[:, None, None]
-    right = np.array([0.8, 0.9, 1.0])[:, None, None] * np.ones((3, 2, 400))
-    assert tune_link_finding.choose(returns, right) == 1

@@ -8,10 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents.base import EVALUATION_SEED, Problem
 
-from loose_env.arms import planar, vera
-from loose_env.envs import DiagnosisSettings
 from loose_env.evaluation import read_rows
 from scripts.agents import compare
 
@@ -74,22 +71,8 @@ def test_rows_are_the_same_for_any_worker_count_and_shard(whole: Path, tmp_path:
     assert run(tmp_path, *narrow, name="b") == expected
 
 
-def test_estimators_are_crossed_with_policies() -> None:
-    problem = Problem.of(vera(), DiagnosisSettings())
-    untrained = Problem.of(planar(3), DiagnosisSettings())
-    options = compare.Options(estimators=("a", "b"), policies=("x", "y"))
-    assert compare.names_of(options, problem) == ["a/x", "b/x", "a/y", "b/y"]
-    assert compare.reference_of(options, ["a/x", "b/x"]) == "a/x"
-    plain = compare.Options()
-    names = compare.names_of(plain, problem)
-    assert names == ["greedy", "constant", "random", *compare.CLASSICAL]
-    assert compare.reference_of(plain, names) == "classical"
-    assert compare.names_of(plain, untrained)[0] == "posterior/greedy"
-    assert plain.seed == EVALUATION_SEED and plain.episodes == 4000
-
-
 def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from loose_agents import comparison as evaluation_shards
+    from loose_agents import sharded_play as evaluation_shards
 
     played: list[int] = []
     real = evaluation_shards.evaluate_shard

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import inspect
 import re
 from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +24,7 @@ from scripts.thesis.link_finding import (
     predicted_slides,
     scatter,
 )
-from scripts.thesis.page import SECTIONS, printed, text_of
+from scripts.thesis.page import SECTIONS, text_of
 from scripts.thesis.planar_motion import (
     LoosePlanarArm,
     tool_acceleration,
@@ -232,45 +230,6 @@ def test_the_cylindrical_arm_moves_in_cylindrical_coordinates_and_carries_its_we
     loads = arm_loads(arm, np.array([0.3, 0.4, 0.5, 0.1, 0.2, -0.1]), still, still)
     assert loads.torque[1] == pytest.approx(9.81 * carried)
     assert slide_rig(looseness_angle=1.0).shaker.stand == "bench"
-
-
-SOURCE = Path(__file__).resolve().parents[3] / "shared" / "thesis"
-
-
-@pytest.mark.skipif(not SOURCE.is_dir(), reason="the tables of the source do not lie beside it")
-def test_printed_tables_are_those_of_the_source() -> None:
-    def read(name: str) -> list[dict[str, str]]:
-        with (SOURCE / f"{name}.csv").open(encoding="utf-8", newline="") as file:
-            return list(csv.DictReader(file))
-
-    figures = printed("index_tables")
-    for name in ("C_n", "C_f", "C_b"):
-        said = [float(row[name]) for row in read("table_6_4_max_correlation")]
-        assert said == figures["table_6_4"][name.lower()]
-    rows = read("tables_6_5_to_6_7_comparative_index")
-    columns = {"one_minus_C_star": "one_minus_c", "delta_phi_deg": "turn_deg", "mag_D": "mag_d"}
-    for row, theta2 in zip(rows, 3 * figures["theta2_deg"], strict=True):
-        assert int(row["theta2_deg"]) == theta2
-        table = figures[f"table_{row['table'].replace('.', '_')}_{row['condition']}"]
-        for column, key in columns.items():
-            assert float(row[column]) == table[key][figures["theta2_deg"].index(theta2)]
-    found: dict[str, list[list[float]]] = {}
-    for row in read("tables_6_1_6_2_histogram_ranges_g"):
-        found.setdefault(row["condition"], []).append([float(row["min_g"]), float(row["max_g"])])
-    first, second = figures["table_6_1_histogram_range_g"], figures["table_6_2_histogram_range_g"]
-    assert found == first | {"backlash": second["backlash"]}
-    names = {
-        "direction_error_deg": "error_deg",
-        "phi_n_high_preload_deg": "lowest_high_preload_deg",
-        "phi_f_fault_deg": "lowest_{}_deg",
-        "actual_fault_dir_deg": "{}_deg",
-    }
-    for fault in ("looseness", "backlash"):
-        own = [row for row in read("vera_cases") if row["fault"] == fault]
-        for row, case in zip(own, figures[f"{fault}_cases"], strict=True):
-            for column, key in names.items():
-                said = float(row[column]) if row[column] else None
-                assert case.get(key.format(fault)) == said
 
 
 def test_the_link_is_the_one_in_whose_frame_a_direction_is_fixed() -> None:

@@ -23,11 +23,10 @@ pytest.importorskip("yaml")
 from loose_agents.base import Problem
 from loose_agents.rl.agents import model_agent
 from loose_agents.rl.hyperparameters import HYPERPARAMETERS
-from loose_agents.rl.training import CurvePoint, RunState, git_commit, read_curve, write_curve
+from loose_agents.rl.training import CurvePoint, git_commit, read_curve, write_curve
 from loose_agents.rl.training_env import evaluation_seed
 
-from loose_env.arms import planar
-from loose_env.envs import DiagnosisSettings, EpisodeBatch
+from loose_env.envs import EpisodeBatch
 from loose_env.errors import InvalidData
 from scripts.agents import enjoy, learning_curves, train
 
@@ -47,22 +46,6 @@ def options(logs: Path, steps: int, *more: str) -> list[str]:
 def steps_of(checkpoint: Path) -> int:
     with zipfile.ZipFile(checkpoint) as file:
         return int(json.loads(file.read("data"))["num_timesteps"])
-
-
-@pytest.mark.parametrize("rules", [{}, {"max_excited": 1, "max_moved": 1}])
-def test_the_first_policy_prefers_the_top_level_of_any_joint(rules: dict[str, int]) -> None:
-    problem = Problem.of(planar(3), DiagnosisSettings(**rules))
-    actions, top = problem.actions, len(problem.arm.levels)
-    starts = np.cumsum(actions.nvec) - actions.nvec
-    *strongest, last = actions.strongest_options()
-    assert last - starts[-2] == int(np.argmax(problem.settings.durations))
-    levels = []
-    for option in strongest:
-        entry = int(np.searchsorted(starts, option, side="right")) - 1
-        action = actions.encode()
-        action[entry] = option - starts[entry]
-        levels.append(actions.decode(action).levels.tolist())
-    assert levels == (top * np.eye(3, dtype=int)).tolist()
 
 
 @pytest.mark.slow
@@ -173,22 +156,6 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(
     train.main(options(tmp_path, kept + 32, "--forced-share", "0"))
     assert f"at {kept} steps" in capsys.readouterr().out
     assert steps_of(checkpoint) == kept + 32
-
-
-@pytest.mark.slow
-def test_a_checkpoint_keeps_the_optimiser_and_the_generators(tmp_path: Path) -> None:
-    import torch
-    from stable_baselines3 import PPO
-
-    train.main(options(tmp_path, 32))
-    model = PPO.load(tmp_path / "ppo" / NAME / "checkpoint.zip")
-    moments = model.policy.optimizer.state_dict()["state"]
-    assert moments[0]["step"] == 4  # two updates of two batches
-    assert isinstance(model.run_state, RunState)
-    model.run_state.restore_generators()
-    drawn = [float(torch.rand(1)), float(np.random.random())]
-    model.run_state.restore_generators()
-    assert [float(torch.rand(1)), float(np.random.random())] == drawn
 
 
 @pytest.mark.slow

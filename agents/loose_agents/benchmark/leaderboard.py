@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from loose_agents.base import hypothesis_prior
 from loose_agents.benchmark.episodes import SETS, TASKS, task_problem
 from loose_agents.benchmark.results import Results, read_results
-from loose_agents.comparison import bound_of
+from loose_agents.sharded_play import bound_of
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidData
 from loose_env.evaluation import Interval, bootstrap_mean, expected_calibration_error, wilson

@@ -26,9 +26,9 @@ from loose_agents.benchmark.episodes import (
     set_named,
     task_problem,
 )
-from loose_agents.comparison import information_limits, success_limits
 from loose_agents.jobs import Store, spans
 from loose_agents.registry import AGENTS, LEARNED, content_of, is_outside, make_agent
+from loose_agents.sharded_play import information_limits, success_limits
 from loose_env.errors import InvalidAction, InvalidData, InvalidSetting
 from loose_env.io import NonNegativeCount, read_result_file, restored, whole_of
 from loose_env.typing import Array

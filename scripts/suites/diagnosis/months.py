@@ -1,4 +1,4 @@
-"""Months of sessions with simulated machines: false alarms and delay of `loose diagnose --before`.
+"""Months of sessions with simulated machines: false alarms, delay of `loose diagnose --before`.
 
 Each machine is measured once a month in the same poses with the same signals, by the integrator of
 the blind suite. From session to session a healthy one scatters: its servos and dampers drift, its

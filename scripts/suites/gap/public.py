@@ -19,7 +19,7 @@ import os
 import secrets
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -774,19 +774,27 @@ def _ratio(hits: float, of: float) -> float:
     return hits / of if of else math.nan
 
 
-def number(value: float, *, digits: int = 3) -> str:
+def number(value: float, *, digits: int = 2) -> str:
     """A number with so many decimals, "-" where there is none."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "accuracy.md"
 """Page of the leaderboard; scores lie in the folder of its name beside it."""
-HEAD = (
-    ("entry", "---"), ("cases right", "---:"), ("precision", "---:"), ("recall", "---:"),
-    ("F1", "---:"), ("false alarms", "---:"), ("Brier", "---:"), ("calibration error", "---:"),
-    ("parameter error", "---:"), ("coverage", "---:"), ("CPU [s]", "---:"),
-)  # fmt: skip
-"""Columns of the table and their alignment."""
+COLUMNS: dict[str, Callable[[Score], str]] = {
+    "entry": lambda score: score.name.replace("|", "\\|"),
+    "cases right": lambda score: _of(score.right),
+    "precision": lambda score: number(score.precision),
+    "recall": lambda score: number(score.recall),
+    "F1": lambda score: number(score.f1),
+    "false alarms": lambda score: _of(score.false_alarms),
+    "Brier": lambda score: number(score.brier),
+    "calibration error": lambda score: number(score.calibration_error),
+    "parameter error": lambda score: number(score.parameter_error, digits=3),
+    "coverage": lambda score: _of(score.coverage),
+    "CPU [s]": lambda score: number(score.cpu_seconds, digits=0),
+}
+"""Columns of the leaderboard."""
 
 
 def read_score(path: Path) -> Score:
@@ -817,26 +825,10 @@ def leaderboard(scores: Sequence[Score]) -> str:
             "of the catalogue."
         )
         own.sort(key=lambda each: (-each.f1 if each.f1 == each.f1 else 1.0, each.brier, each.name))
-        lines = [" | ".join(title for title, _ in HEAD), " | ".join(rule for _, rule in HEAD)]
-        lines += [" | ".join(_cells(each)) for each in own]
+        lines = [" | ".join(COLUMNS), " | ".join(["---", *["---:"] * (len(COLUMNS) - 1)])]
+        lines += [" | ".join(cell(each) for cell in COLUMNS.values()) for each in own]
         parts.append("\n".join(f"| {line} |" for line in lines))
     return "\n\n".join(parts)
-
-
-def _cells(score: Score) -> list[str]:
-    return [
-        score.name.replace("|", "\\|"),
-        _of(score.right),
-        number(score.precision, digits=2),
-        number(score.recall, digits=2),
-        number(score.f1, digits=2),
-        _of(score.false_alarms),
-        number(score.brier, digits=2),
-        number(score.calibration_error, digits=2),
-        number(score.parameter_error),
-        _of(score.coverage),
-        number(score.cpu_seconds, digits=0),
-    ]
 
 
 def _of(count: Hits) -> str:

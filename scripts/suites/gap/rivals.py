@@ -1,4 +1,4 @@
-"""Stepwise least squares as a tool of the gap suite, and what other methods share with it."""
+"""Stepwise regression by BIC as a rival of `loose gap`; runs and results that rivals share."""
 
 from __future__ import annotations
 

@@ -195,10 +195,10 @@ def _compare(out: Path) -> Sequence[str]:
     )
 
 
-def _try(problems: list[str], file: Path, read: Callable[[], object]) -> None:
+def _try(problems: list[str], file: Path, read: Callable[[Path], object]) -> None:
     if file.exists():
         try:
-            read()
+            read(file)
         except Exception as error:  # whatever it is, the file is not whole
             problems.append(f"{file.name}: {type(error).__name__}: {error}")
 
@@ -209,14 +209,14 @@ def _broken_policies(out: Path) -> list[str]:
 
     found: list[str] = []
     for file in out.rglob("*.json"):
-        _try(found, file, lambda f=file: json.loads(f.read_text()))  # type: ignore[misc]
+        _try(found, file, lambda file: json.loads(file.read_text()))
     for file in out.rglob("*.safetensors"):
-        _try(found, file, lambda f=file: load_file(f))  # type: ignore[misc]
+        _try(found, file, load_file)
         if not file.with_name("configuration.json").exists():
             found.append(f"{file}: no configuration beside it")
     # What is being written has a name that begins with a dot until it is whole.
     for file in (f for f in out.rglob("*.zip") if not f.name.startswith(".")):
-        _try(found, file, lambda f=file: read_model(f))  # type: ignore[misc]
+        _try(found, file, read_model)
         if file.name == "checkpoint.zip" and not found:
             run = read_model(file).run
             points = run["state"]["points"] if run else [{"steps": "the run is missing"}]
@@ -224,7 +224,7 @@ def _broken_policies(out: Path) -> list[str]:
             if sorted(set(evaluated)) != evaluated:
                 found.append(f"evaluations at {evaluated}: one is there twice")
     for file in out.rglob("curve.csv"):
-        _try(found, file, lambda f=file: _evaluations(f))  # type: ignore[misc]
+        _try(found, file, _evaluations)
     return found
 
 
@@ -253,9 +253,9 @@ def _broken_rows(out: Path) -> list[str]:
 
     found: list[str] = []
     for shard in out.glob("shards/*/shard-*.json"):
-        _try(found, shard, lambda f=shard: json.loads(f.read_bytes())["rows"])  # type: ignore[misc]
+        _try(found, shard, lambda file: json.loads(file.read_bytes())["rows"])
     file = out / "rows.parquet"
-    _try(found, file, lambda: read_rows(file))
+    _try(found, file, read_rows)
     if file.exists() and not found:
         rows, _ = read_rows(file)
         played = {(row["agent"], row["episode"]) for row in rows}
@@ -277,8 +277,8 @@ def _broken_gap(out: Path) -> list[str]:
 
     found = _broken_page(out)
     result, model = out / "result.json", out / "model.xml"
-    _try(found, result, lambda: read_result(result))
-    _try(found, model, lambda: mujoco.MjModel.from_xml_path(str(model)))
+    _try(found, result, read_result)
+    _try(found, model, lambda file: mujoco.MjModel.from_xml_path(str(file)))
     if result.exists() and not model.exists():
         found.append("a result without its model")
     return found
@@ -288,7 +288,7 @@ def _broken_diagnosis(out: Path) -> list[str]:
     from loose_env.instrument import read_diagnosis
 
     found = _broken_page(out)
-    _try(found, out / "result.json", lambda: read_diagnosis(out / "result.json"))
+    _try(found, out / "result.json", read_diagnosis)
     return found
 
 

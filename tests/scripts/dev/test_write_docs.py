@@ -40,9 +40,3 @@ def test_the_table_counts_every_element_of_every_environment(env_id: str) -> Non
     assert counted["now"] == len(env.layout.global_elements)
     assert counted["record"] == len(env.layout.slot_elements)
     env.close()
-
-
-def test_no_meaning_is_of_an_element_that_is_gone() -> None:
-    text = elements()
-    for name, meaning in write_docs.MEANINGS.items():
-        assert f"| `{name}` | " in text and f" | {meaning} |" in text

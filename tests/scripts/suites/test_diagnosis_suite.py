@@ -54,14 +54,6 @@ def test_the_generator_shares_no_code_with_what_it_tests(place: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_recording_and_another_one_another() -> None:
-    first, again = (short(3).played()[0][-1] for _ in range(2))
-    assert all(np.array_equal(first.sensors[name], again.sensors[name]) for name in first.sensors)
-    other = short(3, 2).played()[0][-1]
-    assert not np.array_equal(first.controls["motor1"], other.controls["motor1"])
-
-
-@pytest.mark.slow
 def test_a_machine_without_disturbances_moves_as_its_model() -> None:
     case, runs, _ = made("none")
     run, n = runs[-1], case.figures.joints

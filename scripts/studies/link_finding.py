@@ -6,7 +6,8 @@ sensors and mismatch, the nominal model as reference, all joints excited at the 
 whose seat does not open in the first poses are counted and left out. The bound is the accuracy of
 guessing among links that no move can tell apart.
 
-Usage: python scripts/studies/links.py [--cases 300] [--arm six_axis ...] [--file arm.xml] [--quick]
+Usage: python scripts/studies/link_finding.py [--cases 300] [--arm six_axis ...] [--file arm.xml]
+       [--quick]
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ class Options:
     settings: OmitArgPrefixes[Settings] = field(default_factory=Settings)
     quick: bool = False
     """A rough look with few cases."""
-    out: Path = ROOT / "out" / "links.json"
+    out: Path = ROOT / "out" / "link_finding.json"
     """File of the rows."""
     afresh: bool = False
     """Work out again what is stored."""
@@ -400,7 +401,7 @@ def find(options: Options) -> None:
         cases_of(settings),
         work,
         lambda row: (row["arm"], row["part"], row["scatter"]),
-        script="scripts/studies/links.py",
+        script="scripts/studies/link_finding.py",
         settings=settings,
         unit="parts",
         digits=8,
@@ -412,7 +413,7 @@ def find(options: Options) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Find links, with errors in one line."""
     going_on = "the same command goes on"
-    command("links", __doc__, Options, find, arguments, interrupted=going_on)
+    command("link_finding", __doc__, Options, find, arguments, interrupted=going_on)
 
 
 if __name__ == "__main__":
