@@ -1,4 +1,4 @@
-"""Sensor matrices of a linear arm: readings per displacement, gains by site, command steps."""
+"""Sensor matrices of a linear arm: readings per displacement, sensors' own gains, command steps."""
 
 from __future__ import annotations
 
