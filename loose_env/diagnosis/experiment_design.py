@@ -7,7 +7,7 @@ from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import entropy
+from scipy import stats
 
 from loose_env.arms import Arm, LinearArm, LinearPose
 from loose_env.diagnosis.features import SeatFeatures
@@ -541,7 +541,7 @@ def needed_information(prior: ArrayLike, error: ArrayLike) -> Array:
     delta = np.asarray(error, dtype=float)
     if not ((delta >= 0) & (delta <= 1)).all():
         raise InvalidSetting(f"an error rate is 0 to 1, got {error!r}")
-    most, count = float(entropy(prior)), int(np.count_nonzero(np.asarray(prior, dtype=float)))
+    most, count = float(stats.entropy(prior)), int(np.count_nonzero(np.asarray(prior, dtype=float)))
     if count < 2:
         return np.zeros_like(delta)
     # Beyond this error, that of a guess among equals, the right side falls again.
