@@ -38,7 +38,7 @@ PARTS = (
 )
 """Parts of the package in the order in which data flow, without the command line."""
 
-AGENTS = ("base", "belief", "evaluation", "comparison", "policies/choice", "registry")
+AGENTS = ("base", "belief", "evaluation", "sharded_play", "policies/choice", "registry")
 """Modules of the agents that somebody who adds one meets."""
 
 

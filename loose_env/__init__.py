@@ -1,4 +1,4 @@
-"""Find the loose link in a robot arm, and learn to find it faster.
+"""Diagnosis of looseness in robot arms: `diagnose`, `explain_gap`, Gymnasium environments.
 
 Importing the package registers its environments with Gymnasium. `diagnose` and `explain_gap` load
 the rest of the package when they are first used:

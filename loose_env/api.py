@@ -1,4 +1,4 @@
-"""`diagnose` and `explain_gap`: a result in three lines of Python, as the commands find it.
+"""`diagnose` and `explain_gap`: the commands in Python, with reports that a notebook shows.
 
     import loose_env
     found = loose_env.diagnose("session/recording")

@@ -1,4 +1,4 @@
-"""Exceptions raised by loose-env."""
+"""Exceptions raised by loose-env, and the message of any error in one line."""
 
 from __future__ import annotations
 

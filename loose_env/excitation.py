@@ -1,4 +1,4 @@
-"""Random torques: excitation signals, levels at the tool, and the force that drives a seat."""
+"""Random torques: levels at the tool, drawn signals, and the force that drives a seat."""
 
 from __future__ import annotations
 

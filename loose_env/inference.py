@@ -1,4 +1,4 @@
-"""Inference: whitening, bounded steps, Laplace's evidence, expected information, intervals.
+"""Inference: whitening, bounded steps, information bounds, bootstrap intervals, calibration.
 
 Pure functions of arrays that diagnosis, gap, instrument and evaluation share. The solver, the
 bootstrap and the intervals are scipy's.

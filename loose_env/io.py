@@ -1,4 +1,4 @@
-"""Atomic files, JSON of results, settings that check themselves, sentences.
+"""Atomic file writing, results as JSON, settings dataclasses checked on creation, sentences.
 
 Formats and settings are dataclasses; pydantic validates them by their annotations. An error is one
 line with the place, what was given and what is allowed.

@@ -1,4 +1,4 @@
-"""Kinematics of serial chains: Jacobian, loads on seats, choice of poses."""
+"""Kinematics of serial chains: Jacobian, loads on seats, Chebyshev poses, choice of poses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ids of the environments, and how their arguments become arms and settings.
+"""Registration of environment ids with Gymnasium; arms and settings from their arguments.
 
 The simulator is imported when an environment is made: `import loose_env` stays light.
 

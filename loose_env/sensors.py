@@ -1,31 +1,17 @@
-"""Sensor models: band, gain and cross-axis sensitivity, noise, quantisation."""
+"""Sensor models: accelerometers (noise, gain, cross-axis), encoders, and the suite of an arm."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.signal import upfirdn
 
 from loose_env.arms import Arm, Place
 from loose_env.errors import InvalidSetting
 from loose_env.io import Checked, NonNegative, positive
-from loose_env.typing import Array
 
-__all__ = [
-    "Accelerometer",
-    "Encoder",
-    "LinkAccelerometers",
-    "SensorSuite",
-    "decimation_filter",
-    "link_choice",
-    "low_passed",
-    "read_accelerometer",
-    "read_encoder",
-]
+__all__ = ["Accelerometer", "Encoder", "LinkAccelerometers", "SensorSuite", "link_choice"]
 
 STANDARD_GRAVITY = 9.80665
 """Standard acceleration of free fall, the unit g of data sheets [m/s²]."""
@@ -78,7 +64,7 @@ class LinkAccelerometers:
 
     Else it has the arm's axes, in the frame of the body that carries it."""
     place: Place = "distal"
-    """End of the link; see `loose_env.arms.sites.link_site`."""
+    """End of the link; see `loose_env.arms.arm.link_site`."""
 
     def __post_init__(self) -> None:
         if self.place not in ("proximal", "distal"):
@@ -153,102 +139,3 @@ def link_choice(given: bool | LinkAccelerometers) -> LinkAccelerometers | None:
     if isinstance(given, LinkAccelerometers):
         return given
     return LinkAccelerometers(place="proximal") if given else None
-
-
-@lru_cache(maxsize=32)
-def decimation_filter(factor: int, cutoff: float, rate: float) -> Array:
-    """Taps of the recorder's linear-phase low-pass before decimation.
-
-    Parameters
-    ----------
-    factor : int
-        Fast samples per recorded sample.
-    cutoff : float
-        Half-amplitude frequency [Hz].
-    rate : float
-        Recorded rate [Hz].
-
-    Returns
-    -------
-    ndarray (8 factor + 1,)
-        Hamming-windowed sinc, sum 1. Read-only.
-    """
-    half = 4 * factor
-    k = np.arange(-half, half + 1)
-    taps = np.sinc(2 * cutoff / (rate * factor) * k) * np.hamming(2 * half + 1)
-    taps /= taps.sum()
-    taps.flags.writeable = False
-    return np.asarray(taps)
-
-
-def low_passed(
-    true: Array, *, sensor: Accelerometer, factor: int, first: int, count: int, rate: float
-) -> Array:
-    """Low-pass true accelerations and take one sample for each reading.
-
-    Parameters
-    ----------
-    true : ndarray (..., steps)
-        Acceleration along the measured axes at every simulation step [m/s²].
-    sensor : Accelerometer
-        Parameters of the sensor.
-    factor : int
-        Simulation steps per reading.
-    first, count : int
-        Step of the first reading, and number of readings.
-    rate : float
-        Sampling rate [Hz].
-
-    Returns
-    -------
-    ndarray (..., count)
-    """
-    taps = decimation_filter(factor, sensor.bandwidth, rate)
-    half = len(taps) // 2
-    # Steps from half a filter before the first reading to half a filter after the last.
-    used = true[..., first - half : first + factor * (count - 1) + half + 1]
-    lead = 2 * half // factor  # outputs before the first whole window
-    return np.asarray(upfirdn(taps, used, down=factor)[..., lead : lead + count])
-
-
-def read_accelerometer(smooth: Array, *, sensor: Accelerometer, rate: float, drawn: Array) -> Array:
-    """Turn low-passed accelerations into readings.
-
-    Parameters
-    ----------
-    smooth : ndarray (..., count)
-        Acceleration as `low_passed` gives it [m/s²].
-    sensor : Accelerometer
-        Parameters of the sensor.
-    rate : float
-        Sampling rate [Hz].
-    drawn : ndarray (..., count)
-        Standard normal variates, one for each reading.
-
-    Returns
-    -------
-    ndarray (..., count)
-        Readings [m/s²].
-    """
-    # White noise of the given density up to half the sampling rate.
-    noise = sensor.noise_density * np.sqrt(rate / 2)
-    return _rounded(smooth + noise * drawn, sensor.resolution)
-
-
-def read_encoder(
-    true: Array, *, sensor: Encoder, drawn: Array, sliding: NDArray[np.bool_] | None = None
-) -> Array:
-    """Turn joint positions (..., n, count) [rad or m] into encoder readings of the same shape.
-
-    ``drawn``, of that shape too, are standard normal variates. Rows where ``sliding`` (n,) is true
-    are read by a linear scale.
-    """
-    readings = _rounded(true + sensor.noise * drawn, sensor.resolution)
-    if sliding is not None and sliding.any():
-        linear = true[..., sliding, :] + sensor.linear_noise * drawn[..., sliding, :]
-        readings[..., sliding, :] = _rounded(linear, sensor.linear_resolution)
-    return readings
-
-
-def _rounded(values: Array, step: float) -> Array:
-    return np.round(values / step) * step if step > 0 else values

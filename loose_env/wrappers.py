@@ -1,4 +1,4 @@
-"""Gymnasium wrappers: other observations, other actions, other scores of the same episodes."""
+"""Gymnasium wrappers of observation, action and score; posterior features, decoded records."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The main job: agents and constant baselines diagnose the same hidden faults on the VERA arm.
+"""Main comparison: agents and constant baselines diagnose the same hidden faults on VERA.
 
 Usage: python scripts/run_demo.py [options of scripts/agents/compare.py]
 """

@@ -1,19 +1,24 @@
-"""Rows of a study, stored case by case; tables between the marks of a page."""
+"""Rows of a study stored case by case, its figures saved, its tables written into a page."""
 
 from __future__ import annotations
 
+import json
+import platform
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import mujoco
+import numpy as np
 from loose_agents.jobs import BackendSettings, ProgressLine, results_of
 
 import loose_env
 from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.io import write_text
-from loose_env.report import rounded, stored_rows, study_head, write_study
+from loose_env.envs import FAINT, INK, MUTED
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.io import write_text, written_beside
 
 ROOT = Path(__file__).resolve().parents[1]
 MARKS = ("<!-- {}: begin -->", "<!-- {}: end -->")
@@ -68,8 +73,10 @@ def study_rows(
     afresh : bool
         Work out again what is stored.
     """
-    head = study_head(script, settings, version=loose_env.__version__)
-    rows = [] if afresh else stored_rows(path, head)
+    head = _head(script, settings)
+    stored = read_study(path) if path.exists() and not afresh else {}
+    same = stored and all(stored.get(key) == value for key, value in head.items())
+    rows: list[Row] = list(stored["rows"]) if same else []
     places = {case: k for k, case in enumerate(cases)}
     done = set(map(case_of, rows))
     missing = [case for case in places if case not in done]
@@ -81,22 +88,54 @@ def study_rows(
     with ProgressLine(len(places), done=len(places) - len(missing), unit=unit) as line:
         for position, found in results_of(partial(work, settings=settings), missing, backend):
             rows = sorted([*rows, *rounded(list(found), digits)], key=order or place)
-            write_study(path, head, rows, digits=digits)
+            start = json.dumps(head, indent=1).removesuffix("\n}")
+            lines = ",\n".join("  " + json.dumps(row) for row in rows)
+            write_text(path, f'{start},\n "rows": [\n{lines}\n ]\n}}\n')
             line.advance(1, str(missing[position]))
     return [row for row in rows if case_of(row) in places]
 
 
-def write_between(page: Path, text: str, *, name: str = "tables", new: str | None = None) -> None:
-    """Put tables between their marks on a page, ``new`` where there is none yet.
+def _head(script: str, settings: Any) -> Row:
+    """What the rows rest on, as it will be read back from a file."""
+    versions = {"loose_env": loose_env.__version__, "mujoco": mujoco.__version__}
+    versions |= {"numpy": np.__version__, "python": platform.python_version()}
+    head = {"made_by": script, "settings": asdict(settings), "versions": versions}
+    read_back: Row = json.loads(json.dumps(head))
+    return read_back
 
-    Raises
-    ------
-    InvalidSetting
-        If there is no page, or it lacks the marks.
-    """
+
+def read_study(path: Path) -> dict[str, Any]:
+    """Read the file of a study: its rows, and what they rest on."""
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise InvalidData(
+            f"{path} is no whole JSON file ({error}); remove it, or give another"
+        ) from error
+    if not isinstance(stored, dict) or not isinstance(stored.get("rows"), list):
+        raise InvalidData(f"{path} holds no rows of a study; remove it, or give another file")
+    return stored
+
+
+def rounded(value: Any, digits: int = 4) -> Any:
+    """Round all numbers in it; four digits are more than those of most studies hold."""
+    if isinstance(value, dict):
+        return {key: rounded(part, digits) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [rounded(part, digits) for part in value]
+    return float(f"{value:.{digits}g}") if isinstance(value, float) else value
+
+
+def write_between(page: Path, text: str, *, name: str = "tables", new: str | None = None) -> None:
+    """Write tables between their marks on a page, ``new`` where there is none yet."""
     if new is None and not page.is_file():
         raise InvalidSetting(f"{page} does not exist; name a page that has marks for tables")
     old = new if new is not None and not page.exists() else page.read_text(encoding="utf-8")
+    write_text(page, between(old, text, name, page))
+
+
+def between(old: str, text: str, name: str, page: Path) -> str:
+    """Text of a page with other lines between the marks of a name."""
     first, last = (mark.format(name) for mark in MARKS)
     before, begin, rest = old.partition(first)
     _, end, after = rest.partition(last)
@@ -104,7 +143,7 @@ def write_between(page: Path, text: str, *, name: str = "tables", new: str | Non
         raise InvalidSetting(
             f"{page} lacks the lines {first!r} and {last!r}, between which tables go"
         )
-    write_text(page, f"{before}{first}\n\n{text}\n\n{last}{after}")
+    return f"{before}{first}\n\n{text}\n\n{last}{after}"
 
 
 def arm_named(name: str) -> Arm:
@@ -123,3 +162,31 @@ def arm_named(name: str) -> Arm:
     if not (name.startswith("planar") and count.isdecimal()):
         raise UnknownName(f"there is no arm {name!r}; there are {', '.join(known)} and planar4[v]")
     return planar(int(count), vertical=links.endswith("v"))
+
+
+def pyplot() -> Any:
+    """Matplotlib's pyplot without a window, set to the studies' look."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plt.rcParams.update(
+        {
+            "font.size": 9,
+            "text.color": INK,
+            "axes.edgecolor": FAINT,
+            "axes.labelcolor": INK,
+            "xtick.color": MUTED,
+            "ytick.color": MUTED,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+        }
+    )
+    return plt
+
+
+def save_figure(plt: Any, figure: Any, path: Path, *, dpi: int = 130) -> None:
+    """Write a figure to a file atomically, and close it."""
+    written_beside(path, lambda beside: figure.savefig(beside, dpi=dpi))
+    plt.close(figure)

@@ -45,14 +45,13 @@ from loose_agents.benchmark.results import (
     play_results,
     read_results,
     training_of,
-    write_results,
 )
 from loose_agents.registry import describe
 from tyro.conf import Positional
 
 from loose_env.cli.command import Actions, commands, one_of
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.io import Count, NonNegativeCount
+from loose_env.io import Count, NonNegativeCount, write_text
 from scripts.study import write_between
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "benchmark.md"
@@ -162,7 +161,7 @@ def make(given: Make) -> None:
                     say=lambda line: print(line, file=sys.stderr),
                 )
                 print(
-                    f"{write_results(path, results)}: return {results.returns.mean():+.3f}",
+                    f"{write_text(path, results.to_json())}: return {results.returns.mean():+.3f}",
                     flush=True,
                 )
 

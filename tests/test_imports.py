@@ -88,7 +88,7 @@ ENTRY_POINTS = {
     "kinematics": ("geometric_jacobian",),
     "recording": ("Run", "read_recording"),
     "rig": ("ReducedRig", "SimulatedRig"),
-    "statistics": ("correlation_loop", "kurtosis", "transmission"),
+    "statistics": ("bandpass", "covariances", "phase_delay"),
 }  # fmt: skip
 
 
@@ -291,8 +291,8 @@ def test_no_file_is_too_long() -> None:
         ("rig/simulated.py", "def late():\n    import loose_env.diagnosis", False),
         ("arms/vera.py", "from loose_env.faults import Healthy", False),
         ("gap/closing.py", "from loose_env.diagnosis import links", False),
-        ("statistics/moments.py", "from loose_env.rig import Measurement", False),
-        ("statistics/moments.py", "import mujoco", False),
+        ("statistics/spectra.py", "from loose_env.rig import Measurement", False),
+        ("statistics/spectra.py", "import mujoco", False),
         ("envs/arm.py", "from loose_agents.classical import Classical", False),
         ("envs/arm.py", "from loose_env.gap.model.effect import Effect", False),
         ("io/files.py", "from loose_env.errors import LooseEnvError", True),

@@ -8,15 +8,8 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidSetting
-from loose_env.sensors import (
-    Accelerometer,
-    Encoder,
-    SensorSuite,
-    decimation_filter,
-    low_passed,
-    read_accelerometer,
-    read_encoder,
-)
+from loose_env.rig import decimation_filter, low_passed, read_accelerometer, read_encoder
+from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 from loose_env.typing import Array
 
 RATE, FACTOR, COUNT, FIRST = 1000.0, 5, 2000, 100

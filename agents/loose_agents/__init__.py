@@ -1,4 +1,4 @@
-"""Agents that find the loose place of an arm: build them, play them, compare them, train them.
+"""Agents that find the loose link or joint of an arm: made by name, built of parts, played.
 
 `make_agent` makes an agent by name, `evaluate` plays it on hidden faults. An agent of one's own
 subclasses `EpisodeAgent`, or puts a policy of its own into a `BeliefAgent`; all it needs is

@@ -1,4 +1,4 @@
-"""What every agent rests on: the problem it is given, predict, and the seeds."""
+"""Base classes of agents (`predict`), their problem, hypothesis prior and training seeds."""
 
 from __future__ import annotations
 
@@ -54,13 +54,6 @@ class Problem:
         """Arm, hypotheses, and what observations and actions mean, as 16 hexadecimal digits.
 
         Two problems may have observations of one size and mean different things by them.
-
-        Examples
-        --------
-        >>> from loose_env.arms import planar, vera
-        >>> one, other = (Problem.of(arm, DiagnosisSettings()) for arm in (planar(2), vera()))
-        >>> one.layout.size == other.layout.size, one.fingerprint == other.fingerprint
-        (True, False)
         """
         parts = (
             *(self.arm.name, *self.hypotheses, self.layout.table(), str(self.layout.slots)),
@@ -72,6 +65,16 @@ class Problem:
     def verdicts(self) -> tuple[str, ...]:
         """Verdicts available to an agent: every hypothesis, then "unsure"."""
         return (*self.hypotheses, UNSURE)
+
+    @property
+    def stay(self) -> NDArray[np.intp]:
+        """Moves that leave every joint where it is (n,)."""
+        return np.full(self.arm.n, self.settings.stay, dtype=np.intp)
+
+    def random_moves(self, pose: Array, rng: np.random.Generator) -> NDArray[np.intp]:
+        """Draw an allowed move of every joint (n,)."""
+        allowed = self.actions.allowed_moves(pose)
+        return np.array([rng.choice(np.flatnonzero(row)) for row in allowed])
 
     def verdict(self, named: str) -> NDArray[np.int64]:
         """Build the action that declares a hypothesis, or "unsure"."""
@@ -158,13 +161,7 @@ BANK_ACTIONS = 16
 
 
 def check_training_seed(seed: int) -> int:
-    """Return a seed for training; refuse evaluation seeds.
-
-    Examples
-    --------
-    >>> check_training_seed(1)
-    1
-    """
+    """Return a seed for training; refuse evaluation seeds."""
     if seed in EVALUATION_SEEDS:
         raise InvalidSetting(
             f"seed {seed} is one of those kept for evaluation, {EVALUATION_SEEDS[0]} to "

@@ -1,4 +1,4 @@
-"""Agents of an estimator, a policy and a stopping rule; estimators, weights and tuned settings."""
+"""Agent of estimator, policy and stopping rule; estimators made by name, shipped weights."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 
 from loose_agents.base import Agent, EpisodeAgent, Problem
 from loose_env.diagnosis import Belief, LinkReadings, link_axes
-from loose_env.envs import DiagnosisSettings, ObservationLayout, difficulty_named
+from loose_env.envs import DiagnosisSettings, EpisodeBatch, ObservationLayout, difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import UNSURE
 from loose_env.wrappers import Posterior, analytic_posterior, record_from
@@ -148,14 +148,16 @@ class BeliefAgent(EpisodeAgent):
         self,
         problem: Problem,
         estimator: Estimator,
-        policy: Policy,
-        stopping: StoppingRule,
+        policy: Policy | None,
+        stopping: StoppingRule | None,
         *,
         seed: int = 0,
         surprising: float = SURPRISING,
     ) -> None:
         super().__init__(problem, seed=seed)
-        self.estimator, self.policy, self.stopping = estimator, policy, stopping
+        self.estimator = estimator
+        self.policy: Any = policy
+        self.stopping: Any = stopping
         self.surprising = surprising
 
     def begin(self, rng: np.random.Generator) -> Any:
@@ -164,27 +166,29 @@ class BeliefAgent(EpisodeAgent):
 
     def act(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.int64]:
         """Take a measurement, or give the verdict of highest expected reward."""
-        problem = self.problem
-        probabilities = self.estimator.follow(observation, memory.estimate)
-        memory.probabilities = probabilities
-        situation = Situation(
-            observation=observation,
-            pose=problem.layout.pose_of(observation),
-            records=records_taken(problem, observation),
-            probabilities=probabilities,
-            memory=memory.estimate,
-            rng=memory.rng,
-        )
-        done = situation.records >= problem.settings.max_records
+        situation = self.situation(observation, memory)
         if situation.records > 0 and (
-            done
+            situation.records >= self.problem.settings.max_records
             or self.stopping.stop(situation)
             or surprise_of(situation.memory) < DECISIVE * self.surprising
         ):
-            named = verdict_of(problem, situation, self.surprising)
+            named = verdict_of(self.problem, situation, self.surprising)
             if named is not None:
-                return problem.verdict(named)
-        return self.policy.choose(situation)
+                return self.problem.verdict(named)
+        action: NDArray[np.int64] = self.policy.choose(situation)
+        return action
+
+    def situation(self, observation: NDArray[np.float32], memory: _Memory) -> Situation:
+        """Take the new records in; return what is known now."""
+        memory.probabilities = self.estimator.follow(observation, memory.estimate)
+        return Situation(
+            observation=observation,
+            pose=self.problem.layout.pose_of(observation),
+            records=records_taken(self.problem, observation),
+            probabilities=memory.probabilities,
+            memory=memory.estimate,
+            rng=memory.rng,
+        )
 
 
 def records_taken(problem: Problem, observation: NDArray[np.float32]) -> int:
@@ -225,21 +229,20 @@ def verdict_of(
 
 
 def best_verdict(
-    problem: Problem, probabilities: NDArray[np.float64], *, unsure: bool = True
+    problem: Problem | EpisodeBatch, probabilities: NDArray[np.float64], *, unsure: bool = True
 ) -> str:
     """Verdict of the highest expected reward under the environment's rewards.
 
     "unsure" only where it may be said and is worth more than every name.
     """
-    prices = problem.settings.prices
-    worth = [
-        sum(
-            p * prices.verdict(named, truth)
-            for p, truth in zip(probabilities, problem.hypotheses, strict=True)
+    prices, names = problem.settings.prices, problem.hypotheses
+    worth = {
+        named: sum(
+            p * prices.verdict(named, truth) for p, truth in zip(probabilities, names, strict=True)
         )
-        for named in (problem.verdicts if unsure else problem.hypotheses)
-    ]
-    return problem.verdicts[int(np.argmax(worth))]
+        for named in (*names, *([UNSURE] if unsure else []))
+    }
+    return max(worth, key=lambda named: worth[named])
 
 
 WEIGHTS = Path(__file__).parent / "weights"
@@ -464,11 +467,7 @@ def belief_of(situation: Situation) -> Belief:
     return belief
 
 
-def _posterior(problem: Problem) -> Estimator:
-    return Tracker(problem)
-
-
-def _amortised(problem: Problem) -> Estimator:
+def _amortised(problem: Problem) -> Tracker:
     from loose_env.diagnosis import AmortisedPosterior
 
     difficulty = difficulty_named(problem.settings.difficulty)
@@ -482,14 +481,14 @@ def _amortised(problem: Problem) -> Estimator:
     return Tracker(problem, posterior)
 
 
-ESTIMATORS: dict[str, tuple[Callable[[Problem], Estimator], str]] = {
-    "posterior": (_posterior, "the analytic posterior over the faults"),
+ESTIMATORS: dict[str, tuple[Callable[[Problem], Tracker], str]] = {
+    "posterior": (Tracker, "the analytic posterior over the faults"),
     "amortised": (_amortised, "the posterior with a learned likelihood"),
 }
 """Constructor and short description of each estimator."""
 
 
-def make_estimator(name: str, problem: Problem) -> Estimator:
+def make_estimator(name: str, problem: Problem) -> Tracker:
     """Make an estimator for a problem.
 
     Raises
@@ -507,25 +506,3 @@ def make_estimator(name: str, problem: Problem) -> Estimator:
     if name not in ESTIMATORS:
         raise UnknownName(f"unknown estimator {name!r}; estimators are {list(ESTIMATORS)}")
     return ESTIMATORS[name][0](problem)
-
-
-def feature_size(estimator: Estimator) -> int:
-    """Number of an estimator's features beyond its probabilities; 0 by default.
-
-    An estimator that has more to say, such as what the next record could show under each
-    hypothesis, has an attribute ``feature_size`` and a method
-    ``features(observation, memory)`` that returns so many numbers of the order of one.
-    """
-    return int(getattr(estimator, "feature_size", 0))
-
-
-def further_features(
-    estimator: Estimator, observation: NDArray[np.float32], memory: Any
-) -> NDArray[np.float32]:
-    """Features of an estimator beyond its probabilities (feature_size,)."""
-    if not feature_size(estimator):
-        return np.zeros(0, dtype=np.float32)
-    return np.asarray(
-        estimator.features(observation, memory),  # type: ignore[attr-defined]
-        dtype=np.float32,
-    )

@@ -1,8 +1,9 @@
-"""Evaluation shared by all agents: environments by name, the same hidden faults, rows."""
+"""Evaluation of an agent: environments made by name, episodes played by seed, a row for each."""
 
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 import loose_env  # noqa: F401  (registers the ids)
 from loose_agents.base import Agent, Problem
-from loose_agents.belief import goes_on
+from loose_agents.belief import best_verdict, goes_on
 from loose_env.arms import Arm
 from loose_env.envs import (
     BatchRig,
@@ -28,18 +29,9 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.evaluation import FaultParameters, fault_parameters
 from loose_env.registration import IDS, TIERS
 
-MOST_SHOWN = 300
-"""Letters of the arguments that an error repeats."""
-
 
 def arguments_of(text: str) -> dict[str, Any]:
-    """Parse the environment's arguments from the option ``--arguments``.
-
-    Examples
-    --------
-    >>> arguments_of('{"n_links": 3}')
-    {'n_links': 3}
-    """
+    """Parse the environment's arguments from the option ``--arguments``."""
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -90,25 +82,15 @@ def diagnosis_env(
 
 @contextmanager
 def refused_in_words(env_id: str, arguments: Mapping[str, Any]) -> Iterator[None]:
-    """Name the arguments that an environment does not accept, in a readable error.
-
-    Examples
-    --------
-    >>> with refused_in_words("loose_env/Vera-v0", {"durations": 0.2}):
-    ...     tuple(0.2)
-    Traceback (most recent call last):
-        ...
-    loose_env.errors.InvalidSetting: loose_env/Vera-v0 does not take {'durations': 0.2}: 'float'
-    object is not iterable
-    """
+    """Name the arguments that an environment does not accept, in a readable error."""
     try:
         yield
     except (TypeError, OverflowError) as error:
         # Gymnasium adds the arguments once more.
         reason = " ".join(str(error).split()).partition(" was raised from the environment")[0]
-        shown = str(dict(arguments))
-        shown = shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
-        raise InvalidSetting(f"{env_id} does not take {shown}: {reason}") from error
+        raise InvalidSetting(
+            f"{env_id} does not take {dict(arguments)!s:.300}: {reason}"
+        ) from error
 
 
 def problem_of(env_id: str, arguments: Mapping[str, Any]) -> Problem:
@@ -191,6 +173,8 @@ class EpisodeRow:
     """Its probability."""
     trail_truth: tuple[float, ...] = ()
     """Probability of the truth after each record."""
+    trail_verdict: tuple[str, ...] = ()
+    """Verdict that was worth most after each record."""
     trail_price: tuple[float, ...] = ()
     """Cost of the records so far."""
     trail_seconds: tuple[float, ...] = ()
@@ -207,8 +191,7 @@ class _Run:
     excited: int = 0
     price: float = 0.0
     probabilities: NDArray[np.float64] | None = None
-    trail: list[tuple[str, float, float]] = field(default_factory=list)
-    spent: list[tuple[float, float]] = field(default_factory=list)
+    trails: dict[str, list[Any]] = field(default_factory=lambda: defaultdict(list))
     actions: list[str] = field(default_factory=list)
 
 
@@ -228,7 +211,6 @@ def evaluate(
     true_arm: Arm | None = None,
     options: Mapping[str, Any] | None = None,
     progress: Callable[[int], None] | None = None,
-    deterministic: bool = True,
 ) -> list[EpisodeRow]:
     """Play episodes ``first`` to ``first + episodes - 1`` of a seed.
 
@@ -236,8 +218,7 @@ def evaluate(
     at any ``width`` (number of arms side by side) and thread count, and in whatever range.
 
     The agent is known by ``predict`` alone. A state that has ``probabilities`` of the hypotheses
-    (hypotheses,) is read for the trails. What has a method ``informed(fault, observation)`` is no
-    agent: it is told the hidden fault and returns its first state.
+    (hypotheses,) is read for the trails.
 
     Parameters
     ----------
@@ -264,8 +245,6 @@ def evaluate(
         Options of every episode, as `loose_env.envs.batch` has them.
     progress : callable, optional
         Called with the number of finished episodes.
-    deterministic : bool
-        Passed on to the agent.
 
     Raises
     ------
@@ -293,10 +272,7 @@ def evaluate(
         if number is None:
             return
         batch.start(slot, seed=seed, number=number, options=options)
-        run = running[slot] = _Run(number=number)
-        if hasattr(agent, "informed"):
-            episode = batch.episode(slot)
-            run.state, run.begun = agent.informed(episode.fault, batch.observe(slot)), True
+        running[slot] = _Run(number=number)
 
     for slot in range(width):
         begin(slot)
@@ -306,7 +282,7 @@ def evaluate(
         observations = np.stack([batch.observe(s) for s in slots])
         starts = np.array([not run.begun for run in runs])
         states = None if starts.all() else [run.state for run in runs]
-        actions, after = agent.predict(observations, states, starts, deterministic=deterministic)
+        actions, after = agent.predict(observations, states, starts, deterministic=True)
         for k, run in enumerate(runs):
             run.state, run.begun = (None if after is None else after[k]), True
             _note(batch, slots[k], run)
@@ -331,12 +307,17 @@ def _note(batch: EpisodeBatch, slot: int, run: _Run) -> None:
     run.probabilities = None if found is None else np.array(found, dtype=float)
     if episode.records == 0:
         return
-    run.spent.append((run.price, episode.seconds))
+    told: dict[str, Any] = {"price": run.price, "seconds": episode.seconds}
     p = run.probabilities
     if p is not None:
         best = int(np.argmax(p))
         truth = _at(p, batch.hypotheses, episode.fault.hypothesis)
-        run.trail.append((batch.hypotheses[best], float(p[best]), truth or 0.0))
+        unsure = batch.actions.allows_unsure(episode.records, episode.measured)
+        named = best_verdict(batch, p, unsure=unsure)
+        told |= {"best": batch.hypotheses[best], "confidence": float(p[best])}
+        told |= {"truth": truth or 0.0, "verdict": named}
+    for name, value in told.items():
+        run.trails[name].append(value)
 
 
 def _row(
@@ -372,16 +353,8 @@ def _row(
         confidence=_at(p, names, verdict),
         truth_probability=_at(p, names, truth),
         actions=" ".join(run.actions),
-        trail_best=_column(run.trail, 0),
-        trail_confidence=_column(run.trail, 1),
-        trail_truth=_column(run.trail, 2),
-        trail_price=_column(run.spent, 0),
-        trail_seconds=_column(run.spent, 1),
+        **{f"trail_{name}": tuple(values) for name, values in run.trails.items()},
     )
-
-
-def _column(entries: Sequence[tuple[Any, ...]], k: int) -> tuple[Any, ...]:
-    return tuple(entry[k] for entry in entries)
 
 
 def _at(p: NDArray[np.float64] | None, names: Sequence[str], name: str | None) -> float | None:

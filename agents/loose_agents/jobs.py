@@ -1,4 +1,4 @@
-"""Work in parallel by joblib, in processes or on a cluster; results are kept as they come.
+"""Parallel tasks by joblib (processes or cluster), stored results by episode, progress line.
 
 No result depends on the backend, the number of workers, the size of a task or what was interrupted:
 everything random in episode k comes from streams of its own, never from a worker or an order.
@@ -21,9 +21,12 @@ import importlib
 import io
 import json
 import math
+import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path, PurePath
 from typing import Any, Literal, TextIO
@@ -92,17 +95,27 @@ def results_of(
     chosen = settings or BackendSettings()
     joblib = _installed("joblib", "scale")
     done: set[int] = set()
+    here = os.getpid()
     with ExitStack() as stack:
         died = _begun(chosen, stack)
 
         def run(positions: Sequence[int], workers: int) -> Iterator[tuple[int, Any]]:
-            inner = {"inner_max_num_threads": 1} if chosen.backend == "loky" else {}
-            with joblib.parallel_config(chosen.backend, **inner):
-                parallel = joblib.Parallel(
-                    workers, batch_size=1, pre_dispatch="n_jobs", return_as="generator_unordered"
-                )
             calls = (joblib.delayed(_numbered)(work, k, tasks[k]) for k in positions)
-            for position, result in parallel(calls):
+            if chosen.backend == "ray":
+                found = _on_ray(calls)
+            else:
+                own: dict[str, Any] = {}
+                if chosen.backend == "loky":
+                    own = {"inner_max_num_threads": 1}
+                    own |= {"initializer": _end_with, "initargs": (here,)}
+                with joblib.parallel_config(chosen.backend, **own):
+                    found = joblib.Parallel(
+                        workers,
+                        batch_size=1,
+                        pre_dispatch="n_jobs",
+                        return_as="generator_unordered",
+                    )(calls)
+            for position, result in found:
                 done.add(position)
                 yield position, result
 
@@ -122,6 +135,27 @@ def results_of(
                 raise WorkerDied(position, words) from error
 
 
+def _on_ray(calls: Iterable[tuple[Any, Any, Any]]) -> Iterator[tuple[int, Any]]:
+    """Results of calls on a Ray cluster as they come; ray's own backend gives them at the end."""
+    ray = importlib.import_module("ray")
+    on_a_worker = ray.remote(max_retries=0)
+    waiting = [on_a_worker(function).remote(*given, **named) for function, given, named in calls]
+    while waiting:
+        (ready,), waiting = ray.wait(waiting)
+        yield ray.get(ready)
+
+
+def _end_with(parent: int) -> None:
+    """End this worker once the process that started it is gone, be it killed: nobody listens."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 def _numbered(work: Callable[[Any], Any], position: int, task: Any) -> tuple[int, Any]:
     return position, work(task)
 
@@ -130,7 +164,6 @@ def _begun(settings: BackendSettings, stack: ExitStack) -> tuple[type[BaseExcept
     """Join or start the cluster of a backend; errors by which a dead worker shows."""
     if settings.backend == "ray":
         ray = _installed("ray", "ray")
-        ray_joblib = _installed("ray.util.joblib", "ray")
         if not ray.is_initialized():
             given = {"runtime_env": {"env_vars": ONE_THREAD}, "log_to_driver": False}
             if settings.ray_address is None:
@@ -139,7 +172,6 @@ def _begun(settings: BackendSettings, stack: ExitStack) -> tuple[type[BaseExcept
             with _refused("Ray cluster", settings.ray_address, "ray start --head"):
                 ray.init(settings.ray_address or "local", **given)
             stack.callback(ray.shutdown)
-        ray_joblib.register_ray()
         gone = ray.exceptions
         return gone.WorkerCrashedError, gone.RayActorError, gone.OutOfMemoryError
     if settings.backend == "dask":
@@ -160,18 +192,15 @@ def _begun(settings: BackendSettings, stack: ExitStack) -> tuple[type[BaseExcept
     return (TerminatedWorkerError,)
 
 
-class _refused:
+@contextmanager
+def _refused(noun: str, address: str | None, start: str) -> Iterator[None]:
     """Say in one line that no cluster answers."""
-
-    def __init__(self, noun: str, address: str | None, start: str) -> None:
-        self.words = f"no {noun} answers at {address}; start one with '{start}', or give no address"
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if isinstance(error, (ConnectionError, OSError, ValueError, RuntimeError)):
-            raise InvalidSetting(f"{self.words}: {error}") from error
+    try:
+        yield
+    except (ConnectionError, OSError, ValueError, RuntimeError) as error:
+        raise InvalidSetting(
+            f"no {noun} answers at {address}; start one with '{start}', or give no address: {error}"
+        ) from error
 
 
 def _installed(module: str, extra: str) -> Any:
@@ -185,13 +214,7 @@ def _installed(module: str, extra: str) -> Any:
 
 
 def spans(total: int, size: int) -> list[range]:
-    """Divide the episodes 0 to ``total - 1``; the last part may be shorter.
-
-    Examples
-    --------
-    >>> spans(5, 2)
-    [range(0, 2), range(2, 4), range(4, 5)]
-    """
+    """Divide the episodes 0 to ``total - 1``; the last part may be shorter."""
     if total < 0 or size < 1:
         raise InvalidSetting(f"{total} episodes in parts of {size}: give a size of 1 or more")
     return [range(start, min(start + size, total)) for start in range(0, total, size)]
@@ -344,14 +367,7 @@ def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
 
 
 class ProgressLine(tqdm):  # type: ignore[misc]
-    """Progress of counted work: one line on a terminal, a line for every tenth in a log.
-
-    Examples
-    --------
-    >>> with ProgressLine(100, stream=sys.stdout) as line:
-    ...     line.advance(50, "loss 0.1")
-     50%|#####     | 50/100 [00:00<00:00, ... episodes/s, loss 0.1]
-    """
+    """Progress of counted work: one line on a terminal, a line for every tenth in a log."""
 
     monitor_interval = 0  # no thread that shortens the distance of a log's lines
 

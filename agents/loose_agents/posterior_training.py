@@ -1,4 +1,4 @@
-"""Training of the learned posterior on a bank: likelihood, novelty reference, information factors.
+"""Training of the learned posterior on a bank: likelihood, novelty reference, gain factors.
 
 The loss is the log score of the hypotheses after each record, and beside it, in small part, of
 direction and friction where the truth is loose: the sums over them stay meaningful, and policies
@@ -87,14 +87,14 @@ class _Layers(nn.Module):
         nn.init.zeros_(self.out.bias)
         self.temper = nn.Parameter(torch.zeros(12))
 
-    def forward(self, place: Tensor, record: Tensor, one_hot: Tensor) -> tuple[Tensor, Tensor]:
-        """Likelihood (N, P, F) and last hidden layer (N, P, W)."""
+    def forward(self, place: Tensor, record: Tensor, one_hot: Tensor) -> Tensor:
+        """Likelihood (N, P, F)."""
         x = (place.float() - self.place_mean) / self.place_scale  # type: ignore[operator]
         r = (record - self.record_mean) / self.record_scale  # type: ignore[operator]
         whole = self.record_out(nn.functional.silu(self.record_in(r)))
         y = self.place(x) + self.hypothesis(one_hot) + whole[:, None]
-        hidden = nn.functional.silu(self.hidden(nn.functional.silu(y)))
-        return self.out(hidden), hidden
+        found: Tensor = self.out(nn.functional.silu(self.hidden(nn.functional.silu(y))))
+        return found
 
 
 class PosteriorTraining:
@@ -132,18 +132,14 @@ class PosteriorTraining:
         node = np.floor(np.nan_to_num(level, neginf=0.0, posinf=0.0) * s.frictions)
         self.node = torch.from_numpy(np.clip(node, 0, s.frictions - 1).astype(np.int64))
 
-    def rows(self, episodes: NDArray[np.intp], records: int) -> NDArray[np.intp]:
-        """Indices of the first records of episodes (episodes * records,)."""
-        return (self.features.first[episodes][:, None] + np.arange(records)).ravel()
-
-    def posterior(self, rows: NDArray[np.intp], records: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Log-probabilities (B, R, H), log-weights (B, R, P, F), hidden layer (B R, P, W)."""
-        place = torch.from_numpy(self.features.place[rows])
-        record = torch.from_numpy(self.features.record[rows])
-        each, hidden = self.layers(place, record, self.one_hot)
+    def posterior(
+        self, features: RecordFeatures, rows: NDArray[np.intp], records: int
+    ) -> tuple[Tensor, Tensor]:
+        """Log-probabilities (B, R, H) and log-weights (B, R, P, F)."""
+        place, record = torch.from_numpy(features.place[rows]), features.record[rows]
+        each = self.layers(place, torch.from_numpy(record), self.one_hot)
         total = each.reshape(-1, records, *each.shape[1:]).cumsum(1)
-        log, tempered = self._log_probabilities(total, self.layers.temper[:records])
-        return log, tempered, hidden
+        return self._log_probabilities(total, self.layers.temper[:records])
 
     def _log_probabilities(self, total: Tensor, temper: Tensor) -> tuple[Tensor, Tensor]:
         """Log-probabilities (B, R, H) and tempered log-weights, from sums over records."""
@@ -200,10 +196,10 @@ class PosteriorTraining:
         return float(s.learning_rate * min(1.0, (self.step + 1) / 100) * fall + 1e-5)
 
     def _loss(self, episodes: NDArray[np.intp], records: int, rng: np.random.Generator) -> Tensor:
-        rows = self.rows(episodes, records).reshape(-1, records)
+        rows = self.features.rows(episodes, records).reshape(-1, records)
         # The records of an episode have no order.
         rows = rng.permuted(rows, axis=1).ravel()  # type: ignore[assignment]
-        log, total, _ = self.posterior(rows, records)
+        log, total = self.posterior(self.features, rows, records)
         truth = torch.from_numpy(self.features.truth[episodes])
         score = -log.gather(-1, truth[:, None, None].expand(-1, records, 1)).mean()
         return score + self.settings.further * self._further(episodes, truth, total)
@@ -243,13 +239,12 @@ class PosteriorTraining:
     def _calibrate(
         self, features: RecordFeatures, chosen: NDArray[np.intp], first: int, last: int
     ) -> None:
-        seen, self.features = self.features, features
         truth = torch.from_numpy(features.truth[chosen])[:, None, None]
         with torch.no_grad():
             temper = self.layers.temper[:last].clone()
             parts = []
             for some in (chosen[i : i + 50] for i in range(0, len(chosen), 50)):
-                _, tempered, _ = self.posterior(self.rows(some, last), last)
+                _, tempered = self.posterior(features, features.rows(some, last), last)
                 parts.append(tempered[:, first - 1 :])
             tempered = torch.cat(parts) + np.log(self.settings.frictions)
             total = tempered / torch.exp(temper[first - 1 :])[None, :, None, None]
@@ -262,18 +257,13 @@ class PosteriorTraining:
                 score, bounds=(-0.7, 0.7), method="bounded", options={"xatol": 0.02}
             )
             self.layers.temper[first - 1 : last] += float(best.x)
-        self.features = seen
 
     def scores(self, features: RecordFeatures, *, most: int = 4) -> list[dict[str, float]]:
         """Scores on held-out episodes by number of records."""
-        seen, self.features = self.features, features
-        try:
-            chosen = np.flatnonzero(features.count >= most)
-            parts = [chosen[i : i + 50] for i in range(0, len(chosen), 50)]
-            with torch.no_grad():
-                log = torch.cat([self.posterior(self.rows(p, most), most)[0] for p in parts])
-        finally:
-            self.features = seen
+        chosen = np.flatnonzero(features.count >= most)
+        parts = [features.rows(chosen[i : i + 50], most) for i in range(0, len(chosen), 50)]
+        with torch.no_grad():
+            log = torch.cat([self.posterior(features, rows, most)[0] for rows in parts])
         truth = features.truth[chosen]
         found = []
         for k in range(most):
@@ -497,12 +487,8 @@ def transitions_of(
                 max(before[truth], PROBABILITY_FLOOR)
             )
             rows.append((expected.information, gained, record.duration, record.excited))
-    return Transitions(
-        expected=np.array([r[0] for r in rows]),
-        gained=np.array([r[1] for r in rows]),
-        seconds=np.array([r[2] for r in rows]),
-        excited=np.array([r[3] for r in rows]),
-    )
+    forecast, gained, seconds, excited = (np.array(column) for column in zip(*rows, strict=True))
+    return Transitions(expected=forecast, gained=gained, seconds=seconds, excited=excited)
 
 
 def fit_factors(found: Transitions) -> InformationFactors:

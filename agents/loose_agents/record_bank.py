@@ -1,4 +1,4 @@
-"""Banks of simulated records: episodes of random actions and the truth behind them, in shards.
+"""Banks of simulated records and their features: random episodes with ground truth, in shards.
 
 What limits a learned diagnosis is the number of records it has seen. A bank holds, for each of its
 episodes, the observation slots of a few records taken at random and what was hidden. Episode k of a
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,25 +73,6 @@ class RecordBank:
         for episode in self.slots:
             slots[:count] = episode
             yield [record_from(layout, observation, slot) for slot in range(count)]
-
-    def part(self, chosen: Any) -> RecordBank:
-        """Return a subset of the episodes."""
-        return RecordBank(**{name: values[chosen] for name, values in vars(self).items()})
-
-    @classmethod
-    def joined(cls, parts: list[RecordBank]) -> RecordBank:
-        """Concatenate banks of one problem."""
-        most = max(part.slots.shape[1] for part in parts)
-
-        def padded(values: NDArray[np.float32]) -> NDArray[np.float32]:
-            return np.pad(values, ((0, 0), (0, most - values.shape[1]), (0, 0)))
-
-        columns = {
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in vars(parts[0])
-            if name != "slots"
-        }
-        return cls(slots=np.concatenate([padded(part.slots) for part in parts]), **columns)
 
 
 def play_episodes(
@@ -161,8 +142,7 @@ def _action(
 ) -> NDArray[np.int64]:
     """Sample a record: random moves, excited joints and levels, and duration."""
     n = problem.arm.n
-    allowed = problem.actions.allowed_moves(batch.episode(slot).pose)
-    moves = np.array([rng.choice(np.flatnonzero(row)) for row in allowed])
+    moves = problem.random_moves(batch.episode(slot).pose, rng)
     kind = rng.random()
     on = np.ones(n, dtype=bool)
     if kind < settings.alone:
@@ -195,20 +175,10 @@ class RecordFeatures:
     ratio: NDArray[np.float32]
     """Drive of the top level over friction; infinite on healthy arms (E,)."""
 
-    @classmethod
-    def joined(cls, parts: list[RecordFeatures]) -> RecordFeatures:
-        """Concatenate the features of several shards."""
-        return cls(
-            **{
-                name: np.concatenate([getattr(part, name) for part in parts])
-                for name in vars(parts[0])
-            }
-        )
-
-    @property
-    def first(self) -> NDArray[np.int64]:
-        """Index of the first record of each episode (E,)."""
-        return np.asarray(np.cumsum(self.count) - self.count)
+    def rows(self, episodes: NDArray[np.intp], records: int) -> NDArray[np.intp]:
+        """Indices of the first records of episodes (episodes * records,)."""
+        first = (np.cumsum(self.count) - self.count)[episodes]
+        return np.asarray((first[:, None] + np.arange(records)).ravel())
 
 
 def features_of_bank(problem: Problem, features: SeatFeatures, bank: RecordBank) -> RecordFeatures:
@@ -256,12 +226,14 @@ class BankOptions:
     @property
     def plan(self) -> BankPlan:
         """Description of the bank."""
+        arguments = arguments_of(self.arguments)
+        axes = len(problem_of(self.env, arguments).arm.axes)
         return BankPlan(
             env_id=self.env,
-            arguments=arguments_of(self.arguments),
+            arguments=arguments,
             episodes=self.episodes,
             seed=check_training_seed(self.seed),
-            directions=self.directions,
+            directions=self.directions or (24 if axes == 2 else 100),
         )
 
 
@@ -273,15 +245,14 @@ class BankPlan:
     """Id of the environment."""
     arguments: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of the environment."""
-    episodes: int = 12_000
+    episodes: int
     """Number of episodes."""
     seed: int = BANK_SEED
     """Seed of the episodes."""
     records: BankSettings = field(default_factory=BankSettings)
     """Sampling of the records."""
-    directions: int = 0
-    """Sliding directions of a link for which features are computed; 0: 24 in the plane, 100 in
-    space."""
+    directions: int
+    """Sliding directions of a link for which features are computed."""
 
     @property
     def configuration(self) -> dict[str, Any]:
@@ -325,7 +296,7 @@ def build_bank(plan: BankPlan, folder: Path, settings: BackendSettings | None = 
 def build_features(plan: BankPlan, folder: Path, settings: BackendSettings | None = None) -> Store:
     """Compute the missing features of a bank, which must exist."""
     configuration = plan.configuration | {
-        "directions": directions_of(plan),
+        "directions": plan.directions,
         "place": LOCATION_FEATURES,
         "record": RECORD_FEATURES,
     }
@@ -338,17 +309,17 @@ def read_bank(plan: BankPlan, folder: Path, shards: list[range] | None = None) -
     """Read a bank, or a subset of its shards."""
     store = Store(folder / "records", plan.configuration, arrays=True)
     chosen = plan.shards if shards is None else shards
-    return RecordBank.joined([RecordBank(**store.read(span)) for span in chosen])
+    return RecordBank(**_joined([store.read(span) for span in chosen]))
 
 
 def read_features(store: Store, shards: list[range]) -> RecordFeatures:
     """Read the features of some shards."""
-    return RecordFeatures.joined([RecordFeatures(**store.read(span)) for span in shards])
+    return RecordFeatures(**_joined([store.read(span) for span in shards]))
 
 
-def directions_of(plan: BankPlan) -> int:
-    """Sliding directions of a link for which features are computed."""
-    return plan.directions or (24 if len(_problem(plan).arm.axes) == 2 else 100)
+def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
+    """Arrays of several shards, one after the other."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def seat_features(problem: Problem, directions: int) -> SeatFeatures:
@@ -361,14 +332,15 @@ def seat_features(problem: Problem, directions: int) -> SeatFeatures:
     )
 
 
-_PROBLEMS: dict[str, Problem] = {}
+_MADE: dict[str, Any] = {}  # in each worker: problem and features of the bank at hand
 
 
 def _problem(plan: BankPlan) -> Problem:
-    key = f"{plan.env_id} {sorted(plan.arguments.items())}"
-    if key not in _PROBLEMS:
-        _PROBLEMS[key] = plan.problem()
-    return _PROBLEMS[key]
+    if _MADE.get("plan") != plan:
+        _MADE.clear()
+        _MADE.update(plan=plan, problem=plan.problem())
+    found: Problem = _MADE["problem"]
+    return found
 
 
 def _bank_shard(plan: BankPlan, span: range) -> dict[str, np.ndarray]:
@@ -380,11 +352,7 @@ def _bank_shard(plan: BankPlan, span: range) -> dict[str, np.ndarray]:
 
 def _features_shard(plan: BankPlan, folder: Path, span: range) -> dict[str, np.ndarray]:
     problem = _problem(plan)
-    store = Store(folder / "records", plan.configuration, arrays=True)
-    features = _features(problem, directions_of(plan))
-    return vars(features_of_bank(problem, features, RecordBank(**store.read(span))))
-
-
-@lru_cache(maxsize=1)
-def _features(problem: Problem, directions: int) -> SeatFeatures:
-    return seat_features(problem, directions)
+    if "features" not in _MADE:
+        _MADE["features"] = seat_features(problem, plan.directions)
+    bank = read_bank(plan, folder, [span])
+    return vars(features_of_bank(problem, _MADE["features"], bank))

@@ -1,4 +1,4 @@
-"""Registry of agents, with their shipped settings and weights.
+"""Registry of agents: made by name or as ``estimator/policy``, described, hashed.
 
 An agent is a name of `AGENTS`, or an estimator and a policy in the form ``estimator/policy``,
 such as ``posterior/random``.
@@ -22,7 +22,6 @@ from typing import Any
 from loose_agents.base import Agent, Problem
 from loose_agents.belief import (
     ESTIMATORS,
-    WEIGHTS,
     AfterRecords,
     BeliefAgent,
     Sure,
@@ -53,21 +52,9 @@ from loose_agents.policies.link_finding import (
     SpaceLinkFindingAgent,
     SpaceLinkFindingSettings,
 )
-from loose_agents.policies.oracle import oracle_agent
 from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
 from loose_env.faults import UNSURE
-
-__all__ = [
-    "AGENTS",
-    "WEIGHTS",
-    "belief_agent",
-    "classical_settings",
-    "content_of",
-    "describe",
-    "is_outside",
-    "make_agent",
-]
 
 
 def belief_agent(estimator: str, policy: str, problem: Problem, *, seed: int = 0) -> BeliefAgent:
@@ -88,18 +75,16 @@ def belief_agent(estimator: str, policy: str, problem: Problem, *, seed: int = 0
     return BeliefAgent(problem, made, make_policy(policy, problem, made), stopping, seed=seed)
 
 
-def _of(estimator: str, policy: str) -> Callable[[Problem, int], Agent]:
-    return lambda problem, seed: belief_agent(estimator, policy, problem, seed=seed)
-
-
 def classical_settings(problem: Problem) -> ClassicalSettings:
     """Settings of the classical method that ship for an arm's class."""
     return ClassicalSettings(**_tuned_search(f"{arm_class(problem)}-classical"))
 
 
-def _usual(policy: str) -> Callable[[Problem, int], Agent]:
-    """A policy with the learned posterior where one is trained, else with the analytic one."""
-    return lambda problem, seed: belief_agent(usual_estimator(problem), policy, problem, seed=seed)
+def _of(policy: str, estimator: str = "") -> Callable[[Problem, int], Agent]:
+    """A policy with an estimator, by default the usual one of the problem."""
+    return lambda problem, seed: belief_agent(
+        estimator or usual_estimator(problem), policy, problem, seed=seed
+    )
 
 
 def _fixed(records: int) -> Callable[[Problem, int], Agent]:
@@ -178,7 +163,7 @@ LEARNED = ("ppo", "maskable_ppo")
 
 
 AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
-    "random": (_of("posterior", "random"), "random moves and shakes until its posterior is sure"),
+    "random": (_of("random", "posterior"), "random moves and shakes until its posterior is sure"),
     "classical": (
         _classical(),
         "the thesis's link finding by the change of motion, all poses pooled",
@@ -199,27 +184,23 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
         "predicted directions of every hypothesis, all joints at once",
     ),
     "constant": (
-        _of("amortised", "constant"),
+        _of("constant", "amortised"),
         "the learned posterior, always the best single joint, random poses",
     ),
     "together": (
-        _of("amortised", "together"),
+        _of("together", "amortised"),
         "the learned posterior, always all joints, random poses",
     ),
-    "greedy": (_of("amortised", "greedy"), "the learned posterior, the most telling record next"),
-    "look_ahead": (_of("amortised", "look_ahead"), "the same, two records ahead"),
+    "greedy": (_of("greedy", "amortised"), "the learned posterior, the most telling record next"),
+    "look_ahead": (_of("look_ahead", "amortised"), "the same, two records ahead"),
     **{
         f"fixed_{k}": (_fixed(k), f"the same {k} record{'s' * (k > 1)} on every arm, then a name")
         for k in range(1, FIXED_RECORDS + 1)
     },
-    "fixed": (_usual("fixed"), "the same records on every arm, until its posterior is sure"),
-    "open_loop": (_usual("open_loop"), "records chosen by the model, blind to their results"),
+    "fixed": (_of("fixed"), "the same records on every arm, until its posterior is sure"),
+    "open_loop": (_of("open_loop"), "records chosen by the model, blind to their results"),
     "always_healthy": (_blind("healthy"), "blind: healthy, after the cheapest record"),
     "always_unsure": (_blind(UNSURE), "blind: unsure, after the cheapest records that allow it"),
-    "oracle": (
-        lambda problem, seed: oracle_agent(problem, seed=seed),
-        "no agent: greedy, told the hidden direction and friction",
-    ),
     "ppo": (_learned("ppo"), "a policy trained by PPO on the learned posterior"),
     "maskable_ppo": (_learned("maskable_ppo"), "the same, allowed choices only"),
 }

@@ -1,4 +1,4 @@
-"""Arms under test: their models, their linear response, how joints are braked or servoed."""
+"""Arms under test: library, model files, linear response, brakes and servos, model mismatch."""
 
 from loose_env.arms.arm import (
     COIL,
@@ -6,8 +6,11 @@ from loose_env.arms.arm import (
     Gears,
     Holding,
     HoldKind,
+    LinkSite,
+    Place,
     Shaker,
     add_shaker,
+    link_site,
     place_shaker,
     quiet,
 )
@@ -59,7 +62,6 @@ from loose_env.arms.model_file import (
     read_model_file,
     require_numbers,
 )
-from loose_env.arms.sites import LinkSite, Place, ShakenArm, link_site
 
 __all__ = [
     "BENDING_MODE_HZ",
@@ -91,7 +93,6 @@ __all__ = [
     "ModelFile",
     "Place",
     "Response",
-    "ShakenArm",
     "Shaker",
     "add_shaker",
     "arm_from_file",

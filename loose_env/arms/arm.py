@@ -1,4 +1,4 @@
-"""The arm under test: a MuJoCo spec, its joints in order, its tool, its gears, its shaker."""
+"""`Arm`, the arm under test: MuJoCo spec, joints, tool, gears, holding, shaker, link sites."""
 
 from __future__ import annotations
 
@@ -90,13 +90,6 @@ def largest_reach(
     hinge's angle and a convex parabola in a slide's position, so each joint goes straight to
     its best place within its range, and no step makes the distance smaller. Several starts, the
     same ones in every call, guard against a bent arm in which no single joint gains.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> arm = planar(3)
-    >>> round(largest_reach(arm.model, arm.joints, arm.joint_ranges, arm.tool), 9)
-    0.9
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -174,13 +167,6 @@ def largest_levers(
     """Largest distance of the tool from each joint's axis over random poses [m] (n,).
 
     Infinite where a joint slides: every motion of it moves the tool.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> arm = planar(2)
-    >>> largest_levers(arm.model, arm.joints, arm.joint_ranges, arm.tool).round(2).tolist()
-    [0.6, 0.3]
     """
     data = mujoco.MjData(model)
     ids = [int(model.joint(name).id) for name in joints]
@@ -330,43 +316,24 @@ _OWN = ("id", "classname", "signature")
 """Attributes that belong to the object, not to what it describes."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PackedSpec:
-    """A spec as text and numbers.
+def _packed(spec: mujoco.MjSpec) -> tuple[str, dict[tuple[str, int, str], Any]]:
+    """XML of a spec, and its numbers by kind of element, index and attribute: XML rounds them."""
+    written = spec.copy()
+    written.compile()
+    return written.to_xml(), dict(_spec_numbers(spec))
 
-    Examples
-    --------
-    >>> spec = mujoco.MjSpec()
-    >>> body = spec.worldbody.add_body(name="rod", mass=1 / 3, inertia=[0.1, 0.2, 0.2])
-    >>> body.explicitinertial = True
-    >>> PackedSpec.of(spec).unpack().body("rod").mass
-    0.3333333333333333
-    """
 
-    xml: str
-    """Its XML."""
-    numbers: dict[tuple[str, int, str], Any]
-    """Numbers by kind of element, index and attribute."""
-
-    @classmethod
-    def of(cls, spec: mujoco.MjSpec) -> PackedSpec:
-        """Pack a spec, which stays as it is."""
-        written = spec.copy()
-        written.compile()
-        return cls(xml=written.to_xml(), numbers=dict(_spec_numbers(spec)))
-
-    def unpack(self) -> mujoco.MjSpec:
-        """Build the spec."""
-        spec = mujoco.MjSpec.from_string(self.xml)
-        elements = dict(_elements(spec))
-        for (kind, index, name), value in self.numbers.items():
-            element = elements[kind, index]
-            now = getattr(element, name)
-            if isinstance(now, np.ndarray):
-                now[:] = value
-            elif now != value:
-                setattr(element, name, value)
-        return spec
+def _unpacked(xml: str, numbers: dict[tuple[str, int, str], Any]) -> mujoco.MjSpec:
+    spec = mujoco.MjSpec.from_string(xml)
+    elements = dict(_elements(spec))
+    for (kind, index, name), value in numbers.items():
+        element = elements[kind, index]
+        now = getattr(element, name)
+        if isinstance(now, np.ndarray):
+            now[:] = value
+        elif now != value:
+            setattr(element, name, value)
+    return spec
 
 
 def _elements(spec: mujoco.MjSpec) -> Iterator[tuple[tuple[str, int], Any]]:
@@ -589,11 +556,11 @@ class Arm:
     def __getstate__(self) -> dict[str, Any]:
         """Fields as plain data, for pickle."""
         found = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {**found, "spec": PackedSpec.of(self.spec)}
+        return {**found, "spec": _packed(self.spec)}
 
     def __setstate__(self, stored: dict[str, Any]) -> None:
         """Take up fields from pickle."""
-        for name, value in {**stored, "spec": stored["spec"].unpack()}.items():
+        for name, value in {**stored, "spec": _unpacked(*stored["spec"])}.items():
             object.__setattr__(self, name, value)
 
     @property
@@ -741,3 +708,125 @@ class Arm:
         low = np.array([-np.pi if r is None else r[0] for r in self.joint_ranges])
         high = np.array([np.pi if r is None else r[1] for r in self.joint_ranges])
         return np.asarray(low + (high - low) * rng.random(self.n))
+
+
+Place = Literal["proximal", "distal"]
+
+CLEARANCE = 0.05
+"""Least distance of a distal sensor from the axis of the link's own joint [m].
+
+In a wrist whose axes cross, the next joint's centre lies on the own joint's axis, where that
+joint's motion shows nothing. A sensor sits on the outside of the link, off the axis."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinkSite:
+    """A place on a link, in the frame of the body that carries it."""
+
+    link: int
+    """Number of the link."""
+    body: str
+    """The body: of a link that bends, the part at that end."""
+    position: Array
+    """Position in the body's frame [m] (3,)."""
+    tangent: Array
+    """Direction in which the link's own joint moves the place, unit vector, body frame (3,)."""
+    scaled_by: int
+    """Body of the bare arm whose distance from its parent the place shares; -1 for none."""
+
+    @property
+    def tangential_frame(self) -> Array:
+        """Rotation whose x axis is the tangent; columns are its axes in the body's frame (3, 3)."""
+        x = self.tangent
+        z = np.eye(3)[int(np.argmin(np.abs(x)))]
+        z = z - (z @ x) * x
+        z /= np.linalg.norm(z)
+        return np.column_stack([x, np.cross(z, x), z])
+
+    @property
+    def tangential_quat(self) -> list[float]:
+        """`tangential_frame` as a quaternion (4,)."""
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, self.tangential_frame.ravel())
+        return [float(q) for q in quat]
+
+
+def link_site(arm: Arm, link: int, place: Place = "distal") -> LinkSite:
+    """Find a place on a link.
+
+    Parameters
+    ----------
+    arm : Arm
+        The arm.
+    link : int
+        Number of the link, from 1 at the base.
+    place : {"distal", "proximal"}
+        "distal": where the next joint sits, or the tool on the last link, but `CLEARANCE` off
+        the axis of a turning joint at least. "proximal": the origin of the link's seat, where
+        its own turning joint has no lever; the tangent is zero there.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such link or place.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> site = link_site(planar(3), 1)
+    >>> site.body, site.position.tolist(), site.tangent.tolist()
+    ('link1', [0.3, 0.0, 0.0], [0.0, 1.0, 0.0])
+    """
+    i = arm.link_number(link) - 1
+    if place not in ("proximal", "distal"):
+        raise UnknownName(f"a sensor sits at the 'proximal' or 'distal' end, got {place!r}")
+    m = arm.model
+    if place == "proximal":
+        return LinkSite(
+            link=link,
+            body=arm.seat_bodies[i],
+            position=np.zeros(3),
+            tangent=np.zeros(3),
+            scaled_by=-1,
+        )
+    if i + 1 < arm.n:
+        joint = m.joint(arm.joints[i + 1])
+        beyond = scaled_by = int(joint.bodyid[0])
+        body = int(m.body_parentid[beyond])
+        anchor = np.zeros(3)
+        mujoco.mju_rotVecQuat(anchor, joint.pos, m.body_quat[beyond])
+        position = m.body_pos[beyond] + anchor
+    else:
+        site = m.site(arm.tool)
+        body = scaled_by = int(site.bodyid[0])
+        position = np.array(site.pos)
+    # The rest of the arm does not matter: the own joint moves all of the link alike.
+    data = mujoco.MjData(m)
+    mujoco.mj_kinematics(m, data)
+    turn = data.xmat[body].reshape(3, 3)
+    own = m.joint(arm.joints[i])
+    axis = turn.T @ data.xaxis[own.id]
+    if own.type[0] == mujoco.mjtJoint.mjJNT_SLIDE:
+        tangent = axis
+    else:
+        lever = position - turn.T @ (data.xanchor[own.id] - data.xpos[body])
+        lever = lever - (lever @ axis) * axis
+        length = float(np.linalg.norm(lever))
+        if length < CLEARANCE:
+            if length > 1e-6:
+                away = lever / length
+            else:
+                away = np.eye(3)[int(np.argmin(np.abs(axis).round(9)))]
+                away = away - (away @ axis) * axis
+                away /= np.linalg.norm(away)
+            position = position + (CLEARANCE - length) * away
+            lever = CLEARANCE * away
+        tangent = np.cross(axis, lever)
+        tangent /= np.linalg.norm(tangent)
+    return LinkSite(
+        link=link,
+        body=m.body(body).name,
+        position=position,
+        tangent=tangent.round(12) + 0.0,
+        scaled_by=scaled_by,
+    )

@@ -1,4 +1,4 @@
-"""The serial chain in a model file, and a spec of its own for it."""
+"""Serial chain found in a compiled model file, and a MuJoCo spec rebuilt from it."""
 
 from __future__ import annotations
 
@@ -304,22 +304,10 @@ TOOL_SITE = "tool"
 _RESERVED = ("seat", "open_", "shaker", "coil")  # joints that a rig adds begin with these
 
 
-@dataclass(frozen=True, kw_only=True)
-class ChainSpec:
-    """A chain as a spec of its own; names base first."""
-
-    spec: mujoco.MjSpec
-    """The arm."""
-    joints: tuple[str, ...]
-    """Driven joints."""
-    links: tuple[str, ...]
-    """Their links, a body each."""
-    springs: tuple[str, ...]
-    """Elastic joints."""
-
-
-def chain_spec(file: ModelFile, chain: Chain, tool_offset: Array) -> ChainSpec:
-    """Build the chain anew, in radians, with a flange and a link for every joint.
+def chain_spec(
+    file: ModelFile, chain: Chain, tool_offset: Array
+) -> tuple[mujoco.MjSpec, list[str], list[str], tuple[str, ...]]:
+    """Build the chain anew, in radians: spec, driven joints, their links and elastic joints.
 
     Each link is everything of the file that rides on it, other joints frozen where the file
     has them at its reference. Flange and link share its mass and inertia, both about the same
@@ -384,7 +372,7 @@ def chain_spec(file: ModelFile, chain: Chain, tool_offset: Array) -> ChainSpec:
         place, turn = _relative(data, base, data.site_xpos[site], data.site_xmat[site])
     place = place + turn @ tool_offset
     parent.add_site(name=TOOL_SITE, pos=list(place), quat=_quat(turn))
-    return ChainSpec(spec=spec, joints=tuple(joints), links=tuple(links), springs=tuple(springs))
+    return spec, joints, links, tuple(springs)
 
 
 def _riding(m: mujoco.MjModel, moving: list[int]) -> list[int]:

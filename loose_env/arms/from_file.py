@@ -1,4 +1,4 @@
-"""Arms from model files: torque limits, levels, time step, report."""
+"""Arms built from MJCF or URDF files, with proposed torque limits and levels; file report."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ def _of_drives(arm: Arm) -> list[tuple[int, str]]:
 def _with_wheels(arm: Arm, step: float) -> Arm | None:
     """Return the arm with a step and flanges heavy enough for it; None if rotors do not suffice."""
     spec = arm.spec.copy()
-    _, own = inertias(arm)
+    _, own, _ = inertias(arm)
     m = arm.model
     for j, spring in _of_drives(arm):
         stiffness = float(m.joint(spring).stiffness[0])
@@ -584,8 +584,7 @@ def arm_of_model_file(
             f"({', '.join(found.springs)}); hold='compliant' would add gears to them. Take "
             "hold='brake' or 'servo': the file's springs are in either"
         )
-    made = chain_spec(file, chain, _offset(tool_offset))
-    spec, names, links = made.spec, list(made.joints), list(made.links)
+    spec, names, links, springs = chain_spec(file, chain, _offset(tool_offset))
     ranges = tuple(_range(file.model, j) for j in chain.joints)
     low = np.array([-np.pi if r is None else r[0] for r in ranges])
     high = np.array([np.pi if r is None else r[1] for r in ranges])
@@ -620,7 +619,7 @@ def arm_of_model_file(
         settling=0.1,
     )
     arm = replace(arm, timestep=stable_timestep(arm, poses))
-    arm = with_file_springs(arm, made.springs)
+    arm = with_file_springs(arm, springs)
     arm = replace(arm, centring=calm_centring(arm, poses))
     arm = held(replace(arm, gears=proposed_gears(arm)), hold)
     return replace(arm, levels=propose_levels(arm, poses))

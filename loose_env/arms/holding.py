@@ -1,9 +1,10 @@
-"""Brakes, servos and elastic gears that hold an arm's joints."""
+"""Brakes, servos and elastic gears added to an arm; spec and link builders, settling time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -151,36 +152,13 @@ WHEEL_TURN = 0.8
 of the stable range is left to a stop that pushes on it."""
 
 
-def gears_of(
-    arm: Arm,
-    stiffness: PerJoint | None = None,
-    mode_hz: PerJoint | None = None,
-    damping_ratio: PerJoint | None = None,
-) -> Gears:
-    """Parameters of an arm's gears, with what is given in place of its own."""
-    if stiffness is not None and mode_hz is not None:
-        raise InvalidSetting(
-            f"gears have a stiffness or a mode, not both; got stiffness={stiffness!r} and "
-            f"mode_hz={mode_hz!r}"
-        )
-    gears = arm.gears or Gears()
-    if stiffness is not None:
-        gears = replace(gears, stiffness=_tuple("stiffness", stiffness, arm.n))
-    if mode_hz is not None:
-        gears = replace(gears, stiffness=None, mode_hz=_tuple("mode_hz", mode_hz, arm.n))
-    if damping_ratio is not None:
-        gears = replace(gears, damping_ratio=_tuple("damping_ratio", damping_ratio, arm.n))
-    return gears
-
-
 def proposed_gears(arm: Arm) -> Gears:
     """Propose gears for an arm of which only drives and inertias are known.
 
     Turning joints have `STIFFNESS_PER_TORQUE` times their torque limit, but no more than can be
     simulated with the arm's step; sliding ones a mode of `GEAR_MODE_HZ`.
     """
-    carried, _ = inertias(arm)
-    rotor = rotors(arm, carried)
+    carried, _, rotor = inertias(arm)
     stiffest = 0.25 * rotor * (WHEEL_TURN / arm.timestep) ** 2
     by_torque = STIFFNESS_PER_TORQUE * np.array(arm.torque_limits)
     by_mode = carried * (2 * np.pi * GEAR_MODE_HZ) ** 2
@@ -247,8 +225,11 @@ def add_wheel(flange: mujoco.MjsBody, inertia: float, axis: Array, *, slides: bo
     flange.explicitinertial = True
 
 
-def inertias(arm: Arm) -> tuple[Array, Array]:
-    """Inertia at each joint without its rotor, and its flange's share of that (n,) each."""
+def inertias(arm: Arm) -> tuple[Array, Array, Array]:
+    """Inertia at each joint without its rotor, its flange's share of that, and its rotor's (n,).
+
+    The rotor of a bare joint is estimated.
+    """
     model = arm.model
     rotors = np.array([float(model.dof_armature[model.joint(j).dofadr[0]]) for j in arm.joints])
     carried = held_inertia(arm.spec, arm.joints, poses_of(arm)) - rotors
@@ -266,24 +247,13 @@ def inertias(arm: Arm) -> tuple[Array, Array]:
         mujoco.mju_negQuat(back, model.body_iquat[body])
         mujoco.mju_rotVecQuat(turned, axis, back)
         own[i] = float(model.body_inertia[body] @ turned**2) + mass * float(lever @ lever)
-    return carried, own
-
-
-def rotors(arm: Arm, carried: Array) -> Array:
-    """Rotor inertia of each joint, that of a bare one estimated [kg·m², or kg] (n,)."""
-    model = arm.model
-    rotors = np.array([float(model.dof_armature[model.joint(j).dofadr[0]]) for j in arm.joints])
-    return np.where(rotors > 0, rotors, BARE_ROTOR * carried)
+    return carried, own, np.where(rotors > 0, rotors, BARE_ROTOR * carried)
 
 
 def poses_of(arm: Arm) -> Array:
     """The zero pose and random ones, always the same."""
     rng = np.random.default_rng(0)
     return np.array([np.zeros(arm.n), *(arm.random_pose(rng) for _ in range(24))])
-
-
-def _tuple(name: str, value: PerJoint, n: int) -> tuple[float, ...]:
-    return tuple(float(v) for v in each_joint(name, value, n))
 
 
 def rounded(values: Array) -> tuple[float, ...]:
@@ -397,7 +367,23 @@ def with_compliance(
     >>> with_compliance(planar(3), mode_hz=30.0).gear_joints
     ('gear1', 'gear2', 'gear3')
     """
-    return compliant(arm, gears_of(arm, stiffness, mode_hz, damping_ratio))
+    if stiffness is not None and mode_hz is not None:
+        raise InvalidSetting(
+            f"gears have a stiffness or a mode, not both; got stiffness={stiffness!r} and "
+            f"mode_hz={mode_hz!r}"
+        )
+    given: dict[str, Any] = {
+        name: tuple(each_joint(name, value, arm.n).tolist())
+        for name, value in (
+            ("stiffness", stiffness),
+            ("mode_hz", mode_hz),
+            ("damping_ratio", damping_ratio),
+        )
+        if value is not None
+    }
+    if mode_hz is not None:
+        given["stiffness"] = None
+    return compliant(arm, replace(arm.gears or Gears(), **given))
 
 
 def compliant(arm: Arm, gears: Gears | None = None) -> Arm:
@@ -418,19 +404,11 @@ def compliant(arm: Arm, gears: Gears | None = None) -> Arm:
     was asked for: the pose is that of the links, as on a robot that corrects for its sag, and the
     wind-up is only missing as a constant in the encoder's reading. It is of the order of a
     milliradian, less than the encoders' zeros are off anyway.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> arm = compliant(planar(2), Gears(stiffness=(4e4, 1e4)))
-    >>> arm.name, arm.model.joint("gear2").stiffness[0].item()
-    ('planar2-compliant', 10000.0)
     """
     rigid = arm if arm.rigid is None else arm.rigid
     chosen = gears or arm.gears or Gears()
-    carried, own = inertias(rigid)
+    carried, own, rotor = inertias(rigid)
     stiffness, damping = chosen.stiffness_and_damping(carried)
-    rotor = rotors(rigid, carried)
     name = rigid.name.removesuffix("-servo")
     needed = np.zeros(rigid.n)
     for halving in range(_HALVINGS + 1):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,6 +20,26 @@ from loose_env.arms.holding import (
     new_spec,
 )
 from loose_env.errors import InvalidSetting
+
+
+def _arm(name: str, spec: mujoco.MjSpec, hold: HoldKind, **settings: Any) -> Arm:
+    """Arm of bodies link1, link2, ... behind joint1, joint2, ..., with its holdings."""
+    n = len(settings["torque_limits"])
+    joints = tuple(f"joint{i}" for i in range(1, n + 1))
+    brake, servo, centring = holdings(spec, joints)
+    arm = Arm(
+        name=name,
+        spec=spec,
+        joints=joints,
+        seat_bodies=tuple(f"link{i}" for i in range(1, n + 1)),
+        tool="tool",
+        band=(30.0, 150.0),
+        brake=brake,
+        servo=servo,
+        centring=centring,
+        **settings,
+    )
+    return held(arm, hold)
 
 
 def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake") -> Arm:
@@ -79,29 +100,20 @@ def planar(n_links: int = 4, *, vertical: bool = False, hold: HoldKind = "brake"
         link.explicitinertial = True
         parent = link
     parent.add_site(name="tool", pos=[length, 0, 0])
-    joints = tuple(f"joint{i}" for i in range(1, n_links + 1))
-    brake, servo, centring = holdings(spec, joints)
     limit = np.radians(150.0)
-    arm = Arm(
-        name=f"planar{n_links}{'v' if vertical else ''}",
-        spec=spec,
-        joints=joints,
-        seat_bodies=tuple(f"link{i}" for i in range(1, n_links + 1)),
-        tool="tool",
+    return _arm(
+        f"planar{n_links}{'v' if vertical else ''}",
+        spec,
+        hold,
         axes=(0, 1),
         torque_limits=tuple(
             float(f"{_peak_torque(masses[i:], length, centre, levels[-1]):.2g}")
             for i in range(n_links)
         ),
-        joint_ranges=((-np.pi, np.pi), *((-limit, limit) for _ in joints[1:])),
+        joint_ranges=((-np.pi, np.pi), *[(-limit, limit)] * (n_links - 1)),
         levels=levels,
-        band=(30.0, 150.0),
-        brake=brake,
-        servo=servo,
-        centring=centring,
         timestep=2e-4,
     )
-    return held(arm, hold)
 
 
 def _distal_inertia(masses: list[float], length: float, centre: float) -> float:
@@ -188,23 +200,15 @@ def scara(*, hold: HoldKind = "brake") -> Arm:
     spec.joint("joint3").type = mujoco.mjtJoint.mjJNT_SLIDE
     parent.add_site(name="tool", pos=list(_TOOL))
 
-    joints = tuple(f"joint{i}" for i in range(1, 5))
-    brake, servo, centring = holdings(spec, joints)
     first, second = float(np.radians(105.0)), float(np.radians(150.0))
-    arm = Arm(
-        name="scara",
-        spec=spec,
-        joints=joints,
-        seat_bodies=tuple(f"link{i}" for i in range(1, 5)),
-        tool="tool",
+    return _arm(
+        "scara",
+        spec,
+        hold,
         axes=(0, 1, 2),
         torque_limits=_SCARA_TORQUES,
         joint_ranges=((-first, first), (-second, second), (-STROKE, 0.0), (-2 * np.pi, 2 * np.pi)),
         levels=(0.5, 2.0, 6.0),
-        band=(30.0, 150.0),
-        brake=brake,
-        servo=servo,
-        centring=centring,
         timestep=2e-4,
         gears=Gears(
             stiffness=tuple(
@@ -213,7 +217,6 @@ def scara(*, hold: HoldKind = "brake") -> Arm:
             )
         ),
     )
-    return held(arm, hold)
 
 
 TOOL = (0.10, 0.0, 0.05625)
@@ -323,26 +326,17 @@ def six_axis(*, hold: HoldKind = "brake") -> Arm:
         parent = link
     parent.add_site(name="tool", pos=list(TOOL))
 
-    joints = tuple(f"joint{i}" for i in range(1, 7))
-    brake, servo, centring = holdings(spec, joints)
-    arm = Arm(
-        name="six_axis",
-        spec=spec,
-        joints=joints,
-        seat_bodies=tuple(f"link{i}" for i in range(1, 7)),
-        tool="tool",
+    return _arm(
+        "six_axis",
+        spec,
+        hold,
         axes=(0, 1, 2),
         torque_limits=_PUMA_TORQUES,
         joint_ranges=tuple((float(np.radians(a)), float(np.radians(b))) for a, b in _RANGES),
         levels=(1.0, 2.0, 4.0),
-        band=(30.0, 150.0),
-        brake=brake,
-        servo=servo,
-        centring=centring,
         timestep=2e-4,
         gears=Gears(stiffness=tuple(STIFFNESS_PER_TORQUE * t for t in _PUMA_TORQUES)),
     )
-    return held(arm, hold)
 
 
 LINK_LENGTH = 0.40
@@ -399,26 +393,17 @@ def vera(*, hold: HoldKind = "brake") -> Arm:
     (5.08, 3.39)
     """
     spec = vera_spec()
-    joints = ("joint1", "joint2")
-    brake, servo, centring = holdings(spec, joints)
-    arm = Arm(
-        name="vera",
-        spec=spec,
-        joints=joints,
-        seat_bodies=("link1", "link2"),
-        tool="tool",
+    return _arm(
+        "vera",
+        spec,
+        hold,
         axes=(0, 1),
         torque_limits=(5.08, 3.39),
         joint_ranges=(None, None),
         levels=(0.25, 0.75, 2.25),
-        band=(30.0, 150.0),
-        brake=brake,
-        servo=servo,
-        centring=centring,
         timestep=1e-4,
         settling=0.2,  # the bending mode dies away in 0.2 s
     )
-    return held(arm, hold)
 
 
 def vera_spec(

@@ -1,4 +1,4 @@
-"""Frequency response of the nominal arm to small excitation, in closed form."""
+"""Linearised nominal arm: frequency response in a pose, healthy and through each open seat."""
 
 from __future__ import annotations
 
@@ -48,32 +48,6 @@ def inertance_rate(timestep: float) -> float:
     the stable range of the integrator.
     """
     return 0.5 / timestep
-
-
-def dynamic_stiffness(
-    arm: Arm,
-    mass: Array,
-    excited: NDArray[np.bool_],
-    frequency: Array,
-    springs: Array,
-    dampers: Array,
-) -> ComplexArray:
-    """Force per motion of joints, then bending modes, over the band."""
-    omega = 2 * np.pi * frequency
-    s = 1j * omega
-    loose = s * dampers[:, None] + springs[:, None]
-    for j in range(arm.n):
-        loose[j] += arm.centring.stiffness[j] + s * arm.centring.damping[j]
-    held = loose.copy()
-    for j in range(arm.n):
-        k, c = arm.holding.stiffness[j], arm.holding.damping[j]
-        inertance = k / inertance_rate(arm.timestep) ** 2
-        held[j] += k + s * c - omega**2 * inertance
-    stiffness = mass.transpose(1, 2, 0)[..., None] * (-(omega**2) + 0j)
-    for v in range(len(springs)):
-        free = excited[:, v, None] if v < arm.n else True  # bending modes are never held
-        stiffness[v, v] += np.where(free, loose[v], held[v])
-    return np.asarray(stiffness)
 
 
 def solved(stiffness: ComplexArray, force: ComplexArray) -> ComplexArray:
@@ -350,9 +324,24 @@ class LinearArm:
         ]
 
     def dynamic_stiffness(self, mass: Array, excited: NDArray[np.bool_]) -> ComplexArray:
-        """Dynamic stiffness of joints and bending modes (v, v, B, K)."""
+        """Force per motion of joints, then bending modes, over the band (v, v, B, K)."""
+        arm = self.arm
         springs, dampers = (own[self.moving] for own in self.springs)
-        return dynamic_stiffness(self.arm, mass, excited, self.frequency, springs, dampers)
+        omega = 2 * np.pi * self.frequency
+        s = 1j * omega
+        loose = s * dampers[:, None] + springs[:, None]
+        for j in range(arm.n):
+            loose[j] += arm.centring.stiffness[j] + s * arm.centring.damping[j]
+        held = loose.copy()
+        for j in range(arm.n):
+            k, c = arm.holding.stiffness[j], arm.holding.damping[j]
+            inertance = k / inertance_rate(arm.timestep) ** 2
+            held[j] += k + s * c - omega**2 * inertance
+        stiffness = mass.transpose(1, 2, 0)[..., None] * (-(omega**2) + 0j)
+        for v in range(len(springs)):
+            free = excited[:, v, None] if v < arm.n else True  # bending modes are never held
+            stiffness[v, v] += np.where(free, loose[v], held[v])
+        return np.asarray(stiffness)
 
     def _linearise(self, q: Array) -> LinearPose:
         model, data = self.model, self._data

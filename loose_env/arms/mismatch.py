@@ -1,4 +1,4 @@
-"""Mismatch between the nominal arm and the true one, and its drift."""
+"""Random mismatch between nominal and true arm, and its drift between records."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The command ``loose``: the instrument for measured data."""
+"""Package of the command ``loose``; `main` runs it, `command` parses for it and for the scripts."""

@@ -1,4 +1,4 @@
-"""Options, output and output folder that all commands of ``loose`` share.
+"""Options, outcome, printed output and output folder that all commands of ``loose`` share.
 
 A command returns an `Outcome`; `Console.show` prints it. Results go to the standard output,
 progress, notes and warnings to the error stream.

@@ -1,4 +1,4 @@
-"""Commands of model and machine that disagree: ``loose gap``, ``loose export``."""
+"""Commands on model errors: ``loose gap`` identifies effects, ``loose export`` exports them."""
 
 from __future__ import annotations
 

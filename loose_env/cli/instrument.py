@@ -117,7 +117,7 @@ class Plan(Output):
 
     def run(self, console: Console) -> Outcome:
         """Plan the next measurement and write it down."""
-        from loose_env.report import summary, tool_summary, write_plan_page, write_tool_page
+        from loose_env.report import summary, write_plan_page
 
         diagnosis = None if self.known is None else read_diagnosis(self.known)
         before, whose = session_beside(self.out / RECORDING), "the earlier plan"
@@ -134,17 +134,16 @@ class Plan(Output):
             made = plan(self.model, diagnosis, **given)
             files = PlanFiles(self.out, made.arm.recording_model.xml)
             planned = files.runs_of(made)
-            runs = [one.file for one in planned if one.kind == "run"]
             written = write_plan(files, made, known=source)
             text, warnings = summary(made), made.warnings
-            page = partial(write_plan_page, files.folder / PAGE, made, runs, planned=planned)
+            page = partial(write_plan_page, files.folder / PAGE, made, planned)
         else:
             struck = plan_tool(self.model, diagnosis, **given)
             files = PlanFiles(self.out, struck.arm.recording_model.xml)
             planned = tool_runs(files, struck)
             written = write_tool_plan(files, struck, known=source)
-            text, warnings = tool_summary(struck), struck.warnings
-            page = partial(write_tool_page, files.folder / PAGE, struck, planned)
+            text, warnings = summary(struck), struck.warnings
+            page = partial(write_plan_page, files.folder / PAGE, struck, planned)
         try:
             written.append(page(folder=self.out, model=self.model))
         except MissingExtra as error:

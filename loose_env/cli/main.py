@@ -126,7 +126,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words[0] == "--print-completion":
         if words[1:2] == [] or words[1] not in SHELLS:
             command.refuse("loose", f"--print-completion takes one of {', '.join(SHELLS)}")
-        _print_completion(words[1])
+        with command.errors_in_one_line("loose"):
+            _print_completion(words[1])
         return 0
     if words[0] not in COMMANDS:
         command.refuse("loose", f"{words[0]!r} is no command; there are {', '.join(COMMANDS)}")

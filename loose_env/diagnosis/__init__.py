@@ -1,6 +1,6 @@
 """Diagnosis from several records: posteriors, directions, link finding, experiment design.
 
-Data flow: prediction -> records -> posterior -> features -> novelty -> learned ->
+Data flow: prediction -> posterior -> features -> novelty -> learned ->
 experiment_design -> directions -> link_finding -> scatter -> pose_sets.
 """
 
@@ -66,7 +66,6 @@ from loose_env.diagnosis.pose_sets import (
     PoseSets,
     bingham_width,
     direction_limit,
-    one_by_one_share,
     scattered_axes,
 )
 from loose_env.diagnosis.posterior import (
@@ -83,21 +82,20 @@ from loose_env.diagnosis.posterior import (
     variants,
 )
 from loose_env.diagnosis.prediction import (
+    LinkReadings,
+    NominalLinks,
     Prediction,
+    RecordStatistics,
     SensorFloor,
+    link_axes,
+    link_readings_of_all,
     predict,
     predict_seats,
     predictions,
-    stiffness_errors,
-)
-from loose_env.diagnosis.records import (
-    LinkReadings,
-    NominalLinks,
-    RecordStatistics,
-    link_axes,
-    link_readings_of_all,
+    shut_seats,
     statistics_of,
     statistics_of_all,
+    stiffness_errors,
 )
 from loose_env.diagnosis.scatter import (
     PlaceDirections,
@@ -169,7 +167,6 @@ __all__ = [
     "log_mean_bingham",
     "looks_healthy",
     "next_joint",
-    "one_by_one_share",
     "precision_of",
     "predict",
     "predict_seats",
@@ -179,6 +176,7 @@ __all__ = [
     "scattered_axes",
     "shape_of_motion",
     "shipped_table",
+    "shut_seats",
     "sight_change",
     "statistics_of",
     "statistics_of_all",

@@ -1,4 +1,4 @@
-"""Directions of looseness: measured in one pose, carried into links, and what they say together."""
+"""Directions of looseness: sighted in a pose, turned into link frames, posterior over links."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import i0e
 
 from loose_env.arms import Arm, Mismatch
-from loose_env.diagnosis.prediction import Prediction, SensorFloor
-from loose_env.diagnosis.records import RecordStatistics
+from loose_env.diagnosis.prediction import Prediction, RecordStatistics, SensorFloor
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.faults import hypotheses
 from loose_env.statistics import axial_vector
 from loose_env.typing import Array
 
@@ -121,11 +121,7 @@ def fault_locations(arm: Arm) -> tuple[str, ...]:
     >>> fault_locations(planar(2))[1:3]
     ('structural_looseness@link2', 'backlash@joint1')
     """
-    numbers = range(1, arm.n + 1)
-    return (
-        *(f"structural_looseness@link{i}" for i in numbers),
-        *(f"backlash@joint{i}" for i in numbers),
-    )
+    return hypotheses(arm, everywhere=True)[1:]
 
 
 class ToolFrames:

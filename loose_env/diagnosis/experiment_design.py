@@ -1,13 +1,13 @@
-"""Design of experiments: excitation in a pose, expected information, coverage, and bounds."""
+"""Design of one record: band and level by joint, information, seats shown; fewest records."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import stats
 
 from loose_env.arms import Arm, LinearArm, LinearPose
 from loose_env.diagnosis.features import SeatFeatures
@@ -20,10 +20,11 @@ from loose_env.diagnosis.prediction import (
     independent_samples,
     predict_seats,
     seat_drives,
+    shut_seats,
 )
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation, SeatReference, at_levels
-from loose_env.inference import expected_log_score, overlap, squared_distances
+from loose_env.inference import expected_log_score, overlap, squared_distances, whitener
 from loose_env.statistics import axes_grid
 from loose_env.typing import Array
 
@@ -34,6 +35,7 @@ _LEAST_WIDTH = 20.0
 _LOWEST = 8.0
 """Lowest end of a band: twice the modes of the soft springs that centre excited joints [Hz]."""
 _AXES = {2: 12, 3: 40}
+"""Sliding directions that stand for all of a link, by dimension."""
 _LEVELS = np.geomspace(0.05, 50.0, 121)
 """Levels that are tried, rms acceleration of the nominal tool [m/s²]."""
 _AS_GOOD = 0.9
@@ -105,12 +107,6 @@ def propose_band(
 
     The arm's own band where no mode reaches into twice its top, else one that ends at half the
     lowest mode, if there is room for it. Modes are the lowest over the joints that may be excited.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> propose_band(LinearArm(planar(3)), np.array([0.0, 0.5, 0.5]))[0]
-    (30.0, 150.0)
     """
     arm = linear.arm
     at = linear.at(pose)
@@ -189,50 +185,21 @@ def propose_excitation(
             raise InvalidSetting(f"{name} is {value!r}; it must be finite and {least:g} or more")
     nominal = LinearArm(arm)
     band, modes, warnings = propose_band(nominal, pose)
-    wanted = (pose, gap, friction, duration)
-    found = _play(nominal, *wanted)
+    wanted = (modes, pose, gap, friction, duration)
+    found = _proposal(nominal, *wanted)
     if band != arm.band:
-        lower = _play(nominal.variant(replace(arm, band=band)), *wanted)
+        lower = _proposal(nominal.variant(replace(arm, band=band)), *wanted)
         if lower.openings.mean() >= _WORTH * found.openings.mean():
             found = lower
         else:  # the gap allows little acceleration at low frequencies, gravity asks for more
             inside = modes[modes < _CLEAR * arm.band[1]]
-            band, warnings = arm.band, (_warning(arm.band, inside, "below them seats stay shut"),)
-    notes = [*warnings, *found.notes]
-    at, best_by_link = found.at, found.openings
-    mass = _seat_mass(at)
-    gravity = np.linalg.norm(at.seat_load, axis=1) / (9.81 * np.maximum(mass, 1e-9))
-    shut = [i + 1 for i in range(arm.n) if best_by_link[i] < 0.1]
-    if shut:
-        notes.append(
-            f"gravity and torque limits keep seats of links {shut} mostly shut in this pose: add "
-            "poses that lay other directions across gravity"
-        )
-    return Proposal(
-        band=band,
-        levels=found.levels,
-        shares=found.shares,
-        excitations=found.excitations,
-        modes=modes,
-        seat_gravity=gravity,
-        openings=best_by_link,
-        warnings=tuple(notes),
-    )
+            warnings = (_warning(arm.band, inside, "below them seats stay shut"),)
+    return replace(found, warnings=(*warnings, *found.warnings))
 
 
-class _Play(NamedTuple):
-    """The part of a proposal that depends on the band."""
-
-    at: LinearPose
-    levels: Array
-    shares: Array
-    excitations: tuple[Excitation | None, ...]
-    openings: Array
-    """Of each link under its best joint (n,)."""
-    notes: list[str]
-
-
-def _play(nominal: LinearArm, pose: Array, gap: float, friction: float, duration: float) -> _Play:
+def _proposal(
+    nominal: LinearArm, modes: Array, pose: Array, gap: float, friction: float, duration: float
+) -> Proposal:
     """Find the level of every joint in the arm's band."""
     arm, at = nominal.arm, nominal.at(pose)
     axes = axes_grid(_AXES[len(arm.axes)], len(arm.axes))
@@ -259,7 +226,24 @@ def _play(nominal: LinearArm, pose: Array, gap: float, friction: float, duration
         excitations[j], shares[j] = excitation, share[j]
         levels[j] = wanted[j] * share[j]
         openings[j] = _lost(levels[j], force, load, travel, gap).mean(axis=1)
-    return _Play(at, levels, shares, tuple(excitations), openings.max(axis=0), notes)
+    by_link = openings.max(axis=0)
+    shut = [i + 1 for i in range(arm.n) if by_link[i] < 0.1]
+    if shut:
+        notes.append(
+            f"gravity and torque limits keep seats of links {shut} mostly shut in this pose: add "
+            "poses that lay other directions across gravity"
+        )
+    mass = np.array([at.inertia[s[0], s[0]] for s in at.linear.slide_dofs])  # behind each seat [kg]
+    return Proposal(
+        band=arm.band,
+        levels=levels,
+        shares=shares,
+        excitations=tuple(excitations),
+        modes=modes,
+        seat_gravity=np.linalg.norm(at.seat_load, axis=1) / (9.81 * np.maximum(mass, 1e-9)),
+        openings=by_link,
+        warnings=tuple(notes),
+    )
 
 
 def _per_level(at: LinearPose, joint: int, axes: Array) -> tuple[Array, Array]:
@@ -284,20 +268,10 @@ def _lost(level: Array | float, force: Array, load: Array, travel: Array, gap: f
     return np.asarray(opens * floats)
 
 
-def _seat_mass(at: LinearPose) -> Array:
-    """Mass behind each seat (n,) [kg]."""
-    slides = at.linear.slide_dofs
-    return np.array([float(at.inertia[s[0], s[0]]) for s in slides])
-
-
-@dataclass(frozen=True, kw_only=True)
-class InformationSettings:
-    """Settings of the Monte Carlo estimate."""
-
-    faults: int = 96
-    """Number of simulated faults that represent the belief."""
-    blur: float = 16.0
-    """Variance of everything predicted, over what errors and sampling leave [1]."""
+_FAULTS = 96
+"""Simulated faults that represent a belief."""
+_BLUR = 16.0
+"""Variance of everything predicted, over what errors and sampling leave [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -359,27 +333,20 @@ class RecordInformation:
         The nominal arm and its locations.
     frictions : ndarray (F,)
         Nodes of friction of the beliefs, over the seat drive of the top level [1].
-    settings : InformationSettings, optional
-        Settings of the simulated records.
     factors : InformationFactors, optional
         Realised share of the expected information; the usual one by default.
-    table : OpeningTable, optional
-        Opening table; the shipped one by default.
     """
 
     def __init__(
         self,
         features: SeatFeatures,
         frictions: Array,
-        settings: InformationSettings | None = None,
         *,
         factors: InformationFactors | None = None,
-        table: OpeningTable | None = None,
     ) -> None:
         self.features, self.frictions = features, frictions
         self.factors = USUAL_FACTORS if factors is None else factors
-        self.settings = InformationSettings() if settings is None else settings
-        self.table = shipped_table() if table is None else table
+        self.table = shipped_table()
         shape = (-1, len(OPENINGS) * len(LOOSE))
         self._cumulative = {
             "slide": np.cumsum(self.table.slide.reshape(shape), axis=1),
@@ -393,7 +360,7 @@ class RecordInformation:
         healthy = np.exp(belief.healthy - top).sum()
         weight = np.concatenate([[healthy], np.exp(belief.loose - top).sum(0).ravel()])
         weight = weight / weight.sum()
-        count = self.settings.faults
+        count = _FAULTS
         ticks = (np.arange(count) + rng.random()) / count
         drawn, times = np.unique(
             np.minimum(np.searchsorted(np.cumsum(weight), ticks), len(weight) - 1),
@@ -446,7 +413,7 @@ class RecordInformation:
         """Likelihood of the record of fault k, by row, under each other fault (M, M)."""
         shown = self.outcomes(faults, pose, torque, duration)
         # Two records of one fault differ too: each has its own errors.
-        return overlap(squared_distances(shown @ shown.T), self.settings.blur / 2)
+        return overlap(squared_distances(shown @ shown.T), _BLUR / 2)
 
     def outcomes(
         self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
@@ -466,7 +433,7 @@ class RecordInformation:
         away = np.concatenate([-b, np.eye(d)], axis=1)
         total = float(np.trace(seats.in_step[m:] @ seats.in_step[m:].T))
         residual = away @ seats.rest @ away.T + LINEAR_ERROR**2 * total * np.eye(d)
-        white = features.whitening(pose, excited, b, residual, x, duration)
+        white = whitener(features.covariance(pose, excited, b, residual, x, duration))
         samples = independent_samples(arm, duration)
 
         opening, loose = self._openings(faults, seats.force[at], seats.load[at])
@@ -498,8 +465,6 @@ class RecordInformation:
         return opening, loose
 
 
-_AXES = {2: 12, 3: 40}
-"""Sliding directions that stand for all of a link, by dimension."""
 _STEPS = 7
 """Frictions across their range."""
 _SHOWS = 0.08
@@ -557,57 +522,26 @@ class SeatCoverage:
         Joints move the tool with rms accelerations ``levels`` (n,) [m/s²]; 0 holds one. Seats are
         the sliding directions of each link, then the play of each joint.
         """
-        at, d = self.linear.at(pose), self.axes.shape[1]
+        at = self.linear.at(pose)
         excitation, _ = at_levels(at, levels, duration=1.0)
-        on = levels > 0
-        torque = np.asarray(excitation.torque_rms)[on]
-        answer = at.response(on)
-        slide = answer.slide[:, :, :d] * torque
-        power = np.einsum("kism,kitm->ist", slide, slide.conj(), optimize=True).real / len(slide)
-        slides = np.einsum("as,ist,at->ia", self.axes, power, self.axes, optimize=True)
-        hinges = np.mean(np.sum(np.abs(answer.hinge * torque) ** 2, axis=-1), axis=0)
-        force = np.sqrt(np.concatenate([slides.ravel(), hinges]))[:, None]
-        loads = np.abs(at.seat_load[:, :d] @ self.axes.T)
-        load = np.concatenate([loads.ravel(), np.abs(at.load[self.linear.hinge_dofs])])[:, None]
+        force, load = shut_seats(at, np.asarray(excitation.torque_rms), self.axes)
         found = np.zeros(self._friction.shape)
-        first = slides.size
-        for node, weight in OpeningTable.nodes(force, self._friction, load):
+        first = len(found) - self.linear.arm.n
+        for node, weight in OpeningTable.nodes(force[:, None], self._friction, load[:, None]):
             found[:first] += weight[:first] * self._shows[0][node[:first]]
             found[first:] += weight[first:] * self._shows[1][node[first:]]
         return found
-
-
-def entropy(probabilities: ArrayLike) -> float:
-    """Entropy of a distribution [nat].
-
-    Examples
-    --------
-    >>> round(entropy([0.5, 0.25, 0.25]), 4)
-    1.0397
-    """
-    p = np.asarray(probabilities, dtype=float)
-    if p.ndim != 1 or not len(p) or not (p >= 0).all() or not np.isclose(p.sum(), 1.0):
-        raise InvalidData(
-            f"probabilities must be 0 or more and sum to 1, got {np.asarray(probabilities)!r}"
-        )
-    some = p[p > 0]
-    return float(-np.sum(some * np.log(some)))
 
 
 def needed_information(prior: ArrayLike, error: ArrayLike) -> Array:
     """Least information about the hypothesis that an error rate takes, by Fano [nat].
 
     Zero where a guess errs as little as that bound can tell.
-
-    Examples
-    --------
-    >>> needed_information([0.25] * 4, [0.0, 0.1, 0.75]).round(3).tolist()
-    [1.386, 0.951, 0.0]
     """
     delta = np.asarray(error, dtype=float)
     if not ((delta >= 0) & (delta <= 1)).all():
         raise InvalidSetting(f"an error rate is 0 to 1, got {error!r}")
-    most, count = entropy(prior), int(np.count_nonzero(np.asarray(prior, dtype=float)))
+    most, count = float(stats.entropy(prior)), int(np.count_nonzero(np.asarray(prior, dtype=float)))
     if count < 2:
         return np.zeros_like(delta)
     # Beyond this error, that of a guess among equals, the right side falls again.

@@ -1,4 +1,4 @@
-"""Features of one record by location of the loose seat, inputs of the network.
+"""Transmission change of a record, and its features by seat location: inputs of the network.
 
 For every location (a sliding direction of a link, or the play of a joint) the nominal arm says how
 the record would have changed had that seat floated. The measured change is set against it in
@@ -17,6 +17,7 @@ from loose_env.arms import Arm, LinearArm, Mismatch
 from loose_env.diagnosis.posterior import transmission_errors, unexplained
 from loose_env.diagnosis.prediction import (
     INERTIA_ERROR,
+    RecordStatistics,
     SeatPrediction,
     SensorFloor,
     channel_noise,
@@ -25,7 +26,6 @@ from loose_env.diagnosis.prediction import (
     seat_drives,
     stiffness_errors,
 )
-from loose_env.diagnosis.records import RecordStatistics
 from loose_env.excitation import SeatReference
 from loose_env.inference import whitener
 from loose_env.sensors import SensorSuite
@@ -63,12 +63,6 @@ def sampling_covariance(rest: ComplexArray, noise: Array, samples: float) -> Arr
 
     for axes i, k and commands j, l. On an arm that bends, these errors are far from even, and far
     from independent. ``noise`` (D, D) is that of the sensors in the band [m²/s⁴].
-
-    Examples
-    --------
-    >>> rest = np.array([[[2.0 + 0j]], [[-2.0 + 0j]]])  # one axis, one command, two frequencies
-    >>> sampling_covariance(rest, np.zeros((1, 1)), 4.0).tolist()
-    [[2.0]]
     """
     count, axes, commands = rest.shape
     power = np.einsum("fim,fkm->ik", rest, rest.conj()).real / count + noise
@@ -313,18 +307,6 @@ class SeatFeatures:
         floating = opened[:, m:] @ np.linalg.inv(opened[:, :m])
         return np.asarray(((floating - nominal) @ x).reshape(-1, (p - m) * m))
 
-    def whitening(
-        self,
-        pose: Array,
-        excited: NDArray[np.bool_],
-        b: Array,
-        residual: Array,
-        x: Array,
-        duration: float,
-    ) -> Array:
-        """Matrix that brings in-step motion to standard deviations (d m, d m), as `covariance`."""
-        return whitener(self.covariance(pose, excited, b, residual, x, duration))
-
     def covariance(
         self,
         pose: Array,
@@ -349,14 +331,10 @@ class SeatFeatures:
         errors = np.concatenate([errors, springs])
         # In units of the tool's motion per command, in which sampling errors are even.
         uncertain = (errors @ x).reshape(len(errors), d * m)
-        sampling = np.kron(residual, np.eye(m)) / self.samples(duration)
+        sampling = np.kron(residual, np.eye(m)) / independent_samples(self.linear.arm, duration)
         covariance = uncertain.T @ uncertain + sampling
         covariance += 1e-6 * np.trace(covariance) / (d * m) * np.eye(d * m)
         return np.asarray(covariance)
-
-    def samples(self, duration: float) -> float:
-        """Independent samples in a record of some length [s]."""
-        return independent_samples(self.linear.arm, duration)
 
     def _springs(self, pose: Array, excited: NDArray[np.bool_]) -> Array:
         """Change of the transmission by an error of each spring in the band (K, d, m)."""
@@ -370,7 +348,9 @@ class SeatFeatures:
         """Change of the joints' motion per torque: measured, and if each seat floats (P, m)."""
         m = len(on)
         nominal = np.diag(seats.in_step[:m])
-        error = np.sqrt(INERTIA_ERROR**2 + 1 / self.samples(record.duration))
+        error = np.sqrt(
+            INERTIA_ERROR**2 + 1 / independent_samples(self.linear.arm, record.duration)
+        )
         # Inertia is torque over in-step motion of the joint itself; motion adds where inertia
         # does not.
         inertia = record.inertia[on]

@@ -1,4 +1,4 @@
-"""The posterior over faults with a learned likelihood.
+"""Posterior over faults with a learned likelihood; its network read from and written to files.
 
 It keeps the shape of `loose_env.diagnosis.posterior`: log-weights over locations (slide
 directions of every link, plays of every joint) and nodes of friction, summed over records, with
@@ -14,19 +14,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 from scipy.special import expit, logsumexp
 
 from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.features import LOCATION_FEATURES, RECORD_FEATURES, SeatFeatures
 from loose_env.diagnosis.novelty import NOVELTY_STATISTICS, NoveltyReference, Seen, sights
-from loose_env.diagnosis.posterior import Belief, friction_nodes, log_prior
-from loose_env.diagnosis.records import RecordStatistics
+from loose_env.diagnosis.posterior import Belief, friction_nodes, location_prior, log_prior
+from loose_env.diagnosis.prediction import RecordStatistics
 from loose_env.errors import InvalidData
 from loose_env.faults import DEFAULT_KINDS, hypotheses
+from loose_env.io import restored, whole_of, write_text, written_beside
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
 
@@ -131,8 +133,14 @@ REFERENCE = "reference."
 CONFIGURATION, WEIGHTS = "configuration.json", "posterior.safetensors"
 _TRAINER = "scripts/agents/train_posterior.py"
 
-_MOST_DIRECTIONS = 10_000
-_MOST_FRICTION = 1e6  # over the seat drive of the top level
+
+@dataclass(frozen=True, kw_only=True)
+class _Configuration:
+    """What a stored network was trained for."""
+
+    arm: str
+    directions: Annotated[int, Ge(1), Le(10_000)]
+    friction: tuple[Annotated[float, Gt(0), Lt(1e6)], Annotated[float, Gt(0), Lt(1e6)]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,19 +167,12 @@ class AmortisedBelief:
     @cached_property
     def belief(self) -> Belief:
         """The same as log-weights of everything in question."""
-        n = (len(self.prior) - 1) // 2
-        slides = n * len(self.directions)
         loose = self.temper * self.total - np.log(self.total.shape[1])
-        share = np.concatenate(
-            [
-                np.repeat(self.prior[1 : n + 1] - np.log(len(self.directions)), slides // n),
-                self.prior[n + 1 :],
-            ]
-        )
+        share = location_prior(self.prior, len(self.directions))
         return Belief(
             healthy=self.prior[:1],
             loose=(loose + share[:, None])[None],
-            links=n,
+            links=(len(self.prior) - 1) // 2,
             directions=self.directions,
         )
 
@@ -300,47 +301,28 @@ class AmortisedPosterior:
         kinds: Mapping[str, float] | None = None,
     ) -> AmortisedPosterior:
         """Load a trained network; nothing is unpickled. InvalidData if none fits the arm."""
-        configuration, tensors = read_network(folder)
-        if configuration["arm"] != linear.arm.name:
+        whole, tensors = read_network(folder)
+        configuration = restored(_Configuration, whole, f"{Path(folder) / CONFIGURATION}:")
+        if configuration.arm != linear.arm.name:
             raise InvalidData(
-                f"the posterior in {folder} was trained for arm {configuration['arm']!r:.60}, not "
-                f"{linear.arm.name!r}; train one with scripts/agents/train_posterior.py"
+                f"the posterior in {folder} was trained for arm {configuration.arm!r:.60}, not "
+                f"{linear.arm.name!r}; train one with {_TRAINER}"
             )
         start = len(REFERENCE)
         known = {k[start:]: v for k, v in tensors.items() if k.startswith(REFERENCE)}
-        directions, friction = _grid(configuration, Path(folder) / CONFIGURATION)
         try:
             return cls(
                 linear,
                 sensors,
                 mismatch,
                 SeatNetwork(tensors),
-                directions=directions,
-                friction=friction,
+                directions=configuration.directions,
+                friction=configuration.friction,
                 kinds=kinds,
                 reference=NoveltyReference.of(known) if known else None,
             )
         except (InvalidData, KeyError, TypeError, ValueError, IndexError) as error:
             raise InvalidData(f"{Path(folder) / WEIGHTS}: {error}") from error
-
-
-def _grid(configuration: Mapping[str, Any], file: Path) -> tuple[int, tuple[float, float]]:
-    """Directions of a link, and range of the friction."""
-    directions, friction = configuration["directions"], configuration["friction"]
-    if type(directions) is not int or not 1 <= directions <= _MOST_DIRECTIONS:
-        raise InvalidData(
-            f"{file}: directions is a whole number, 1 to {_MOST_DIRECTIONS}, got {directions!r:.60}"
-        )
-    if (
-        not isinstance(friction, list)
-        or len(friction) != 2
-        or not all(type(f) in (int, float) for f in friction)
-        or not 0 < friction[0] <= friction[1] < _MOST_FRICTION
-    ):
-        raise InvalidData(
-            f"{file}: friction is a range [low, high] above zero, got {friction!r:.60}"
-        )
-    return directions, (float(friction[0]), float(friction[1]))
 
 
 def read_network(folder: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -356,44 +338,33 @@ def read_network(folder: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
     where = Path(folder)
     try:
-        configuration = json.loads((where / CONFIGURATION).read_text(encoding="utf-8"))
+        text = (where / CONFIGURATION).read_text(encoding="utf-8")
         tensors = load_file(str(where / WEIGHTS))
     except FileNotFoundError as error:
         raise InvalidData(
             f"no trained posterior in {where}: {CONFIGURATION} and {WEIGHTS} are needed; train one "
             f"with {_TRAINER}"
         ) from error
-    except (ValueError, RecursionError, OSError, SafetensorError) as error:
+    except (ValueError, OSError, SafetensorError) as error:
         reason = " ".join(str(error).split())[:200]
         raise InvalidData(f"the trained posterior in {where} cannot be read: {reason}") from error
-    found = configuration.get("format") if isinstance(configuration, dict) else None
-    if found != FORMAT:
-        raise InvalidData(
-            f"the posterior in {where} has format {found!r:.60}, not {FORMAT!r}; train it again "
-            f"with {_TRAINER}"
-        )
-    missing = [name for name in ("arm", "directions", "friction") if name not in configuration]
-    if missing:
-        raise InvalidData(
-            f"{where / CONFIGURATION} says nothing of {missing}; train the posterior again with "
-            f"{_TRAINER}"
-        )
-    return configuration, tensors
+    try:
+        return whole_of(text, format=FORMAT, noun="trained posterior"), tensors
+    except InvalidData as error:
+        raise InvalidData(f"{where / CONFIGURATION}: {error}; train it with {_TRAINER}") from error
 
 
 def write_network(
     folder: str | Path, configuration: Mapping[str, Any], tensors: Mapping[str, Any]
 ) -> None:
-    """Write a network and its configuration, beside first, then renamed."""
+    """Write a network and its configuration, each beside first, then renamed."""
     from safetensors.numpy import save_file
 
+    def write(beside: Path) -> None:
+        save_file({k: np.ascontiguousarray(v) for k, v in tensors.items()}, str(beside))
+        beside.chmod(0o644)  # safetensors leaves it to its owner alone
+
     where = Path(folder)
-    where.mkdir(parents=True, exist_ok=True)
-    beside = where / (WEIGHTS + ".part")
-    save_file({k: np.ascontiguousarray(v) for k, v in tensors.items()}, str(beside))
-    beside.chmod(0o644)  # safetensors leaves it to its owner alone
-    described = where / (CONFIGURATION + ".part")
+    written_beside(where / WEIGHTS, write)
     text = json.dumps({"format": FORMAT, **configuration}, indent=1)
-    described.write_text(text + "\n", encoding="utf-8")
-    beside.replace(where / WEIGHTS)
-    described.replace(where / CONFIGURATION)
+    write_text(where / CONFIGURATION, text + "\n")

@@ -1,4 +1,4 @@
-"""Link finding of the thesis, and moves that tell links apart."""
+"""Link finding by turns of direction: tests, search over links, next poses, motion shape."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from loose_env.diagnosis.directions import (
     LinkPosterior,
     ToolFrames,
 )
-from loose_env.diagnosis.prediction import SensorFloor, predict
-from loose_env.diagnosis.records import RecordStatistics
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.diagnosis.prediction import RecordStatistics, SensorFloor, predict, shut_seats
+from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation, at_levels
 from loose_env.inference import overlap
+from loose_env.io import Checked, Count, NonNegative, NonNegativeCount
 from loose_env.statistics import ComparativeIndex, axial_difference, comparative_index
 from loose_env.typing import Array
 
@@ -29,40 +29,31 @@ Finding = Literal["still", "turned", "unclear"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinkFindingSettings:
+class LinkFindingSettings(Checked):
     """Thresholds and excitation of the method; the thesis prints no thresholds."""
 
     order: Order = "outward"
     """Order of the joints: from the base out, from the tool in, or halving."""
-    joint: int = 1
+    joint: Count = 1
     """Joint that is excited, from 1."""
-    level: int = 3
+    level: Count = 3
     """Excitation level, from 1."""
-    still: float = 0.35
+    still: NonNegative = 0.35
     """Threshold e_min on abs(z*): below it the direction stayed (step 6)."""
-    turned: float = 0.35
+    turned: NonNegative = 0.35
     """Threshold e_max on abs(abs(z*) - 1): below it the direction turned (step 7)."""
-    retries: int = 1
+    retries: NonNegativeCount = 1
     """Further moves of one joint when neither threshold decides (step 8)."""
     index: Literal["d", "e"] = "d"
     """Comparative index that is asked about healthy: D (6.18) or E (6.17)."""
-    healthy_index: float = 0.01
+    healthy_index: NonNegative = 0.01
     """Comparative index up to which the arm looks healthy."""
-    healthy_poses: int = 2
+    healthy_poses: Count = 2
     """Poses that must look healthy before the verdict healthy."""
-    backlash_angle: float = 20.0
+    backlash_angle: NonNegative = 20.0
     """Rms angle to a joint's own line up to which play in that joint explains it [deg]."""
     backlash_kurtosis: float = 0.5
     """Excess kurtosis along that line above which the motion is not normal."""
-
-    def __post_init__(self) -> None:
-        if self.order not in ("outward", "inward", "bisection"):
-            raise InvalidSetting(f"order is 'outward', 'inward' or 'bisection', got {self.order!r}")
-        if self.joint < 1 or self.level < 1:
-            raise InvalidSetting(f"joint and level count from 1, got {self.joint} and {self.level}")
-        for name in ("still", "turned", "healthy_index", "backlash_angle"):
-            if not np.isfinite(getattr(self, name)) or getattr(self, name) < 0:
-                raise InvalidSetting(f"{name} must be zero or more, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,14 +96,6 @@ def judge_axes(
     by the whole move. As the sign of a direction is unknown, so is that of z*: both z* and -z* are
     held against the axis of the joint. In space z* has the length of the axis only for a direction
     across it: at an angle b from the axis it is off by e, tan(e) = cot(b) / cos(move / 2).
-
-    Examples
-    --------
-    >>> rules = LinkFindingSettings()
-    >>> judge_axes([1, 0, 0], [0, 1, 0], move=np.pi / 2, settings=rules)
-    'turned'
-    >>> judge_axes([1, 0], [-1, 0], move=np.pi / 2, settings=rules)
-    'still'
     """
     if abs(np.sin(move)) < 1e-6:
         return "unclear"
@@ -201,12 +184,6 @@ def blind_joints(
     Those are joints that slide, and hinges with an axis along the direction: at an angle b from the
     axis, a move D turns it by 2 asin(sin(b) sin(D / 2)). Of several moves [rad] the one counts that
     turns it most; ``least`` is some three standard deviations of the difference of two directions.
-
-    Examples
-    --------
-    >>> from loose_env.arms import scara
-    >>> blind_joints(ToolFrames(scara()), np.zeros(4), [1.0, 0.0, 0.0]).tolist()
-    [False, False, True, False]
     """
     p = np.zeros(3)
     p[list(frames.arm.axes)] = np.asarray(direction, dtype=float)
@@ -437,11 +414,7 @@ _LEAST = 0.05
 
 
 def expected_openness(
-    linear: LinearArm,
-    posterior: LinkPosterior,
-    poses: ArrayLike,
-    *,
-    level: float,
+    linear: LinearArm, posterior: LinkPosterior, poses: ArrayLike, *, level: float
 ) -> Array:
     """Expected openness of seats in several poses, all joints excited (C, 2 n), 0 shut to 1 free.
 
@@ -449,24 +422,15 @@ def expected_openness(
     the shut seat transmits along its slide and G the weight it carries along it, the share is
     F / sqrt(F² + G²). Friction is unknown, and the same in all poses.
     """
-    rows = np.atleast_2d(np.asarray(poses, dtype=float))
-    n = linear.arm.n
-    shares = np.empty((len(rows), 2 * n))
-    for i, row in enumerate(rows):
+    shares = []
+    for row in np.atleast_2d(np.asarray(poses, dtype=float)):
         at = linear.at(row)
-        excitation, _ = at_levels(at, np.full(n, level), duration=1.0)
-        answer = at.response(excitation.excited)
-        torque = np.array(excitation.torque_rms)[list(excitation.excited)]
-        z = posterior.directions
-        force = np.einsum("kias,ia->kis", answer.slide[..., : z.shape[1], :], z) * torque
-        drive = np.sqrt(np.mean(np.sum(np.abs(force) ** 2, axis=-1), axis=0))
-        weight = np.abs(np.einsum("ia,ia->i", at.seat_load[:, : z.shape[1]], z))
-        play = np.sqrt(np.mean(np.sum(np.abs(answer.hinge * torque) ** 2, axis=-1), axis=0))
-        load = np.abs(at.load[linear.hinge_dofs])
-        drives, loads = np.concatenate([drive, play]), np.concatenate([weight, load])
-        size = np.hypot(drives, loads)
-        shares[i] = np.divide(drives, size, out=np.zeros_like(size), where=size > 0)
-    return shares
+        excitation, _ = at_levels(at, np.full(linear.arm.n, level), duration=1.0)
+        torque = np.array(excitation.torque_rms)
+        force, load = shut_seats(at, torque, posterior.directions[:, None])
+        size = np.hypot(force, load)
+        shares.append(np.divide(force, size, out=np.zeros_like(size), where=size > 0))
+    return np.array(shares)
 
 
 def choose_open_move(

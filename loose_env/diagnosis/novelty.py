@@ -1,4 +1,4 @@
-"""Novelty test of an episode's records against those of the training.
+"""Novelty test of an episode: statistics of its records, training mixture, conformal p-value.
 
 Every posterior adds up to one, also where none of its hypotheses is true: two faults at once, an
 arm that is no draw of the nominal one. Three statistics can give such an arm away: the change of
@@ -195,13 +195,7 @@ def sights(
 
 
 def conformal_p(score: float, scores: Array) -> float:
-    """Share of held-out scores, in increasing order, that are as large, the new one among them.
-
-    Examples
-    --------
-    >>> conformal_p(2.5, np.array([1.0, 2.0, 3.0])), conformal_p(9.0, np.array([1.0, 2.0, 3.0]))
-    (0.5, 0.25)
-    """
+    """Share of held-out scores, in increasing order, that are as large, the new one among them."""
     larger = len(scores) - int(np.searchsorted(scores, score, side="left"))
     return (1 + larger) / (1 + len(scores))
 

@@ -1,8 +1,7 @@
-"""Pose sets: strategies that choose poses before anything is measured, and their limits."""
+"""Pose sets chosen before measurement, by strategy; scattered axes, limit on link accuracy."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -12,7 +11,7 @@ from scipy.optimize import brentq
 from loose_env.arms import Arm
 from loose_env.diagnosis.directions import ToolFrames, log_mean_bingham
 from loose_env.diagnosis.link_finding import candidate_poses
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.inference import overlap
 from loose_env.kinematics import chebyshev_poses, choose_poses, worst_push
 from loose_env.statistics import axes_grid
@@ -150,23 +149,6 @@ def direction_limit(
         inside = int(np.searchsorted(volume, 1 / links))
         found[t - 1] = 1 / links if t == 1 else min(1.0, inside / samples)
     return np.maximum.accumulate(found)
-
-
-def one_by_one_share(links: int, poses: int) -> float:
-    """Share found by moving one joint at a time from the base, if directions were perfect.
-
-    Each move settles one link, from 1 on, and the last is left over; among the links not settled
-    one is guessed. So t poses name t of the n links. Until the link is settled it takes
-    (n-1)(n+2)/2n moves on average.
-
-    Examples
-    --------
-    >>> [round(one_by_one_share(4, t), 2) for t in (1, 2, 3, 4)]
-    [0.25, 0.5, 0.75, 1.0]
-    """
-    if links < 1 or poses < 1:
-        raise InvalidSetting(f"links and poses count from 1, got {links!r} and {poses!r}")
-    return min(1.0, poses / links)
 
 
 def _density(width: float, dimension: int) -> Array:
@@ -366,7 +348,6 @@ def link_confusion(
     candidates: ArrayLike,
     *,
     sd: float,
-    links: Sequence[int] | None = None,
     directions: int = 10,
 ) -> Array:
     """Confusability of links of unknown direction after adding each candidate pose (C,), 0 to 1.
@@ -376,26 +357,10 @@ def link_confusion(
     Gaussians e/s apart: Bhattacharyya's bound on their confusion is exp(-e²/8s²), averaged over the
     pairs of links and over z, `directions` of them over the half sphere; in the plane one stands
     for all.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> stay, turn = [0.0, 0.3], [0.0, 0.3 + np.pi / 2]
-    >>> link_confusion(ToolFrames(planar(2)), [stay], [stay, turn], sd=0.1).round(6).tolist()
-    [1.0, 0.0]
     """
-    if not (np.isfinite(sd) and sd > 0):
-        raise InvalidSetting(f"sd must be a positive angle [rad], got {sd!r}")
-    chosen = [*range(1, frames.arm.n + 1)] if links is None else list(links)
-    if len(set(chosen)) < 2 or min(chosen) < 1 or max(chosen) > frames.arm.n:
-        raise InvalidSetting(
-            f"two or more links of 1 to {frames.arm.n} can be confused, got {links!r}"
-        )
     taken, new = (np.atleast_2d(np.asarray(p, dtype=float)) for p in (poses, candidates))
-    if taken.shape[1:] != new.shape[1:]:
-        raise InvalidData(f"poses {taken.shape} and candidates {new.shape} differ in joints")
     z = axes_grid(directions, 3) if frames.dimension == 3 else np.array([[1.0, 0.0]])
-    index = np.array(chosen) - 1
+    index = np.arange(frames.arm.n)
     one, other = (g.ravel() for g in np.meshgrid(index, index, indexing="ij"))
     one, other = one[one != other], other[one != other]
 

@@ -1,4 +1,4 @@
-"""Posterior over faults, given all records so far, with the nominal arm as the only model.
+"""Posterior over faults from all records by the nominal arm; record likelihood, opening table.
 
 Nuisances are carried on a grid: the direction of the slide, the friction of the guide, and the
 stiffness of the bending modes of the arm, if it has any. The opening of the seat differs from
@@ -23,6 +23,7 @@ from loose_env.diagnosis.prediction import (
     INERTIA_ERROR,
     LINEAR_ERROR,
     POWER_ERROR,
+    RecordStatistics,
     SeatPrediction,
     SensorFloor,
     channel_noise,
@@ -32,8 +33,7 @@ from loose_env.diagnosis.prediction import (
     seat_drives,
     sensor_errors,
 )
-from loose_env.diagnosis.records import RecordStatistics
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidSetting
 from loose_env.excitation import SeatReference
 from loose_env.faults import DEFAULT_KINDS, hypotheses, places_of_kind
 from loose_env.inference import whitener
@@ -73,26 +73,13 @@ def fit_record(
     floor: SensorFloor,
     mismatch: Mismatch,
 ) -> Fit:
-    """Likelihood of a record.
+    """Likelihood of a record, for sliding directions (A, axes).
 
     Three things are compared with what each seat would do. The part of the tool's motion that
     does not follow the joint as measured, a - B x, must not follow the command either. The
     apparent inertia must be the predicted one. The covariance of a - B x must be what the
     arm's modes, the sensors and the loose seat leave (a Wishart density). With several joints
     excited at once only the first is asked.
-
-    Parameters
-    ----------
-    linear : LinearArm
-        The nominal arm.
-    record : RecordStatistics
-        Measured summaries.
-    directions : ndarray (A, axes)
-        Sliding directions to try.
-    floor : SensorFloor
-        Noise of the sensors.
-    mismatch : Mismatch
-        Errors of the nominal model.
     """
     pose = linear.at(record.pose)
     on = np.flatnonzero(record.excited)
@@ -279,16 +266,6 @@ class OpeningTable:
     hinge: Array
     """For play in joints (presses, ratios, openings, loose motion)."""
 
-    def __post_init__(self) -> None:
-        shape = (len(PRESSES), len(RATIOS), len(OPENINGS), len(LOOSE))
-        for name in ("slide", "hinge"):
-            table = getattr(self, name)
-            if table.shape != shape or not (table >= 0).all():
-                raise InvalidData(
-                    f"an opening table holds probabilities of shape {shape}; {name} has "
-                    f"shape {table.shape}"
-                )
-
     @staticmethod
     def nodes(force: Array, friction: Array, load: Array) -> list[tuple[IndexArray, Array]]:
         """Four nodes about seats that are driven, held and loaded by forces (...) [N, or N·m].
@@ -390,13 +367,6 @@ class Belief:
         log = logsumexp(self.loose, axis=(0, 2))[:slides].reshape(self.links, -1)[link - 1]
         return np.asarray(np.exp(log - logsumexp(log)))
 
-    def direction(self, link: int) -> float:
-        """Most probable sliding direction of a link in its plane [rad], axial."""
-        if self.directions.shape[1] != 2:
-            raise InvalidSetting("the arm moves in space: ask for axis(link), a unit vector")
-        x, y = self.directions[np.argmax(self.by_direction(link))]
-        return float(np.arctan2(y, x))
-
     def axis(self, link: int) -> Array:
         """Mean sliding direction of a link in its frame, a unit vector without sign (3,).
 
@@ -419,8 +389,6 @@ class FaultPosterior:
         Figures of the sensors.
     settings : PosteriorSettings, optional
         Ranges and priors.
-    table : OpeningTable, optional
-        Opening table; the shipped one by default.
 
     Raises
     ------
@@ -440,8 +408,6 @@ class FaultPosterior:
         linear: LinearArm,
         sensors: SensorSuite,
         settings: PosteriorSettings | None = None,
-        *,
-        table: OpeningTable | None = None,
     ) -> None:
         self.settings = PosteriorSettings() if settings is None else settings
         arm = linear.arm
@@ -452,7 +418,7 @@ class FaultPosterior:
                 "an arm that moves in a plane, or 3"
             )
         self.linear, self.hypotheses = linear, hypotheses(arm, DEFAULT_KINDS, everywhere=True)
-        self.table = shipped_table() if table is None else table
+        self.table = shipped_table()
         self.floor = SensorFloor.of(sensors, arm.band)
         count = self.settings.directions if axes == 2 else self.settings.space_directions
         self.directions = axes_grid(count, axes)
@@ -464,19 +430,14 @@ class FaultPosterior:
 
     def start(self) -> Belief:
         """Return the prior."""
-        n, nodes = self.linear.arm.n, self.settings.frictions
+        nodes = self.settings.frictions
         prior = log_prior(self.linear.arm, self.settings.kinds)
-        share = np.concatenate(
-            [
-                np.repeat(prior[1 : n + 1] - np.log(len(self.directions)), len(self.directions)),
-                prior[n + 1 :],
-            ]
-        )
+        share = location_prior(prior, len(self.directions))
         return Belief(
             healthy=prior[0] + self._weights,
             loose=np.repeat((share - np.log(nodes))[:, None], nodes, 1)
             + self._weights[:, None, None],
-            links=n,
+            links=self.linear.arm.n,
             directions=self.directions,
         )
 
@@ -523,6 +484,14 @@ def log_prior(arm: Arm, kinds: Mapping[str, float]) -> Array:
     plays = felt * kinds.get("backlash", 0.0) / max(felt.sum(), 1)
     with np.errstate(divide="ignore"):
         return np.asarray(np.log(np.concatenate([[kinds.get("healthy", 0.0)], slides, plays])))
+
+
+def location_prior(prior: Array, directions: int) -> Array:
+    """Log-probability of every location: a link's is shared by its sliding directions (P,)."""
+    n = (len(prior) - 1) // 2
+    return np.concatenate(
+        [np.repeat(prior[1 : n + 1] - np.log(directions), directions), prior[n + 1 :]]
+    )
 
 
 def friction_nodes(friction: tuple[float, float], count: int) -> Array:

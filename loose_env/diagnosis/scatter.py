@@ -1,4 +1,4 @@
-"""Scatter of measured changes of motion about the direction that each place predicts, pooled.
+"""Scatter of measured motion changes about each fault location's direction, over records.
 
 Errors of sensors, joint zeros and springs are those of the arm, the same in every record: they are
 fitted beside the place over all records, within their standard deviations. Counted anew in every
@@ -30,7 +30,12 @@ from loose_env.diagnosis.features import (
     TransmissionChange,
     sampling_covariance,
 )
-from loose_env.diagnosis.records import LinkReadings, RecordStatistics, sensed_arms
+from loose_env.diagnosis.prediction import (
+    LinkReadings,
+    RecordStatistics,
+    independent_samples,
+    sensed_arms,
+)
 from loose_env.errors import InvalidSetting
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
@@ -116,7 +121,8 @@ class PlaceDirections:
         noise = floor.tool**2 * np.eye(len(b))
         noise += (b * floor.joints(self.features.linear.arm)[on] ** 2) @ b.T
         rest = (tool - b @ joint) * record.torque[on]
-        return sampling_covariance(rest, noise, self.features.samples(record.duration))
+        samples = independent_samples(self.features.linear.arm, record.duration)
+        return sampling_covariance(rest, noise, samples)
 
 
 def scatter_of(

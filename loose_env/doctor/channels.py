@@ -1,4 +1,4 @@
-"""Columns of a run as channels: the kind of quantity, the joint, the axis."""
+"""Columns of a run as channels (quantity, joint, axis), and the model's names and servos."""
 
 from __future__ import annotations
 

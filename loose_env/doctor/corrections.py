@@ -1,4 +1,4 @@
-"""Corrections of a recording that findings offer, and the recording with them applied."""
+"""Corrections of a recording that findings offer, and the corrected recording written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Preflight of a recording: all checks, all findings."""
+"""`examine`: all checks of the preflight run on a recording, and the report of findings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks of single channels: stuck, frozen, lost, missing, clipped or coarse readings."""
+"""Checks of single channels: stuck, frozen, lost, missing, clipped, coarse; corrupt set aside."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""The diagnosis environments.
+"""Gymnasium environments: diagnosis of a hidden fault, single and vector, and model errors.
 
-Data flow: palette -> settings -> faults -> actions -> observation -> batch -> rendering -> env ->
-vector_env -> sb3; gap_env.
+Data flow: palette -> settings -> faults -> spaces -> batch -> rendering -> env -> vector_env ->
+sb3; gap_env.
 """
 
 from loose_env.envs import palette
-from loose_env.envs.actions import Action, ActionLayout
 from loose_env.envs.batch import BatchRig, EpisodeBatch, Outcome
 from loose_env.envs.env import DiagnosisEnv, EnvState
 from loose_env.envs.faults import FaultSampler, fault_words, hypothesis_words
@@ -19,7 +18,6 @@ from loose_env.envs.gap_env import (
     ModelGapSettings,
     make_model_gap,
 )
-from loose_env.envs.observation import Element, ObservationLayout, RecordLayout
 from loose_env.envs.palette import EDGE, FAINT, INK, MEASURED, MUTED, PAPER, SHAKEN, TRUTH
 from loose_env.envs.rendering import (
     ArmDrawing,
@@ -37,6 +35,7 @@ from loose_env.envs.settings import (
     Prices,
     difficulty_named,
 )
+from loose_env.envs.spaces import Action, ActionLayout, Element, ObservationLayout, RecordLayout
 from loose_env.envs.vector_env import DiagnosisVectorEnv, VectorState, batch_seeds
 
 __all__ = [

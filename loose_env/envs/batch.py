@@ -1,4 +1,4 @@
-"""Episodes: the rules of the diagnosis, for any number of arms at once.
+"""Rules of diagnosis episodes (`EpisodeBatch`): reset and step of any number of arms at once.
 
 The single and the vector environment are thin shells around `EpisodeBatch`, so that both
 give the same episode bit for bit. Every random draw comes from a stream of its own, keyed by
@@ -30,10 +30,9 @@ from loose_env.diagnosis import (
     predictions,
     statistics_of_all,
 )
-from loose_env.envs.actions import Action, ActionLayout
 from loose_env.envs.faults import FaultSampler
-from loose_env.envs.observation import ObservationLayout
 from loose_env.envs.settings import DiagnosisSettings, difficulty_named
+from loose_env.envs.spaces import Action, ActionLayout, ObservationLayout
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, all_at_levels
 from loose_env.faults import (
@@ -265,7 +264,7 @@ class EpisodeBatch:
         Where measurements come from; simulated arms by default.
     true_arm : Arm, optional
         The arm that is measured, where the nominal model is wrong about more than the mismatch
-        says; see `loose_env.envs.batch`. The nominal arm by default.
+        says. The nominal arm by default.
 
     Raises
     ------
@@ -386,9 +385,6 @@ class EpisodeBatch:
                 f"pose {pose.tolist()} leaves the joint ranges {ranges} [rad or m]"
             )
         return arm.wrap(pose)
-
-    _TOGETHER = 64
-    """Records worked out at once: their signals fit the processor's cache."""
 
     def begin(self, slot: int, episode: Episode) -> dict[str, Any]:
         """Begin a drawn episode in a slot, and mount its arm on the rig."""
@@ -596,7 +592,7 @@ class EpisodeBatch:
         episode, action, info = asked.episode, asked.action, asked.info
         measurement, failure = asked.measurement, asked.failure
         prices = self.settings.prices
-        moved = (action.moves != self.settings.stay) & ~info["move_ignored"]
+        moved = (action.moves != self.actions.stay) & ~info["move_ignored"]
         price = prices.record + prices.move * int(moved.sum())
         if measurement is not None:
             levels = int(action.levels.sum())

@@ -1,4 +1,4 @@
-"""The Gymnasium environment: one arm with a hidden fault."""
+"""Single Gymnasium environment `DiagnosisEnv`: one arm with a hidden fault; its saved state."""
 
 from __future__ import annotations
 
@@ -34,7 +34,47 @@ class EnvState:
     """Of the arm and the settings that it is a state of."""
 
 
-class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
+class BatchShell:
+    """Attributes and pickling that single and vector environments of a batch share.
+
+    A copy is built anew from the arguments and takes up the state: no engine is copied.
+    """
+
+    batch: EpisodeBatch
+    render_mode: str | None
+    _kept: tuple[str, ...]
+    """Attributes that a copy takes over."""
+
+    def _show(self, batch: EpisodeBatch, **arguments: Any) -> None:
+        """Show a batch; ``arguments`` are those beside arms, settings, threads and render mode."""
+        self.batch, self._arguments = batch, arguments
+        self.arm, self.settings = batch.arm, batch.settings
+        self.hypotheses, self.verdicts = batch.hypotheses, batch.verdicts
+        self.layout, self.actions = batch.observations, batch.actions
+        self._picture: Any = None
+
+    @property
+    def divergences(self) -> dict[str, int]:
+        """Number of diverged simulations by fault kind."""
+        return dict(self.batch.divergences)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Arguments and state."""
+        batch = self.batch
+        own = {"arm": batch.arm, "true_arm": batch.true_arm, "settings": batch.settings}
+        own |= {"threads": batch.threads, "render_mode": self.render_mode}
+        kept = {name: getattr(self, name) for name in self._kept}
+        state = self.get_state()  # type: ignore[attr-defined]
+        return {"arguments": own | self._arguments, "state": state, "attributes": kept}
+
+    def __setstate__(self, stored: dict[str, Any]) -> None:
+        """Build the environment from its arguments and take up the state."""
+        self.__init__(**stored["arguments"])  # type: ignore[misc]
+        self.set_state(stored["state"])  # type: ignore[attr-defined]
+        self.__dict__.update(stored["attributes"])
+
+
+class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     """Find the fault hidden in a robot arm.
 
     ## Description
@@ -140,6 +180,7 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
         "render_modes": ["rgb_array"],
         "render_fps": 2,
     }
+    _kept = ("spec", "action_space", "_np_random", "_np_random_seed")
 
     def __init__(
         self,
@@ -151,26 +192,16 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
         threads: int = 0,
         true_arm: Arm | None = None,
     ) -> None:
-        self._rig = rig
         # "human" only where a display can be opened: Gymnasium's checker tries every mode.
         self.metadata = {**self.metadata, "render_modes": render_modes()}
         self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
-        self.settings = DiagnosisSettings() if settings is None else settings
-        self.batch = EpisodeBatch(arm, self.settings, threads=threads, rig=rig, true_arm=true_arm)
-        self.arm = arm
-        self.hypotheses, self.verdicts = self.batch.hypotheses, self.batch.verdicts
-        self.layout = self.batch.observations
-        self.actions = self.batch.actions
+        settings = DiagnosisSettings() if settings is None else settings
+        batch = EpisodeBatch(arm, settings, threads=threads, rig=rig, true_arm=true_arm)
+        self._show(batch, rig=rig)
         self.action_space = self.actions.space
         self.observation_space = self.batch.space
-        self._picture: Any = None
         self._seed: int | None = None
         self._number = -1
-
-    @property
-    def divergences(self) -> dict[str, int]:
-        """Number of diverged simulations by fault kind."""
-        return dict(self.batch.divergences)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -263,30 +294,6 @@ class DiagnosisEnv(gymnasium.Env[Any, NDArray[np.int64]]):
         self.batch.check_fits(state.fingerprint)
         self.batch.restore(0, state.episode)
         self._seed, self._number = state.seed, state.number
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Arguments and state: a copy is built anew, so that no engine is copied."""
-        return {
-            "arguments": {
-                "arm": self.arm,
-                "settings": self.settings,
-                "render_mode": self.render_mode,
-                "rig": self._rig,
-                "threads": self.batch.threads,
-                "true_arm": None if self.batch.true_arm is self.arm else self.batch.true_arm,
-            },
-            "state": self.get_state(),
-            "attributes": {
-                name: getattr(self, name)
-                for name in ("spec", "action_space", "_np_random", "_np_random_seed")
-            },
-        }
-
-    def __setstate__(self, stored: dict[str, Any]) -> None:
-        """Build the environment from its arguments and take up the state."""
-        self.__init__(**stored["arguments"])  # type: ignore[misc]
-        self.set_state(stored["state"])
-        self.__dict__.update(stored["attributes"])
 
     def close(self) -> None:
         """Close the picture."""

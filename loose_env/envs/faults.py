@@ -1,4 +1,4 @@
-"""Hidden faults drawn at random, their stops as stiff as contact modes and time step allow."""
+"""Random draw of hidden faults, stops stiff enough to simulate; hypotheses in words."""
 
 from __future__ import annotations
 

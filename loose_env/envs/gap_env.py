@@ -1,4 +1,4 @@
-"""The model-gap environment: choose the motion that tells missing effects apart."""
+"""Gymnasium environment `ModelGapEnv`: motions that tell missing effects apart; its settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of an episode: the arm by MuJoCo's renderer, its correlation by direction below."""
+"""Pictures of an episode: arm drawn by MuJoCo or as lines, and tool correlation by direction."""
 
 from __future__ import annotations
 

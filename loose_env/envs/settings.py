@@ -1,4 +1,4 @@
-"""Settings of the diagnosis environment: ranges of hidden faults, prices, choices."""
+"""Settings of the diagnosis environment: named difficulties, rewards and prices, choices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The native vector form: many arms stepped together."""
+"""Vector environment `DiagnosisVectorEnv`: many arms stepped in one batch; its saved state."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm
 from loose_env.envs.batch import Episode, EpisodeBatch
-from loose_env.envs.env import new_seed
+from loose_env.envs.env import BatchShell, new_seed
 from loose_env.envs.rendering import Picture
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
@@ -125,7 +125,7 @@ class VectorState:
     """Of the arm and the settings that it is a state of."""
 
 
-class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
+class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
     """`num_envs` diagnosis episodes side by side, simulated in one batch.
 
     `autoreset_mode` says what becomes of an episode that has ended, as in Gymnasium's own vector
@@ -178,6 +178,7 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         "render_fps": 2,
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
+    _kept = ("spec", "action_space", "closed")
 
     def __init__(
         self,
@@ -203,27 +204,19 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = render_mode
         self.num_envs = int(num_envs)
-        self.settings = DiagnosisSettings() if settings is None else settings
-        self.batch = EpisodeBatch(
-            arm, self.settings, num=self.num_envs, threads=threads, true_arm=true_arm
+        settings = DiagnosisSettings() if settings is None else settings
+        self._show(
+            EpisodeBatch(arm, settings, num=self.num_envs, threads=threads, true_arm=true_arm),
+            num_envs=self.num_envs,
+            autoreset_mode=self.autoreset_mode,
         )
-        self.arm = arm
-        self.hypotheses, self.verdicts = self.batch.hypotheses, self.batch.verdicts
-        self.layout = self.batch.observations
-        self.actions = self.batch.actions
         self.single_action_space = self.actions.space
         self.single_observation_space = self.batch.space
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self._picture: Any = None
         self._seeds: list[int | None] = [None] * self.num_envs
         self._numbers = [-1] * self.num_envs
         self._ended = np.zeros(self.num_envs, dtype=bool)
-
-    @property
-    def divergences(self) -> dict[str, int]:
-        """Number of diverged simulations by fault kind."""
-        return dict(self.batch.divergences)
 
     def reset(
         self,
@@ -391,30 +384,6 @@ class DiagnosisVectorEnv(VectorEnv[Any, Any, Any]):
             self.batch.restore(i, episode)
         self._seeds, self._numbers = list(state.seeds), list(state.numbers)
         self._ended = np.array(state.ended, dtype=bool)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Arguments and state: a copy is built anew, so that no engine is copied."""
-        return {
-            "arguments": {
-                "arm": self.arm,
-                "settings": self.settings,
-                "num_envs": self.num_envs,
-                "threads": self.batch.threads,
-                "true_arm": None if self.batch.true_arm is self.arm else self.batch.true_arm,
-                "autoreset_mode": self.autoreset_mode,
-                "render_mode": self.render_mode,
-            },
-            "state": self.get_state(),
-            "attributes": {
-                name: getattr(self, name) for name in ("spec", "action_space", "closed")
-            },
-        }
-
-    def __setstate__(self, stored: dict[str, Any]) -> None:
-        """Build the batch from its arguments and take up the state."""
-        self.__init__(**stored["arguments"])  # type: ignore[misc]
-        self.set_state(stored["state"])
-        self.__dict__.update(stored["attributes"])
 
     def _drawn(self, i: int, seed: int | None, options: dict[str, Any]) -> Episode:
         """Draw the first episode of a root seed, or the next one of an environment's own."""

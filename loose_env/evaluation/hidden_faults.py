@@ -1,4 +1,4 @@
-"""Parameters of a hidden fault that decide how hard it is to find."""
+"""Parameters of a hidden fault that decide its difficulty, such as seat drive over friction."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import LinearArm
-from loose_env.diagnosis import predict_seats
+from loose_env.diagnosis import shut_seats
 from loose_env.envs import FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import (
@@ -59,28 +59,19 @@ class SeatOpenness:
 
         All joints are shaken at the top level. None for faults without one seat that slides.
         """
-        n = self._arm.n
         if isinstance(fault, StructuralLooseness):
             u = np.asarray(fault.direction, dtype=float)[: len(self._arm.axes)]
             place = self._arm.link_number(fault.link) - 1
         elif isinstance(fault, Backlash):
             u = np.eye(len(self._arm.axes))[0]
-            place = n + self._arm.link_number(fault.joint) - 1
+            place = self._arm.n + self._arm.link_number(fault.joint) - 1
         else:
             return None
-        direction = (u / np.linalg.norm(u))[None]
         best = 0.0
         for pose, torque in self._drives:
-            channels = int((torque > 0).sum()) + len(self._arm.axes)
-            seat = predict_seats(
-                self._linear.at(pose),
-                torque,
-                direction,
-                np.zeros(channels),
-                locations=np.array([place]),
-            )
-            held = fault.friction + float(seat.load[0])
-            best = max(best, float(seat.force[0]) / held if held > 0 else np.inf)
+            forces, loads = shut_seats(self._linear.at(pose), torque, u[None] / np.linalg.norm(u))
+            held = fault.friction + float(loads[place])
+            best = max(best, float(forces[place]) / held if held > 0 else np.inf)
         return best
 
 

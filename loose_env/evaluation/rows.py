@@ -171,7 +171,7 @@ def _write_parquet(
         **dict.fromkeys(_WORDS, pyarrow.string()),
         **dict.fromkeys(_TRUE, pyarrow.bool_()),
         **dict.fromkeys(_REALS, pyarrow.list_(pyarrow.float64())),
-        "trail_best": pyarrow.list_(pyarrow.string()),
+        **dict.fromkeys(("trail_best", "trail_verdict"), pyarrow.list_(pyarrow.string())),
     }
     names = [*(dict.fromkeys(name for row in rows for name in row)), COLUMN]
     whole = [{**row, COLUMN: digest} for row in rows]

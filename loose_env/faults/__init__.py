@@ -1,6 +1,6 @@
 """Faults of an arm, and their seats in a MuJoCo spec.
 
-Data flow: faults -> seats -> seating.
+Data flow: faults -> seats.
 """
 
 from loose_env.faults.faults import (
@@ -24,19 +24,21 @@ from loose_env.faults.faults import (
     place_of,
     places_of_kind,
 )
-from loose_env.faults.seating import SeatIndices, seat_indices, seated_spec, set_seat
 from loose_env.faults.seats import (
     SEAT,
+    SeatIndices,
     SeatKind,
     SinglePart,
     gaps_of,
     part_seats,
     parts_of,
     preloaded,
+    seat_indices,
     seat_names,
-    seat_of,
     seat_weight,
+    seated_spec,
     seats_of,
+    set_seat,
     twist_of,
 )
 
@@ -70,7 +72,6 @@ __all__ = [
     "preloaded",
     "seat_indices",
     "seat_names",
-    "seat_of",
     "seat_weight",
     "seated_spec",
     "seats_of",

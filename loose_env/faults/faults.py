@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
-from annotated_types import Predicate
+from annotated_types import Len, MinLen, Predicate
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
@@ -260,27 +260,22 @@ class CompoundLooseness(_Placed):
     kind: ClassVar[FaultKind] = "compound_looseness"
     link: int
     """Loose link, from 1 at the base."""
-    parts: tuple[StructuralLooseness | RotationalLooseness, ...]
+    parts: Annotated[
+        tuple[StructuralLooseness | RotationalLooseness, ...],
+        Rule("a tuple of two to six StructuralLooseness or RotationalLooseness", (Len(2, 6),)),
+    ]
     """Two to six ways in which the link is loose, independent of each other."""
 
     def __post_init__(self) -> None:
-        parts = self.parts
-        if not isinstance(parts, tuple) or not 2 <= len(parts) <= 6:
+        super().__post_init__()
+        parts = tuple(self.parts)
+        object.__setattr__(self, "parts", parts)
+        others = [part.link for part in parts if part.link != self.link]
+        if others:
             raise InvalidSetting(
-                "a compound looseness is a tuple of two to six parts; for one use "
-                f"StructuralLooseness or RotationalLooseness; got {parts!r}"
+                f"all parts of a compound looseness lie on its link {self.link}; got one on link "
+                f"{others[0]}"
             )
-        for part in parts:
-            if not isinstance(part, (StructuralLooseness, RotationalLooseness)):
-                raise InvalidSetting(
-                    "parts of a compound looseness are StructuralLooseness or "
-                    f"RotationalLooseness; got {part!r}"
-                )
-            if part.link != self.link:
-                raise InvalidSetting(
-                    f"all parts of a compound looseness lie on its link {self.link}; got one "
-                    f"on link {part.link}"
-                )
         slides = [p.direction for p in parts if isinstance(p, StructuralLooseness)]
         axes = [p.axis for p in parts if isinstance(p, RotationalLooseness)]
         _independent("directions of the slides", slides)
@@ -292,7 +287,7 @@ LooseFault = StructuralLooseness | Backlash | RotationalLooseness | CompoundLoos
 
 
 @dataclass(frozen=True, kw_only=True)
-class SeveralFaults:
+class SeveralFaults(Checked):
     """Several simultaneous faults of one arm; no verdict names them.
 
     Each is what it is alone, with stops, friction and a place in its gap of its own.
@@ -300,23 +295,16 @@ class SeveralFaults:
 
     kind: ClassVar[str] = SEVERAL_FAULTS
     hypothesis: ClassVar[str] = SEVERAL_FAULTS
-    faults: tuple[LooseFault, ...]
+    faults: Annotated[
+        tuple[StructuralLooseness | Backlash | RotationalLooseness | CompoundLooseness, ...],
+        Rule("a tuple of two or more loose faults; give a single one as it is", (MinLen(2),)),
+    ]
     """Two faults or more, each on a link or joint of its own number."""
 
     def __post_init__(self) -> None:
-        faults = self.faults
-        if not isinstance(faults, tuple) or len(faults) < 2:
-            raise InvalidSetting(
-                f"several faults are a tuple of two or more; give a single one as it is; got "
-                f"{faults!r}"
-            )
-        for fault in faults:
-            if not isinstance(fault, get_args(LooseFault)):
-                raise InvalidSetting(
-                    "each of several faults is StructuralLooseness, Backlash, "
-                    f"RotationalLooseness or CompoundLooseness; got {fault!r}"
-                )
-        places = [fault.place for fault in faults]
+        super().__post_init__()
+        object.__setattr__(self, "faults", tuple(self.faults))
+        places = [fault.place for fault in self.faults]
         if len(set(places)) != len(places):
             raise InvalidSetting(
                 "several faults lie on links and joints of different numbers, for one link loose "

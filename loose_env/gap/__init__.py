@@ -1,4 +1,4 @@
-"""Model error: find, name and correct the effect a simulation lacks.
+"""Model error: find, identify and correct the physical effects that a simulation lacks.
 
 Data flow: model -> data -> settings -> simulation -> residuals -> fitting ->
 output -> selection -> diagnostics -> experiment_design -> workflow.
@@ -87,6 +87,9 @@ from loose_env.gap.output.checkpoints import (
     Stages,
     key_of,
 )
+from loose_env.gap.output.corrected_model import (
+    write_model,
+)
 from loose_env.gap.output.evidence_schema import (
     Dependence,
     Identifiability,
@@ -95,9 +98,6 @@ from loose_env.gap.output.export_check import (
     compared,
     exported,
     resting_runs,
-)
-from loose_env.gap.output.export_mjcf import (
-    write_model,
 )
 from loose_env.gap.output.result import (
     DeletionTest,
@@ -125,7 +125,6 @@ from loose_env.gap.settings import (
     NOISE_RMS,
     GapSettings,
 )
-from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residuals
 from loose_env.gap.workflow.explain import explain_gap, prediction_error
 from loose_env.gap.workflow.joined_runs import (
     Source,
@@ -138,6 +137,7 @@ from loose_env.gap.workflow.pipeline import (
     find_gap,
 )
 from loose_env.gap.workflow.quick_look import QuickCandidate, QuickLook, quick_look
+from loose_env.gap.workflow.residual_diagnostics import ResidualDiagnostics, diagnose_residuals
 from loose_env.gap.workflow.session import GapSession
 from loose_env.gap.workflow.summary import NO_MOTION, result_of, write_gap
 

@@ -1,4 +1,4 @@
-"""Settings of `loose gap`, and the thresholds by which it decides.
+"""Settings of `loose gap` and of its effect search, and its decision thresholds.
 
 Of the thresholds: shares are of sums of squares; z-scores are in standard deviations over blocks of
 time; residuals are in noise standard deviations of their channel.

@@ -1,4 +1,4 @@
-"""List of a file's channels, written as a mapping to fill in."""
+"""Channels of files listed, and written as a mapping file to fill in."""
 
 from __future__ import annotations
 

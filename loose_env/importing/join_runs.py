@@ -1,4 +1,4 @@
-"""The runs of a recording, joined from channels of different files, rates and clocks."""
+"""Runs of a recording, joined from channels of different files, rates and shifted clocks."""
 
 from __future__ import annotations
 

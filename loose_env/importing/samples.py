@@ -1,4 +1,4 @@
-"""Samples of one channel: when, and how much, as a file holds them.
+"""Data that readers return: samples of a channel, and a file's list of streams and channels.
 
 What a file holds, as ``loose import --describe`` shows it.
 """

@@ -1,4 +1,4 @@
-"""Diagnosis of a real arm: recordings in, posterior and next measurement out.
+"""Diagnosis of looseness in a real arm: recordings in, posterior and next measurement out.
 
 Data flow: settings -> result -> model -> data -> inference -> trend -> planning -> inspect
 -> pipeline -> session.

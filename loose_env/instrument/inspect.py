@@ -1,4 +1,4 @@
-"""Model inspection: joints, modes, and detectable faults of an arm.
+"""Inspection of a model alone: joints, modes and detectable faults of an arm, also as text.
 
 Every fault is evaluated in a few dozen poses, each joint shaken alone at the level that is
 proposed there. A seat can be found along a direction if in some pose gravity lets it move and

@@ -1,4 +1,4 @@
-"""Diagnosis of a recording: posterior over faults and next measurement."""
+"""Diagnosis of a recording (diagnose): posterior over faults, warnings and next measurement."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measure-and-diagnose loop at an arm.
+"""Measure-and-diagnose loop with a robot or simulation (find_fault), until a fault is identified.
 
 Any object with ``measure(pose, excitation)`` is a rig. It takes the arm to the pose, plays the
 excitation, and returns what was recorded: a `loose_env.recording.Run` with the columns of the

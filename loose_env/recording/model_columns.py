@@ -1,4 +1,4 @@
-"""Names of a model that the columns of a run carry, and the sensors that measure its joints."""
+"""Columns of a run that a model allows, checks of them, and the sensors of its joints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One measured run: what was commanded, what was read, when."""
+"""`Run`, one measured run: commanded and measured columns over time, and its table for a file."""
 
 from __future__ import annotations
 

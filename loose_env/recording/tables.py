@@ -1,4 +1,4 @@
-"""Tables of runs in CSV and Parquet files, and paths that stay inside a recording's folder."""
+"""Tables of runs read from and written to CSV and Parquet; paths kept inside a recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writing a recording: beside its place, read back, and only then renamed into it."""
+"""Writing a recording atomically: written beside its place, read back, then renamed."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Reports: comparison of agents, diagnosis, trend, plan, model error.
 
-Data flow: page, figures, words -> comparison, diagnosis, trend, plan, gap -> rerun -> studies.
+Data flow: page, figures, words -> comparison, diagnosis, trend, plan, gap -> rerun.
 """
 
 from loose_env.envs import FAINT, INK, MUTED
@@ -42,20 +42,9 @@ from loose_env.report.page import (
     template,
     to_svg,
 )
-from loose_env.report.plan import plan_commands, plan_steps, summary, write_plan_page
-from loose_env.report.plan import summary as tool_summary
-from loose_env.report.plan import write_plan_page as write_tool_page
+from loose_env.report.plan import plan_commands, summary, write_plan_page
 from loose_env.report.rerun import require_rerun, write_rerun
-from loose_env.report.studies import (
-    pyplot,
-    read_study,
-    rounded,
-    save_figure,
-    stored_rows,
-    study_head,
-    write_study,
-)
-from loose_env.report.trend import trend_headline, write_trend_page
+from loose_env.report.trend import write_trend_page
 
 __all__ = [
     "AGENTS",
@@ -83,32 +72,21 @@ __all__ = [
     "new_figure",
     "paragraphs",
     "plan_commands",
-    "plan_steps",
-    "pyplot",
     "quick_text",
     "quiet_axes",
-    "read_study",
     "render_gap_page",
     "render_page",
     "require_rerun",
-    "rounded",
-    "save_figure",
     "shown",
     "standalone",
-    "stored_rows",
-    "study_head",
     "summary",
     "template",
     "to_svg",
-    "tool_summary",
-    "trend_headline",
     "write_comparison",
     "write_diagnosis",
     "write_gap_report",
     "write_page",
     "write_plan_page",
     "write_rerun",
-    "write_study",
-    "write_tool_page",
     "write_trend_page",
 ]

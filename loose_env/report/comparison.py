@@ -1,4 +1,4 @@
-"""Report of a comparison of agents: its tables for terminal and page, its figures, its page."""
+"""Report of a comparison of agents: tables as text, page, figures, timeline of one episode."""
 
 from __future__ import annotations
 
@@ -24,26 +24,7 @@ from loose_env.envs import (
     fault_words,
     hypothesis_words,
 )
-from loose_env.evaluation import (
-    RATIO_EDGES,
-    Division,
-    Interval,
-    Row,
-    Standing,
-    by_agent,
-    calibration_of,
-    claims_of,
-    crossing,
-    divisions,
-    pareto_front,
-    ratio_names,
-    reliability,
-    runs_of,
-    standings,
-    success_after,
-    trained_agents,
-    who_won,
-)
+from loose_env.evaluation import Interval, Row, Standing, by_agent, reliability, standings
 from loose_env.faults import SEVERAL_FAULTS, UNSURE, place_of
 from loose_env.io import write_text
 from loose_env.report.figures import (
@@ -57,6 +38,20 @@ from loose_env.report.figures import (
     panels,
     percent_ticks,
     quiet_axes,
+)
+from loose_env.report.outcomes import (
+    RATIO_EDGES,
+    Division,
+    calibration_of,
+    claims_of,
+    crossing,
+    divisions,
+    pareto_front,
+    ratio_names,
+    runs_of,
+    success_after,
+    trained_agents,
+    who_won,
 )
 from loose_env.report.page import FigureCard, Section, Table, paragraphs, render_page, to_svg
 
@@ -131,18 +126,17 @@ def _over(lead: Interval | None, *, compact: bool) -> str:
 def _crossed_table(found: Sequence[Standing]) -> list[Table]:
     """Estimators crossed with policies, where the agents are such."""
     crossed = crossing(found)
-    if crossed is None:
-        return []
-    rows = []
-    for policy in crossed.policies:
-        cells = {e: crossed.cells.get((policy, e)) for e in crossed.estimators}
-        shown = {
-            e: "-" if s is None else f"{100 * s.success:.1f} / {s.records:.2f} / {s.reward:+.3f}"
-            for e, s in cells.items()
+    estimators = dict.fromkeys(s.agent.partition("/")[0] for s in found if "/" in s.agent)
+    rows = [
+        {"policy": policy}
+        | {
+            e: f"{100 * s.success:.1f} / {s.records:.2f} / {s.reward:+.3f}" if s else "-"
+            for e, s in ((e, cells.get(e)) for e in estimators)
         }
-        rows.append({"policy": policy, **shown})
+        for policy, cells in crossed.items()
+    ]
     title = "Policies (lines) and estimators (columns): accuracy [%] / mean records / mean return"
-    return [Table(rows=rows, title=title)]
+    return [Table(rows=rows, title=title)] if rows else []
 
 
 def _division_table(division: Division) -> Table:

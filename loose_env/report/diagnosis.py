@@ -1,4 +1,4 @@
-"""Report of a diagnosis: headline, next steps, hypotheses, measurements."""
+"""Report of a diagnosis as text, HTML and pages: headline, next steps, hypotheses, runs."""
 
 from __future__ import annotations
 

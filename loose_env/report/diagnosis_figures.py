@@ -1,16 +1,16 @@
-"""Figures of a diagnosis: the arm in a pose, posterior by record, loops, transmissions."""
+"""Figures of a diagnosis: arm in a pose, posterior by record, loops and transmissions by run."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 
 from loose_env.arms import Arm
-from loose_env.envs import EDGE, FAINT, INK, MEASURED, MUTED, SHAKEN, TRUTH, palette
+from loose_env.envs import EDGE, FAINT, INK, MEASURED, MUTED, SHAKEN, TRUTH, ArmDrawing, draw_arrow
 from loose_env.errors import InvalidData
+from loose_env.faults import Backlash, StructuralLooseness
 from loose_env.instrument import (
     HEALTHY,
     Diagnosis,
@@ -22,7 +22,6 @@ from loose_env.instrument import (
 from loose_env.report.figures import (
     AGENTS,
     DASHED,
-    arrow,
     ink_on,
     labels,
     legend,
@@ -34,7 +33,6 @@ from loose_env.report.figures import (
 )
 from loose_env.report.page import FigureCard
 from loose_env.report.words import joint_words, short_name
-from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +44,6 @@ _HEALTHY, _REST = "#009e73", AGENTS[-1]
 _SHOWN = 0.03  # probability that a hypothesis must have had once to get a colour of its own
 _NARROW = 50.0  # half angle up to which a direction is drawn [degrees]
 _CARDS = 2  # runs whose transmission is drawn
-_AZIMUTH, _ELEVATION = np.radians(-58.0), np.radians(20.0)  # of the view of an arm in space
 
 
 def arm_figure(
@@ -57,37 +54,37 @@ def arm_figure(
     excited: Collection[str] | None = None,
 ) -> Figure:
     """Draw an arm in a pose: links, numbered joints, tool frame, and what is suspected."""
+    unknown = sorted(set(pose) - set(arm.joints))
+    if unknown:
+        raise InvalidData(
+            f"the diagnosis has a pose of the joints {unknown}, which are none of arm "
+            f"{arm.name!r}; it has {', '.join(arm.joints)}: give the model that was diagnosed"
+        )
     link, joint = _place(arm, fault)
-    data = _posed(arm, pose)
-    see, upright = _camera(arm, data)
-    points = see @ _along_axes(arm, data).T  # joints and tool, (3, n + 1)
-    figure, (axes,) = panels(1, 4.4, grid=None)
-    axes.set_axis_off()
-    size = float(max(np.ptp(points[:2], axis=1).max(), 0.6 * arm.reach))
-    down = np.array([0.0, -0.16 * size]) if upright else np.zeros(2)
-    foot = points[:2, 0] + down
-    axes.plot(*np.stack([points[:2, 0], foot]).T, color=MUTED, linewidth=9, zorder=1)
-    axes.plot(*foot, marker="_" if upright else "o", markersize=44, color=FAINT, mew=5, zorder=1)
-    for k in np.argsort(points[2, :-1] + points[2, 1:]):
-        ends, wide = points[:2, [k, k + 1]], 13 - 6 * k / arm.n
-        own = k == link
-        axes.plot(*ends, color=EDGE, linewidth=wide + 2, solid_capstyle="round", zorder=2)
-        axes.plot(
-            *ends, color=TRUTH if own else palette.BODY, linewidth=wide, zorder=2,
-            solid_capstyle="round", label="suspected link" if own else None,
-        )  # fmt: skip
-    for k in np.argsort(points[2, :-1]):
-        _joint(axes, arm, k, points[:2, k], excited, ringed=k == joint)
-    if link is not None and fault is not None and fault.direction is not None:
-        turn = data.body(arm.seat_bodies[link]).xmat.reshape(3, 3)
-        along = 0.17 * size * (see @ turn @ np.array(fault.direction))[:2]
-        middle = 0.55 * points[:2, link] + 0.45 * points[:2, link + 1]
-        arrow(axes, middle - along, middle + along, color=INK, width=1.9, both=True)
-        axes.plot([], [], color=INK, marker="$↔$", linestyle="", label="the way it slides")
-    _tool(axes, see @ data.site(arm.tool).xmat.reshape(3, 3), points[:2, -1], arm, 0.12 * size)
-    _measures(axes, size, upright=upright)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.14)
+    seat: StructuralLooseness | Backlash | None = None
+    if joint is not None:
+        seat = Backlash(joint=joint + 1, gap=0.0, stiffness=(1.0, 1.0))
+    elif link is not None and fault is not None and fault.direction is not None:
+        seat = StructuralLooseness(
+            link=link + 1, direction=fault.direction, gap=0.0, stiffness=(1.0, 1.0)
+        )
+    shaken = None if excited is None else np.array([name in excited for name in arm.joints])
+    at = np.array([float(pose.get(name, 0.0)) for name in arm.joints])
+    figure, drawing = new_figure(4.6), ArmDrawing(arm)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 0.92))
+    loose = [] if link is None else [link + 1]
+    drawing.draw(axes, drawing.marks(at, excited=shaken, loose=loose, fault=seat))
+    _size_bar(axes)
+    figure.text(0.97, 0.03, drawing.seen, color=MUTED, fontsize=9, ha="right")
+    for label, mark, colour, drawn in (
+        ("suspected link", "s", TRUTH, link is not None),
+        ("the way it slides", "$↔$", INK, isinstance(seat, StructuralLooseness)),
+        ("suspected joint", "o", TRUTH, joint is not None),
+        ("shaken", "o", SHAKEN, shaken is not None and shaken.any()),
+        ("braked or servoed", "o", EDGE, shaken is not None and not shaken.all()),
+    ):
+        if drawn:
+            axes.plot([], [], color=colour, marker=mark, linestyle="", label=label)
     if axes.get_legend_handles_labels()[0]:
         legend(figure, axes)
     return figure
@@ -107,107 +104,17 @@ def _place(arm: Arm, fault: Fault | None) -> tuple[int | None, int | None]:
     return (None, number) if fault.kind == "backlash" else (number, None)
 
 
-def _posed(arm: Arm, pose: Mapping[str, float]) -> mujoco.MjData:
-    unknown = sorted(set(pose) - set(arm.joints))
-    if unknown:
-        raise InvalidData(
-            f"the diagnosis has a pose of the joints {unknown}, which are none of arm "
-            f"{arm.name!r}; it has {', '.join(arm.joints)}: give the model that was diagnosed"
-        )
-    data = mujoco.MjData(arm.model)
-    data.qpos[arm.pose_addresses] = [float(pose.get(joint, 0.0)) for joint in arm.joints]
-    mujoco.mj_forward(arm.model, data)
-    return data
-
-
-def _camera(arm: Arm, data: mujoco.MjData) -> tuple[Array, bool]:
-    """Axes of the picture (right, up, towards the eye) in rows, and whether gravity is down.
-
-    An arm whose joint axes are parallel is seen along them, any other from a side and above.
-    """
-    axes = np.array([data.joint(name).xaxis for name in arm.joints])
-    gravity = np.asarray(arm.model.opt.gravity, dtype=float)
-    up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
-    if np.linalg.norm(np.cross(axes, axes[0]), axis=1).max() < 1e-6 and len(arm.axes) == 2:
-        eye = axes[0]
-    else:
-        ahead = np.eye(3)[0 if abs(up[0]) < 0.9 else 1]
-        ahead = ahead - (ahead @ up) * up
-        ahead /= np.linalg.norm(ahead)
-        level = np.cos(_AZIMUTH) * ahead + np.sin(_AZIMUTH) * np.cross(up, ahead)
-        eye = np.cos(_ELEVATION) * level + np.sin(_ELEVATION) * up
-    right = np.cross(up, eye)
-    upright = bool(np.linalg.norm(right) > 0.1)
-    if not upright:  # from above
-        right = np.eye(3)[0 if abs(eye[0]) < 0.9 else 1]
-        right = right - (right @ eye) * eye
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(eye, right), eye]), upright
-
-
-def _along_axes(arm: Arm, data: mujoco.MjData) -> Array:
-    """A point on every joint's axis, so that joints are seen apart, and the tool (n + 1, 3).
-
-    A joint that turns about the link before it is drawn half way along that link; one in the same
-    place as the joint before is drawn towards what comes next, if its axis leads there.
-    """
-    near = 0.06 * arm.reach
-    points = [data.joint(name).xanchor.copy() for name in arm.joints]
-    points.append(data.site(arm.tool).xpos.copy())
-    for j in range(1, arm.n):
-        axis, back = data.joint(arm.joints[j]).xaxis, points[j - 1] - points[j]
-        foot = points[j] + (back @ axis) * axis
-        apart = np.linalg.norm(back)
-        if apart > 3 * near and np.linalg.norm(points[j - 1] - foot) < near:
-            points[j] = foot + 0.55 * (points[j] - foot)
-        elif apart < near:
-            points[j] = points[j] + 0.6 * ((points[j + 1] - points[j]) @ axis) * axis
-    return np.array(points)
-
-
-def _joint(
-    axes: Axes, arm: Arm, k: int, at: Array, excited: Collection[str] | None, *, ringed: bool
-) -> None:
-    """A numbered disc for a hinge, a square for a slide; a ring round the suspected one."""
-    shape, colour, said = "s" if arm.sliding[k] else "o", palette.CAP, None
-    if excited is not None:
-        on = arm.joints[k] in excited
-        colour, said = (SHAKEN, "shaken") if on else (palette.HELD_CAP, "braked or servoed")
-    if ringed:
-        look: dict[str, Any] = {"color": "none", "mec": TRUTH, "mew": 3, "zorder": 5}
-        axes.plot(*at, "o", markersize=22, linestyle="", label="suspected joint", **look)
-    axes.plot(*at, shape, color=colour, mec=EDGE, markersize=15, linestyle="", label=said, zorder=4)
-    ink = {SHAKEN: ink_on(SHAKEN), palette.HELD_CAP: palette.PAPER}.get(colour, INK)
-    axes.text(at[0], at[1], str(k + 1), color=ink, fontsize=9, fontweight="bold", ha="center",
-              va="center_baseline", zorder=4.5)  # fmt: skip
-
-
-def _tool(axes: Axes, frame: Array, at: Array, arm: Arm, length: float) -> None:
-    """The tool and the axes of its frame that are measured."""
-    axes.plot(*at, "o", color=INK, markersize=7, zorder=7)
-    for k in arm.axes:
-        along = length * frame[:2, k]
-        if np.linalg.norm(along) > 0.15 * length:
-            arrow(axes, at, at + along, color=INK, width=1.3)
-        end = at + along + 0.25 * along / max(float(np.linalg.norm(along)) / length, 0.15)
-        axes.text(end[0], end[1], "xyz"[k], color=INK, fontsize=9, fontstyle="italic", ha="center",
-                  va="center", zorder=8)  # fmt: skip
-
-
-def _measures(axes: Axes, size: float, *, upright: bool) -> None:
-    """A measure of length, and the direction of gravity."""
+def _size_bar(axes: Axes) -> None:
+    """A measure of length."""
     from mpl_toolkits.axes_grid1.anchored_artists import (  # type: ignore[import-untyped]
         AnchoredSizeBar,
     )
 
-    decade = 10.0 ** float(np.floor(np.log10(0.4 * size)))
-    length = max(k * decade for k in (1, 2, 5) if k * decade <= 0.4 * size)
-    bar = AnchoredSizeBar(
-        axes.transData, length, f"{length:g} m", "lower left", frameon=False, color=MUTED, pad=0.1
-    )
-    axes.add_artist(bar)
-    look: dict[str, Any] = {"xycoords": "axes fraction", "color": MUTED, "fontsize": 9}
-    axes.annotate("gravity ↓" if upright else "seen from above", (0.98, 0.02), ha="right", **look)
+    most = 0.3 * float(np.ptp(axes.get_xlim()))
+    decade = 10.0 ** float(np.floor(np.log10(most)))
+    length = max(k * decade for k in (1, 2, 5) if k * decade <= most)
+    look: dict[str, Any] = {"frameon": False, "color": MUTED, "pad": 0.1}
+    axes.add_artist(AnchoredSizeBar(axes.transData, length, f"{length:g} m", "lower left", **look))
 
 
 def shown_hypotheses(steps: Sequence[Mapping[str, float]]) -> list[str]:
@@ -307,7 +214,7 @@ def _loop(axes: Axes, loop: Loop, record: RecordSeen) -> None:
             wedge = Wedge((0, 0), 1.0, turned - half, turned + half, alpha=0.16, zorder=2.5)
             axes.add_patch(wedge)
             wedge.set(facecolor=TRUTH, linewidth=0)
-    arrow(axes, -seen, seen, color=TRUTH, width=1.7, both=True)
+    draw_arrow(axes, -seen, seen, color=TRUTH, both=True)
 
 
 def transmission_cards(diagnosis: Diagnosis, arm: Arm) -> list[FigureCard]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
-from loose_env.envs import FAINT, INK, MUTED, PAPER
+from loose_env.envs import FAINT, INK, MUTED
 from loose_env.errors import MissingExtra
-from loose_env.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -130,18 +129,6 @@ def plain(name: str, most: int) -> str:
     head = most // 2
     cut = name if len(name) <= most else f"{name[:head]}…{name[len(name) - (most - head - 1) :]}"
     return cut.replace("$", r"\$")
-
-
-def arrow(
-    axes: Axes, start: Array, end: Array, *, color: str, width: float, both: bool = False
-) -> None:
-    """Draw a straight arrow with a head at its end, or at both, and a light rim."""
-    from matplotlib.patheffects import withStroke
-
-    style = f"{'<|' if both else ''}-|>,head_width=0.2,head_length=0.38"
-    look = {"arrowstyle": style, "color": color, "linewidth": width, "shrinkA": 0, "shrinkB": 0}
-    look["path_effects"] = [withStroke(linewidth=width + 2.2, foreground=PAPER)]
-    axes.annotate("", xy=(end[0], end[1]), xytext=(start[0], start[1]), arrowprops=look, zorder=6)
 
 
 def percent_ticks(axes: Axes, which: Literal["x", "y"]) -> None:

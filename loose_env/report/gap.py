@@ -1,4 +1,4 @@
-"""Report of a model-error analysis: headline, next steps, parameters, residuals."""
+"""Report of `loose gap` as text, HTML and page: headline, next steps, parameters, residuals."""
 
 from __future__ import annotations
 

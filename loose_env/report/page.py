@@ -1,4 +1,4 @@
-"""Reports as pages: tables, figure cards and sections in one file that loads nothing."""
+"""Reports as pages: tables, figure cards and sections in one HTML file; `Brief` for terminals."""
 
 from __future__ import annotations
 

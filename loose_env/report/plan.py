@@ -1,4 +1,4 @@
-"""Report of a plan: steps at the machine, pose, signals, limits, expected observations."""
+"""Report of a plan as text and page: pose, signals, limits, steps, expected observations."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.signal import welch
@@ -93,11 +93,10 @@ def summary(plan: Plan | ToolPlan) -> str:
 def write_plan_page(
     path: str | os.PathLike[str],
     plan: Plan | ToolPlan,
-    runs: Sequence[Any],
+    planned: Sequence[PlannedRun],
     *,
     folder: str | Path | None = None,
     model: str | Path | None = None,
-    planned: Sequence[PlannedRun] | None = None,
 ) -> Path:
     """Write the page of a plan, the sheet to take to the machine.
 
@@ -123,9 +122,9 @@ def write_plan_page(
     MissingExtra
         If jinja2 or matplotlib is not installed.
     """
-    planned = runs if planned is None else planned
     sheet = _sheet(plan, planned)
     commands = plan_commands(plan, folder or Path(path).parent, model)
+    steps = _tool_steps(plan, planned) if isinstance(plan, ToolPlan) else _steps(plan, planned)
     plain = {} if isinstance(plan, ToolPlan) else _plain_names(plan)
     arm = plan.arm
     page = render_page(
@@ -133,7 +132,7 @@ def write_plan_page(
         [
             Section(answers={name: [sentence(words)] for name, words in sheet.answers.items()}),
             warnings_section(("warning", with_plain_names(w, plain)) for w in plan.warnings),
-            Section(heading="Steps", points=plan_steps(plan, planned), code="\n".join(commands)),
+            Section(heading="Steps", points=steps, code="\n".join(commands)),
             Section(heading="The pose", cards=[sheet.card], tables=[sheet.pose], beside=True),
             *sheet.further,
         ],
@@ -167,19 +166,6 @@ def plan_commands(
         f"loose plan {path_word(model or plan.arm.path)} --out {path_word(folder)} "
         f"--known {found}{option_words(plan.again)}",
     ]
-
-
-def plan_steps(plan: Plan | ToolPlan, planned: Sequence[PlannedRun]) -> list[str]:
-    """Steps at the machine in order; the last refers to `plan_commands`.
-
-    Parameters
-    ----------
-    plan : Plan or ToolPlan
-        The plan.
-    planned : sequence of PlannedRun
-        All its runs, repeats and references included.
-    """
-    return _tool_steps(plan, planned) if isinstance(plan, ToolPlan) else _steps(plan, planned)
 
 
 def _sheet(plan: Plan | ToolPlan, planned: Sequence[PlannedRun]) -> _Sheet:

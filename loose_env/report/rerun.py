@@ -1,4 +1,4 @@
-"""Measured, nominal and corrected motion of the held-out runs for the Rerun viewer.
+"""File of the Rerun viewer: measured, nominal and corrected motion of the held-out runs.
 
 Runs follow one another on one time axis. Entities: ``/channels/CHANNEL/measured`` (and ``nominal``,
 ``corrected``) are scalars in the unit of the recording; ``/arm/measured`` (and so on) are the

@@ -1,4 +1,4 @@
-"""Report of a trend: change of an arm over its sessions."""
+"""Page of a trend: change of an arm's transmission and free travel over its sessions."""
 
 from __future__ import annotations
 

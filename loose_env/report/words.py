@@ -1,4 +1,4 @@
-"""Words of the reports: joints, links, faults, shares, effects."""
+"""Words of the reports for joints, links, hypotheses, shares and effects of a model."""
 
 from __future__ import annotations
 

@@ -1,9 +1,18 @@
 """Rigs: sources of measurements, simulated or recorded."""
 
-from loose_env.rig.measurement import Job, Measurement, RecordedRig, Rig
 from loose_env.rig.plant import Plant, PlantShop
 from loose_env.rig.reduced import ReducedRig
-from loose_env.rig.simulated import SimulatedRig
+from loose_env.rig.simulated import (
+    Job,
+    Measurement,
+    RecordedRig,
+    Rig,
+    SimulatedRig,
+    decimation_filter,
+    low_passed,
+    read_accelerometer,
+    read_encoder,
+)
 
 __all__ = [
     "Job",
@@ -14,4 +23,8 @@ __all__ = [
     "ReducedRig",
     "Rig",
     "SimulatedRig",
+    "decimation_filter",
+    "low_passed",
+    "read_accelerometer",
+    "read_encoder",
 ]

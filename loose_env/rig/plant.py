@@ -1,4 +1,4 @@
-"""Plant model of the true arm: seat, drives, brakes and sensors."""
+"""Compiled true arms with seat, drives, brakes and sensors, and the builder of them."""
 
 from __future__ import annotations
 

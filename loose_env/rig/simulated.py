@@ -1,40 +1,493 @@
-"""Rigs that measure many simulated arms at once on the batched engine of MuJoCo."""
+"""Measurement, job and rig protocol; sensor readings; rigs simulated by MuJoCo or recorded."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Protocol
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
+from scipy.signal import upfirdn
 
 from loose_env.arms import Arm, LinearArm, MismatchDraw, quiet
-from loose_env.errors import InvalidSetting
-from loose_env.excitation import Excitation
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.excitation import Excitation, torque_periods
 from loose_env.faults import Fault, Healthy
-from loose_env.rig.measurement import Job, Measurement, check_jobs, whole_factor
+from loose_env.recording import Recording, Run
 from loose_env.rig.plant import Plant, PlantShop
-from loose_env.rig.reading import AxesRead, Controls, controls, draw_noise, read_records, sampled
-from loose_env.sensors import SensorSuite, decimation_filter
+from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 from loose_env.typing import Array
 
 
-def checked_slots(slots: int) -> int:
-    """Return a number of arms, or raise `InvalidSetting`."""
-    if isinstance(slots, bool) or not isinstance(slots, (int, np.integer)) or slots < 1:
-        raise InvalidSetting(f"a rig needs at least one slot, got {slots!r}")
-    return int(slots)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Measurement:
+    """Readings of one record in one pose.
+
+    All channels are sampled together at ``rate``. Encoder channels have one sample more at
+    either end, so that accelerations can be formed by differences.
+    """
+
+    pose: Array
+    """Commanded pose [rad] (n,)."""
+    excitation: Excitation
+    """What was played."""
+    rate: float
+    """Sampling rate [Hz]."""
+    command: Array
+    """Random part of the commanded torque [N·m] (n, N)."""
+    encoder: Array
+    """Encoder readings, motor side [rad] (n, N + 2)."""
+    tool: Array
+    """Tool accelerometer, tool frame, proper acceleration [m/s²] (d, N)."""
+    links: Array | None = None
+    """Link accelerometers, link frames [m/s²] (L, d, N); None where there are none.
+
+    One for each of the L links that carry one, base first; d is 1 where they are tangential."""
+    probes: Mapping[str, Array] = field(default_factory=dict)
+    """Further accelerometers by their site, along its own axes [m/s²] (3, N) each."""
+    shaker_force: Array | None = None
+    """Commanded force of the shaker [N] (N,); None where there is no shaker."""
+    failure: str | None = None
+    """Why the record is worthless; None for a good one."""
+
+    @property
+    def excited(self) -> NDArray[np.bool_]:
+        """Whether each joint was excited (n,)."""
+        return np.array(self.excitation.excited)
 
 
-def checked_threads(threads: int) -> int:
-    """Return a number of threads, 0 for all, or raise `InvalidSetting`."""
-    if isinstance(threads, bool) or not isinstance(threads, int) or threads < 0:
-        raise InvalidSetting(f"threads is a whole number, 0 for all, got {threads!r}")
-    return threads
+class Rig(Protocol):
+    """Protocol of a rig: a simulated arm, a recording or a real arm."""
+
+    def measure(self, pose: Array, excitation: Excitation) -> Measurement:
+        """Move the arm to a pose, apply the excitation, and return the readings."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Job:
+    """One measurement to take."""
+
+    slot: int
+    """Which arm of the rig."""
+    pose: Array
+    """Commanded pose [rad] (n,)."""
+    excitation: Excitation
+    """What to play."""
+    rng: np.random.Generator
+    """Source of the excitation, the sensor noise and the seat's place in its gap."""
+
+
+def check_jobs(arm: Arm, jobs: Sequence[Job]) -> None:
+    """Reject jobs that do not match an arm."""
+    slots = [job.slot for job in jobs]
+    if len(set(slots)) != len(slots):
+        raise InvalidSetting(f"each slot can be measured once at a time, got slots {slots}")
+    n = arm.n
+    for job in jobs:
+        if job.pose.shape != (n,) or len(job.excitation.torque_rms) != n:
+            raise InvalidSetting(
+                f"arm {arm.name!r} needs {n} joint positions and {n} torques, got "
+                f"{job.pose.shape} and {len(job.excitation.torque_rms)}"
+            )
+        if job.excitation.shaker_rms > 0 and arm.shaker is None:
+            raise InvalidSetting(
+                f"arm {arm.name!r} has no shaker; set shaker_rms to 0 or take an arm "
+                "that stands at one"
+            )
+
+
+def whole_factor(rate: float, timestep: float) -> int:
+    """Simulation steps per reading."""
+    factor = round(1 / (rate * timestep))
+    if factor < 1 or abs(factor * rate * timestep - 1) > 1e-6:
+        raise InvalidSetting(
+            f"the sampling rate {rate:g} Hz must be a whole fraction of the "
+            f"simulation's {1 / timestep:g} Hz"
+        )
+    return factor
+
+
+_JOINT = 3.0
+"""Distance between poses that counts like another joint than the one asked for [rad or m]."""
+
+
+class RecordedRig:
+    """Answers every measurement with the nearest recorded run, each run once.
+
+    Parameters
+    ----------
+    recording : Recording
+        Runs with ``pose`` and ``excited``. Healthy references are not given out.
+    joints : sequence of str
+        Joints in the order of the poses that will be asked for, base first.
+
+    Raises
+    ------
+    InvalidData
+        If no run has a pose and excited joints.
+    """
+
+    def __init__(self, recording: Recording, joints: Sequence[str]) -> None:
+        self.joints = tuple(joints)
+        self._left = [
+            run
+            for run in recording.runs
+            if run.condition == "suspect" and run.pose is not None and run.excited
+        ]
+        if not self._left:
+            raise InvalidData(
+                "the recording has no run of the arm under test with 'pose' and 'excited'; note "
+                "both in recording.json"
+            )
+
+    @property
+    def left(self) -> int:
+        """Runs not yet replayed."""
+        return len(self._left)
+
+    def measure(self, pose: Array, excitation: Excitation) -> Run:
+        """Replay the run nearest in pose with the same excited joint, if there is one.
+
+        Raises
+        ------
+        InvalidData
+            If all runs were given out.
+        """
+        if not self._left:
+            raise InvalidData("all runs of the recording were given out; record more")
+        asked = {j for j, on in zip(self.joints, excitation.excited, strict=True) if on}
+
+        def unlike(run: Run) -> float:
+            assert run.pose is not None
+            there = np.array([run.pose.get(j, q) for j, q in zip(self.joints, pose, strict=True)])
+            away = float(np.linalg.norm(there - pose))
+            return away + (0.0 if asked & set(run.excited) else _JOINT)
+
+        nearest = min(self._left, key=unlike)
+        self._left.remove(nearest)
+        return nearest
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Controls:
+    """Torques of J records of one length, within the drives' limits, and the shaker's force."""
+
+    periods: Array
+    """One period of each signal that varies, gravity included (R, steps of a period)."""
+    records: NDArray[np.intp]
+    """Record of each of them (R,)."""
+    drives: NDArray[np.intp]
+    """Joint of each of them; n for the shaker (R,)."""
+    constant: Array
+    """Torque of the drives that do not vary, zero for the others (J, n) [N·m]."""
+    gravity: Array
+    """Torque that holds each joint of the nominal arm against gravity (J, n) [N·m]."""
+
+    def signals(self, *, drives: int, before: int, after: int) -> Array:
+        """Torques of every step, and the shaker force if present (J, steps, drives).
+
+        ``before`` and ``after`` are steps of run-in and run-out around the record.
+        """
+        jobs, n = self.constant.shape
+        steps = np.arange(-before, self.periods.shape[1] + after) % self.periods.shape[1]
+        control = np.zeros((jobs, len(steps), drives))
+        control[..., :n] = self.constant[:, None]
+        for row, job, drive in zip(self.periods, self.records, self.drives, strict=True):
+            control[job, :, drive] = row[steps]
+        return control
+
+    def commands(self, factor: int, count: int) -> Array:
+        """Commanded torque less gravity's at every reading (J, n, count) [N·m].
+
+        ``factor`` is the number of steps per reading.
+        """
+        jobs, n = self.constant.shape
+        command = np.zeros((jobs, n, count))
+        steady = np.where(self.constant != 0, self.constant - self.gravity, 0.0)
+        command += steady[..., None]
+        for row, job, drive in zip(self.periods, self.records, self.drives, strict=True):
+            if drive < n:
+                command[job, drive] = row[::factor][:count] - self.gravity[job, drive]
+        return command
+
+
+def controls(nominal: LinearArm, jobs: Sequence[Job], *, timestep: float) -> Controls:
+    """Sample the torques of measurements of one length; each draws from its own generator."""
+    arm = nominal.arm
+    limits = np.array(arm.torque_limits)
+    periods, records, drives = torque_periods(
+        [job.excitation for job in jobs], timestep=timestep, rngs=[job.rng for job in jobs]
+    )
+    gravity = np.array([nominal.at(job.pose).gravity_torque for job in jobs])
+    constant = np.clip(gravity, -limits, limits)
+    for row, job, drive in zip(periods, records, drives, strict=True):
+        if drive < arm.n:
+            row += gravity[job, drive]
+            constant[job, drive] = 0.0
+            most = limits[drive]
+        elif arm.shaker is not None:
+            most = arm.shaker.force_limit
+        np.clip(row, -most, most, out=row)
+    return Controls(
+        periods=periods, records=records, drives=drives, constant=constant, gravity=gravity
+    )
+
+
+class AxesRead:
+    """Accelerometer axes that are read, of all sensors one after the other: tool, links, probes."""
+
+    def __init__(self, arm: Arm, sensors: SensorSuite) -> None:
+        choice = sensors.on_links
+        axes = list(arm.axes)
+        self.link_axes = [0] if choice is not None and choice.tangential else axes
+        self.links: tuple[int, ...] = () if choice is None else choice.on(arm)
+        """Links that carry an accelerometer."""
+        self.on_links = choice is not None
+        self.probes = arm.probe_sites
+        self.tool = len(axes)
+        """Axes of the tool's accelerometer."""
+        each = [axes] + [self.link_axes] * len(self.links) + [[0, 1, 2]] * len(self.probes)
+        self.sensor = np.repeat(np.arange(len(each)), [len(own) for own in each])
+        """Accelerometer of each axis, in the order of the channels (S,)."""
+        self._axes = np.concatenate(each)
+        owners = [-1, *(link - 1 for link in self.links)] + [-1] * len(self.probes)
+        self._owners = np.array(owners)[self.sensor]
+
+    def mixing(self, mismatches: Sequence[MismatchDraw]) -> Array:
+        """Output of each axis per true acceleration: gains, cross-axis, mounting (J, S, 3).
+
+        Probes have those of the tool.
+        """
+        own = np.array([draw.sensor[self._axes] for draw in mismatches])
+        if self.on_links:
+            on = self._owners >= 0
+            links = np.array([draw.link_sensors for draw in mismatches])
+            own[:, on] = links[:, self._owners[on], self._axes[on]]
+        return own
+
+
+@lru_cache(maxsize=32)
+def decimation_filter(factor: int, cutoff: float, rate: float) -> Array:
+    """Taps of the recorder's linear-phase low-pass before decimation.
+
+    Parameters
+    ----------
+    factor : int
+        Fast samples per recorded sample.
+    cutoff : float
+        Half-amplitude frequency [Hz].
+    rate : float
+        Recorded rate [Hz].
+
+    Returns
+    -------
+    ndarray (8 factor + 1,)
+        Hamming-windowed sinc, sum 1. Read-only.
+    """
+    half = 4 * factor
+    k = np.arange(-half, half + 1)
+    taps = np.sinc(2 * cutoff / (rate * factor) * k) * np.hamming(2 * half + 1)
+    taps /= taps.sum()
+    taps.flags.writeable = False
+    return np.asarray(taps)
+
+
+def low_passed(
+    true: Array, *, sensor: Accelerometer, factor: int, first: int, count: int, rate: float
+) -> Array:
+    """Low-pass true accelerations and take one sample for each reading.
+
+    Parameters
+    ----------
+    true : ndarray (..., steps)
+        Acceleration along the measured axes at every simulation step [m/s²].
+    sensor : Accelerometer
+        Parameters of the sensor.
+    factor : int
+        Simulation steps per reading.
+    first, count : int
+        Step of the first reading, and number of readings.
+    rate : float
+        Sampling rate [Hz].
+
+    Returns
+    -------
+    ndarray (..., count)
+    """
+    taps = decimation_filter(factor, sensor.bandwidth, rate)
+    half = len(taps) // 2
+    # Steps from half a filter before the first reading to half a filter after the last.
+    used = true[..., first - half : first + factor * (count - 1) + half + 1]
+    lead = 2 * half // factor  # outputs before the first whole window
+    return np.asarray(upfirdn(taps, used, down=factor)[..., lead : lead + count])
+
+
+def read_accelerometer(smooth: Array, *, sensor: Accelerometer, rate: float, drawn: Array) -> Array:
+    """Turn low-passed accelerations into readings.
+
+    Parameters
+    ----------
+    smooth : ndarray (..., count)
+        Acceleration as `low_passed` gives it [m/s²].
+    sensor : Accelerometer
+        Parameters of the sensor.
+    rate : float
+        Sampling rate [Hz].
+    drawn : ndarray (..., count)
+        Standard normal variates, one for each reading.
+
+    Returns
+    -------
+    ndarray (..., count)
+        Readings [m/s²].
+    """
+    # White noise of the given density up to half the sampling rate.
+    noise = sensor.noise_density * np.sqrt(rate / 2)
+    return _rounded(smooth + noise * drawn, sensor.resolution)
+
+
+def read_encoder(
+    true: Array, *, sensor: Encoder, drawn: Array, sliding: NDArray[np.bool_] | None = None
+) -> Array:
+    """Turn joint positions (..., n, count) [rad or m] into encoder readings of the same shape.
+
+    ``drawn``, of that shape too, are standard normal variates. Rows where ``sliding`` (n,) is true
+    are read by a linear scale.
+    """
+    readings = _rounded(true + sensor.noise * drawn, sensor.resolution)
+    if sliding is not None and sliding.any():
+        linear = true[..., sliding, :] + sensor.linear_noise * drawn[..., sliding, :]
+        readings[..., sliding, :] = _rounded(linear, sensor.linear_resolution)
+    return readings
+
+
+def _rounded(values: Array, step: float) -> Array:
+    return np.round(values / step) * step if step > 0 else values
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """True motion of J arms as it reaches the converters of their sensors."""
+
+    smooth: Array
+    """Accelerations along the axes that are read, behind their low-pass (J, S, N) [m/s²]."""
+    position: Array
+    """Joint positions, one reading more at either end (J, n, N + 2) [rad or m]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Noise:
+    """Standard normal variates of J records, one for each reading."""
+
+    accelerometers: Array
+    """Of the axes that are read (J, S, N)."""
+    encoders: Array
+    """Of the encoders (J, n, N + 2)."""
+
+
+def draw_noise(jobs: Sequence[Job], axes: AxesRead, *, joints: int, count: int) -> Noise:
+    """Draw the noise of records of ``count`` readings, each from its job's own generator."""
+    read = np.empty((len(jobs), len(axes.sensor), count))
+    turned = np.empty((len(jobs), joints, count + 2))
+    for k, job in enumerate(jobs):
+        # Tool, encoders, then all further accelerometers.
+        job.rng.standard_normal(out=read[k, : axes.tool])
+        job.rng.standard_normal(out=turned[k])
+        if axes.tool < len(axes.sensor):
+            job.rng.standard_normal(out=read[k, axes.tool :])
+    return Noise(accelerometers=read, encoders=turned)
+
+
+def sampled(
+    recorded: Array,
+    axes: AxesRead,
+    mixing: Array,
+    *,
+    sensors: SensorSuite,
+    joints: int,
+    factor: int,
+    before: int,
+    count: int,
+) -> Motion:
+    """Filter and sample the channels that MuJoCo recorded."""
+    first = 3 * axes.sensor + np.where(axes.sensor > 0, joints, 0)
+    channels = recorded.transpose(0, 2, 1)
+    mixed = sum(mixing[:, :, k, None] * channels[:, first + k] for k in range(3))
+    steps = before + factor * np.arange(-1, count + 1)
+    return Motion(
+        smooth=low_passed(
+            np.asarray(mixed),
+            sensor=sensors.accelerometer,
+            factor=factor,
+            first=before,
+            count=count,
+            rate=sensors.rate,
+        ),
+        position=channels[:, 3 : 3 + joints][..., steps],
+    )
+
+
+def read_records(
+    motion: Motion,
+    noise: Noise,
+    axes: AxesRead,
+    jobs: Sequence[Job],
+    control: Controls,
+    *,
+    arm: Arm,
+    sensors: SensorSuite,
+    factor: int,
+    joint_zero: Array,
+    failures: dict[int, str],
+) -> list[Measurement]:
+    """Read the records of several jobs with an arm's sensors."""
+    count = motion.smooth.shape[-1]
+    smooth = read_accelerometer(
+        motion.smooth, sensor=sensors.accelerometer, rate=sensors.rate, drawn=noise.accelerometers
+    )
+    encoder = read_encoder(
+        motion.position - joint_zero[..., None],
+        sensor=sensors.encoder,
+        drawn=noise.encoders,
+        sliding=arm.sliding,
+    )
+    command = control.commands(factor, count)
+    shaken = np.zeros((len(jobs), count)) if arm.shaker is not None else None
+    if shaken is not None:
+        on = control.drives == arm.n
+        shaken[control.records[on]] = control.periods[on][:, ::factor][:, :count]
+    end = axes.tool + len(axes.links) * len(axes.link_axes)
+    found = []
+    for k, job in enumerate(jobs):
+        failure = failures.get(job.slot)
+        if failure is not None:
+            smooth[k] = encoder[k] = 0.0
+        links = smooth[k, axes.tool : end].reshape(len(axes.links), len(axes.link_axes), count)
+        found.append(
+            Measurement(
+                pose=job.pose,
+                excitation=job.excitation,
+                rate=sensors.rate,
+                command=command[k],
+                encoder=encoder[k],
+                tool=smooth[k, : axes.tool],
+                links=links if axes.on_links else None,
+                probes={
+                    site: smooth[k, end + 3 * i : end + 3 * i + 3]
+                    for i, site in enumerate(axes.probes)
+                },
+                shaker_force=None if shaken is None else shaken[k],
+                failure=failure,
+            )
+        )
+    return found
 
 
 class SlotRig(ABC):
@@ -42,6 +495,28 @@ class SlotRig(ABC):
 
     plants: list[Plant]
     """The arm of every slot."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        slots: int,
+        sensors: SensorSuite | None,
+        timestep: float | None,
+        threads: int,
+    ) -> None:
+        if isinstance(slots, bool) or not isinstance(slots, (int, np.integer)) or slots < 1:
+            raise InvalidSetting(f"a rig needs at least one slot, got {slots!r}")
+        if isinstance(threads, bool) or not isinstance(threads, int) or threads < 0:
+            raise InvalidSetting(f"threads is a whole number, 0 for all, got {threads!r}")
+        self.arm = arm
+        self.sensors = SensorSuite() if sensors is None else sensors
+        self.timestep = arm.timestep if timestep is None else timestep
+        self.factor = whole_factor(self.sensors.rate, self.timestep)
+        self.nominal = LinearArm(arm)
+        self._axes = AxesRead(arm, self.sensors)
+        self.shop = PlantShop(
+            arm, timestep=self.timestep, link_accelerometers=self.sensors.link_accelerometers
+        )
 
     @property
     def slots(self) -> int:
@@ -73,47 +548,6 @@ class SlotRig(ABC):
         return [results[k] for k in range(len(jobs))]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Engine:
-    """One batch, in which every arm has its slot."""
-
-    batch: Batch
-    """The batch; all its models have the same layout."""
-    rest: NDArray[np.float64]
-    """State of an arm at rest with all positions zero."""
-
-
-class Engines:
-    """Engines by number of loose degrees of freedom, created on demand.
-
-    All models of a batch must have one layout, and a seat loose in two directions has a joint
-    more than one loose in one. Arms whose seats have the same number share an engine; nobody
-    else's number changes what an engine does. Arms of another layout leave their slots in it to
-    the template of its own, which is never simulated.
-    """
-
-    def __init__(self, shop: PlantShop, slots: int, threads: int) -> None:
-        self._shop, self._slots, self._threads = shop, slots, threads
-        self._made: dict[int, Engine] = {}
-
-    def of(self, parts: int) -> Engine:
-        """Return the engine for seats with a number of degrees of freedom."""
-        found = self._made.get(parts)
-        if found is None:
-            batch = Batch(self._shop.spare(parts), self._slots, self._threads)
-            rest = batch.state[0].copy()
-            rest[:] = 0.0
-            found = self._made[parts] = Engine(batch=batch, rest=rest)
-        return found
-
-    def load(self, plants: Sequence[Plant]) -> None:
-        """Load the models of the arms into every engine."""
-        for parts in {plant.parts for plant in plants}:
-            spare = self._shop.spare(parts)
-            models = [plant.model if plant.parts == parts else spare for plant in plants]
-            self.of(parts).batch.set_models(models)
-
-
 _CHUNK = 16  # arms simulated in one call; reading one chunk overlaps with the next
 
 
@@ -122,7 +556,7 @@ class _Batch:
     """Jobs with one duration and one model layout, and the engine that simulates them."""
 
     jobs: Sequence[Job]
-    engine: Engine
+    engine: Batch
     control: Controls
     delivered: Array
     """Torques that the drives deliver, and the shaker's force (jobs, steps, drives)."""
@@ -175,31 +609,14 @@ class SimulatedRig(SlotRig):
         timestep: float | None = None,
         threads: int = 0,
     ) -> None:
-        slots = checked_slots(slots)
-        threads = checked_threads(threads)
-        self.arm = arm
-        self.sensors = sensors if sensors is not None else SensorSuite()
-        self.timestep = arm.timestep if timestep is None else timestep
-        self.factor = whole_factor(self.sensors.rate, self.timestep)
-        self.nominal = LinearArm(arm)
-        self._axes = AxesRead(arm, self.sensors)
-        self.shop = PlantShop(
-            arm, timestep=self.timestep, link_accelerometers=self.sensors.link_accelerometers
-        )
-        self._engines = Engines(self.shop, slots, threads)
+        super().__init__(arm, slots, sensors, timestep, threads)
+        self._threads = threads
         # One each: a plant's model holds the pose at which its brakes and springs rest.
-        self.plants: list[Plant] = [
-            self.shop.build(Healthy(), MismatchDraw.none(arm)) for _ in range(slots)
-        ]
-        self._engines.load(self.plants)
-        self._models_changed = False
+        self.plants = [self.shop.build(Healthy(), MismatchDraw.none(arm)) for _ in range(slots)]
+        self._engines: dict[int, Batch] = {}
+        self._models_changed = True
         # Two, so that one chunk can be read while the next is simulated.
         self._rooms = [np.empty(0), np.empty(0)]
-
-    @property
-    def _batch(self) -> Batch:
-        """Engine of all arms whose seat has one degree of freedom."""
-        return self._engines.of(1).batch
 
     def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
         """Put a new arm into a slot."""
@@ -220,8 +637,7 @@ class SimulatedRig(SlotRig):
         """
         check_jobs(self.arm, jobs)
         if self._models_changed:
-            self._engines.load(self.plants)
-            self._models_changed = False
+            self._load()
         alike: dict[tuple[object, ...], list[int]] = {}  # of one length and one model layout
         for k, job in enumerate(jobs):
             key = (job.excitation.duration, job.excitation.band, self.plants[job.slot].parts)
@@ -234,6 +650,22 @@ class SimulatedRig(SlotRig):
             chunks, self._pipeline([[jobs[k] for k in chunk] for chunk in chunks]), strict=True
         ):
             yield from zip(chunk, measured, strict=True)
+
+    def _load(self) -> None:
+        """Load the models of the arms into the engines, one by number of loose directions.
+
+        All models of a batch must have one layout, and a seat loose in two directions has a joint
+        more than one loose in one. Arms of another layout leave their slots in an engine to the
+        template of its own, which is never simulated: nobody else's number changes what it does.
+        """
+        for parts in {plant.parts for plant in self.plants}:
+            spare = self.shop.spare(parts)
+            if parts not in self._engines:
+                self._engines[parts] = Batch(spare, self.slots, self._threads)
+            self._engines[parts].set_models(
+                [plant.model if plant.parts == parts else spare for plant in self.plants]
+            )
+        self._models_changed = False
 
     def _pipeline(self, chunks: Sequence[Sequence[Job]]) -> Iterator[list[Measurement]]:
         """Prepare and read on this thread while the engine simulates the next batch."""
@@ -267,12 +699,11 @@ class SimulatedRig(SlotRig):
             before=before,
             after=max(half, factor) + 1,
         )
-        engine = self._engines.of(self.plants[jobs[0].slot].parts)
-        batch = engine.batch
+        batch = self._engines[self.plants[jobs[0].slot].parts]
         position, active = batch.bind("qpos"), batch.bind("eq_active")
         for k, job in enumerate(jobs):
             plant = self.plants[job.slot]
-            batch.state[job.slot] = engine.rest
+            batch.state[job.slot] = 0.0  # at rest, all positions zero
             position[job.slot, plant.position] = plant.hold_at(job.pose)
             places = plant.gaps * (job.rng.random(plant.parts) - 0.5)
             position[job.slot, plant.seat_positions] = places
@@ -284,7 +715,7 @@ class SimulatedRig(SlotRig):
             delivered[k, :, : self.arm.n] *= plant.mismatch.drive_gain
         return _Batch(
             jobs=jobs,
-            engine=engine,
+            engine=batch,
             control=control,
             delivered=delivered,
             recorded=self._buffer(room, len(jobs), delivered.shape[1], batch.model.nsensordata),
@@ -294,7 +725,7 @@ class SimulatedRig(SlotRig):
 
     def _simulate(self, run: _Batch) -> None:
         """Run the engine; store its recordings and the failed arms."""
-        batch, data, failures = run.engine.batch, run.recorded, run.failures
+        batch, data, failures = run.engine, run.recorded, run.failures
         ids = np.array([job.slot for job in run.jobs])
         batch.warning[ids] = 0
         try:

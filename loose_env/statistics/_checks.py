@@ -1,4 +1,4 @@
-"""Input validation of the statistics."""
+"""Input validation of the statistics: arrays of samples, records, directions, bands."""
 
 import math
 
@@ -66,15 +66,6 @@ def as_directions(directions: ArrayLike, name: str = "direction") -> Array:
     if not (np.isfinite(length) & (length > 0.0)).all():
         raise InvalidData(f"{name} is {vectors}; it needs a length above zero")
     return np.asarray(vectors / length)
-
-
-def as_angles(angles: ArrayLike) -> Array:
-    """Return `angles` as a finite array of shape (K,)."""
-    values = np.atleast_1d(as_floats(angles, "angles"))
-    if values.ndim != 1:
-        raise InvalidData(f"angles has shape {values.shape}; it must be (K,)")
-    require_finite(values, "angles")
-    return values
 
 
 def require_finite(values: Array, name: str) -> None:

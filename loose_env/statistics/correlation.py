@@ -1,164 +1,224 @@
-"""Correlation and coherence of the motion of the tool with the excited joints, by direction.
+"""Axial directions, direction of lowest coherence with excited joints, comparative index.
 
-With x the joint acceleration, a the tool acceleration, c = cov(x, a) and S = cov(a), the
-correlation along the unit vector u is r(u) = u.c / (sd(x) sqrt(u.S u)). Equation numbers are
-those of the thesis.
+A direction and its opposite are one axis: half a circle, or half a sphere, holds all. Planar angles
+are in radians, from the x axis of the tool towards its y axis.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from loose_env.errors import InvalidData
-from loose_env.statistics._checks import as_angles, as_direction
-from loose_env.statistics.directions import axial_vector, wrap_axial
-from loose_env.statistics.moments import (
-    STILL,
-    Covariances,
-    covariances,
-    excitation_factor,
-    planar_excitation,
-    single_excitation,
-    whitener,
-)
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.statistics._checks import as_direction, as_directions, as_floats, require_finite
+from loose_env.statistics.transmission import Covariances, excitation_factor, whitener
 from loose_env.typing import Array
 
-
-class MaximumCorrelation(NamedTuple):
-    """Maximum correlation over all directions, and its direction."""
-
-    value: float
-    """Correlation, 0 to 1."""
-    direction: Array
-    """Unit vector in the tool frame, shape (d,)."""
+Angles = NDArray[np.floating[Any]]
 
 
-def correlation_loop(x: ArrayLike, a: ArrayLike, angles: ArrayLike) -> Array:
-    """Trace the correlation vector: the correlation at every angle of the plane (4.14).
-
-    Each is the Pearson correlation with the component along that angle (4.10 to 4.13).
+@overload
+def wrap_axial(angle: float) -> float: ...
+@overload
+def wrap_axial(angle: Angles) -> Array: ...
+def wrap_axial(angle: float | Angles) -> float | Array:
+    """Wrap the angle of an axis to [0, pi).
 
     Parameters
     ----------
-    x : array, shape (N,)
-        Acceleration of the excited joint, rad/s^2.
-    a : array, shape (2, N)
-        Tool acceleration in the tool frame, m/s^2.
-    angles : array, shape (K,)
-        Angles from the tool's x axis, rad.
+    angle : float or array
+        Angle, rad.
 
     Returns
     -------
-    array, shape (K,)
-        Correlation, -1 to 1; it changes sign from an angle to its opposite (4.15).
-
-    Raises
-    ------
-    InvalidData
-        If the record or the angles cannot be used, x has several rows or a not two.
+    float or array
+        The same axis, rad, of the shape given.
 
     Examples
     --------
-    >>> x = [1.0, -1.0, 1.0, -1.0]
-    >>> a = [[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0]]
-    >>> correlation_loop(x, a, np.radians([0.0, 60.0, 180.0])).round(4).tolist()
-    [1.0, 0.5, -1.0]
+    >>> round(wrap_axial(-0.25), 4)
+    2.8916
     """
-    return correlation_loop_from(covariances(x, a), angles)
+    wrapped = np.mod(angle, np.pi)
+    # The remainder of a tiny negative angle rounds up to pi itself.
+    wrapped = np.where(wrapped >= np.pi, 0.0, wrapped)
+    return float(wrapped) if wrapped.ndim == 0 else wrapped
 
 
-def correlation_loop_from(cov: Covariances, angles: ArrayLike) -> Array:
-    """`correlation_loop` on covariances."""
-    c = planar_excitation(cov)
-    phi = as_angles(angles)
-    cosine, sine = np.cos(phi), np.sin(phi)
-    s = cov.aa
-    variance = s[0, 0] * cosine**2 + 2 * s[0, 1] * cosine * sine + s[1, 1] * sine**2
-    still = variance <= STILL * (s[0, 0] + s[1, 1])
-    scale = np.sqrt(cov.xx[0, 0] * np.where(still, 1.0, variance))
-    return np.where(still, 0.0, (c[0] * cosine + c[1] * sine) / scale)
-
-
-def lowest_correlation_direction(x: ArrayLike, a: ArrayLike) -> float:
-    """Find the planar direction uncorrelated with the excited joint.
-
-    The correlation is zero perpendicular to c = cov(x, a), so no search is needed:
-    phi0 = atan2(c_y, c_x) + 90 degrees.
+@overload
+def axial_difference(a: float, b: float) -> float: ...
+@overload
+def axial_difference(a: Angles, b: float | Angles) -> Array: ...
+@overload
+def axial_difference(a: float, b: Angles) -> Array: ...
+def axial_difference(a: float | Angles, b: float | Angles) -> float | Array:
+    """Signed smallest rotation from axis `b` to axis `a`.
 
     Parameters
     ----------
-    x : array, shape (N,)
-        Acceleration of the excited joint, rad/s^2.
-    a : array, shape (2, N)
-        Tool acceleration in the tool frame, m/s^2.
+    a, b : float or array
+        Angles of the axes, rad.
+
+    Returns
+    -------
+    float or array
+        Difference in [-pi/2, pi/2), rad.
+
+    Examples
+    --------
+    >>> round(math.degrees(axial_difference(math.radians(2), math.radians(179))), 6)
+    3.0
+    """
+    turn: float | Array = wrap_axial(np.subtract(a, b) + np.pi / 2)
+    return turn - np.pi / 2
+
+
+def axial_mean(angles: ArrayLike) -> float:
+    """Average axes: half the direction of the mean of the doubled angles.
+
+    Parameters
+    ----------
+    angles : array, shape (K,)
+        Angles of the axes, rad.
 
     Returns
     -------
     float
-        Angle from the tool's x axis in [0, pi), rad.
+        Angle of the mean axis in [0, pi), rad.
 
     Raises
     ------
     InvalidData
-        If the record cannot be used, x has several rows, a not two, or x is correlated with no
-        direction at all.
+        If there is no angle, a value is not finite, or the axes cancel and have no mean.
+
+    References
+    ----------
+    Mardia and Jupp, Directional Statistics, section 1.1.
 
     Examples
     --------
-    >>> x = [1.0, -1.0, 1.0, -1.0]
-    >>> round(lowest_correlation_direction(x, [x, [1.0, 1.0, -1.0, -1.0]]), 4)
-    1.5708
+    >>> round(math.degrees(axial_mean(np.radians([176.0, 2.0]))), 6)
+    179.0
     """
-    c = planar_excitation(covariances(x, a))
-    if not c.any():
-        raise InvalidData("x is uncorrelated with a in every direction; none is the lowest")
-    return wrap_axial(math.atan2(c[1], c[0]) + math.pi / 2)
+    axes = np.atleast_1d(as_floats(angles, "angles"))
+    if axes.ndim != 1 or axes.size == 0:
+        raise InvalidData(f"angles has shape {axes.shape}; it must be (K,), K > 0")
+    require_finite(axes, "angles")
+    cosine, sine = float(np.sum(np.cos(2 * axes))), float(np.sum(np.sin(2 * axes)))
+    if math.hypot(cosine, sine) <= 1e-12 * len(axes):
+        raise InvalidData("the axes cancel: they have no mean direction")
+    return wrap_axial(0.5 * math.atan2(sine, cosine))
 
 
-def maximum_correlation(x: ArrayLike, a: ArrayLike) -> MaximumCorrelation:
-    """Find the maximum correlation over all directions: C in the thesis's tables.
+def axial_vector(direction: ArrayLike) -> Array:
+    """Normalise an axis so that its last non-zero component is positive.
 
-    It lies along S^-1 c and is sqrt(c.S^-1 c) / sd(x).
+    In the plane this picks the vector whose angle lies in [0, pi).
 
     Parameters
     ----------
-    x : array, shape (N,)
-        Acceleration of the excited joint, rad/s^2.
-    a : array, shape (d, N)
-        Tool acceleration in the tool frame, m/s^2.
+    direction : array, shape (..., d)
+        Any vector along the axis.
 
     Returns
     -------
-    MaximumCorrelation
-        Its value and its direction, the sign chosen so that the correlation is positive.
+    array, shape (..., d)
+        Unit vector.
 
     Raises
     ------
     InvalidData
-        If the record cannot be used, x has several rows, or x is correlated with no direction.
+        If `direction` is no vector, is not finite or has no length.
 
     Examples
     --------
-    >>> x = [1.0, -1.0, 1.0, -1.0]
-    >>> value, direction = maximum_correlation(x, [x, [1.0, 1.0, -1.0, -1.0]])
-    >>> round(value, 6), direction.round(6).tolist()
-    (1.0, [1.0, 0.0])
+    >>> axial_vector([3.0, -4.0]).tolist()
+    [-0.6, 0.8]
     """
-    cov = covariances(x, a)
-    c = single_excitation(cov)
-    if not c.any():
-        raise InvalidData("x is uncorrelated with a in every direction; none is the highest")
-    variances, axes = np.linalg.eigh(cov.aa)
-    along = axes.T @ c
-    # A direction in which the tool does not move adds nothing but rounding.
-    moving = variances > STILL * variances[-1]
-    weights = np.where(moving, along, 0.0) / np.where(moving, variances, 1.0)
-    value = math.sqrt(float(np.sum(weights * along)) / float(cov.xx[0, 0]))
-    return MaximumCorrelation(min(value, 1.0), as_direction(axes @ weights, len(c)))
+    unit = as_directions(direction)
+    last = np.zeros(unit.shape[:-1])  # component that is not zero
+    for component in np.moveaxis(unit, -1, 0):
+        last = np.where(component != 0.0, component, last)
+    return np.where(last[..., None] > 0.0, unit, -unit)
+
+
+def axes_grid(count: int, dimension: int = 3) -> Array:
+    """Distribute axes evenly over a half circle or a half sphere.
+
+    Parameters
+    ----------
+    count : int
+        Number of axes, one or more.
+    dimension : {2, 3}
+        Plane or space.
+
+    Returns
+    -------
+    array, shape (count, dimension)
+        Unit vectors, each standing for itself and its opposite; on the sphere a Fibonacci
+        lattice, whose spacing is about sqrt(2 pi / count) rad.
+
+    Raises
+    ------
+    InvalidSetting
+        If `count` is below one or `dimension` is neither 2 nor 3.
+
+    References
+    ----------
+    Swinbank and Purser, Q. J. R. Meteorol. Soc. 132 (2006).
+
+    Examples
+    --------
+    >>> axes_grid(2, 2).round(3).tolist()
+    [[1.0, 0.0], [0.0, 1.0]]
+    >>> bool(np.allclose(np.linalg.norm(axes_grid(100), axis=1), 1.0))
+    True
+    """
+    if count != int(count) or count < 1 or dimension not in (2, 3):
+        raise InvalidSetting(
+            f"count is {count} and dimension {dimension}; a whole number of axes, one or more, in "
+            "2 or 3 dimensions"
+        )
+    k = np.arange(count, dtype=np.float64)
+    if dimension == 2:
+        around = np.pi * k / count
+        return np.stack((np.cos(around), np.sin(around)), axis=1)
+    height = (k + 0.5) / count
+    turn = k * np.pi * (3.0 - math.sqrt(5.0))
+    flat = np.sqrt(1.0 - height**2)
+    return np.stack((flat * np.cos(turn), flat * np.sin(turn), height), axis=1)
+
+
+def tangents(direction: ArrayLike) -> Array:
+    """Orthonormal basis of the plane perpendicular to a direction.
+
+    Parameters
+    ----------
+    direction : array, shape (d,)
+        Any vector along the axis.
+
+    Returns
+    -------
+    array, shape (d - 1, d)
+        An orthonormal basis of what lies across.
+
+    Raises
+    ------
+    InvalidData
+        If `direction` is no finite vector with a length.
+
+    Examples
+    --------
+    >>> bool(np.allclose(tangents([0.0, 0.0, 2.0]) @ [0.0, 0.0, 1.0], 0.0))
+    True
+    """
+    vector = as_floats(direction, "direction")
+    unit = as_direction(vector, vector.shape[-1])
+    _, _, basis = np.linalg.svd(unit[None])
+    return np.asarray(basis[1:], dtype=np.float64)
 
 
 class LowestCoherence(NamedTuple):
@@ -198,6 +258,7 @@ def lowest_coherence_direction_from(cov: Covariances) -> LowestCoherence:
 
     Examples
     --------
+    >>> from loose_env.statistics import covariances
     >>> x = [[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0]]
     >>> a = [[1.0, -1.0, 1.0, -1.0], [2.0, 0.0, -2.0, 0.0]]
     >>> lowest = lowest_coherence_direction_from(covariances(x, a))

@@ -1,4 +1,4 @@
-"""Signals and their spectra: band filter, differentiation, transfer function, delay, noise.
+"""Signals and their spectra: band filter, differentiation, phase delay, noise floor, resolution.
 
 Frequencies and rates are in Hz.
 """
@@ -9,33 +9,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.signal import csd, welch
+from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
 from loose_env.statistics._checks import (
     MIN_SAMPLES,
     as_finite_samples,
-    as_record,
     band_bins,
-    require_finite,
-    require_rate,
 )
 from loose_env.typing import Array, ComplexArray
-
-# Power of the excitation, relative to its peak, below which a bin holds rounding alone.
-EMPTY = 1e-24
-
-
-class TransferFunction(NamedTuple):
-    """Estimate of a transfer function from one input to several outputs."""
-
-    frequencies: Array
-    """Hz, shape (K,)."""
-    response: NDArray[np.complex128]
-    """Output over input, shape (dy, K)."""
-    coherence: Array
-    """Share of each output's power that the input explains, 0 to 1, shape (dy, K)."""
 
 
 def bandpass(signal: ArrayLike, rate: float, band: tuple[float, float]) -> Array:
@@ -125,71 +107,6 @@ def acceleration_from_angle(angle: ArrayLike, rate: float, band: tuple[float, fl
     spectrum[..., : kept.start] = 0.0
     spectrum[..., kept.stop :] = 0.0
     return np.fft.irfft(spectrum, count)
-
-
-def transfer_function(
-    x: ArrayLike, y: ArrayLike, rate: float, segments: int = 8
-) -> TransferFunction:
-    """Estimate the transfer function from x to y, and the coherence (H1, Welch's averages).
-
-    The record is cut into segments that overlap by half; their means are removed, a Hann window is
-    laid on them and their spectra are averaged: H = S_xy / S_xx (Bendat and Piersol, Random Data,
-    chapters 9 and 11).
-
-    Parameters
-    ----------
-    x, y : array, shape (N,), and (N,) or (dy, N)
-        Input, such as the acceleration of the excited joint, rad/s^2, and outputs, such as the tool
-        acceleration, m/s^2.
-    rate : float
-        Sampling rate, Hz.
-    segments : int
-        Number of segments. More of them scatter less and resolve less. With one, the coherence
-        is one whatever the record.
-
-    Returns
-    -------
-    TransferFunction
-        Frequencies, response and coherence. The last two are zero where x has no power.
-
-    Raises
-    ------
-    InvalidData
-        If the record cannot be used or is too short for the segments.
-
-    Examples
-    --------
-    >>> x = np.random.default_rng(0).standard_normal(1200)
-    >>> found = transfer_function(x, [2 * x, -x], 1000.0)
-    >>> bool(np.allclose(found.response, [[2.0], [-1.0]])), bool(np.allclose(found.coherence, 1))
-    (True, True)
-    """
-    source, outputs = as_record(x, "x"), as_record(y, "y")
-    if len(source) != 1 or source.shape[1] != outputs.shape[1]:
-        raise InvalidData(
-            f"x has shape {source.shape} and y {outputs.shape}; they must be (1, N) and (dy, N)"
-        )
-    require_rate(rate)
-    require_finite(source, "x")
-    require_finite(outputs, "y")
-    count = source.shape[1]
-    length = 2 * (count // (segments + 1)) if segments > 0 else 0
-    if length < MIN_SAMPLES:
-        raise InvalidData(
-            f"segments is {segments} for {count} samples; it must be at least 1 and leave "
-            f"{MIN_SAMPLES} samples to a segment"
-        )
-    used = length // 2 * (segments + 1)
-    x_used, y_used = source[:, :used], outputs[:, :used]
-    frequencies, cross = csd(x_used, y_used, rate, nperseg=length)
-    power_x, power_y = (welch(each, rate, nperseg=length)[1] for each in (x_used, y_used))
-    if power_x.max() == 0.0:
-        raise InvalidData("x is constant; it must vary")
-    present = power_x > EMPTY * power_x.max()
-    response = np.where(present, cross / np.where(present, power_x, 1.0), 0.0)
-    both = np.where(present, power_x * power_y, 0.0)
-    coherence = np.where(both > 0.0, np.abs(cross) ** 2, 0.0) / np.where(both > 0.0, both, 1.0)
-    return TransferFunction(frequencies, response, np.minimum(coherence, 1.0))
 
 
 _PER_PERIOD = 24

@@ -1,4 +1,4 @@
-"""Build a bank of simulated records, and work out the figures a posterior is trained on.
+"""Build a bank of simulated records, and compute the features a posterior is trained on.
 
 Usage: python scripts/agents/build_bank.py --env loose_env/Planar-v0 --episodes 20000 --out
 banks/planar4
@@ -22,12 +22,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from loose_agents.jobs import BackendSettings, Store
-from loose_agents.record_bank import (
-    BankOptions,
-    BankPlan,
-    build_bank,
-    build_features,
-)
+from loose_agents.record_bank import BankOptions, BankPlan, build_bank, build_features
 
 from loose_env.cli.command import command
 

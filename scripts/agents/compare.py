@@ -15,7 +15,7 @@ import shlex
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,32 +27,18 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
 from loose_agents.base import EVALUATION_SEED, Problem
-from loose_agents.belief import (
-    ESTIMATORS,
-    OWN_WEIGHTS,
-    setting_name,
-    weights_digest,
-    weights_path,
-)
-from loose_agents.comparison import EvaluationTask, bound_line, play_task
+from loose_agents.belief import ESTIMATORS, OWN_WEIGHTS, setting_name, weights_digest, weights_path
 from loose_agents.evaluation import arguments_of, problem_of
 from loose_agents.jobs import BackendSettings, canonical
 from loose_agents.policies.choice import POLICIES
-from loose_agents.registry import AGENTS, describe, is_outside, make_agent
+from loose_agents.registry import AGENTS, describe, make_agent
+from loose_agents.sharded_play import EvaluationTask, bound_line, play_task
 
 import loose_env
 from loose_env.arms import unfelt_words
 from loose_env.cli.command import command
-from loose_env.evaluation import (
-    SEPARATOR,
-    Row,
-    by_agent,
-    configuration_hash,
-    need_format,
-    standings,
-    write_rows,
-)
-from loose_env.io import Count, NonNegativeCount
+from loose_env.evaluation import by_agent, configuration_hash, need_format, standings, write_rows
+from loose_env.io import Count
 from loose_env.report import comparison_text
 
 EPISODES = 4000
@@ -61,15 +47,6 @@ EPISODES = 4000
 CLASSICAL = ("classical", "classical_literal", "images", "always_healthy", "always_unsure")
 """Reference first, then what every comparison shows beside it: the method's letter, its way by
 predicted directions, and the constant baselines."""
-
-NO_AGENTS = {"oracle": "knows the hidden direction and friction, which no agent is told"}
-"""Rows that are no agents, and why; their names get a star."""
-
-LINES: list[Callable[[Problem, Sequence[Row]], str]] = [
-    bound_line,
-    lambda problem, rows: unfelt_words(problem.arm),
-]
-"""Lines below the table, such as a bound on records."""
 
 BOOTSTRAP_SEED = 0
 """Seed of the resamples behind the intervals."""
@@ -101,20 +78,12 @@ class Options(BackendSettings):
     """Policies to cross with the estimators."""
     reference: str | None = None
     """Agent whose return is subtracted; default: classical, or the first agent."""
-    difficulties: tuple[str, ...] = ()
-    """Play all episodes at each of these."""
     curve: Count | None = None
     """Play again, K records each: success after 1 to K."""
     episodes: Count = EPISODES
-    """Episodes for each agent and difficulty."""
+    """Episodes for each agent."""
     seed: int = EVALUATION_SEED
     """Seed of the episodes."""
-    agent_seed: int = 0
-    """Seed of what agents draw."""
-    width: Count = 64
-    """Arms simulated side by side in a process."""
-    threads: NonNegativeCount = 0
-    """Simulation threads with --workers 1, 0 for all."""
     shard: Count = 200
     """Episodes that a worker plays at a time."""
     out: str = "out"
@@ -151,19 +120,9 @@ def reference_of(options: Options, names: Sequence[str]) -> str | None:
     return CLASSICAL[0] if CLASSICAL[0] in names else names[0]
 
 
-def levels_of(options: Options) -> list[dict[str, Any]]:
-    """Arguments of the environment, once for each difficulty."""
-    arguments = arguments_of(options.arguments)
-    if not options.difficulties:
-        return [arguments]
-    if "difficulty" in arguments:
-        raise ValueError("give the difficulty by --difficulties or by --arguments, not by both")
-    return [{**arguments, "difficulty": name} for name in options.difficulties]
-
-
 def play(
     names: Sequence[str],
-    levels: Sequence[Mapping[str, Any]],
+    arguments: Mapping[str, Any],
     options: Options,
     *,
     records: int | None = None,
@@ -171,51 +130,20 @@ def play(
     """Let every agent play the same episodes; progress goes to standard error."""
     rows = []
     for name in names:
-        for arguments in levels:
-            level = f", {arguments['difficulty']}" if len(levels) > 1 else ""
-            made = "" if records is None else f", {records} records each"
-            print(f"{name}{level}{made}", file=sys.stderr, flush=True)
-            task = EvaluationTask(
-                agent=name,
-                env_id=options.env,
-                arguments=arguments,
-                count=options.episodes,
-                seed=options.seed,
-                agent_seed=options.agent_seed,
-                records=records,
-                width=options.width,
-                threads=options.threads,
-            )
-            folder = Path(options.out) / "shards"
-            rows += play_task(
-                task, folder, settings=options, shard=options.shard, keep=options.keep
-            )
+        made = "" if records is None else f", {records} records each"
+        print(f"{name}{made}", file=sys.stderr, flush=True)
+        task = EvaluationTask(
+            agent=name,
+            env_id=options.env,
+            arguments=arguments,
+            count=options.episodes,
+            seed=options.seed,
+            records=records,
+            threads=0,
+        )
+        folder = Path(options.out) / "shards"
+        rows += play_task(task, folder, settings=options, shard=options.shard, keep=options.keep)
     return rows
-
-
-def words_of(name: str) -> str:
-    """Short description of an agent."""
-    plain = name.partition(SEPARATOR)[0]
-    if plain in NO_AGENTS:
-        return f"{starred(name)}: no agent; it {NO_AGENTS[plain]}."
-    if plain in AGENTS:
-        return f"{name}: {AGENTS[plain][1]}."
-    if is_outside(name):
-        return f"{name}: {describe(name)}."
-    estimator, _, policy = plain.partition("/")
-    if estimator in ESTIMATORS and policy in POLICIES:
-        return f"{name}: estimator, {ESTIMATORS[estimator][1]}; poses, {POLICIES[policy][1]}."
-    return f"{name}: estimator {estimator}, poses chosen by {policy}."
-
-
-def starred(name: str) -> str:
-    """Mark what is no agent."""
-    return f"{name}*" if name.partition(SEPARATOR)[0] in NO_AGENTS else name
-
-
-def shown(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows as tables and page show them: what is no agent gets its star."""
-    return [{**row, "agent": starred(row["agent"])} for row in rows]
 
 
 def write_page(
@@ -225,19 +153,18 @@ def write_page(
     *,
     problem: Problem,
     options: Options,
-    made_by: str,
+    notes: str,
     reference: str | None,
+    said: Sequence[str],
+    engine: str,
 ) -> Path:
     """Write the page: what was played, who won, tables, figures, one episode in pictures."""
     from loose_env.report import episode_timeline, write_comparison
 
-    best = next(s.agent for s in standings(rows) if not s.agent.endswith("*"))
-    told = _told(rows, best, problem)
-    timeline = None
-    if told is not None:
-        agent = make_agent(best, problem, seed=options.agent_seed)
-        arm, settings = problem.arm, problem.settings
-        timeline = episode_timeline(agent, arm, settings, seed=told["seed"], number=told["episode"])
+    best = standings(rows)[0].agent
+    told, agent = _told(rows, best), make_agent(best, problem)
+    arm, settings = problem.arm, problem.settings
+    timeline = episode_timeline(agent, arm, settings, seed=told["seed"], number=told["episode"])
     own = by_agent(rows)
     truths = Counter(row["truth"] for row in own[best])
     return write_comparison(
@@ -249,33 +176,25 @@ def write_page(
             "slides on its flange, or a joint with play. Every agent met the same arms. It moved "
             "joints, shook them, saw how the tool followed, and named the fault when it "
             f"was sure. There are {len(problem.hypotheses)} hypotheses. A right verdict earns 1, a "
-            "wrong one loses 1, and every record costs a little. Simulated by "
-            f"{engine_words(problem)}.",
-            *(words_of(name.removesuffix("*")) for name in own),
+            f"wrong one loses 1, and every record costs a little. Simulated by {engine}.",
+            *(f"{name}: {describe(name)}." for name in own),
         ],
         chance=max(truths.values()) / len(own[best]),
         forced=forced,
         reference=reference,
         rng=np.random.default_rng(BOOTSTRAP_SEED),
-        said=[said for line in LINES if (said := line(problem, rows))],
+        said=said,
         timeline=timeline,
         timeline_agent=best,
-        notes=made_by,
+        notes=notes,
     )
 
 
-def _told(rows: Sequence[dict[str, Any]], best: str, problem: Problem) -> dict[str, Any] | None:
+def _told(rows: Sequence[dict[str, Any]], best: str) -> dict[str, Any]:
     """The first faulty arm that the best agent got right after more than one record."""
-    level = problem.settings.difficulty
-    own = [r for r in rows if r["agent"] == best and r["difficulty"] in (level, "own")]
+    own = [row for row in rows if row["agent"] == best]
     right = (r for r in own if r["success"] and r["truth"] != "healthy" and r["records"] > 1)
-    return next(right, own[0] if own else None)
-
-
-def engine_words(problem: Problem) -> str:
-    """Simulation engine of the arms."""
-    engine = getattr(problem.settings, "engine", "mujoco")
-    return "MuJoCo" if engine == "mujoco" else f"the {engine} engine"
+    return next(right, own[0])
 
 
 def compare(options: Options) -> None:
@@ -286,67 +205,65 @@ def compare(options: Options) -> None:
             raise ValueError(f"--weights {options.weights} is no folder")
         os.environ[OWN_WEIGHTS] = str(Path(options.weights).resolve())  # for the workers too
     form = need_format(options.rows)  # whatever is wrong shows now, not after an hour of play
-    levels = levels_of(options)
-    problems = [problem_of(options.env, arguments) for arguments in levels]
-    problem = problems[0]
+    arguments = arguments_of(options.arguments)
+    problem = problem_of(options.env, arguments)
     names = names_of(options, problem)
     reference = reference_of(options, names)
     out = Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
-    made = {name: make_agent(name, problem, seed=options.agent_seed) for name in names}
+    made = {name: make_agent(name, problem) for name in names}
     goers = [name for name in names if hasattr(made[name], "stopping")]
     if options.curve is not None and not 1 <= options.curve <= problem.settings.max_records:
         raise ValueError(
             f"--curve must be 1 to {problem.settings.max_records}, got {options.curve}"
         )
-    played = play(names, levels, options)
-    more = [] if options.curve is None else play(goers, levels, options, records=options.curve)
-    rows, forced = shown(played), shown(more)
-    reference = None if reference is None else starred(reference)
+    rows = play(names, arguments, options)
+    forced = [] if options.curve is None else play(goers, arguments, options, records=options.curve)
     configuration = canonical(
         {
             "env": options.env,
-            "engine": getattr(problem.settings, "engine", "mujoco"),
-            "arguments": list(levels),
+            "engine": problem.settings.engine,
+            "arguments": arguments,
             "agents": list(names),
-            "agent_seed": options.agent_seed,
             "episodes": options.episodes,
             "seed": options.seed,
             "curve": options.curve,
-            "settings": [problem.settings for problem in problems],
+            "settings": problem.settings,
             "version": loose_env.__version__,
             **({"weights": weights_digest()} if options.weights else {}),
         }
     )
     digest = configuration_hash(configuration)
+    reduced = problem.settings.engine != "mujoco"
+    engine = f"the {problem.settings.engine} engine" if reduced else "MuJoCo"
+    said = [*filter(None, (bound_line(problem, rows), unfelt_words(problem.arm)))]
     frozen = "the frozen one" if options.seed == EVALUATION_SEED else "for trials"
     title = (
-        f"{options.env}, {engine_words(problem)}, "
-        f"{', '.join(options.difficulties) or problem.settings.difficulty}: {options.episodes} "
-        f"episodes for each agent\nseed {options.seed} ({frozen}), configuration {digest[:12]}"
+        f"{options.env}, {engine}, {problem.settings.difficulty}: {options.episodes} episodes for "
+        f"each agent\nseed {options.seed} ({frozen}), configuration {digest[:12]}"
     )
-    stars = [f"* {words_of(name)}" for name in names if starred(name) != name]
     told = comparison_text(
         rows,
         forced,
         reference=reference,
         rng=np.random.default_rng(BOOTSTRAP_SEED),
-        said=[*stars, *filter(None, (line(problem, rows) for line in LINES))],
+        said=said,
     )
     print(f"\n{title}\n\n{told}\n")
-    print(f"Rows: {write_rows(out, 'rows', played, configuration, form=form)}")
-    if more:
-        print(f"Rows of the curve: {write_rows(out, 'curve', more, configuration, form=form)}")
+    print(f"Rows: {write_rows(out, 'rows', rows, configuration, form=form)}")
+    if forced:
+        print(f"Rows of the curve: {write_rows(out, 'curve', forced, configuration, form=form)}")
     if options.page:
-        made_by = f"Made by: {command_of(options)}. Configuration {digest[:12]}."
         page = write_page(
             out / "index.html",
             rows,
             forced,
             problem=problem,
             options=options,
-            made_by=made_by,
+            notes=f"Made by: {command_of(options)}. Configuration {digest[:12]}.",
             reference=reference,
+            said=said,
+            engine=engine,
         )
         print(f"Page: {page}")
     print(f"Took {time.perf_counter() - begin:.0f} s.")
@@ -355,13 +272,10 @@ def compare(options: Options) -> None:
 def command_of(options: Options) -> str:
     """The command that gives the same rows."""
     given: list[str] = []
-    for name in (
-        "env", "arguments", "episodes", "seed", "agent_seed", "curve", "reference", "weights"
-    ):  # fmt: skip
-        value = getattr(options, name)
-        if value is not None:
-            given += [f"--{name.replace('_', '-')}", str(value)]
-    for name in ("agents", "estimators", "policies", "difficulties"):
+    for name in ("env", "arguments", "episodes", "seed", "curve", "reference", "weights"):
+        if (value := getattr(options, name)) is not None:
+            given += [f"--{name}", str(value)]
+    for name in ("agents", "estimators", "policies"):
         if getattr(options, name):
             given += [f"--{name}", *getattr(options, name)]
     return shlex.join(["python", "scripts/agents/compare.py", "--page", *given])

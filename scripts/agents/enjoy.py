@@ -8,7 +8,6 @@ Takes the runs of scripts/agents/train.py, or any folder with trained weights:
 
 from __future__ import annotations
 
-import importlib
 import io
 import re
 from collections.abc import Sequence
@@ -48,14 +47,10 @@ class Options:
     """The best policy, not the last."""
     env_kwargs: tuple[str, ...] = ()
     """Arguments of the environment that override the run's, key:value."""
-    gym_packages: tuple[str, ...] = ()
-    """Packages to import for their ids."""
     seed: NonNegativeCount = 0
     """Seed of the episodes."""
     n_episodes: Count = 5
     """Episodes to play."""
-    n_timesteps: Annotated[Count, arg(aliases=["-n"])] = 1000
-    """Steps after which no episode begins."""
     render: Path | None = None
     """Folder for a picture of each record."""
 
@@ -140,8 +135,6 @@ def play_episode(
 
 def enjoy(options: Options) -> None:
     """Play the episodes."""
-    for package in options.gym_packages:
-        importlib.import_module(package)
     folder = run_folder(options)
     if options.env not in gymnasium.registry:
         raise UnknownName(f"unknown environment {options.env!r}; they are {', '.join(IDS)}")
@@ -154,11 +147,9 @@ def enjoy(options: Options) -> None:
         options.render.mkdir(parents=True, exist_ok=True)
     print(f"{folder}: {options.env} {arguments or ''}")
     played: list[dict[str, Any]] = []
-    while len(played) < options.n_episodes:
+    for number in range(1, options.n_episodes + 1):
         env.reset(seed=None if played else options.seed)
-        played.append(play_episode(env, agent, len(played) + 1, options.render))
-        if sum(row["records"] + 1 for row in played) >= options.n_timesteps:
-            break
+        played.append(play_episode(env, agent, number, options.render))
     env.close()
     print(
         f"\n{len(played)} episodes: success {np.mean([r['success'] for r in played]):.3f}, "

@@ -1,11 +1,10 @@
-"""Fit which share of the expected information comes true, on held-out records of a bank.
+"""Fit the realised share of the expected information gain, on held-out records of a bank.
 
 Usage: python scripts/agents/fit_information.py --env loose_env/Planar-v0 --out banks/planar4
 
 The bank must be there (scripts/agents/build_bank.py), and a posterior trained on it
 (scripts/agents/train_posterior.py). The factors go to
-agents/loose_agents/weights/<arm>-<difficulty>.json, where the greedy and the look-ahead policy
-read them.
+agents/loose_agents/weights/<arm>-<difficulty>.json, where the greedy policy reads them.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -34,7 +34,7 @@ def fit(options: BankOptions) -> None:
     """Fit, store, and print what was expected and what came true."""
     plan = options.plan
     problem = plan.problem()
-    posterior = make_estimator("amortised", problem).posterior  # type: ignore[attr-defined]
+    posterior: Any = make_estimator("amortised", problem).posterior
     bank = read_bank(plan, Path(options.out), plan.shards[:SHARDS])
     found = transitions_of(problem, posterior, bank, np.random.default_rng(0))
     factors = fit_factors(found)

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from loose_agents.jobs import BackendSettings, results_of
 from loose_agents.rl.hyperparameters import (
     HYPERPARAMETERS,
     algorithm_named,
@@ -31,8 +30,9 @@ from tyro.conf import arg
 from loose_env.cli.command import command, one_of
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import Count, NonNegative, NonNegativeCount
-from loose_env.report import pyplot, save_figure
+from loose_env.report import AGENTS as PALETTE
 from loose_env.typing import Array
+from scripts.study import pyplot, save_figure
 
 LEARNERS = {
     "ppo": ("ppo", "ppo", "flat"),
@@ -48,8 +48,6 @@ SHOWN = {
     "records_per_episode": ("records an episode", (0.0, None)),
 }
 """Columns of the curves, their words and the ends of their axis: bands of few seeds are wide."""
-COLOURS = ("#0072b2", "#d0451b", "#009e73", "#cc79a7", "#f0a30a")
-"""A colour for each learner, told apart by colour-blind readers too."""
 
 Curves = dict[str, dict[str, list[list[Any]]]]
 
@@ -66,10 +64,6 @@ class Options:
     """Learners."""
     seeds: tuple[NonNegativeCount, ...] = (0, 1, 2, 3, 4)
     """Training seeds; none: only draw."""
-    processes: Count = 1
-    """Runs side by side, a process each."""
-    threads: Count = 1
-    """Threads of a run, of torch and of the simulation."""
     device: str = "cpu"
     """Device of torch, such as cuda."""
     steps: NonNegativeCount = 0
@@ -92,20 +86,15 @@ class Options:
     """Figure of the curves of OUT (.svg)."""
 
 
-Run = tuple[str, str, int]
-"""Environment, learner and seed."""
-
-
-def train_one(run: Run, options: Options) -> None:
+def train_one(env: str, learner: str, seed: int, options: Options) -> None:
     """Train or resume one run."""
-    env, learner, seed = run
     algorithm, file, network = LEARNERS[learner]
     algorithm_named(algorithm)  # says which extra is missing
     from loose_agents.rl import training
 
     given = read_hyperparameters(HYPERPARAMETERS / f"{file}.yml", env)
     given |= key_values(options.hyperparams, "--hyperparams")
-    arguments = given.pop("env_kwargs", {}) | {"threads": options.threads}
+    arguments = given.pop("env_kwargs", {}) | {"threads": 1}
     steps = options.steps or whole(given.get("n_timesteps", 0), "n_timesteps")
     name = f"{env} {learner} seed {seed}"
     training.train(
@@ -125,7 +114,6 @@ def train_one(run: Run, options: Options) -> None:
             eval_width=128,
             save_freq=steps // options.evaluations,
             device=options.device,
-            threads=options.threads,
             folder=options.out / env.replace("/", "-") / learner / f"seed_{seed}",
             restart=options.restart,
         ),
@@ -136,16 +124,11 @@ def train_one(run: Run, options: Options) -> None:
     )
 
 
-def _work(job: tuple[Run, Options]) -> None:
-    train_one(*job)
-
-
 def train(options: Options) -> None:
-    """Train all runs, ``processes`` at a time, then draw."""
+    """Train all runs, then draw."""
     runs = [(e, k, s) for e in options.env for k in options.learners for s in options.seeds]
-    side_by_side = BackendSettings(workers=min(options.processes, max(len(runs), 1)))
-    for _ in results_of(_work, [(run, options) for run in runs], side_by_side):
-        pass
+    for run in runs:
+        train_one(*run, options)
     if options.draw is not None:
         curves = read_curves(options.out)
         print(table(curves))
@@ -219,7 +202,7 @@ def draw(curves: Curves, path: Path) -> None:
         len(SHOWN), len(curves), figsize=size, sharex="col", squeeze=False, layout="constrained"
     )
     learners = sorted({learner for own in curves.values() for learner in own})
-    colours = {each: COLOURS[k % len(COLOURS)] for k, each in enumerate(learners)}
+    colours = {each: PALETTE[k % len(PALETTE)] for k, each in enumerate(learners)}
     for column, (env, own) in enumerate(curves.items()):
         for row, (name, (words, ends)) in enumerate(SHOWN.items()):
             panel: Any = axes[row][column]

@@ -30,7 +30,6 @@ from loose_env.diagnosis import (
     SHUT,
     SensorFloor,
     fit_record,
-    shipped_table,
     statistics_of,
     variants,
 )
@@ -191,8 +190,6 @@ class Options:
     """Root of all draws."""
     out: Path = TABLE
     """File of the table; default: the shipped one."""
-    keep: bool = False
-    """Keep what ships for seats without gravity."""
 
 
 def measure(options: Options) -> None:
@@ -201,17 +198,11 @@ def measure(options: Options) -> None:
     free = {"arms": [*options.arms], "records": options.records, **made}
     # There are five times as many pages of the table to fill.
     pressed = {"arms": [*options.pressed], "records": 3 * options.records, **made}
-    if options.keep:
-        free = json.loads(TABLE.read_text(encoding="utf-8"))["free"]
-    else:
-        without = [f for n in options.arms for f in fits_of(n, options.records, options.seed)]
+    without = [f for n in options.arms for f in fits_of(n, options.records, options.seed)]
     found = [f for n in options.pressed for f in fits_of(n, 3 * options.records, options.seed)]
     stored = {"made_by": "scripts/agents/measure_opening.py", "free": free, "pressed": pressed}
     for name, play in (("slide", False), ("hinge", True)):
-        if options.keep:
-            page = getattr(shipped_table(), name)[0]
-        else:
-            page = table_of([f for f in without if f.play is play])
+        page = table_of([f for f in without if f.play is play])
         pages = pressed_table_of([f for f in found if f.play is play], page)
         stored[name] = _short(pages)  # type: ignore[assignment]
     write_text(options.out, json.dumps(stored) + "\n")

@@ -9,15 +9,13 @@ puts the best policy elsewhere, such as agents/loose_agents/weights/vera.
 
 from __future__ import annotations
 
-import importlib
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 from loose_agents.belief import ESTIMATORS
 from loose_agents.jobs import ProgressLine
 from loose_agents.rl.hyperparameters import (
@@ -32,7 +30,7 @@ from tyro.conf import arg
 
 from loose_env.cli.command import command, one_of
 from loose_env.errors import InvalidSetting
-from loose_env.io import Count
+from loose_env.io import Count, NonNegativeCount
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,12 +43,10 @@ class Options:
     """Environment id."""
     env_kwargs: tuple[str, ...] = ()
     """Its arguments, key:value."""
-    gym_packages: tuple[str, ...] = ()
-    """Packages to import for their ids."""
     estimator: Annotated[str, one_of(tuple(ESTIMATORS))] = "posterior"
     """What it learns on."""
-    seed: int = 1
-    """Seed of the run; below 0: drawn at random."""
+    seed: NonNegativeCount = 1
+    """Seed of the run."""
     n_timesteps: Annotated[int, arg(aliases=["-n"])] = -1
     """Steps in all; -1: as the file says."""
     conf_file: Annotated[Path | None, arg(aliases=["-conf"])] = None
@@ -61,16 +57,12 @@ class Options:
     """Steps between evaluations; -1: none."""
     eval_episodes: Count = 200
     """Episodes of an evaluation."""
-    n_eval_envs: Count = 64
-    """Arms side by side in an evaluation."""
     save_freq: int = -1
     """Steps between checkpoints; -1: every update."""
     log_folder: Annotated[Path, arg(aliases=["-f"])] = Path("runs")
     """Folder of the runs."""
     tensorboard_log: Annotated[str, arg(aliases=["-tb"])] = ""
     """Folder of the tensorboard log."""
-    trained_agent: Annotated[str, arg(aliases=["-i"])] = ""
-    """Model (.zip) to continue in a new run."""
     restart: bool = False
     """Forget what the run's folder holds."""
     export: Path | None = None
@@ -81,12 +73,8 @@ class Options:
     """Records before a stop, at the start."""
     forced_share: float = 0.4
     """Share of the steps with forced records, 0 to 1."""
-    num_threads: int = -1
-    """Threads of torch; -1: one."""
     device: str = "cpu"
     """Torch device."""
-    verbose: int = 1
-    """0: print nothing."""
     progress: Annotated[bool, arg(aliases=["-P"])] = False
     """Show a progress bar."""
 
@@ -99,17 +87,10 @@ class Options:
             )
         if not 0.0 <= self.forced_share <= 1.0:
             raise InvalidSetting(f"--forced-share must be 0 to 1, got {self.forced_share}")
-        if self.trained_agent and not Path(self.trained_agent).is_file():
-            raise InvalidSetting(f"no model at {self.trained_agent} to continue")
 
 
 def train(options: Options) -> Path:
     """Train, keep the run on disk, and return its folder."""
-    for package in options.gym_packages:
-        importlib.import_module(package)
-    if options.seed < 0:
-        options = replace(options, seed=int(np.random.default_rng().integers(2**32)))
-        print(f"train: seed {options.seed}; give it as --seed to go on from a checkpoint")
     file = options.conf_file or HYPERPARAMETERS / f"{options.algo}.yml"
     hyperparameters = read_hyperparameters(file, options.env)
     hyperparameters |= key_values(options.hyperparams, "--hyperparams")
@@ -135,42 +116,36 @@ def train(options: Options) -> Path:
         seed=options.seed,
         evaluations=steps / options.eval_freq if options.eval_freq > 0 else 0.0,
         eval_episodes=options.eval_episodes,
-        eval_width=options.n_eval_envs,
         save_freq=options.save_freq,
         shaping=options.shaping,
         forced_records=options.forced_records,
         forced_share=options.forced_share,
-        trained_agent=options.trained_agent,
         device=options.device,
-        threads=options.num_threads,
         tensorboard=str(Path(log) / name) if log else "",
         folder=options.log_folder / options.algo / f"{name}_{options.seed}",
         restart=options.restart,
     )
-
-    def say(words: str) -> None:
-        if options.verbose:
-            print(words, flush=True)
 
     begin = time.perf_counter()
     bar = ProgressLine(steps, unit="steps") if options.progress else None
 
     def show(done: int, words: str) -> None:
         if bar is None:
-            say(f"{done:7d} of {steps} steps  {time.perf_counter() - begin:5.0f} s  {words}")
+            seconds = time.perf_counter() - begin
+            print(f"{done:7d} of {steps} steps  {seconds:5.0f} s  {words}", flush=True)
         else:
             bar.advance(done - bar.n, words)
 
     told: dict[str, Any] = {"options": asdict(options), "command": " ".join(sys.argv)}
     try:
-        folder = training.train(run, say=say, show=show, **told)
+        folder = training.train(run, show=show, **told)
     finally:
         if bar is not None:
             bar.close()
-    say(f"policy: {folder.root}")
+    print(f"policy: {folder.root}")
     if options.export:
         folder.export(options.export)
-        say(f"exported to {options.export}")
+        print(f"exported to {options.export}")
     return folder.root
 
 

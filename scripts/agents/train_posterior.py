@@ -1,4 +1,4 @@
-"""Train the posterior's likelihood on a bank of records.
+"""Train the posterior's likelihood and novelty reference on a bank of records.
 
 Usage: python scripts/agents/train_posterior.py --env loose_env/Planar-v0 --out banks/planar4
 
@@ -7,7 +7,7 @@ episodes is held out: half of them set the tempers, the table at the end is of t
 at any moment, the same command goes on from the last checkpoint. Weights go to
 agents/loose_agents/weights, or to
 --weights. With them goes what arms of the trained kind leave unexplained, by which an agent knows
-an arm of another kind; --reference-only adds that to weights that were trained before.
+an arm of another kind.
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ from loose_agents.record_bank import (
     BankPlan,
     build_bank,
     build_features,
-    directions_of,
     read_bank,
     read_features,
     seat_features,
@@ -44,7 +43,7 @@ from loose_agents.record_bank import (
 from numpy.typing import NDArray
 
 from loose_env.cli.command import command
-from loose_env.diagnosis import NoveltyReference, Seen, read_network, write_network
+from loose_env.diagnosis import NoveltyReference, Seen, write_network
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.faults import DEFAULT_KINDS, hypotheses
@@ -64,8 +63,6 @@ class Options(BankOptions, BackendSettings):
     """Its seed."""
     weights: str | None = None
     """Folder of the trained weights."""
-    reference_only: bool = False
-    """Train nothing; add to the weights what trained-kind arms leave unexplained."""
 
 
 def train(options: Options) -> None:
@@ -84,10 +81,7 @@ def train(options: Options) -> None:
     build_bank(plan, folder, options)
     store = build_features(plan, folder, options)
     out = Path(options.weights or WEIGHTS / f"posterior-{setting_name(problem)}")
-    directions = axes_grid(directions_of(plan), len(problem.arm.axes))
-    if options.reference_only:
-        add_reference(out, plan, folder)
-        return
+    directions = axes_grid(plan.directions, len(problem.arm.axes))
     difficulty = difficulty_named(problem.settings.difficulty)
     seen = read_features(store, training_shards)
     training = PosteriorTraining(
@@ -113,9 +107,9 @@ def train(options: Options) -> None:
         {
             "arm": problem.arm.name,
             "difficulty": str(problem.settings.difficulty),
-            "directions": directions_of(plan),
+            "directions": plan.directions,
             "friction": list(difficulty.friction),
-            "bank": {**_described(plan), "held_out": len(held_shards), "hash": store.hash},
+            "bank": {**asdict(plan), "held_out": len(held_shards), "hash": store.hash},
             "training": asdict(training.settings),
             "held_out": found,
         },
@@ -135,7 +129,7 @@ def reference_of(
 ) -> NoveltyReference:
     """Work the reference out from the bank's records."""
     held_shards, training_shards = plan.split
-    problem, directions = plan.problem(), directions_of(plan)
+    problem, directions = plan.problem(), plan.directions
     features = seat_features(problem, directions)
 
     def episodes(shards: list[range]) -> Iterator[list[Seen]]:
@@ -148,30 +142,6 @@ def reference_of(
         episodes(held_shards),
         directions=axes_grid(directions, len(problem.arm.axes)),
     )
-
-
-def add_reference(folder: Path, plan: BankPlan, bank: Path) -> None:
-    """Work the reference of trained weights out and store it beside them."""
-    configuration, tensors = read_network(folder)
-    if configuration["directions"] != directions_of(plan):
-        raise InvalidSetting(
-            f"the weights in {folder} have {configuration['directions']} directions a link, the "
-            f"bank's figures {directions_of(plan)}; give --directions"
-        )
-    reference = reference_of(tensors, plan, bank)
-    write_network(folder, configuration, with_reference(tensors, reference))
-    ranked = ", ".join(str(len(scores)) for scores in reference.scores)
-    print(f"Reference added to {folder}; held-out episodes after 1, 2, ... records: {ranked}")
-
-
-def _described(plan: BankPlan) -> dict[str, object]:
-    return {
-        "env": plan.env_id,
-        "arguments": dict(plan.arguments),
-        "episodes": plan.episodes,
-        "seed": plan.seed,
-        "records": asdict(plan.records),
-    }
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

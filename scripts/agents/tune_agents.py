@@ -1,4 +1,4 @@
-"""Tune when agents stop, and which records those take that look at no result.
+"""Tune stopping thresholds of agents, and excitations of constant and fixed-sequence agents.
 
 The constant policy is given its joint and the fixed one its sequences, all on training episodes.
 
@@ -22,8 +22,8 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 # One thread each: the order in which threads add up changes the last digit of a figure.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -43,7 +43,6 @@ from loose_agents.policies.choice import (
     make_policy,
 )
 from loose_agents.tuning import (
-    ORACLE,
     Player,
     Trails,
     best_constant,
@@ -64,6 +63,8 @@ from loose_env.io import Count
 
 BOOTSTRAP_SEED = 0
 """Seed of all resamples."""
+SEQUENCES = 12
+"""Sequences of each kind for the fixed policy to choose from."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,21 +76,13 @@ class Options(BackendSettings):
     arguments: str = '{"engine": "reduced"}'
     """Its arguments, as JSON."""
     agents: tuple[str, ...]
-    """Estimator/policy, or oracle/policy."""
+    """Estimator/policy, or a learned agent."""
     episodes: Count = 4000
     """Training episodes for each agent."""
     records: Count = 12
     """Records an episode, at most the rules' own."""
-    levels: tuple[int, ...] | None = None
-    """Levels tried for the constant policy; default: all."""
-    sequences: Count = 24
-    """Sequences for the fixed policy to choose from."""
     seed: int = TUNING_SEED
     """Seed of the training episodes."""
-    agent_seed: int = 0
-    """Seed of what agents draw."""
-    shard: Count = 100
-    """Episodes that a worker plays at a time."""
     folder: str = "runs/tuning"
     """Folder of the shards."""
     out: str = str(WEIGHTS)
@@ -121,18 +114,14 @@ def tune(options: Options) -> None:
         names_of(agent)
     arguments = arguments_of(options.arguments)
     problem = problem_of(options.env, arguments)
-    candidates = single_joints(problem, options.levels)
     records = min(options.records, problem.settings.max_records)
     posterior = trained(problem)
     stop, lines = {}, []
 
     def play(
-        agent: str,
-        levels: tuple[int, ...] | None,
-        episodes: int,
-        sequence: Records | None = None,
+        agent: str, episodes: int, *, levels: Any = None, sequence: Records | None = None
     ) -> Trails:
-        """Trails of the first episodes."""
+        """Trails of the first episodes, with the levels or records of a policy."""
         player = Player(
             agent=agent,
             levels=levels,
@@ -141,60 +130,50 @@ def tune(options: Options) -> None:
             arguments=arguments,
             seed=options.seed,
             records=records,
-            agent_seed=options.agent_seed,
             posterior=posterior,
         )
         words = agent if levels is None else f"{agent} {list(levels)}"
         print(f"{words}, {episodes} episodes", file=sys.stderr, flush=True)
         return play_player(
             player,
-            problem,
+            problem.settings.prices,
             episodes=episodes,
             folder=Path(options.folder),
             settings=options,
-            shard=options.shard,
         )
-
-    def played(agent: str, sequence: Records, episodes: int) -> Trails:
-        """Trails of a fixed sequence."""
-        return play(agent, None, episodes, sequence)
 
     def sequences(estimator: str) -> list[Records]:
         """Sequences to choose from: half of them drawn at random, half designed by the model."""
         made = make_estimator(estimator, problem)
         policy = make_policy("open_loop", problem, made)
         assert isinstance(policy, OpenLoopPolicy)
-        half = options.sequences // 2
-        rng = np.random.default_rng(options.agent_seed)
-        return [
-            *drawn_sequences(problem, options.sequences - half, records, rng),
-            *designed_sequences(policy, made, half, records, seed=options.seed),
-        ]
+        drawn = drawn_sequences(problem, SEQUENCES, records, np.random.default_rng(0))
+        return drawn + designed_sequences(policy, made, SEQUENCES, records, seed=options.seed)
 
     constant: tuple[int, ...] | None = None
     fixed: dict[str, Records] | None = None
     for agent in agents:
         estimator, policy = names_of(agent)
-        levels = None
-        if policy == "constant" and estimator != ORACLE:
-            if constant is None:  # the first estimator's best serves the others too
-                constant = best_constant(
-                    candidates, partial(play, agent), episodes=options.episodes
-                )
-            levels = constant
-        if policy == "fixed" and estimator != ORACLE:
-            if fixed is None:  # the first estimator's best serves the others too
-                fixed = best_sequences(
-                    sequences(estimator),
-                    partial(played, agent),
-                    episodes=options.episodes,
-                    lengths=min(FIXED_RECORDS, records),
-                )
-            trails = played(agent, fixed["stopping"], options.episodes)
-        else:
-            trails = play(agent, levels, options.episodes)
+        own: dict[str, Any] = {}
+        if policy == "constant":
+            # The first estimator's best serves the others too.
+            constant = constant or best_constant(
+                single_joints(problem),
+                lambda levels, count, name=agent: play(name, count, levels=levels),  # type: ignore[misc]
+                episodes=options.episodes,
+            )
+            own = {"levels": constant}
+        if policy == "fixed":
+            fixed = fixed or best_sequences(
+                sequences(estimator),
+                lambda records, count, name=agent: play(name, count, sequence=records),  # type: ignore[misc]
+                episodes=options.episodes,
+                lengths=min(FIXED_RECORDS, records),
+            )
+            own = {"sequence": fixed["stopping"]}
+        trails = play(agent, options.episodes, **own)
         stop[agent] = best_threshold(trails, np.random.default_rng(BOOTSTRAP_SEED))
-        words = agent if levels is None else f"{agent} {list(levels)}"
+        words = f"{agent} {list(constant)}" if constant and policy == "constant" else agent
         lines.append(line_of(words, trails, stop[agent]))
     print(
         f"\n{options.env}, {tuning_name(problem)}: {options.episodes} training episodes of "

@@ -1,4 +1,4 @@
-"""Tune the classical method, or its letter, on training episodes of one arm or of several.
+"""Tune the classical and the literal link-finding method on training episodes of arms.
 
 Random search by successive halving (Jamieson and Talwalkar 2016): every candidate plays the same
 training episodes, and the better third plays on, on as many further ones as doubles what it has
@@ -23,20 +23,12 @@ import numpy as np
 from loose_agents.base import Agent, Problem
 from loose_agents.evaluation import arguments_of, evaluate, problem_of
 from loose_agents.jobs import ProgressLine
-from loose_agents.policies.classical import (
-    ClassicalAgent,
-    ClassicalSettings,
-    Level,
-    arm_class,
-)
+from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings, Level, arm_class
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.registry import classical_settings
 
 from loose_env.cli.command import command
-from loose_env.diagnosis import (
-    LinkFindingSettings,
-    Order,
-)
+from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.errors import InvalidSetting
 from loose_env.io import Count, write_text
 from loose_env.typing import Array
@@ -51,30 +43,21 @@ ANEW = 0.35
 """Probability that a candidate of the classical method has a field drawn anew."""
 
 
-class Bench:
-    """Training episodes of one arm, on which candidates play."""
-
-    def __init__(self, env: str, arguments: Mapping[str, Any]) -> None:
-        self.problem = problem_of(env, arguments)
-
-    def play(self, agents: Sequence[Agent], first: int, count: int) -> tuple[Array, Array]:
-        """Returns and successes of episodes ``first`` to ``first + count - 1`` (agents, count)."""
-        played = [self._rows(agent, first, count) for agent in agents]
-        returns, right = np.moveaxis(np.array(played), -1, 0)
-        return returns, right
-
-    def _rows(self, agent: Agent, first: int, count: int) -> list[tuple[float, bool]]:
-        arm, settings = self.problem.arm, self.problem.settings
-        rows = evaluate(
-            agent, "", arm, settings, episodes=count, seed=TRAINING_SEED, first=first
-        )  # fmt: skip
-        return [(row.reward, row.success) for row in rows]
+def play(problem: Problem, agents: Sequence[Agent], first: int, count: int) -> tuple[Array, Array]:
+    """Returns and successes (agents, count) of so many training episodes."""
+    arm, settings = problem.arm, problem.settings
+    played = [
+        evaluate(agent, "", arm, settings, episodes=count, seed=TRAINING_SEED, first=first)
+        for agent in agents
+    ]
+    told = np.array([[(row.reward, row.success) for row in rows] for rows in played])
+    return told[..., 0], told[..., 1]
 
 
 Method = Literal["classical", "classical_literal"]
 
 
-def candidate(bench: Bench, rng: np.random.Generator) -> ClassicalSettings:
+def candidate(problem: Problem, rng: np.random.Generator) -> ClassicalSettings:
     """Draw settings of the classical method: those that ship, with some fields drawn anew."""
     orders, known = get_args(Order), get_args(Level)
     drawn = {
@@ -87,13 +70,13 @@ def candidate(bench: Bench, rng: np.random.Generator) -> ClassicalSettings:
         "line": round(float(rng.uniform(4.0, 14.0)), 1),
         "driven": 0.0 if rng.random() < 0.3 else round(float(rng.uniform(1.0, 12.0)), 1),
     }
-    shipped = classical_settings(bench.problem)
+    shipped = classical_settings(problem)
     return replace(shipped, **{name: v for name, v in drawn.items() if rng.random() < ANEW})
 
 
-def literal_candidate(bench: Bench, rng: np.random.Generator) -> LinkFindingSettings:
+def literal_candidate(problem: Problem, rng: np.random.Generator) -> LinkFindingSettings:
     """Draw settings of the method's letter, the untuned defaults in the middle of the ranges."""
-    joints, levels = bench.problem.arm.n, len(bench.problem.arm.levels)
+    joints, levels = problem.arm.n, len(problem.arm.levels)
     return LinkFindingSettings(
         order="outward",
         joint=int(rng.integers(1, joints + 1)),
@@ -109,7 +92,7 @@ def literal_candidate(bench: Bench, rng: np.random.Generator) -> LinkFindingSett
     )
 
 
-Draw = Callable[[Bench, np.random.Generator], Any]
+Draw = Callable[[Problem, np.random.Generator], Any]
 METHODS: Mapping[Method, tuple[Draw, Callable[[Problem, Any], Agent]]] = {
     "classical": (candidate, ClassicalAgent),
     "classical_literal": (literal_candidate, LinkFindingAgent),
@@ -137,52 +120,52 @@ class Options:
 
 def tune(options: Options) -> None:
     """Search, print the best settings of each method and write them."""
-    benches = [Bench(env, arguments_of(options.arguments)) for env in options.env]
+    problems = [problem_of(env, arguments_of(options.arguments)) for env in options.env]
     for method in options.methods:
-        shared_by(method, benches)  # what is wrong shows now, not after the search
+        shared_by(method, problems)  # what is wrong shows now, not after the search
     for method in options.methods:
         print(method, file=sys.stderr, flush=True)
-        found, returns, right = halving(method, benches, options)
+        found, returns, right = halving(method, problems, options)
         chosen = choose(returns, right)
         print(f"{method}: {returns.shape[2]} training episodes an arm")
         print(f"{'arm':10s} {'right %':>8s} {'return':>7s}  {'chosen without it':>17s}")
-        for k, bench in enumerate(benches):
+        for k, problem in enumerate(problems):
             line = f"{100 * right[chosen, k].mean():8.1f} {returns[chosen, k].mean():+7.3f}"
-            if len(benches) > 1:
+            if len(problems) > 1:
                 without = choose(np.delete(returns, k, axis=1), np.delete(right, k, axis=1))
                 line += f"  {returns[without, k].mean():+17.3f}"
-            print(f"{bench.problem.arm.name:10s} {line}")
-        path = Path(options.out) / f"{shared_by(method, benches)}-{method}.json"
+            print(f"{problem.arm.name:10s} {line}")
+        path = Path(options.out) / f"{shared_by(method, problems)}-{method}.json"
         write_text(path, json.dumps(asdict(found[chosen]), indent=1) + "\n")
 
 
-def shared_by(method: Method, benches: Sequence[Bench]) -> str:
+def shared_by(method: Method, problems: Sequence[Problem]) -> str:
     """Name of what the settings are for: one arm, or classes of arms."""
     if method == "classical":
-        return "-".join(sorted({arm_class(bench.problem) for bench in benches}))
-    names = sorted({bench.problem.arm.name for bench in benches})
+        return "-".join(sorted({arm_class(problem) for problem in problems}))
+    names = sorted({problem.arm.name for problem in problems})
     if len(names) > 1:
         raise InvalidSetting(f"settings of {method} belong to one arm: tune {names} one by one")
     return names[0]
 
 
 def halving(
-    method: Method, benches: Sequence[Bench], options: Options
+    method: Method, problems: Sequence[Problem], options: Options
 ) -> tuple[list[Any], Array, Array]:
     """Settings that played to the end, their returns and successes (settings, arms, episodes)."""
     draw, make = METHODS[method]
     rng = np.random.default_rng([TRAINING_SEED, len(method)])
-    left = [draw(benches[0], rng) for _ in range(options.candidates)]
+    left = [draw(problems[0], rng) for _ in range(options.candidates)]
     if method == "classical":  # nothing is found that is worse than what ships
-        left[0] = classical_settings(benches[0].problem)
-    returns, right = (np.zeros((len(left), len(benches), 0)) for _ in range(2))
+        left[0] = classical_settings(problems[0])
+    returns, right = (np.zeros((len(left), len(problems), 0)) for _ in range(2))
     played, further = 0, options.episodes
     while True:
         parts = []
-        with ProgressLine(len(benches), unit="arms") as line:
-            for bench in benches:
-                agents = [make(bench.problem, settings) for settings in left]
-                parts.append(bench.play(agents, played, further))
+        with ProgressLine(len(problems), unit="arms") as line:
+            for problem in problems:
+                agents = [make(problem, settings) for settings in left]
+                parts.append(play(problem, agents, played, further))
                 line.advance(1, f"{len(left)} candidates, {played + further} episodes")
         more, correct = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
         returns = np.concatenate([returns, more], axis=2)
@@ -197,14 +180,7 @@ def halving(
 
 
 def choose(returns: Array, right: Array) -> int:
-    """Settings most often right among those within a standard error of the best return.
-
-    Examples
-    --------
-    >>> returns = np.array([[[0.9, 0.5, 0.7]], [[0.8, 0.6, 0.7]], [[0.1, 0.1, 0.1]]])
-    >>> choose(returns, np.array([[[1, 0, 1]], [[1, 1, 1]], [[1, 1, 1]]]))
-    1
-    """
+    """Settings most often right among those within a standard error of the best return."""
     best = int(returns.mean(axis=(1, 2)).argmax())
     # Paired, the same episodes; the error of the mean over arms of means over episodes.
     less = returns[best] - returns

@@ -1,4 +1,4 @@
-"""Speed and size of the vector environment, each as a ratio within one run.
+"""Speed and memory of the vector environment, each as a ratio within one run.
 
 Usage: python scripts/dev/benchmark.py [--arms 64] [--rounds 4] [--ids ...]
 """
@@ -9,8 +9,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -35,8 +34,6 @@ class Options:
     """Timed steps of the whole batch."""
     ids: tuple[str, ...] = ("loose_env/Vera-v0", "loose_env/Planar-v0", "loose_env/SixAxis-v0")
     """Environments to time."""
-    quick: bool = False
-    """16 arms and one round."""
 
 
 def actions_of(batch: EpisodeBatch, rng: np.random.Generator, duration: int | None) -> list[Any]:
@@ -115,8 +112,6 @@ def memory_of(env_id: str, arms: int) -> float:
 
 def measure(options: Options) -> None:
     """Print the table of ratios."""
-    if options.quick:
-        options = replace(options, arms=16, rounds=1)
     arms, rounds = options.arms, options.rounds
     print(f"{os.cpu_count()} processors, {arms} arms, times per record; the reduced engine over")
     print("MuJoCo by processor time on one thread\n")
@@ -128,15 +123,10 @@ def measure(options: Options) -> None:
             name = "mixed" if duration is None else f"{durations[duration]} s"
             mine = seconds_per_record(new_batch(env_id, arms), rounds, duration)
             loop = subprocess_seconds_per_record(env_id, max(arms, 16), duration)
-            reduced = seconds_per_record(
-                new_batch(env_id, arms, engine="reduced"), rounds, duration
-            )
-            spent = [
-                seconds_per_record(
-                    new_batch(env_id, 16, engine=engine, threads=1), 1, duration, of_processor=True
-                )
-                for engine in ("mujoco", "reduced")
-            ]
+            other = new_batch(env_id, arms, engine="reduced")
+            reduced = seconds_per_record(other, rounds, duration)
+            pair = (new_batch(env_id, 16, engine=e, threads=1) for e in ("mujoco", "reduced"))
+            spent = [seconds_per_record(b, 1, duration, of_processor=True) for b in pair]
             print(
                 f"{env_id:22}{name:>8}{1e3 * mine:>7.1f} ms{1 / mine:>11.1f}{loop / mine:>16.2f}"
                 f"{1 / reduced:>11.1f}{spent[0] / spent[1]:>8.1f}x",
@@ -152,10 +142,5 @@ def measure(options: Options) -> None:
     print(f"import loose_env: {float(seconds):.2f} s, {'with' if torch == 'True' else 'no'} torch")
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure, with errors in one line."""
-    command("benchmark", __doc__, Options, measure, arguments)
-
-
 if __name__ == "__main__":
-    main()
+    command("benchmark", __doc__, Options, measure)

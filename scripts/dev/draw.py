@@ -1,4 +1,4 @@
-"""Draw the figures of the pages: a record with its truth, the method, the classical method's steps.
+"""Draw figures of the pages: a record with its truth, the method, the classical method's steps.
 
 Usage: python scripts/dev/draw.py pose --arm six_axis
        python scripts/dev/draw.py method
@@ -18,7 +18,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -26,16 +26,7 @@ from loose_agents import Problem, make_agent
 from loose_agents.policies.classical import ClassicalAgent, Search
 from numpy.typing import NDArray
 
-from loose_env.arms import (
-    DESK_ARM,
-    Arm,
-    LinearArm,
-    arm_from_file,
-    planar,
-    scara,
-    six_axis,
-    vera,
-)
+from loose_env.arms import Arm, LinearArm, arm_from_file, planar
 from loose_env.cli.command import Actions, commands
 from loose_env.diagnosis import SensorFloor, predict
 from loose_env.envs import (
@@ -59,10 +50,11 @@ from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault, Healthy, StructuralLooseness
 from loose_env.io import write_text, written_beside
-from loose_env.report import pyplot, save_figure, standalone, to_svg
+from loose_env.report import standalone, to_svg
 from loose_env.rig import SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
+from scripts.study import arm_named, pyplot, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,14 +67,8 @@ FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures"
 class Pose:
     """Draw an arm with a hidden fault."""
 
-    arm: Literal["vera", "planar", "six_axis", "scara", "file"] = "vera"
-    """Arm."""
-    model: Path = DESK_ARM
-    """MJCF or URDF of --arm file."""
-    links: int = 4
-    """Links of the planar arm."""
-    vertical: bool = False
-    """Planar arm in a vertical plane."""
+    arm: str = "vera"
+    """Arm: vera, six_axis, scara, planar4[v], or an MJCF or URDF file."""
     seed: int = 12
     """Seed of the fault's figures and the pose."""
     difficulty: str = "easy"
@@ -101,11 +87,7 @@ def draw_pose(options: Pose) -> None:
     """Play one record and, if wanted, the end, and write the picture."""
     from matplotlib.image import imsave
 
-    if options.arm == "planar":
-        arm = planar(options.links, vertical=options.vertical)
-    else:
-        made = {"vera": vera, "six_axis": six_axis, "scara": scara}
-        arm = arm_from_file(options.model) if options.arm == "file" else made[options.arm]()
+    arm = arm_from_file(options.arm) if Path(options.arm).suffix else arm_named(options.arm)
     levels = [0] * (arm.n - 1) + [3] if options.levels is None else options.levels
     if len(levels) != arm.n:
         raise InvalidSetting(f"--levels needs {arm.n} numbers for arm {arm.name!r}, got {levels}")
@@ -138,7 +120,7 @@ WIDTH = 7.2
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """Draw what a loose link does to a record, and to the next."""
+    """Draw what a loose link does to a record, or the classical method's episodes."""
 
     out: Path = FIGURES
     """Folder of the pictures."""
@@ -358,18 +340,15 @@ EPISODES = (3, 0, 1)
 """Numbers of the episodes."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Step:
+class Step(NamedTuple):
     """One record and what the agent made of it."""
 
     pose: Array
     """Pose [rad] (n,)."""
     direction: float
-    """Direction of the change of motion, tool frame, 0 to 180 [deg]."""
+    """Direction of the change of motion, tool frame [rad]."""
     moved: str
     """Joints that moved before the record, and by how much."""
-    gain: float
-    """Change along the best place in all records up to it, chi-square [1]."""
     left: tuple[str, ...]
     """Places left, best first; empty if nothing is seen."""
     decision: str
@@ -384,34 +363,25 @@ def play(arm: Arm, settings: DiagnosisSettings, fault: str, number: int) -> list
     batch.start(0, seed=SEED, number=number, options={"fault": fault})
     state: Any = None
     steps: list[Step] = []
-    before: Array | None = None
-    while True:
+    ended = False
+    while not ended:
         pose = agent.problem.layout.pose_of(batch.observe(0))
         action, state = agent.predict(batch.observe(0), state)
         memory: Search = state[0]
         decoded = batch.actions.decode(action)
         verdict = batch.verdicts[decoded.verdict - 1] if decoded.verdict else None
         alone = None if memory.driven is None else memory.driven + 1
-        moved = moves_of(before, pose)
-        decision = verdict or next_of(decoded.moves, settings)
+        moved = moves_of(steps[-1].pose if steps else None, pose)
+        next_moves = [str(j + 1) for j, k in enumerate(decoded.moves) if k != settings.stay]
+        decision = verdict or (f"move {', '.join(next_moves)}" if next_moves else "stay")
         if alone is not None:  # the record that it asks for, then the one that it judges
             moved = f"joint {alone} driven alone" if verdict else moved
             decision = verdict or f"drive {alone} alone"
         if memory.pool.records:
             x, y = memory.pool.records[-1].direction
-            steps.append(
-                Step(
-                    pose=pose,
-                    direction=float(np.degrees(np.arctan2(y, x)) % 180.0),
-                    moved=moved,
-                    gain=memory.pool.gain,
-                    left=memory.left,
-                    decision=decision,
-                )
-            )
-            before = pose
-        if batch.step([0], [action])[0].terminated:
-            return steps
+            steps.append(Step(pose, float(np.arctan2(y, x)), moved, memory.left, decision))
+        ended = batch.step([0], [action])[0].terminated
+    return steps
 
 
 def moves_of(before: Array | None, after: Array) -> str:
@@ -421,12 +391,6 @@ def moves_of(before: Array | None, after: Array) -> str:
     change = np.degrees((after - before + np.pi) % (2 * np.pi) - np.pi)
     moved = [f"{j + 1} by {d:+.0f}°" for j, d in enumerate(change) if abs(d) > 0.5]
     return f"joint {', '.join(moved)}" if moved else "no joint"
-
-
-def next_of(moves: Any, settings: DiagnosisSettings) -> str:
-    """What is moved next, in words."""
-    moved = [str(j + 1) for j, k in enumerate(moves) if k != settings.stay]
-    return f"move {', '.join(moved)}" if moved else "stay"
 
 
 def short(name: str) -> str:
@@ -466,7 +430,7 @@ def draw_steps(arm: Arm, episodes: Sequence[tuple[str, list[Step]]], out: Path) 
             points, angle = points_of(arm, step.pose)
             points = points - points[0]
             panel.plot(*points.T, "-o", color=INK, lw=2.0, ms=4)
-            seen = angle + np.radians(step.direction)
+            seen = angle + step.direction
             along = 0.4 * half * np.array([np.cos(seen), np.sin(seen)])
             line = np.stack([points[-1] - along, points[-1] + along])
             panel.plot(*line.T, color=MEASURED if step.left else EDGE, lw=2.5)
@@ -480,31 +444,16 @@ def draw_steps(arm: Arm, episodes: Sequence[tuple[str, list[Step]]], out: Path) 
                 fontsize=8,
                 color=INK,
             )
-            panel.text(
-                0.5,
-                -0.02,
-                f"left: {left}\n-> {short(step.decision)}",
-                transform=panel.transAxes,
-                ha="center",
-                va="top",
-                fontsize=7,
-                color=MUTED,
-            )
+            words = f"left: {left}\n-> {short(step.decision)}"
+            look: dict[str, Any] = {"ha": "center", "va": "top", "fontsize": 7, "color": MUTED}
+            panel.text(0.5, -0.02, words, transform=panel.transAxes, **look)
     out.mkdir(parents=True, exist_ok=True)
     path = out / "classical_steps.svg"
     save_figure(plt, figure, path)
     return path
 
 
-@dataclass(frozen=True, kw_only=True)
-class Classical:
-    """Draw episodes of the classical method step by step."""
-
-    out: Path = FIGURES
-    """Folder of the picture."""
-
-
-def draw_classical(options: Classical) -> None:
+def draw_classical(options: Method) -> None:
     """Play the episodes and draw them."""
     arm, settings = planar(4), DiagnosisSettings(engine="reduced")
     pairs = zip(FAULTS, EPISODES, strict=True)
@@ -517,7 +466,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     actions: Actions = {
         "pose": (Pose, draw_pose),
         "method": (Method, draw_method),
-        "classical": (Classical, draw_classical),
+        "classical": (Method, draw_classical),
     }
     commands("draw", __doc__, actions, arguments)
 

@@ -20,42 +20,31 @@ MOST_STEPS = 10_000
 
 
 def main() -> None:
-    """Try each part in turn; the first that fails ends the run."""
-    steps = play_one_episode()
-    installed = distribution("loose-env")
-    for package in PACKAGES:
-        check_files(package)
-    check_version(installed.version)
-    for command in installed.entry_points.select(group="console_scripts"):
-        command.load()
-    print(f"loose-env {installed.version} works: {ENVIRONMENT} ended after {steps} steps")
-
-
-def play_one_episode() -> int:
-    """Play at random until the episode ends, and count the steps.
-
-    The first ``make`` names the module, so nothing has to be imported before it.
-    """
-    gymnasium.make(f"loose_env:{ENVIRONMENT}").close()
+    """Play one episode at random, then look at files, version and commands."""
+    gymnasium.make(f"loose_env:{ENVIRONMENT}").close()  # it names the module: nothing is imported
     env = gymnasium.make(ENVIRONMENT)
     env.reset(seed=0)
     env.action_space.seed(0)
-    for step in range(1, MOST_STEPS + 1):
+    steps, ended = 0, False
+    while not ended:
         _, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        if terminated or truncated:
-            env.close()
-            return step
-    raise SystemExit(f"{ENVIRONMENT} did not end within {MOST_STEPS} steps")
-
-
-def check_files(package: str) -> None:
-    """Every file of the clone's package is installed, weights and models included."""
-    installed = Path(str(importlib.import_module(package).__file__)).parent
-    if installed.is_relative_to(CLONE):
-        raise SystemExit(f"{package} comes from {installed}, in the clone: run `make build`")
-    missing = sorted(files_below(CLONE / PACKAGES[package]) - files_below(installed))
-    if missing:
-        raise SystemExit(f"{package} was installed without {', '.join(missing)}")
+        steps, ended = steps + 1, terminated or truncated
+        if steps == MOST_STEPS:
+            raise SystemExit(f"{ENVIRONMENT} did not end within {MOST_STEPS} steps")
+    env.close()
+    installed = distribution("loose-env")
+    for package, place in PACKAGES.items():
+        found = Path(str(importlib.import_module(package).__file__)).parent
+        if found.is_relative_to(CLONE):
+            raise SystemExit(f"{package} comes from {found}, in the clone: run `make build`")
+        if missing := sorted(files_below(CLONE / place) - files_below(found)):
+            raise SystemExit(f"{package} was installed without {', '.join(missing)}")
+    stated = importlib.import_module("loose_env").__version__
+    if stated != installed.version:
+        raise SystemExit(f"loose_env.__version__ is {stated}, its metadata say {installed.version}")
+    for command in installed.entry_points.select(group="console_scripts"):
+        command.load()
+    print(f"loose-env {stated} works: {ENVIRONMENT} ended after {steps} steps")
 
 
 def files_below(folder: Path) -> set[str]:
@@ -65,13 +54,6 @@ def files_below(folder: Path) -> set[str]:
         for path in folder.rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-
-
-def check_version(version: str) -> None:
-    """The package and its metadata name the same version."""
-    stated = importlib.import_module("loose_env").__version__
-    if stated != version:
-        raise SystemExit(f"loose_env.__version__ is {stated}, but pyproject.toml says {version}")
 
 
 if __name__ == "__main__":

@@ -65,10 +65,5 @@ def show(options: Options) -> None:
     print(threshold_table(PARTS[options.part].read_text(encoding="utf-8")))
 
 
-def main() -> None:
-    """Print the table, with errors in one line."""
-    command("threshold_table", __doc__, Options, show)
-
-
 if __name__ == "__main__":
-    main()
+    command("threshold_table", __doc__, Options, show)

@@ -1,4 +1,4 @@
-"""Write the parts of docs/environments.md that the code itself knows, between their marks.
+"""Write the generated parts of docs/environments.md: tables of arms, difficulties, spaces, ids.
 
 Usage: python scripts/dev/write_docs.py [--check]
 
@@ -24,6 +24,7 @@ from loose_env.envs import DIFFICULTIES, DiagnosisEnv
 from loose_env.errors import InvalidData
 from loose_env.io import write_text
 from loose_env.registration import IDS, TIERS
+from scripts.study import between
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "environments.md"
 COLUMNS = 100
@@ -94,11 +95,7 @@ def environments() -> str:
         "elements": element_table([env for _, env in arms]),
     }
     for name, lines in parts.items():
-        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-        before, _, rest = text.partition(begin)
-        _, mark, after = rest.partition(end)
-        assert mark, f"{PAGE.name} lacks the lines {begin!r} and {end!r}"
-        text = "\n".join([f"{before}{begin}", "", *lines, "", f"{end}{after}"])
+        text = between(text, "\n".join(lines), name, PAGE)
     return text
 
 
@@ -180,20 +177,14 @@ def arm_table(arms: Sequence[tuple[str, DiagnosisEnv]]) -> list[str]:
     ]
     for env_id, env in arms:
         arm, layout = env.arm, env.layout
-        cells = (
-            f"`{env_id}`",
-            str(arm.n),
-            f"{arm.reach:.3g}",
-            " ".join("xyz"[a] for a in arm.axes),
-            ", ".join(f"{v:g}" for v in arm.levels),
-            f"{arm.band[0]:g} to {arm.band[1]:g}",
-            f"{1e3 * arm.timestep:g}",
-            ", ".join(f"{v:.3g}" for v in arm.torque_limits),
-            f"{layout.size} = {len(layout.global_elements)} + "
-            f"{layout.slots} · {len(layout.slot_elements)}",
-            str(len(env.hypotheses)),
+        axes = " ".join("xyz"[a] for a in arm.axes)
+        levels, limits = (", ".join(f"{v:.3g}" for v in w) for w in (arm.levels, arm.torque_limits))
+        size = f"{len(layout.global_elements)} + {layout.slots} · {len(layout.slot_elements)}"
+        rows.append(
+            f"| `{env_id}` | {arm.n} | {arm.reach:.3g} | {axes} | {levels} | {arm.band[0]:g} to "
+            f"{arm.band[1]:g} | {1e3 * arm.timestep:g} | {limits} | {layout.size} = {size} | "
+            f"{len(env.hypotheses)} |"
         )
-        rows.append(f"| {' | '.join(cells)} |")
     return rows
 
 
@@ -271,10 +262,5 @@ def write(options: Options) -> None:
         raise InvalidData(f"{PAGE.name} is out of date: run python scripts/dev/write_docs.py")
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Write the page, with errors in one line."""
-    command("write_docs", __doc__, Options, write, arguments)
-
-
 if __name__ == "__main__":
-    main()
+    command("write_docs", __doc__, Options, write)

@@ -26,7 +26,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import gymnasium
 import numpy as np
-from loose_agents import EpisodeAgent
 from loose_agents.policies.model_gap import GAP_AGENTS, STOPPING, make_gap_agent
 from tyro.conf import OmitArgPrefixes
 
@@ -35,9 +34,8 @@ from loose_env.envs import GapPrices, ModelGapEnv
 from loose_env.evaluation import wilson
 from loose_env.io import Count
 from loose_env.registration import GAP_ID
-from loose_env.report import pyplot, save_figure
 from loose_env.typing import Array
-from scripts.study import ROOT, Row, study_rows
+from scripts.study import ROOT, Row, pyplot, save_figure, study_rows
 
 EVALUATION_SEED, TUNING_SEED = 20_261_126, 20_081_000
 """Seeds of the judging episodes and of those on which stopping is tuned."""
@@ -60,6 +58,16 @@ COLOURS = {
     "brief": "#8e5ba6",
     "ppo": "#5b8c3a",
 }
+_COLUMNS = [
+    "motion",
+    "seconds",
+    "wear",
+    "right",
+    "probability",
+    "worth",
+    "parameter_error",
+    "covered",
+]
 Case = tuple[str, int]
 """Agent and number of the episode."""
 
@@ -93,36 +101,12 @@ class Options:
     """Work out again what is stored."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Step:
-    """State of the belief after a motion."""
-
-    motion: int
-    seconds: float
-    wear: float
-    right: bool
-    probability: float
-    parameter_error: float
-    covered: float
-    worth: float
-
-
 def made(model: str | Path | None = None, **settings: Any) -> ModelGapEnv:
     """Make the environment of an arm, with fields of its settings."""
     env = gymnasium.make(GAP_ID, model=model, **settings)
     unwrapped = env.unwrapped
     assert isinstance(unwrapped, ModelGapEnv)
     return unwrapped
-
-
-def agent_of(env: ModelGapEnv, name: str, number: int, weights: Path | None) -> EpisodeAgent:
-    """Make an agent that does not stop, but for ``ppo``, which has the weights and stops itself."""
-    if name != "ppo":
-        return make_gap_agent(name, env, sure=2.0, seed=number)
-    from loose_agents.rl.motion_policy import LearnedGapAgent  # torch where it is used
-
-    assert weights is not None
-    return LearnedGapAgent(weights, env)
 
 
 def played(
@@ -137,7 +121,7 @@ def played(
     observation, info = env.reset(seed=int(seed + 1000 * number), options=options)
     assert env.machine is not None
     truth, certain = env.machine.names, 0
-    steps: list[Step] = []
+    steps: list[Row] = []
     state, start = None, True
     while len(steps) < most and certain < _CERTAIN_MOTIONS:
         action, state = agent.predict(observation, state, np.array([start]))
@@ -150,16 +134,16 @@ def played(
         hidden = {e.name: e.value for e in env.machine.effects}
         inside = [e.low <= hidden[e.name] <= e.high for e in best.effects if e.name in hidden]
         steps.append(
-            Step(
-                motion=int(action),
-                seconds=float(info["seconds"]),
-                wear=float(info["wear"]),
-                right=best.names == truth,
-                probability=best.probability,
-                parameter_error=env.parameter_error(best),
-                worth=float(np.max(observation[env.layout.gain] - env.motion_prices)),
-                covered=float(np.mean(inside)) if inside else float("nan"),
-            )
+            {
+                "motion": int(action),
+                "seconds": float(info["seconds"]),
+                "wear": float(info["wear"]),
+                "right": int(best.names == truth),
+                "probability": best.probability,
+                "worth": float(np.max(observation[env.layout.gain] - env.motion_prices)),
+                "parameter_error": env.parameter_error(best),
+                "covered": float(np.mean(inside)) if inside else -1.0,
+            }
         )
     named = env.belief.posterior.best.names if steps else ()
     return {
@@ -168,29 +152,26 @@ def played(
         "truth": " + ".join(truth),
         "named": " + ".join(named),
         "failure": info.get("failure", ""),
-        "motion": [s.motion for s in steps],
-        "seconds": [s.seconds for s in steps],
-        "wear": [s.wear for s in steps],
-        "right": [int(s.right) for s in steps],
-        "probability": [s.probability for s in steps],
-        "worth": [s.worth for s in steps],
-        "parameter_error": [s.parameter_error for s in steps],
-        "covered": [-1.0 if np.isnan(s.covered) else s.covered for s in steps],
+        **{name: [step[name] for step in steps] for name in _COLUMNS},
     }
 
 
-@cache
-def _env(model: str) -> ModelGapEnv:
-    return made(model or None)
+_env = cache(lambda model: made(model or None))
 
 
 def play(case: Case, *, settings: Settings, ppo: Path | None) -> list[Row]:
-    """Play one episode of one agent."""
-    agent, number = case
+    """Play one episode of one agent that does not stop, but for ``ppo``, which stops itself."""
+    name, number = case
     env = _env(settings.model)
-    never = agent_of(env, agent, number, ppo)
-    row = played(env, never, seed=settings.seed, number=number, most=settings.most)
-    return [{"agent": agent, **row}]
+    if name == "ppo":
+        from loose_agents.rl.gap_policy import LearnedGapAgent  # torch where it is used
+
+        assert ppo is not None
+        agent: Any = LearnedGapAgent(ppo, env)
+    else:
+        agent = make_gap_agent(name, env, sure=2.0, seed=number)
+    row = played(env, agent, seed=settings.seed, number=number, most=settings.most)
+    return [{"agent": name, **row}]
 
 
 def accuracy_at(rows: Sequence[Row], seconds: float) -> float:
@@ -219,68 +200,31 @@ def agents_in(rows: Sequence[Row]) -> list[str]:
     return list(dict.fromkeys(row["agent"] for row in rows))
 
 
-def curves(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Accuracy by machine second, for each agent and number of effects."""
-    grid = np.arange(1.0, 91.0, 0.5)
-    return [
-        {
-            "agent": agent,
-            "effects": effects,
-            "seconds": float(t),
-            "accuracy": accuracy_at(own, float(t)),
-            "episodes": len(own),
-        }
-        for agent in agents_in(rows)
-        for _, effects in GROUPS
-        if (own := of(rows, agent, effects))
-        for t in grid
-    ]
+def groups_of(rows: Sequence[Row]) -> list[tuple[str, str, list[Row]]]:
+    """Agent, words and episodes of each group that has any."""
+    found = [(a, words, of(rows, a, k)) for words, k in GROUPS for a in agents_in(rows)]
+    return [each for each in found if each[2]]
+
+
+def beliefs(rows: Sequence[Row]) -> tuple[Array, Array]:
+    """Probability of the most probable set after every motion, and whether it was right."""
+    columns = ([v for row in rows for v in row[name]] for name in ("probability", "right"))
+    probability, right = map(np.array, columns)
+    return probability, right
 
 
 def accuracy_table(rows: Sequence[Row]) -> list[str]:
-    """Accuracy after some machine times."""
+    """Accuracy after some machine times, and in the end with its interval."""
     lines = [
-        "| agent | hidden | episodes | " + " | ".join(f"{t:g} s" for t in GRID) + " |",
-        "|---|---|---|" + "---|" * len(GRID),
+        f"| agent | hidden | episodes | {' | '.join(f'{t:g} s' for t in GRID)} | in the end |",
+        "|---|---|---|" + "---|" * (len(GRID) + 1),
     ]
-    for words, effects in GROUPS:
-        for agent in agents_in(rows):
-            own = of(rows, agent, effects)
-            if own:
-                shares = " | ".join(f"{100 * accuracy_at(own, t):.0f} %" for t in GRID)
-                lines.append(f"| {agent} | {words} | {len(own)} | {shares} |")
-    return lines
-
-
-def seconds_for(rows: Sequence[Row], accuracy: float) -> float:
-    """Machine time from which accuracy stays at a level or above [s]; NaN if it never does."""
-    ends = sorted({s for row in rows for s in row["seconds"]})
-    found = float("nan")
-    for t in reversed(ends):
-        if accuracy_at(rows, t) < accuracy:
-            break
-        found = t
-    return found
-
-
-def time_table(rows: Sequence[Row]) -> list[str]:
-    """Machine times to reach and keep some accuracies."""
-    levels = (0.5, 0.7, 0.8, 0.9)
-    lines = [
-        "| agent | hidden | " + " | ".join(f"{100 * a:.0f} %" for a in levels) + " | in the end |",
-        "|---|---|" + "---|" * (len(levels) + 1),
-    ]
-    for words, effects in GROUPS:
-        for agent in agents_in(rows):
-            own = of(rows, agent, effects)
-            if not own:
-                continue
-            times = [seconds_for(own, a) for a in levels]
-            cells = " | ".join("not reached" if np.isnan(t) else f"{t:.1f} s" for t in times)
-            right = sum(row["right"][-1] for row in own)
-            low, high = wilson(right, len(own))
-            end = f"{100 * right / len(own):.0f} % ({100 * low:.0f} to {100 * high:.0f})"
-            lines.append(f"| {agent} | {words} | {cells} | {end} |")
+    for agent, words, own in groups_of(rows):
+        shares = " | ".join(f"{100 * accuracy_at(own, t):.0f} %" for t in GRID)
+        right = sum(row["right"][-1] for row in own)
+        low, high = wilson(right, len(own))
+        end = f"{100 * right / len(own):.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+        lines.append(f"| {agent} | {words} | {len(own)} | {shares} | {end} |")
     return lines
 
 
@@ -329,24 +273,19 @@ def stopping_table(rows: Sequence[Row], sure: dict[str, float]) -> list[str]:
             shares.append(f"{100 * np.mean([o['right'] for o in own]):.0f} %" if own else "")
         every = [stopped(r, sure[agent]) for r in rows if r["agent"] == agent and r["seconds"]]
         rewards = np.array([o["reward"] for o in every])
+        stops = f"{sure[agent]:g}" if sure[agent] <= 1 else "its choice"
         error = 1.96 * float(rewards.std()) / np.sqrt(len(rewards))
         lines.append(
-            f"| {agent} | {_threshold(sure[agent])} | {' | '.join(shares)} | "
+            f"| {agent} | {stops} | {' | '.join(shares)} | "
             f"{np.mean([o['seconds'] for o in every]):.1f} s | "
             f"{rewards.mean():+.2f} ± {error:.2f} |"
         )
     return lines
 
 
-def _threshold(sure: float) -> str:
-    """Probability that an agent stops at; one above 1 is that of an agent with its own rule."""
-    return f"{sure:g}" if sure <= 1 else "its choice"
-
-
 def calibration_table(rows: Sequence[Row]) -> list[str]:
     """Right verdicts by the probability of the most probable set, after every motion."""
-    p = np.array([v for row in rows for v in row["probability"]])
-    right = np.array([v for row in rows for v in row["right"]])
+    p, right = beliefs(rows)
     lines = ["| probability | beliefs | mean probability | right |", "|---|---|---|---|"]
     edges = (0.0, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0001)
     for low, high in pairwise(edges):
@@ -370,16 +309,15 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     """Draw accuracy by machine time for one and two effects, and the calibration."""
     plt = pyplot()
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
-    found = curves(rows)
+    grid = np.arange(1.0, 91.0, 0.5)
     for axis, effects, title in ((axes[0], 1, "one effect"), (axes[1], 2, "two effects")):
         for agent in agents_in(rows):
-            own = [c for c in found if c["agent"] == agent and c["effects"] == effects]
-            times, shares = [c["seconds"] for c in own], [100 * c["accuracy"] for c in own]
-            axis.step(times, shares, color=COLOURS[agent], label=agent, where="post")
+            if own := of(rows, agent, effects):
+                shares = [100 * accuracy_at(own, float(t)) for t in grid]
+                axis.step(grid, shares, color=COLOURS[agent], label=agent, where="post")
         axis.set(title=title, xlabel="machine time [s]", ylabel="accuracy [%]", ylim=(0, 100))
         axis.legend(loc="lower right", frameon=False)
-    p = np.array([v for row in rows for v in row["probability"]])
-    right = np.array([v for row in rows for v in row["right"]])
+    p, right = beliefs(rows)
     bins = np.clip((10 * p).astype(int), 0, 9)
     axes[2].plot([0, 1], [0, 1], color="#999999", linewidth=1)
     for k in set(bins.tolist()):
@@ -406,16 +344,10 @@ def evaluate(options: Options) -> None:
     if settings.seed == TUNING_SEED:
         sure = best_stopping(rows)
         print(f"best stopping on these episodes: {sure}\n")
-    parts = [accuracy_table(rows), time_table(rows), stopping_table(rows, sure)]
+    parts = [accuracy_table(rows), stopping_table(rows, sure)]
     print("\n\n".join("\n".join(lines) for lines in [*parts, calibration_table(rows)]))
     draw(rows, options.out.with_suffix(".svg"))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Evaluate, with errors in one line."""
-    going_on = "the same command goes on"
-    command("evaluate", __doc__, Options, evaluate, arguments, interrupted=going_on)
-
-
 if __name__ == "__main__":
-    main()
+    command("evaluate", __doc__, Options, evaluate, interrupted="the same command goes on")

@@ -9,7 +9,6 @@ Usage: python scripts/model_gap/train.py --steps 100000 --out out/gap_ppo
 
 from __future__ import annotations
 
-import csv
 import os
 from dataclasses import dataclass
 from functools import partial
@@ -50,7 +49,7 @@ class Options:
 def train(options: Options, env: ModelGapEnv) -> None:
     """Train from the stored weights on, and store weights and learning curve."""
     import torch
-    from loose_agents.rl.motion_policy import MotionPolicy, load_policy
+    from loose_agents.rl.gap_policy import MotionPolicy, load_policy
     from sb3_contrib import MaskablePPO
 
     weights = options.out / "policy.pt"
@@ -91,33 +90,27 @@ class _Ends:
 
     def __call__(self, local: dict[str, Any], _: dict[str, Any]) -> bool:
         """Keep the episodes that ended at a step."""
-        for info in local["infos"]:
-            if "episode" in info:
-                success = float(info.get("is_success", False))
-                self.rows.append((float(info["episode"]["r"]), success, float(info["seconds"])))
+        self.rows += [
+            (float(info["episode"]["r"]), float(info.get("is_success", False)), info["seconds"])
+            for info in local["infos"]
+            if "episode" in info
+        ]
         return True
 
     def append(self, path: Path, steps: int) -> None:
         """Append their means to the learning curve, and print them."""
-        means = np.mean(self.rows, axis=0) if self.rows else np.full(3, np.nan)
-        row = dict(zip(CURVE, (steps, len(self.rows), *np.round(means, 4)), strict=True))
+        means = np.round(np.mean(self.rows, axis=0) if self.rows else np.full(3, np.nan), 4)
+        row = list(map(str, (steps, len(self.rows), *means.tolist())))
         begun = path.is_file()
-        with path.open("a", newline="", encoding="utf-8") as out:
-            writer = csv.DictWriter(out, CURVE, lineterminator="\n")
-            if not begun:
-                writer.writeheader()
-            writer.writerow(row)
-        print(" ".join(f"{name} {value}" for name, value in row.items()), flush=True)
+        with path.open("a", encoding="utf-8") as out:
+            out.writelines(",".join(line) + "\n" for line in (CURVE, row)[begun:])
+        print(*(f"{name} {value}" for name, value in zip(CURVE, row, strict=True)), flush=True)
 
 
-def main() -> None:
-    """Train, with errors in one line."""
-
-    def run(options: Options) -> None:
-        train(options, made(belief=BeliefSettings(simulations=options.simulations)))
-
-    command("train", __doc__, Options, run, interrupted="the same command goes on")
+def run(options: Options) -> None:
+    """Train in the environment of the package's arm."""
+    train(options, made(belief=BeliefSettings(simulations=options.simulations)))
 
 
 if __name__ == "__main__":
-    main()
+    command("train", __doc__, Options, run, interrupted="the same command goes on")

@@ -1,1 +1,1 @@
-"""Scripts behind the tables and figures of the documents."""
+"""Scripts behind the studies of the documents: link finding, pose sets, simulation step."""

@@ -1,4 +1,4 @@
-"""Halve the simulation step and see whether a record's statistics notice.
+"""Halve the simulation step and test a record's statistics for changes, by arm and step.
 
 After an impact two simulations part ways, so single records cannot be compared. What must not
 depend on the step is what a diagnosis reads off a record: the transmission, the covariance of
@@ -34,11 +34,11 @@ from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Fault, hypotheses
 from loose_env.io import Count
-from loose_env.report import INK, MUTED, pyplot, save_figure
+from loose_env.report import INK, MUTED
 from loose_env.rig import Job, SimulatedRig
-from loose_env.statistics import axial_angle, axial_difference, axial_mean
+from loose_env.statistics import axial_difference, axial_mean, wrap_axial
 from loose_env.typing import Array
-from scripts.study import ROOT, Row, arm_named, study_rows
+from scripts.study import ROOT, Row, arm_named, pyplot, save_figure, study_rows
 
 ARMS = ("vera", "planar2", "planar4", "planar6", "planar4v")
 STEPS = (5e-4, 2.5e-4, 2e-4, 1e-4)
@@ -192,7 +192,10 @@ def changes(ladder: Sequence[Sequence[RecordStatistics]], rung: int) -> dict[str
         scatter = np.sqrt(np.mean(np.var(values, axis=1, ddof=1), axis=0))
         change = np.abs(values[rung].mean(axis=0) - values[rung + 1].mean(axis=0))
         found[statistic] = change / (TWO_SIDED * scatter)
-    angles = [np.array([axial_angle(r.lowest_direction) for r in records]) for records in ladder]
+    angles = [
+        wrap_axial(np.array([np.arctan2(*r.lowest_direction[::-1]) for r in records]))
+        for records in ladder
+    ]
     means = [axial_mean(a) for a in angles]
     squares = [
         np.sum(axial_difference(a, m) ** 2) / (len(a) - 1)
@@ -208,14 +211,8 @@ def work(case: tuple[str, float], *, settings: Settings) -> list[Row]:
     name, candidate = case
     arm = arm_named(name)
     cases = cases_of(arm, candidate, settings, count=settings.cases, duration=settings.duration)
-    many = cases_of(
-        arm,
-        candidate,
-        settings,
-        count=settings.surveyed,
-        duration=SURVEY_DURATION,
-        hardest=True,
-    )
+    survey: dict[str, Any] = {"count": settings.surveyed, "duration": SURVEY_DURATION}
+    many = cases_of(arm, candidate, settings, hardest=True, **survey)
     surveyed = [one[0] for one in measure(arm, many, candidate, settings, draws=1)]
     steps = [candidate / 2**k for k in range(HALVINGS + 1)]
     steps = [step for step in steps if step > 0.99 * FINEST]
@@ -283,90 +280,53 @@ def show(rows: list[Row]) -> None:
             )
 
 
+COLOURS = dict(zip(STATISTICS, ("#0072b2", "#d0451b", "#f0a30a", "#4a8f5c"), strict=True))
+_WORDS = """Solid: 95 % of all components of all cases lie below; dotted: half of them. \
+Above the line at 1 the step shows in a record. Shaded: within chance. Grey bar: the arm's step.
+Softened: share of the faults whose stops would be too fast for the step. \
+Diverged: share with which the simulation ran away."""
+
+
 def draw(rows: list[Row], settings: Settings, path: Path) -> None:
     """Draw z against the step, a panel for every arm."""
     plt = pyplot()
-    colours = {
-        "transmission": "#0072b2",
-        "covariance": "#d0451b",
-        "correlation": "#f0a30a",
-        "direction": "#4a8f5c",
-    }
     count = len(settings.arms)
     size = (1.2 + 2.4 * count, 4.4)
     figure, axes = plt.subplots(1, count, figsize=size, sharey=True, squeeze=False)
+    shares = {"softened": 0.075, "diverged": 0.015}
     for panel, name in zip(axes[0], settings.arms, strict=True):
-        arm = arm_named(name)
         own = [r for r in rows if r["arm"] == name and r["step"] == r["candidate"]]
         own.sort(key=lambda r: r["step"])
         x = list(range(len(own)))
-        labels = [f"{r['step'] * 1e6:.4g}" for r in own]
-        present = np.interp(
-            np.log(arm.timestep),
-            np.log([r["step"] for r in own]),
-            x,
-            left=-0.4,
-            right=len(own) - 0.6,
-        )
+        steps = np.log([r["step"] for r in own])
+        ends = {"left": -0.4, "right": len(own) - 0.6}
+        present = np.interp(np.log(arm_named(name).timestep), steps, x, **ends)
         panel.axhspan(1e-4, chance(settings), color="#eef1f4", lw=0, zorder=0)
         panel.axhline(1.0, color=INK, lw=0.9, zorder=1)
         panel.axvline(present, color="#dbe1e7", lw=12, zorder=0.5)
-        for statistic, colour in colours.items():
-            for share, style in (("95 %", "-"), ("50 %", ":")):
-                y = [r["z"][statistic][share] for r in own]
-                panel.plot(
-                    x,
-                    y,
-                    style,
-                    color=colour,
-                    lw=1.6 if share == "95 %" else 1.1,
-                    marker="o" if share == "95 %" else None,
-                    ms=4,
-                    label=STATISTICS[statistic] if share == "95 %" else None,
-                )
+        for statistic, colour in COLOURS.items():
+            most, half = ([r["z"][statistic][q] for r in own] for q in ("95 %", "50 %"))
+            panel.plot(x, most, "o-", color=colour, lw=1.6, ms=4, label=STATISTICS[statistic])
+            panel.plot(x, half, ":", color=colour, lw=1.1)
+        small: dict[str, Any] = {"transform": panel.get_xaxis_transform(), "fontsize": 7.5}
         for place, row in zip(x, own, strict=True):
-            for height, share in ((0.075, row["softened"]), (0.015, row["diverged"])):
-                panel.text(
-                    place,
-                    height,
-                    f"{100 * share:.0f} %",
-                    transform=panel.get_xaxis_transform(),
-                    ha="center",
-                    fontsize=7.5,
-                    color=INK if share else MUTED,
-                )
+            for share, height in shares.items():
+                words, colour = f"{100 * row[share]:.0f} %", INK if row[share] else MUTED
+                panel.text(place, height, words, ha="center", color=colour, **small)
         panel.set_yscale("log")
-        panel.set_xlim(-0.5, len(own) - 0.5)
-        panel.set_ylim(1.5e-3, 12)
-        panel.set_xticks(x, labels)
+        panel.set(xlim=(-0.5, len(own) - 0.5), ylim=(1.5e-3, 12), xlabel="step h [µs]")
+        panel.set_xticks(x, [f"{r['step'] * 1e6:.4g}" for r in own])
         panel.minorticks_off()
         panel.set_title(name, fontsize=10, color=INK, loc="left")
-        panel.set_xlabel("step h [µs]")
-    for height, label in ((0.075, "softened"), (0.015, "diverged")):
-        axes[0, 0].text(
-            -0.03,
-            height,
-            label,
-            transform=axes[0, 0].transAxes,
-            ha="right",
-            fontsize=7.5,
-            color=MUTED,
-        )
-    axes[0, 0].set_ylabel("change from h to h/2\nover interval of one record, z")
-    axes[0, 0].set_yticks([0.01, 0.1, 1, 10], ["0.01", "0.1", "1", "10"])
-    handles, names = axes[0, 0].get_legend_handles_labels()
+    first = axes[0, 0]
+    for label, height in shares.items():
+        first.text(-0.03, height, label, transform=first.transAxes, ha="right", fontsize=7.5,
+                   color=MUTED)  # fmt: skip
+    first.set_ylabel("change from h to h/2\nover interval of one record, z")
+    first.set_yticks([0.01, 0.1, 1, 10], ["0.01", "0.1", "1", "10"])
+    handles, names = first.get_legend_handles_labels()
     figure.legend(handles, names, loc="upper left", ncols=4, frameon=False, bbox_to_anchor=(0, 1))
-    figure.text(
-        0.008,
-        0.012,
-        "Solid: 95 % of all components of all cases lie below; dotted: half of them. "
-        "Above the line at 1 the step shows in a record. "
-        "Shaded: within chance. Grey bar: the step the arm has.\n"
-        "Softened: share of the faults whose stops would be too fast for the step. "
-        "Diverged: share with which the simulation ran away.",
-        fontsize=8,
-        color=MUTED,
-    )
+    figure.text(0.008, 0.012, _WORDS, fontsize=8, color=MUTED)
     figure.tight_layout(rect=(0, 0.085, 1, 0.93))
     save_figure(plt, figure, path, dpi=150)
 
@@ -395,11 +355,5 @@ def halve(options: Options) -> None:
     draw(rows, settings, path.with_suffix(".png"))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Halve the step, with errors in one line."""
-    going_on = "the same command goes on"
-    command("step_halving", __doc__, Options, halve, arguments, interrupted=going_on)
-
-
 if __name__ == "__main__":
-    main()
+    command("step_halving", __doc__, Options, halve, interrupted="the same command goes on")

@@ -1,1 +1,1 @@
-"""Suites: blind recordings graded, and attempts to break the package."""
+"""Suites run by hand: blind recordings graded, golden results, fuzzed, killed and long runs."""

@@ -1,4 +1,4 @@
-"""Golden results: figures that stay from one release to the next, computed anew and compared.
+"""Golden results of every part, computed anew and compared with the stored ones, or stored.
 
     python -m scripts.suites.golden                        # compute all parts and compare
     python -m scripts.suites.golden environments gap       # these parts alone
@@ -78,13 +78,35 @@ WIDTH, RECORDS = 3, 2
 
 def environments(threads: int = 1) -> dict[str, Any]:
     """Episodes of every environment id, one arm alone and three side by side."""
-    return {
-        f"{env_id} {json.dumps(arguments)}": {
-            "single": _single_trace(env_id, arguments),
-            "vector": _vector_trace(env_id, arguments, threads),
+    import gymnasium
+
+    import loose_env  # noqa: F401
+
+    found = {}
+    seeds = list(range(SEED, SEED + WIDTH))
+    for env_id, arguments in ENVIRONMENTS:
+        one: Any = gymnasium.make(env_id, disable_env_checker=True, **arguments)
+        single, last = _played(one, SEED, 1)
+        many: Any = gymnasium.make_vec(env_id, num_envs=WIDTH, threads=threads, **arguments)
+        found[f"{env_id} {json.dumps(arguments)}"] = {
+            "single": single | {"fault": last["fault"], "verdict": last["verdict"]},
+            "vector": _played(many, seeds, WIDTH)[0],
         }
-        for env_id, arguments in ENVIRONMENTS
-    }
+    return found
+
+
+def _played(env: Any, seed: int | list[int], width: int) -> tuple[dict[str, Any], Any]:
+    """Trace of an episode, and the last info."""
+    rng = np.random.default_rng(SEED)
+    observation, info = env.reset(seed=seed)
+    seen, rewards, infos = [observation], [], [info]
+    for actions in _actions(env.unwrapped, rng, width):
+        observation, reward, _, _, info = env.step(actions if width > 1 else actions[0])
+        seen.append(observation)
+        rewards.append(reward)
+        infos.append(info)
+    env.close()
+    return _trace(seen, rewards, infos), info
 
 
 def _actions(env: Any, rng: np.random.Generator, width: int) -> Any:
@@ -104,42 +126,6 @@ def _trace(seen: Sequence[Any], rewards: Sequence[Any], infos: Sequence[Any]) ->
         "info": sorted({str(key) for info in infos for key in info}),
         "bits": hashlib.sha256(whole.tobytes() + np.array(rewards).tobytes()).hexdigest()[:16],
     }
-
-
-def _single_trace(env_id: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    import gymnasium
-
-    import loose_env  # noqa: F401
-
-    env: Any = gymnasium.make(env_id, disable_env_checker=True, **arguments)
-    rng = np.random.default_rng(SEED)
-    observation, info = env.reset(seed=SEED)
-    seen, rewards, infos = [observation], [], [info]
-    for (action,) in _actions(env.unwrapped, rng, 1):
-        observation, reward, _, _, info = env.step(action)
-        seen.append(observation)
-        rewards.append(float(reward))
-        infos.append(info)
-    env.close()
-    return _trace(seen, rewards, infos) | {"fault": info["fault"], "verdict": info["verdict"]}
-
-
-def _vector_trace(env_id: str, arguments: Mapping[str, Any], threads: int) -> dict[str, Any]:
-    import gymnasium
-
-    import loose_env  # noqa: F401
-
-    envs: Any = gymnasium.make_vec(env_id, num_envs=WIDTH, threads=threads, **arguments)
-    rng = np.random.default_rng(SEED)
-    observation, info = envs.reset(seed=list(range(SEED, SEED + WIDTH)))
-    seen, rewards, infos = [observation], [], [info]
-    for actions in _actions(envs, rng, WIDTH):
-        observation, reward, _, _, info = envs.step(actions)
-        seen.append(observation)
-        rewards.append(reward)
-        infos.append(info)
-    envs.close()
-    return _trace(seen, rewards, infos)
 
 
 def gap_environment() -> dict[str, Any]:

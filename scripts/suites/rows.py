@@ -1,4 +1,4 @@
-"""Rows of a suite (JSON lines), kept as cases finish: the same command goes on where it stopped."""
+"""Rows of a suite in JSON lines: run and resumed case by case, with a hash of the code."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def run_cases(
     key: str = "number",
 ) -> list[Row]:
     """Rows of the cases asked for, in order; those that the file lacks are run and appended."""
-    from joblib import Parallel, delayed
+    from loose_agents.jobs import BackendSettings, results_of
 
     asked = list(dict.fromkeys(numbers))
     rows = {row[key]: row for row in kept(path)}
     missing = [number for number in asked if number not in rows]
-    pool = Parallel(n_jobs=workers, return_as="generator_unordered")
-    for count, row in enumerate(pool(delayed(work)(number) for number in missing), start=1):
+    found = results_of(work, missing, BackendSettings(workers=workers))
+    for count, (_, row) in enumerate(found, start=1):
         add(path, row)
         rows[row[key]] = row
         print(f"{count}/{len(missing)} {say(row)}", flush=True)

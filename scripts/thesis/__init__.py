@@ -1,1 +1,1 @@
-"""The thesis's methods, rigs and experiments, beside the printed results."""
+"""Reproduction of the thesis: its methods, rigs and experiments beside the printed results."""

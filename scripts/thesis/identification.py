@@ -1,9 +1,9 @@
-"""Chapter 3.3 and 8.1.2: kinematic parameters joint by joint, and the docked-tool test."""
+"""Identification of kinematic parameters by joint, and of loose links with the tool held."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
 from loose_env.kinematics import Chain, geometric_jacobian
 from loose_env.report import WIDTH, new_figure
-from loose_env.sensors import Encoder, read_encoder
+from loose_env.rig import read_encoder
+from loose_env.sensors import Encoder
 from loose_env.typing import Array
 from scripts.thesis.loose_joint import (
     Jig,
@@ -32,6 +33,7 @@ from scripts.thesis.loose_joint import (
     velocity_components,
 )
 from scripts.thesis.page import Rows, Section, section
+from scripts.thesis.plots import axis_line, note
 from scripts.thesis.rigs import LOOSE_GAP
 
 if TYPE_CHECKING:
@@ -86,17 +88,10 @@ def identification(seed: int) -> Section:
     mixed[2] += SPEED * (link_frames(arm, q)[1] @ SLOPE)[:2]
     shift = identify_planar(mixed, rates, q).lengths - LENGTH
     worst = np.abs(shift).max()
-    recursion_rows = [
-        (
-            f"link {i + 1}",
-            f"{1e3 * LENGTH:.0f}",
-            f"{1e3 * lengths[i]:.2f}",
-            f"{1e3 * length_sd[i]:.2f}",
-            f"{round(1e3 * shift[i], 1) + 0.0:+.1f}",
-            *(f"{1e3 * sd[i - 1]:.1f}" if i else "–" for sd in (offsets, offset_sd)),
-        )
-        for i in range(arm.n)
-    ]
+    both = zip(1e3 * offsets, 1e3 * offset_sd, strict=True)
+    turned = [("–", "–"), *((f"{a:.1f}", f"{b:.1f}") for a, b in both)]
+    rounded = np.round(1e3 * shift, 1) + 0.0
+    recursion_rows = zip(range(1, arm.n + 1), lengths, length_sd, rounded, turned, strict=True)
     # The same slide on every link in turn: a linear velocity is a free vector.
     columns = [
         geometric_jacobian(insert_looseness(chain, link, SLOPE))[:, link]
@@ -227,23 +222,11 @@ def _frames_figure(own: Sequence[Array], link: int) -> Figure:
         axes.plot(np.cos(turn), np.sin(turn), color=FAINT, linewidth=1.0)
         loose = k + 1 == link
         for x, y in lines:
-            size = float(np.hypot(x, y))
-            axes.plot(
-                [-x / size, x / size],
-                [-y / size, y / size],
-                color=TRUTH if loose else MEASURED,
-                linewidth=2.0,
-            )
-        axes.text(
-            0.5,
-            1.04,
-            f"link {k + 1}" + (" (loose)" if loose else ""),
-            color=INK if loose else MUTED,
-            fontsize=9.5,
-            ha="center",
-            va="bottom",
-            transform=axes.transAxes,
-        )
+            end = np.array([x, y]) / np.hypot(x, y)
+            axis_line(axes, end, color=TRUTH if loose else MEASURED, linewidth=2.0)
+        look: dict[str, Any] = {"color": INK if loose else MUTED, "ha": "center", "va": "bottom"}
+        name = f"link {k + 1}" + (" (loose)" if loose else "")
+        note(axes, 0.5, 1.04, name, size=9.5, inside=True, **look)
         axes.set(xlim=(-1.05, 1.05), ylim=(-1.05, 1.05), aspect="equal")
         axes.axis("off")
     return figure

@@ -19,12 +19,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from loose_env.arms import ShakenArm
 from loose_env.cli.command import command
 from loose_env.io import Count
 from loose_env.statistics import axial_difference
 from loose_env.typing import Array
+from scripts.thesis.plots import rms
 from scripts.thesis.rigs import PROXIMAL, STIFF_PIN_FACTOR, Pin, ShakenVeraParameters, shaken_vera
+from scripts.thesis.shaken_arm import ShakenArm
 from scripts.thesis.shaken_vera import from_y, printed_healthy
 
 # Parameter, lowest and highest value, and whether to search on a logarithmic scale.
@@ -127,8 +128,8 @@ def print_cases(parameters: ShakenVeraParameters) -> None:
             f"{np.degrees(theta2):4.0f}   {from_y(phi):12.0f} {from_y(direction):12.0f}   {c:20.2f}"
             f" {magnitude:6.2f}   {turn:+17.0f}"
         )
-    print(f"rms of the directions' differences {np.sqrt(np.mean(off**2)):.1f} deg")
-    print(f"rms of the half-released turns {np.sqrt(np.mean(turns**2)):.1f} deg")
+    print(f"rms of the directions' differences {rms(off):.1f} deg")
+    print(f"rms of the half-released turns {rms(turns):.1f} deg")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -1,11 +1,11 @@
-"""Tables 6.3 to 6.7 recomputed from the thesis's own data: errors and the index (6.5.1)."""
+"""Thesis tables 6.3 to 6.7 recomputed from its data: direction errors and comparative index."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +15,7 @@ from loose_env.report import WIDTH, new_figure
 from loose_env.statistics import axial_difference, comparative_index
 from loose_env.typing import Array
 from scripts.thesis.page import Rows, Section, printed, section
+from scripts.thesis.plots import rms
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,12 +28,8 @@ _HUNDREDTH = 0.0101  # the tables print hundredths, some rounded and some cut of
 _GAP, _MOST = 1.4, 0.8  # lines between two blocks of the figure, highest index
 
 
-class ErrorSummary(NamedTuple):
-    """Errors of several poses: signed mean, root of the mean square, largest [deg]."""
-
-    mean: float
-    rms: float
-    largest: float
+Errors = Mapping[str, tuple[float, float, float]]
+"""`error_summary` of each fault."""
 
 
 def turns(a: ArrayLike, b: ArrayLike) -> Array:
@@ -41,11 +38,12 @@ def turns(a: ArrayLike, b: ArrayLike) -> Array:
     return np.asarray(np.degrees(found).round(9), dtype=np.float64)
 
 
-def error_summary(found: ArrayLike, true: ArrayLike) -> ErrorSummary:
-    """Boil down the errors of directions found against true ones, as axes [deg]."""
+def error_summary(found: ArrayLike, true: ArrayLike) -> tuple[float, float, float]:
+    """Signed mean, root of the mean square and largest of errors of directions, as axes [deg]."""
     errors = turns(found, true)
-    three = (errors.mean(), np.sqrt(np.mean(errors**2)), np.abs(errors).max())
-    return ErrorSummary(*(round(float(x), 9) for x in three))
+    three = (errors.mean(), rms(errors), np.abs(errors).max())
+    mean, size, largest = (round(float(x), 9) for x in three)
+    return mean, size, largest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,21 +90,10 @@ class IndexRow:
             parts.append(f"angle {self.turn_off:.0f}° off" if far else "angle one step off")
         return "; ".join(parts) or "agrees"
 
-    def cells(self) -> tuple[str, ...]:
-        """Row of the table."""
-        known = self.mag_e is not None
-        return (
-            f"{self.theta2}°",
-            f"{self.change_printed:.2f}",
-            f"{self.change:.2f}" if known else "–",
-            f"{self.turn_printed:.0f}°",
-            f"{self.turn:.0f}°",
-            f"{self.mag_d_printed:.3g}",
-            f"{self.mag_d_columns:.3f}",
-            f"{self.mag_d:.3f}",
-            f"{self.mag_e:.2f}" if known else "–",
-            self.remark,
-        )
+    @property
+    def known(self) -> tuple[str, str]:
+        """|1 - C*| and mag(E) recomputed, dashes where C* itself is not known."""
+        return ("–", "–") if self.mag_e is None else (f"{self.change:.2f}", f"{self.mag_e:.2f}")
 
 
 def index_rows(condition: str) -> list[IndexRow]:
@@ -156,7 +143,7 @@ def index_tables(seed: int) -> Section:
     slips = _slips({"6.5": loose, "6.6": preload, "6.7": backlash}, errors)
     least, most = min(loose, key=lambda r: r.mag_d), max(preload, key=lambda r: r.mag_d)
     worst = max(abs(v) for fault in errors for v in source["table_6_3"][f"{fault}_error_deg"])
-    largest, n_slips = max(e.largest for e in errors.values()), len(slips)
+    largest, n_slips = max(e[2] for e in errors.values()), len(slips)
 
     def misread(row: IndexRow, step: float) -> float:
         turn = min(max(abs(row.turn) + step, 0.0), 90.0)
@@ -179,23 +166,23 @@ def index_tables(seed: int) -> Section:
     figure = index_figure(
         {"looseness": loose, "low preload, no fault": preload, "backlash": backlash}
     )
-    indices = [[row.cells() for row in rows] for rows in (loose, preload, backlash)]
+    indices = [[(row,) for row in rows] for rows in (loose, preload, backlash)]
     return section("index_tables", locals(), [_error_rows(errors), *indices, slips], [figure])
 
 
-def _slips(tables: Mapping[str, Sequence[IndexRow]], errors: Mapping[str, ErrorSummary]) -> Rows:
+def _slips(tables: Mapping[str, Sequence[IndexRow]], errors: Errors) -> Rows:
     """Printed figures that contradict others: where, quantity, printed, follows."""
     source = printed("index_tables")
     found: list[tuple[str, ...]] = []
-    for fault, summary in errors.items():
+    for fault, (mean, _, _) in errors.items():
         table = source["table_6_3"]
         said = table[f"{fault}_error_deg"]
         for theta2, a, b in zip(source["theta2_deg"], said, turns(*directions(fault)), strict=True):
             if abs(a - b) > 1e-6:
                 found.append((f"Table 6.3, {theta2}°", f"error, {fault}", f"{a:.0f}°", f"{b:.0f}°"))
         average = table[f"{fault}_average_deg"]
-        if abs(average - summary.mean) > 0.5:
-            found.append(("Table 6.3", f"average, {fault}", f"{average}°", f"{summary.mean:.0f}°"))
+        if abs(average - mean) > 0.5:
+            found.append(("Table 6.3", f"average, {fault}", f"{average}°", f"{mean:.0f}°"))
     for number, rows in tables.items():
         for row in rows:
             where = f"Table {number}, {row.theta2}°"
@@ -206,16 +193,16 @@ def _slips(tables: Mapping[str, Sequence[IndexRow]], errors: Mapping[str, ErrorS
     return found
 
 
-def _error_rows(errors: Mapping[str, ErrorSummary]) -> Rows:
+def _error_rows(errors: Errors) -> Rows:
     source = printed("index_tables")
     table, columns = source["table_6_3"], [[f"{t}°" for t in source["theta2_deg"]]]
     columns[0] += ["signed mean", "RMS", "largest"]
-    for fault, e in errors.items():
+    for fault, (mean, size, largest) in errors.items():
         said = table[f"{fault}_error_deg"]
-        own, average = error_summary(said, np.zeros(len(said))), table[f"{fault}_average_deg"]
-        ends = [f"{average}°", f"{own.rms:.1f}°", f"{own.largest:.0f}°"]
+        _, *own = error_summary(said, np.zeros(len(said)))
+        ends = [f"{table[f'{fault}_average_deg']}°", f"{own[0]:.1f}°", f"{own[1]:.0f}°"]
         columns.append([*(f"{v}°" for v in said), *ends])
-        ends = [f"{e.mean:.0f}°", f"{e.rms:.1f}°", f"{e.largest:.0f}°"]
+        ends = [f"{mean:.0f}°", f"{size:.1f}°", f"{largest:.0f}°"]
         columns.append([*(f"{v:.0f}°" for v in turns(*directions(fault))), *ends])
     return list(zip(*columns, strict=True))
 
@@ -258,12 +245,8 @@ def _pair(axes: Axes, row: IndexRow, y: float) -> None:
     axes.plot([row.mag_d_printed, row.mag_d], [y, y], color=MUTED, linewidth=1.3, zorder=2)
     over: dict[str, Any] = {"marker": "o", "linestyle": "none", "clip_on": False, "zorder": 3}
     axes.plot(row.mag_d, y, color=MEASURED, markersize=5.5, **over)
-    ring: dict[str, Any] = {
-        "markerfacecolor": "none",
-        "markeredgecolor": INK,
-        "markeredgewidth": 1.3,
-    }
-    axes.plot(row.mag_d_printed, y, markersize=9.5, **ring, **over)
+    over |= {"markerfacecolor": "none", "markeredgecolor": INK, "markeredgewidth": 1.3}
+    axes.plot(row.mag_d_printed, y, markersize=9.5, **over)
 
 
 def _names(axes: Axes, row: IndexRow, y: float) -> None:

@@ -1,15 +1,15 @@
-"""Finding the loose link: arms searched joint by joint (4.2.2), and VERA's printed directions."""
+"""Link finding by the thesis's steps: simulated arms, and VERA by its printed directions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import binomtest
 
-from loose_env.arms import Arm, LinearArm, planar
+from loose_env.arms import Arm, planar
 from loose_env.diagnosis import (
     LinkFindingSettings,
     Order,
@@ -19,14 +19,12 @@ from loose_env.diagnosis import (
     next_joint,
     statistics_of,
 )
-from loose_env.envs import Difficulty, FaultSampler
-from loose_env.excitation import at_levels
-from loose_env.faults import Healthy
-from loose_env.rig import Job, Measurement, SimulatedRig
+from loose_env.rig import Measurement
 from loose_env.statistics import axial_difference, axial_mean
 from loose_env.typing import Array
+from scripts.thesis.later import Twins
 from scripts.thesis.page import Section, printed, section
-from scripts.thesis.plots import Points, by_category, rms
+from scripts.thesis.plots import by_category, rms
 from scripts.thesis.rigs import shaken_vera
 from scripts.thesis.shaken_vera import (
     LOOSE,
@@ -45,7 +43,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ARMS, LINKS = 64, 4
-DURATION = 1.2
 _MOVE = np.pi / 2  # a quarter turn: the direction then turns by as much as it can
 # The thesis prints no e_min or e_max: nearer to "stayed" than to "turned" is what is asked.
 _NEARER = LinkFindingSettings(still=0.5, turned=np.finfo(float).max)
@@ -79,58 +76,37 @@ def predicted_slides(frames: ToolFrames, before: Array, after: Array, direction:
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
-class Search(NamedTuple):
-    """One search: the loose link, the one that was named, moves after the first pose."""
-
-    link: int
-    named: int
-    moves: int
-
-
-def search(arm: Arm, estimator: str, order: Order, *, seed: int, arms: int = ARMS) -> list[Search]:
+def search(arm: Arm, estimator: str, order: Order, *, seed: int) -> tuple[Array, Array]:
     """Let the steps of 4.2.2 look for the loose link of many arms.
+
+    Returns whether the loose link was named, and the moves after the first pose, by arm.
 
     Every arm has its own mismatch, fault and first pose; a healthy twin of it gives the
     reference in each pose. Joint 1 is shaken, all others are braked. A joint moves by a quarter
     turn; the direction has turned if it turned by more than half of that.
     """
-    linear, difficulty = LinearArm(arm), Difficulty()
-    sampler = FaultSampler(linear, difficulty)
-    rig = SimulatedRig(arm, slots=2 * arms)
-    pose, links = np.zeros((arms, arm.n)), 1 + np.arange(arms) % arm.n
-    for k in range(arms):
-        rng = np.random.default_rng([seed, 11, k])
-        fault = sampler.draw(rng, hypothesis=f"structural_looseness@link{links[k]}")
-        mismatch = difficulty.mismatch.draw(arm, rng)
-        rig.mount(2 * k, fault, mismatch)
-        rig.mount(2 * k + 1, Healthy(), mismatch)
-        pose[k] = arm.random_pose(rng)
-    levels = np.zeros(arm.n)
-    levels[0] = arm.levels[-1]
-    low, high = np.ones(arms, dtype=int), np.full(arms, arm.n)
-    moves, moved = np.zeros(arms, dtype=int), np.zeros(arms, dtype=int)
-    before: list[Sighting | None] = [None] * arms
+    twins = Twins.draw(arm, ARMS, [seed, 11])
+    low, high = np.ones(ARMS, dtype=int), np.full(ARMS, arm.n)
+    moves, moved = np.zeros(ARMS, dtype=int), np.zeros(ARMS, dtype=int)
+    before: list[Sighting | None] = [None] * ARMS
     for step in range(arm.n):
         open_ = [int(k) for k in np.flatnonzero(low < high)]
-        jobs = []
-        for k in open_:
-            shake, _ = at_levels(linear.at(pose[k]), levels, duration=DURATION)
-            for twin in (0, 1):
-                rng = np.random.default_rng([seed, 12, k, step, twin])
-                jobs.append(Job(slot=2 * k + twin, pose=pose[k], excitation=shake, rng=rng))
-        measured = rig.measure_many(jobs) if jobs else []
-        for k, loose, healthy in zip(open_, measured[::2], measured[1::2], strict=True):
-            last, seen = before[k], _sighting(pose[k].copy(), ESTIMATORS[estimator](loose, healthy))
-            before[k], joint = seen, int(moved[k])
+        shakes = twins.one_joint(0, arm.levels[-1], arms=open_)
+        measured = twins.measure(shakes, [seed, 12], arms=open_, more=[step]) if open_ else []
+        for k, pair in zip(open_, measured, strict=True):
+            if pair is None:
+                continue
+            last, pose, joint = before[k], twins.poses[k], int(moved[k])
+            seen = before[k] = _sighting(pose.copy(), ESTIMATORS[estimator](*pair))
             if last is not None and judge_turn(last, seen, joint, _NEARER) == "still":
                 low[k] = joint
             elif last is not None:
                 high[k] = joint - 1
             if low[k] < high[k]:
                 moved[k] = next_joint(order, int(low[k]), int(high[k]))
-                pose[k, moved[k] - 1] += _MOVE
+                pose[moved[k] - 1] += _MOVE
                 moves[k] += 1
-    return [Search(int(links[k]), int(low[k]), int(moves[k])) for k in range(arms)]
+    return low == 1 + np.arange(ARMS) % arm.n, moves
 
 
 def _sighting(pose: Array, direction: float) -> Sighting:
@@ -149,33 +125,20 @@ def link_finding(seed: int) -> Section:
     """Search arms of four links; `vera_link_finding` has the step that VERA allows."""
     arm = planar(LINKS)
     found = {(e, o): search(arm, e, o, seed=seed) for e in ESTIMATORS for o in ORDERS}
-    right = {key: np.array([r.named == r.link for r in runs]) for key, runs in found.items()}
+    right = {key: named for key, (named, _) in found.items()}
     ends = {
         key: binomtest(int(r.sum()), len(r)).proportion_ci(0.95, method="wilson")
         for key, r in right.items()
     }
-    moves = {key: np.mean([r.moves for r in runs]) for key, runs in found.items()}
+    moves = {key: moved.mean() for key, (_, moved) in found.items()}
     by_lowest, by_change = (np.mean([right[e, o].mean() for o in ORDERS]) for e in ESTIMATORS)
     outward, inward, halving = (moves["change of transmission", o] for o in ORDERS)
     expected, fewest = (LINKS - 1) * (LINKS + 2) / (2 * LINKS), np.log2(LINKS)
     blind = 1 / LINKS
-    rows = [
-        (
-            ", ".join(key),
-            f"{100 * right[key].mean():.0f} %",
-            f"{100 * ends[key].low:.0f} % to {100 * ends[key].high:.0f} %",
-            f"{moves[key]:.2f}",
-        )
-        for key in found
-    ]
-    points = [
-        Points(
-            e,
-            [100 * float(right[e, o].mean()) for o in ORDERS],
-            *([100 * float(getattr(ends[e, o], end)) for o in ORDERS] for end in ("low", "high")),
-        )
-        for e in ESTIMATORS
-    ]
+    rows = [(", ".join(key), right[key].mean(), *ends[key], moves[key]) for key in found]
+    points = {
+        e: 100 * np.array([(right[e, o].mean(), *ends[e, o]) for o in ORDERS]).T for e in ESTIMATORS
+    }
     figure = by_category(points, ORDERS, ylabel="right link [%]", xlabel="order of the joints")
     return section("link_finding", locals(), [rows], [figure])
 
@@ -294,19 +257,11 @@ def vera_link_finding(seed: int) -> Section:
             found = [scatter(row) for row in simulated[e][by]]
             middle = {h: float(np.median([f[h] for f in found])) for h in hypotheses}
             scatter_rows.append((f"Experiment {e}, here, {words}", loose, *degrees(middle)))
-            cells = (f"{100 * share:.0f} %" for share in shares[e][by])
-            share_rows.append((f"Experiment {e}, {words}", *cells))
+            share_rows.append((e, words, *shares[e][by]))
         errors = np.degrees(axial_difference(simulated[e]["lowest"], true))
         theirs = np.array(table[f"{state}_error_deg"], dtype=float)
-        average_rows.append(
-            (
-                state,
-                f"{rms(theirs):.1f}°",
-                f"{rms(errors):.1f}°",
-                f"{abs(table[f'{state}_average_deg']):g}°",
-                f"{rms(errors.mean(axis=1)):.1f}°",
-            )
-        )
+        average = abs(table[f"{state}_average_deg"])
+        average_rows.append((state, rms(theirs), rms(errors), average, rms(errors.mean(axis=1))))
     subset_rows = []
     for size in range(2, len(poses()) + 1):
         usable = [s for s in combinations(range(len(poses())), size) if _informative(s)]
@@ -328,10 +283,9 @@ def _informative(which: Sequence[int]) -> bool:
 
 def _frames_figure(directions: Sequence[float]) -> Figure:
     """Draw printed directions in either link's frame, from their mean axis."""
-    seen, theta2, points = np.array(directions), np.array(poses()), []
+    seen, theta2, points = np.array(directions), np.array(poses()), {}
     for name, own in (("link 2's frame", seen), ("link 1's frame", seen + theta2)):
-        turns = np.degrees(axial_difference(own, axial_mean(own))).tolist()
-        points.append(Points(name, turns, turns, turns))
+        points[name] = [np.degrees(axial_difference(own, axial_mean(own)))] * 3
     return by_category(
         points,
         [f"{np.degrees(t):.0f}°" for t in poses()],

@@ -1,4 +1,4 @@
-"""A looseness joint in a serial arm (3.2.2), recursion of its parameters (3.3.1), the dock (8.1.2).
+"""Loose seat as an extra joint: Jacobian, inertia, planar identification, arm with tool held.
 
 A looseness joint is one more joint, neither driven nor measured: one more column of the Jacobian.
 Where the loose seat has moved, other columns change too, and which ones locates the link.
@@ -21,8 +21,8 @@ from loose_env.faults import (
     Fault,
     Healthy,
     StructuralLooseness,
-    seat_of,
     seated_spec,
+    seats_of,
     set_seat,
 )
 from loose_env.kinematics import Chain, Frame, JointKind
@@ -106,21 +106,6 @@ def looseness_transform(
     return to_loose @ motion @ to_loose.T  # no translation in it: the transpose is the inverse
 
 
-def tool_velocity(jacobian: ArrayLike, rates: ArrayLike) -> Array:
-    """Tool velocity (m,) from a Jacobian (m, n) and joint velocities (n,): (3.3, 3.30, 3.53, 4.21).
-
-    With the looseness joint's column and rate among them it is that of the loose arm.
-    """
-    return np.asarray(np.asarray(jacobian) @ np.asarray(rates))
-
-
-def velocity_error(
-    jacobian: ArrayLike, rates: ArrayLike, loose_jacobian: ArrayLike, loose_rates: ArrayLike
-) -> Array:
-    """Tool velocity of the loose arm minus that of the nominal arm (3.34)."""
-    return tool_velocity(loose_jacobian, loose_rates) - tool_velocity(jacobian, rates)
-
-
 def changed_columns(before: ArrayLike, after: ArrayLike) -> NDArray[np.bool_]:
     """Mask (n,) of the columns of a Jacobian (m, n) that changed."""
     return np.asarray(np.linalg.norm(np.subtract(after, before), axis=0) > 1e-9)
@@ -148,7 +133,7 @@ def _unit(axis: ArrayLike) -> Array:
 
 def seated_inertia(arm: Arm, pose: ArrayLike, fault: Fault) -> Array:
     """Inertia matrix M of the driven joints and, for a fault, its seat last (3.43)."""
-    link, kind = seat_of(fault)
+    link, (kind,) = seats_of(fault)
     if isinstance(fault, Healthy) or link is None:
         return mass_matrix(arm.model, placed(arm, pose), arm.joints)
     spec = seated_spec(arm, link, kind)
@@ -202,7 +187,10 @@ class PlanarParameters(NamedTuple):
 
 
 def velocity_components(jacobian: ArrayLike, rates: ArrayLike) -> Array:
-    """Tool velocity from each joint alone, a row a joint (n, d) (3.51, 3.52)."""
+    """Tool velocity from each joint alone, a row a joint (n, d) (3.51, 3.52); their sum is (3.53).
+
+    With the looseness joint's column and rate among them it is that of the loose arm (3.30).
+    """
     j, q = np.asarray(jacobian, dtype=float), np.asarray(rates, dtype=float)
     return np.asarray((j * q).T)
 
@@ -213,23 +201,13 @@ def rotation_arms(velocities: ArrayLike, rates: ArrayLike) -> Array:
     return np.asarray(np.column_stack([v[:, 1], -v[:, 0]]) / w[:, None])
 
 
-def identify_planar(
-    velocities: ArrayLike,
-    rates: ArrayLike,
-    angles: ArrayLike,
-    *,
-    kinds: Sequence[JointKind] = (),
-) -> PlanarParameters:
+def identify_planar(velocities: ArrayLike, rates: ArrayLike, angles: ArrayLike) -> PlanarParameters:
     """Find lengths and offsets from the tool to the base (3.49, 3.50, 3.63, 3.64, 3.66, 3.67).
 
-    The joint angle is that between link i and link i-1. The thesis prints (3.65) instead, which
-    changes with the joints beyond; see `distended_angles`.
+    All joints turn: a slide's velocity is a free vector, the same wherever the slide lies, so the
+    recursion ends there. The joint angle is that between link i and link i-1. The thesis prints
+    (3.65) instead, which changes with the joints beyond; see `distended_angles`.
     """
-    if "prismatic" in kinds:
-        raise InvalidData(
-            f"joint {list(kinds).index('prismatic') + 1} is prismatic: its velocity is a free "
-            "vector, the same wherever the slide lies, so the recursion ends there"
-        )
     arms, q = rotation_arms(velocities, rates), np.asarray(angles, dtype=float)
     links = arms - np.vstack([arms[1:], np.zeros((1, 2))])
     directions = np.arctan2(links[:, 1], links[:, 0])
@@ -264,11 +242,6 @@ def parameter_deviations(
     return lengths, np.sqrt(np.einsum("kja,j->k", offset**2, place**2))
 
 
-def slide_direction(velocity: ArrayLike) -> Array:
-    """Direction of a slide from the tool velocity it causes (3.55, 3.57, 3.68, 3.69)."""
-    return _unit(velocity)
-
-
 def _wrap(angle: Array) -> Array:
     return np.asarray(np.pi - (np.pi - angle) % (2 * np.pi))
 
@@ -282,21 +255,12 @@ def joint_torques(jacobian: ArrayLike, force: ArrayLike) -> Array:
     return np.asarray(np.asarray(jacobian, dtype=float).T @ np.asarray(force, dtype=float))
 
 
-def tool_acceleration(
-    jacobian: ArrayLike, inertia: ArrayLike, torque: ArrayLike, force: ArrayLike | None = None
-) -> Array:
-    """Tool acceleration at low speed, J M⁻¹ (τ* + J^T f) (3.9, 3.15-3.17, 3.20-3.21, 3.23-3.24).
-
-    Torques come without potential loads and are 0 at a looseness joint (4.24); a free arm has no f.
-    """
-    tau = np.asarray(torque, dtype=float)
-    if force is not None:
-        tau = tau + joint_torques(jacobian, force)
-    return np.asarray(np.asarray(jacobian) @ np.linalg.solve(np.asarray(inertia), tau))
-
-
 def dock_force(jacobian: Array, inertia: Array, torque: Array) -> Array:
-    """Force of the jig that keeps the tool still (3.25)."""
+    """Force f of the jig that keeps the tool still (3.25).
+
+    The tool's acceleration at low speed, J M⁻¹ (τ* + J^T f), is 0 (3.9, 3.15-3.17, 3.20-3.21,
+    3.23-3.24). Torques come without potential loads and are 0 at a looseness joint (4.24).
+    """
     free = jacobian @ np.linalg.solve(inertia, torque)
     mobility = jacobian @ np.linalg.solve(inertia, jacobian.T)
     return np.asarray(-np.linalg.lstsq(mobility, free, rcond=1e-12)[0])
@@ -323,11 +287,12 @@ def moving_directions(angles: ArrayLike, noise: float) -> Array:
 
 
 def seat_twist(jacobian: Array, angles: Array) -> Array:
-    """Direction of the seat's motion at the tool, -J q of a docked arm: unit vector, axial."""
+    """Direction of the seat's motion at the tool, -J q of a docked arm: unit vector, axial.
+
+    It is that of the velocity which the seat alone gives the tool (3.57, 3.68, 3.69).
+    """
     motion = -jacobian @ (angles - angles.mean(axis=1, keepdims=True))
-    left, values, _ = np.linalg.svd(motion, full_matrices=False)
-    if values[0] == 0:
-        raise InvalidData("the joints did nothing at the tool: there is no motion to read")
+    left, _, _ = np.linalg.svd(motion, full_matrices=False)
     return np.asarray(left[:, 0] * np.sign(left[np.argmax(np.abs(left[:, 0])), 0]))
 
 
@@ -360,10 +325,6 @@ class DockedRecord:
     """Torque on the joints: drives, centring springs and joint damping [N·m] (n, N)."""
     forces: Array
     """Force of the jig on the tool in the plane, world axes [N] (2, N)."""
-    moments: Array
-    """Moment of the jig on the tool about the plane's normal [N·m] (N,)."""
-    seat: Array
-    """Place of the seat between its stops [m or rad] (N,)."""
 
 
 def simulate_docked(
@@ -382,31 +343,25 @@ def simulate_docked(
     dock, tool = model.equality("dock").id, model.site(arm.tool).id
     linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
     count, n = torque.shape[1] // every, arm.n
-    rows, wrench = np.empty((count, 3 * n + 1)), np.zeros((count, 3))
+    rows = np.empty((count, 3 * n + 2))
     for k in range(count * every):
         data.qfrc_applied[dofs] = torque[:, k]
         state, rate = data.qpos[at] - q, data.qvel[dofs].copy()
         mujoco.mj_step(model, data)
         if (k + 1) % every:
             continue
-        r = k // every
+        acceleration = data.qacc[dofs].copy()
         net = torque[:, k] - stiffness * state - model.dof_damping[dofs] * rate
-        rows[r] = np.concatenate([state, data.qacc[dofs], net, data.joint(SEAT).qpos])
         held = np.flatnonzero((data.efc_type[: data.nefc] == 0) & (data.efc_id == dock))
         pull = data.efc_J.reshape(data.nefc, model.nv)[held].T @ data.efc_force[held]
         mujoco.mj_jacSite(model, data, linear, angular, tool)
         plane = linear[:2] if jig == "pin" else np.vstack([linear[:2], angular[2:]])
-        wrench[r, : len(plane)] = np.linalg.lstsq(plane.T, pull, rcond=None)[0]
+        force = np.linalg.lstsq(plane.T, pull, rcond=None)[0][:2]
+        rows[k // every] = np.concatenate([state, acceleration, net, force])
     if not np.isfinite(rows).all():
         raise InvalidData("the simulation of the docked arm diverged: lower torque or stiffness")
-    return DockedRecord(
-        angles=rows[:, :n].T.copy(),
-        accelerations=rows[:, n : 2 * n].T.copy(),
-        torques=rows[:, 2 * n : 3 * n].T.copy(),
-        forces=wrench[:, :2].T.copy(),
-        moments=wrench[:, 2].copy(),
-        seat=rows[:, -1].copy(),
-    )
+    angles, accelerations, torques, forces = np.split(rows.T.copy(), [n, 2 * n, 3 * n])
+    return DockedRecord(angles=angles, accelerations=accelerations, torques=torques, forces=forces)
 
 
 def _dock(arm: Arm, q: Array, fault: Fault, jig: Jig) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -414,7 +369,7 @@ def _dock(arm: Arm, q: Array, fault: Fault, jig: Jig) -> tuple[mujoco.MjModel, m
     place = placed(arm, q).site(arm.tool)
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, place.xmat)
-    link, kind = seat_of(fault)
+    link, (kind,) = seats_of(fault)
     spec = seated_spec(arm, arm.n if link is None else link, kind)
     spec.worldbody.add_site(name="jig", pos=place.xpos.tolist(), quat=quaternion.tolist())
     spec.add_equality(

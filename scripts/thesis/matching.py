@@ -1,4 +1,4 @@
-"""Marginal distribution matching: fit a Gaussian ridge to a histogram (4.1.1, 5.3.1).
+"""Gaussian ridge fitted to a histogram of motion (marginal distribution matching), studied.
 
 The motion is taken as Gaussian in all directions but one, and uniform along that one, which is the
 direction of the looseness. Bins are points with two kinds of error, so distances are orthogonal: a
@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loose_env.errors import InvalidData, MissingExtra
+from loose_env.errors import MissingExtra
 from loose_env.statistics import axial_difference, wrap_axial
 from loose_env.typing import Array
 from scripts.thesis.planar_motion import Histogram, histogram
@@ -168,8 +168,6 @@ def _fit(
     how = MatchSettings() if settings is None else settings
     counts = found.counts.ravel()
     kept = counts > 0.0 if how.bins == "filled" else np.ones(len(counts), dtype=bool)
-    if kept.sum() <= len(scale):
-        raise InvalidData(f"{kept.sum()} bins are too few to fit {len(scale)} parameters")
     top, size = float(scale[0]), math.sqrt(variance_trial(found))
     fit = odr_fit(
         model,

@@ -1,4 +1,4 @@
-"""Chapter 3.2: seven ways to model looseness, and what a loose seat does to two matrices.
+"""Seven models of looseness compared; a loose seat's effect on Jacobian and inertia matrix.
 
 Every alternative predicts one measured quantity from others; what is left over is called the
 disagreement. A loose seat changes it, the sensors' noise adds to it, and what the model does not
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -37,6 +37,7 @@ from scripts.thesis.loose_joint import (
     simulate_docked,
 )
 from scripts.thesis.page import Rows, Section, printed, section
+from scripts.thesis.plots import note
 from scripts.thesis.rigs import LOOSE_GAP
 
 if TYPE_CHECKING:
@@ -121,7 +122,8 @@ def compare_alternatives(arm: Arm, pose: Array, rng: np.random.Generator) -> lis
 
     The free arm is shaken in its band, all joints at once. For the two alternatives with a
     constrained tool a pin holds it; the static one is driven slowly. Healthy and loose arm get
-    the same torques, and the gap counts by the rms difference of their disagreements.
+    the same torques, and the gap counts by the rms difference of their disagreements, in velocity
+    J q' (4.21) as in all others: the loose arm's less the nominal one's (3.34).
     """
     linear = LinearArm(arm).at(pose)
     kinematic, inertia = linear.kinematic, seated_inertia(arm, pose, Healthy())
@@ -339,20 +341,12 @@ def jacobian_rank(n: int) -> list[int]:
     return [int(np.linalg.matrix_rank(geometric_jacobian(c)[[0, 1, 5]])) for c in loose]
 
 
-class _Inertia(NamedTuple):
-    """Condition of the inertia matrix with a seat."""
+def inertia_condition(seed: int) -> tuple[Rows, dict[str, float], list[tuple[str, int, float]]]:
+    """Compare the condition of the inertia matrix with a slide and with play in a joint.
 
-    rows: Rows
-    slide: float
-    """Largest median of the scaled condition with a slide [1]."""
-    play: float
-    """The same with play [1]."""
-    joints: Sequence[tuple[str, int, float]]
-    """Arm, joint, and its motor side over its link side with play [1]."""
-
-
-def inertia_condition(seed: int) -> _Inertia:
-    """Compare the condition of the inertia matrix with a slide and with play in a joint."""
+    Returns the rows, the largest median of the scaled condition by seat, and by arm and joint its
+    motor side over its link side with play [1].
+    """
     rows, joints, worst = [], [], {"slide": 0.0, "play": 0.0}
 
     def medians(found: list[Condition], kind: str = "") -> tuple[str, str]:
@@ -376,7 +370,7 @@ def inertia_condition(seed: int) -> _Inertia:
             ratio = float(np.median([m[joint - 1, joint - 1] / m[-1, -1] - 1 for m in matrices]))
             joints.append((arm.name, joint, ratio))
             rows.append((f"{arm.name}, play in joint {joint}", *cells, f"{ratio:.2g}"))
-    return _Inertia(rows, worst["slide"], worst["play"], joints)
+    return rows, worst, joints
 
 
 def modelling(seed: int) -> Section:
@@ -398,22 +392,18 @@ def modelling(seed: int) -> Section:
     columns, right, largest = jacobian_columns()
     ranks = {n: jacobian_rank(n) for n in (2, 3, 4)}
     gains = [rank - ranks[2][0] for rank in ranks[2][1:]]
-    matrix = inertia_condition(seed)
-    low = min(r for *_, r in matrix.joints)
-    play_most = max(backlash_condition(r) for *_, r in matrix.joints)
+    matrix_rows, matrix, joints = inertia_condition(seed)
+    low = min(r for *_, r in joints)
+    play_most = max(backlash_condition(r) for *_, r in joints)
     direct = backlash_condition(low / 100)
     sizes = [len(seated_inertia(arm, [0.3, POSES[1]], fault)) for fault in (Healthy(), SEAT)]
     density = SENSORS.accelerometer.noise_density / 9.80665e-6
 
-    def table(found: list[Disagreement]) -> Rows:
+    def table(found: list[Disagreement]) -> list[tuple[Any, ...]]:
+        both = [(w, (w.against_noise, w.against_all)) for w in found]
         return [
-            (
-                w.name,
-                *(f"{x:.2g}" for x in (w.gap, w.noise, w.model)),
-                ALTERNATIVES[w.name][2],
-                *(f"{r:.2g}" if r < 10 else f"{r:.0f}" for r in (w.against_noise, w.against_all)),
-            )
-            for w in found
+            (w, ALTERNATIVES[w.name][2], *(f"{r:.2g}" if r < 10 else f"{r:.0f}" for r in ratios))
+            for w, ratios in both
         ]
 
     rank_rows = [
@@ -429,9 +419,9 @@ def modelling(seed: int) -> Section:
             table(stiff),
             columns,
             rank_rows,
-            matrix.rows,
+            matrix_rows,
         ],
-        [ratios_figure(flexible), condition_figure(matrix.joints)],
+        [ratios_figure(flexible), condition_figure(joints)],
     )
 
 
@@ -451,24 +441,11 @@ def ratios_figure(compared: Sequence[Disagreement]) -> Figure:
             left, width = min(ratio, 1.0), abs(ratio - 1.0)
             axes.barh(y + shift, width, left=left, height=0.17, color=colour, zorder=2)
             if k == 0:
-                axes.text(
-                    max(w.against_noise, 1.0) * 1.15,
-                    y + shift,
-                    f"over {word}",
-                    color=INK,
-                    fontsize=8,
-                    va="center",
-                )
-        axes.text(low, y + 0.23, w.name, color=INK, fontsize=9.5, va="bottom")
-        axes.text(
-            high,
-            y + 0.23,
-            f"{w.against_noise:.2g} and {w.against_all:.2g}",
-            color=INK,
-            fontsize=9.5,
-            ha="right",
-            va="bottom",
-        )
+                x = max(w.against_noise, 1.0) * 1.15
+                note(axes, x, y + shift, f"over {word}", size=8, va="center")
+        note(axes, low, y + 0.23, w.name, size=9.5, va="bottom")
+        words = f"{w.against_noise:.2g} and {w.against_all:.2g}"
+        note(axes, high, y + 0.23, words, size=9.5, ha="right", va="bottom")
         axes.plot([1.0, 1.0], [y - 0.24, y + 0.22], color=INK, linewidth=1.2, zorder=3)
     axes.set_xscale("log")
     axes.set(xlim=(low, high), ylim=(0.6 - len(compared), 0.62))
@@ -492,14 +469,9 @@ def condition_figure(points: Sequence[tuple[str, int, float]]) -> Figure:
     axes.plot(ratio, [backlash_condition(r) for r in ratio], color=MUTED, linewidth=1.8, zorder=2)
     for name, colour, marker, side in (("planar4", MEASURED, "o", 1), ("vera", SHAKEN, "s", -1)):
         own = [(j, r) for n, j, r in points if n == name]
+        look: dict[str, Any] = {"linestyle": "none", "marker": marker, "markersize": 6, "zorder": 3}
         axes.plot(
-            [r for _, r in own],
-            [backlash_condition(r) for _, r in own],
-            linestyle="none",
-            marker=marker,
-            markersize=6,
-            color=colour,
-            zorder=3,
+            [r for _, r in own], [backlash_condition(r) for _, r in own], color=colour, **look
         )
         middle = float(np.exp(np.mean([np.log(r) for _, r in own])))
         at = backlash_condition(middle)
@@ -515,11 +487,11 @@ def condition_figure(points: Sequence[tuple[str, int, float]]) -> Figure:
     axes.set(xscale="log", yscale="log", xlim=(1e-3, 1e2), ylim=(1, 1e4))
     axes.grid(color=FAINT, linewidth=0.8)
     # Plain numbers: the exponents of a power of ten are too small to read.
-    ratios, conditions = 10.0 ** np.arange(-3, 3), 10.0 ** np.arange(5)
-    axes.set_xticks(ratios, [f"{r:g}" for r in ratios])
+    decades, conditions = 10.0 ** np.arange(-3, 3), 10.0 ** np.arange(5)
+    axes.set_xticks(decades, [f"{r:g}" for r in decades])
     axes.set_yticks(conditions, [f"{c:.0f}" for c in conditions])
     axes.minorticks_off()
     quiet_axes(axes, grid="y", spines=(), pad=6, size=9)
     axes.set_xlabel("inertia of motor side over link side", color=MUTED, fontsize=9)
-    axes.text(0.0, 1.04, "condition", color=MUTED, fontsize=9, transform=axes.transAxes)
+    note(axes, 0.0, 1.04, "condition", color=MUTED, inside=True)
     return figure

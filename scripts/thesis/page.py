@@ -1,4 +1,4 @@
-"""Sections of the thesis: their text, their runs in processes of their own, and the page.
+"""Sections of the thesis page: text and printed values, runs in processes, and the HTML page.
 
 A section is a function of the seed in a module of this folder. It computes; ``text/KEY.toml`` holds
 what the page says, what the thesis printed, and the function behind every equation.
@@ -13,7 +13,7 @@ import time
 import tomllib
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -22,7 +22,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.report import FigureCard, shown, template, to_svg
 
 if TYPE_CHECKING:
@@ -68,13 +68,6 @@ class Table:
     columns: Sequence[str]
     rows: Rows
 
-    def __post_init__(self) -> None:
-        for row in self.rows:
-            if len(row) != len(self.columns):
-                raise InvalidData(
-                    f"table {self.caption!r} has {len(self.columns)} columns, got the row {row}"
-                )
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Section:
@@ -117,21 +110,40 @@ class _Words(string.Formatter):
 
 
 def section(
-    key: str, say: Mapping[str, Any], tables: Sequence[Rows] = (), figures: Sequence[Figure] = ()
+    key: str, say: Mapping[str, Any], tables: Sequence[Any] = (), figures: Sequence[Figure] = ()
 ) -> Section:
     """Fill the text of a section; tables and figures in the order of the text.
 
     The text knows what was printed, ``say``, which is mostly the section's ``locals()``, and the
     constants of its module.
 
-    A table that has no columns in the text has them in its first row.
+    A table that has no columns in the text has them in its first row. One with ``cells`` formats
+    the values of a row by them, but for rows of text alone; one with ``rows`` is all in the text.
     """
     text = text_of(key)
     module = vars(import_module(f"scripts.thesis.{SECTIONS[key]}"))
     names = {**module, **text.get("printed", {}), **say}
 
-    def fill(words: str) -> str:
-        return _Words().vformat(words, (), names)
+    def fill(words: str, *values: Any) -> str:
+        return _Words().vformat(words, values, names)
+
+    computed = iter(tables)
+
+    def formatted(table: Mapping[str, Any]) -> Table:
+        """A table of the text with its rows, the next ones where the text has none."""
+        if "rows" in table:
+            rows = [[fill(cell) for cell in row] for row in table["rows"]]
+        else:
+            rows = list(next(computed))
+        if "cells" in table:
+            rows = [
+                row if all(isinstance(v, str) for v in row) else [fill(c, *row) for c in cells]
+                for cells in [table["cells"]]
+                for row in rows
+            ]
+        columns = [fill(c) for c in table["columns"]] if "columns" in table else rows[0]
+        rows = rows if "columns" in table else rows[1:]
+        return Table(caption=paragraphs(table["caption"])[0], columns=columns, rows=rows)
 
     def paragraphs(words: str) -> list[str]:
         parts = (" ".join(part.split("\n")) for part in words.strip().split("\n\n"))
@@ -142,14 +154,7 @@ def section(
         title=text["title"],
         finding=paragraphs(text["finding"])[0],
         words=paragraphs(text["words"]),
-        tables=[
-            Table(
-                caption=paragraphs(table["caption"])[0],
-                columns=[fill(c) for c in table["columns"]] if "columns" in table else rows[0],
-                rows=rows if "columns" in table else rows[1:],
-            )
-            for table, rows in zip(text.get("table", ()), tables, strict=True)
-        ],
+        tables=[formatted(table) for table in text.get("table", ())],
         cards=[
             FigureCard(
                 image=image,
@@ -202,7 +207,9 @@ def run_section(key: str, seed: int) -> Outcome:
             for card in found.cards
         ]
     except (Exception, SystemExit) as error:
-        return _failed(key, error, time.perf_counter() - begin)
+        line = " ".join(f"{type(error).__name__}: {error}".split())
+        spent, trace = time.perf_counter() - begin, traceback.format_exc()
+        return Outcome(key=key, seconds=spent, error=line, trace=trace)
     done = replace(found, cards=cards)
     return Outcome(key=key, seconds=time.perf_counter() - begin, section=done)
 
@@ -218,48 +225,24 @@ def run_sections(keys: Sequence[str], *, seed: int, workers: int = 2) -> Iterato
     if seed < 0:
         raise InvalidSetting(f"seed is {seed}; it must be 0 or more")
     choose(keys)
-    lost: list[str] = []
-    for key, outcome in _pool(keys, seed, workers) if keys else ():
-        if outcome is None:
-            lost.append(key)
-        else:
-            yield outcome
-    # A process that dies takes down all that share its pool: those run again, each alone.
-    for key in sorted(lost, key=list(keys).index):
-        begin = time.perf_counter()
-        for _, outcome in _pool([key], seed, 1):
-            spent = time.perf_counter() - begin
-            yield outcome or Outcome(key=key, seconds=spent, error="its process died")
+    threads = ThreadPoolExecutor(workers)
+    try:
+        for future in as_completed([threads.submit(_run_alone, key, seed) for key in keys]):
+            yield future.result()
+    finally:
+        threads.shutdown(wait=False, cancel_futures=True)
 
 
-def _pool(keys: Sequence[str], seed: int, workers: int) -> Iterator[tuple[str, Outcome | None]]:
-    """Yield each key with its outcome, or None where the pool broke before."""
+def _run_alone(key: str, seed: int) -> Outcome:
+    """Run a section in a process that takes no other section along when it dies."""
+    begin = time.perf_counter()
     # Spawned, not forked: a fork would inherit the threads' locks of MuJoCo and BLAS.
-    with ProcessPoolExecutor(min(workers, len(keys)), mp_context=get_context("spawn")) as pool:
-        futures: dict[Future[Outcome], str] = {}
-        early: list[str] = []
-        for key in keys:
-            try:
-                futures[pool.submit(run_section, key, seed)] = key
-            except BrokenProcessPool:
-                early.append(key)
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
         try:
-            for future in as_completed(futures):
-                try:
-                    yield futures[future], future.result()
-                except BrokenProcessPool:
-                    yield futures[future], None
-                except Exception as error:  # the section ran, but could not be sent back
-                    yield futures[future], _failed(futures[future], error, 0.0)
-            yield from ((key, None) for key in early)
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-
-
-def _failed(key: str, error: BaseException, seconds: float) -> Outcome:
-    line = " ".join(f"{type(error).__name__}: {error}".split())
-    trace = "".join(traceback.format_exception(error))
-    return Outcome(key=key, seconds=seconds, error=line, trace=trace)
+            return process.submit(run_section, key, seed).result()
+        except BrokenProcessPool:
+            spent = time.perf_counter() - begin
+            return Outcome(key=key, seconds=spent, error="its process died")
 
 
 def render_thesis_page(outcomes: Sequence[Outcome], **about: Any) -> str:

@@ -1,4 +1,4 @@
-"""Planar arm of two joints with a loose seat in link 2 (5.1): kinematics, assumed motion, draws.
+"""Planar two-joint arm with a loose seat: kinematics, Monte Carlo draws of motion, histograms.
 
 Angles are in radians and counter-clockwise; the tool is in the world frame. Arrays of joint
 motions have shape (2, N), those of the seat (N,). The seat is at the proximal stop, free, or at the
@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loose_env.errors import InvalidData
 from loose_env.typing import Array
 
 Regions = NDArray[np.int64]
@@ -48,7 +47,7 @@ def tool_position(arm: LoosePlanarArm, theta: ArrayLike, d: ArrayLike) -> Array:
 def tool_velocity(
     arm: LoosePlanarArm, theta: ArrayLike, theta_rate: ArrayLike, d: ArrayLike, d_rate: ArrayLike
 ) -> Array:
-    """Velocity of the tool [m/s] (5.4)."""
+    """Velocity of the tool [m/s] (5.4); with the seat at rest and zero that of (3.71)."""
     q, rate = np.asarray(theta, dtype=float), np.asarray(theta_rate, dtype=float)
     out, along2 = looseness_direction(arm, q), _along(q.sum(axis=0))
     return np.asarray(
@@ -84,13 +83,6 @@ def tool_acceleration(
         + np.asarray(d_acceleration) * out
         + 2.0 * np.asarray(d_rate) * turn * _left(out)
     )
-
-
-def nominal_jacobian(arm: LoosePlanarArm, theta: ArrayLike) -> Array:
-    """Jacobian of the tight arm (2, 2) [m/rad], joint rates to tool velocity (3.71)."""
-    q = np.asarray(theta, dtype=float)
-    second = arm.length2 * _left(_along(q.sum(axis=0)))
-    return np.column_stack([arm.length1 * _left(_along(q[0])) + second, second])
 
 
 def _along(angle: ArrayLike) -> Array:
@@ -286,8 +278,6 @@ def histogram(samples: ArrayLike, bins: int = 120) -> Histogram:
     values = np.atleast_2d(np.asarray(samples, dtype=float))
     lowest, highest = values.min(axis=1), values.max(axis=1)
     largest = float((highest - lowest).max())
-    if largest <= 0.0:
-        raise InvalidData("samples do not vary in any direction; a histogram needs a range")
     low, width = 0.5 * (lowest + highest) - 0.5 * largest, largest / bins
     # The highest sample lies on the upper edge and belongs to the last bin.
     index = np.clip(np.floor((values - low[:, None]) / width), 0, bins - 1).astype(np.int64)

@@ -1,8 +1,9 @@
-"""Chapters 4.2.3 and 8.2.3: manipulability ellipsoids, and poses chosen to load every seat."""
+"""Manipulability ellipsoids, and pose sets chosen to load every seat beside random sets."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import mujoco
@@ -21,10 +22,11 @@ from loose_env.kinematics import (
     worst_push,
     wrench_rank,
 )
-from loose_env.report import WIDTH, new_figure, quiet_axes
+from loose_env.report import new_figure, quiet_axes
 from loose_env.typing import Array
 from scripts.thesis.loose_joint import mass_matrix, placed
 from scripts.thesis.page import Section, printed, section
+from scripts.thesis.plots import axis_line, bare_panels, note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -124,48 +126,24 @@ def _worst(linear: LinearArm, pose: Array, per: Drive) -> float:
     return min(seat_drive(linear, pose, k, per=per)[0] for k in range(1, linear.arm.n + 1))
 
 
-class Comparison(NamedTuple):
-    """Drive of chosen poses against sets drawn at random, in one arm and unit of drive."""
-
-    title: str
-    random: Array
-    """Mean drive of each random set (S,)."""
-    chosen: Sequence[tuple[str, float]]
-    """Name and mean drive of each chosen set, in the same unit."""
+Comparison = tuple[Array, Sequence[tuple[str, float]]]
+"""Mean drive of each random set (S,), and name and mean drive of each chosen one, in one unit."""
 
 
-class Trial(NamedTuple):
-    """Chosen and random pose sets of one arm; scores are per energy or per torque."""
+def trial(arm: Arm, seed: list[int]) -> SimpleNamespace:
+    """Choose sets per energy and per torque and set their drive beside that of random sets.
 
-    arm: Arm
-    candidates: int
-    poses: Array
-    """Set chosen per energy [rad] (P, n)."""
-    pushes: Array
-    """Push of the last link's seat from each joint in those, in its axes (P, 2, n)."""
-    rows: Sequence[tuple[str, ...]]
-    moves: Sequence[tuple[str, ...]]
-    wins: dict[str, float]
-    """Share of random sets driven less, by score and drive, as the next two [1]."""
-    gains: dict[str, float]
-    """Drive of the chosen set over that of random poses [1]."""
-    follows: dict[str, float]
-    """Rank correlation of the score with the drive [1]."""
-    proximal: dict[str, float]
-    """Rank correlation of the proximal ellipsoid's shorter axis with the last seat's drive [1]."""
-    least_sine: dict[str, float]
-    """Smallest |sin| of a move in the set chosen per energy, by the difference used [1]."""
-    comparisons: list[Comparison]
-
-
-def trial(arm: Arm, seed: list[int]) -> Trial:
-    """Choose sets per energy and per torque and set their drive beside that of random sets."""
+    By score and drive: share of random sets driven less, drive over that of random poses, and rank
+    correlation of the score with it; by drive: that of the proximal ellipsoid's shorter axis with
+    the last seat's drive; by difference: smallest |sin| of a move in the set chosen per energy.
+    """
     rng = np.random.default_rng(seed)
     linear = LinearArm(arm, remember=4)
     candidates = chebyshev_poses(arm, _POINTS[arm.n])
     drawn = np.array([arm.random_pose(rng) for _ in range(RANDOM_POSES)])
     groups = rng.integers(0, RANDOM_POSES, (RANDOM_SETS, SET))
-    chosen, scores_drawn, moves, rows, comparisons = {}, {}, [], [], []
+    chosen, scores_drawn, moves, rows = {}, {}, [], []
+    comparisons: dict[str, Comparison] = {}
     wins, gains, follows, least_sine = {}, {}, {}, {}
     proximal: dict[str, float] = {}
     for by in ("energy", "torque"):
@@ -181,8 +159,7 @@ def trial(arm: Arm, seed: list[int]) -> Trial:
             sine = float(np.abs(np.sin(angle)).min())
             if by == "energy":
                 least_sine[difference] = sine
-            turns = (f"{np.degrees(turn):.0f}°" for turn in (angle.min(), angle.mean()))
-            moves.append((arm.name, by, difference, *turns, f"{sine:.2f}"))
+            moves.append((arm.name, by, difference, angle.min(), angle.mean(), sine))
     narrow = [submanipulator(arm, q, arm.n).lengths[-1] for q in drawn]
     for per, unit in _PER:
         drive = np.array([_worst(linear, q, per) for q in drawn])
@@ -195,51 +172,26 @@ def trial(arm: Arm, seed: list[int]) -> Trial:
             gains[key] = own / float(drive.mean())
             follows[key] = float(spearmanr(scores_drawn[by], drive).statistic)
             marks.append((f"per {by}", own))
-            rows.append(
-                (
-                    arm.name,
-                    by,
-                    unit,
-                    f"{drive.mean():.2g}",
-                    f"{own:.2g}",
-                    f"{gains[key]:.2f}",
-                    f"{100 * wins[key]:.0f} %",
-                    f"{follows[key]:.2f}",
-                )
-            )
+            scores_of = (gains[key], wins[key], follows[key])
+            rows.append((arm.name, by, unit, drive.mean(), own, *scores_of))
         last = [seat_drive(linear, q, arm.n, per=per)[0] for q in drawn]
         proximal[per] = float(spearmanr(narrow, last).statistic)
-        comparisons.append(Comparison(f"{arm.name}, per {unit}", sets, marks))
+        comparisons[f"{arm.name}, per {unit}"] = (sets, marks)
     pushes = np.array([reactions(arm, q).per_energy[-1, :2] for q in chosen["energy"]])
-    return Trial(
-        arm,
-        len(candidates),
-        chosen["energy"],
-        pushes,
-        rows,
-        moves,
-        wins,
-        gains,
-        follows,
-        proximal,
-        least_sine,
-        comparisons,
+    return SimpleNamespace(
+        arm=arm,
+        candidates=len(candidates),
+        poses=chosen["energy"],
+        pushes=pushes,
+        rows=rows,
+        moves=moves,
+        wins=wins,
+        gains=gains,
+        follows=follows,
+        proximal=proximal,
+        least_sine=least_sine,
+        comparisons=comparisons,
     )
-
-
-class EllipsoidPanel(NamedTuple):
-    """The arm in one pose with its ellipsoid; directions in the tool frame, from its x axis."""
-
-    title: str
-    pose: Array
-    half_axes: Array
-    """Half axes in columns [m] (2, 2)."""
-    line: Array
-    """Direction in which joint 1 moves the tool (2,)."""
-    printed: Array
-    """Printed direction of the major axis (2,)."""
-    agrees: bool
-    """True if the printed direction is that of the ellipsoid."""
 
 
 def pose_choice(seed: int) -> Section:
@@ -253,7 +205,7 @@ def pose_choice(seed: int) -> Section:
         """The end of an axis that lies nearer to an example."""
         return f"{(example - axis_difference_deg(example, angle)) % 360:.1f}"
 
-    ellipsoid_rows, panels, agree_line, slips = [], [], 0, []
+    ellipsoid_rows, places, agree_line, slips = [], [], 0, []
     for theta, major, line in zip(
         told["theta2_deg"], told["ellipsoid_major_axis_deg"], told["p1_line_deg"], strict=True
     ):
@@ -265,29 +217,14 @@ def pose_choice(seed: int) -> Section:
         agree_line += abs(axis_difference_deg(line, here_line)) <= AGREES_DEG
         if not same:
             slips.append((theta, major, abs(axis_difference_deg(major, 0.0))))
+        told_axis, ratio = f"{major}" + " (slip)" * (not same), found.lengths[0] / found.lengths[1]
         ellipsoid_rows.append(
-            (
-                f"{theta}°",
-                f"{line}",
-                like(here_line, line),
-                f"{major}" if same else f"{major} (slip)",
-                like(here, major),
-                f"{off:+.1f}",
-                f"{found.lengths[0] / found.lengths[1]:.2f}",
-            )
+            (theta, line, like(here_line, line), told_axis, like(here, major), off, ratio)
         )
-        tilt, name = np.radians(major), f"θ₂ = {theta}°"
-        panels.append(
-            EllipsoidPanel(
-                name if same else f"{name}: printed {major}°",
-                pose,
-                found.axes * found.lengths,
-                moved,
-                np.array([-np.sin(tilt), np.cos(tilt)]),
-                same,
-            )
-        )
-    n_agree, lengths = len(panels) - len(slips), plain(told["theta2_deg"][0]).lengths
+        tilt, slip = np.radians(major), "" if same else f": printed {major}°"
+        said = np.array([-np.sin(tilt), np.cos(tilt)])
+        places.append((f"θ₂ = {theta}°{slip}", pose, found.axes * found.lengths, moved, said))
+    n_agree, lengths = len(places) - len(slips), plain(told["theta2_deg"][0]).lengths
     aspect = lengths[0] / lengths[1]
     lean = max(
         abs(axis_difference_deg(direction_deg(plain(t).axes[:, 0]), 0.0))
@@ -304,15 +241,7 @@ def pose_choice(seed: int) -> Section:
         shares.append(along / float(np.linalg.norm(one)))
         rank, values = wrench_rank(push[:2])
         ranks.append(rank)
-        push_rows.append(
-            (
-                f"{theta}°",
-                f"{direction_deg(one) % 180:.0f}",
-                f"{100 * shares[-1]:.0f} %",
-                str(rank),
-                f"{values[-1]:.2f}",
-            )
-        )
+        push_rows.append((theta, direction_deg(one) % 180, shares[-1], rank, values[-1]))
     least, most, order = min(shares), max(shares), np.argsort(shares)
     worst_pose = told["theta2_deg"][order[0]]
     errors = np.abs(told["direction_error_deg"])[order]
@@ -330,28 +259,26 @@ def pose_choice(seed: int) -> Section:
             [row for t in trials for row in t.moves],
         ],
         [
-            ellipsoid_figure(arm, panels),
+            ellipsoid_figure(arm, places),
             set_figure([(t.arm, t.poses, t.pushes) for t in trials]),
-            comparison_figure([c for t in trials for c in t.comparisons]),
+            comparison_figure(one_arm.comparisons | other_arm.comparisons),
         ],
     )
 
 
-def ellipsoid_figure(arm: Arm, panels: Sequence[EllipsoidPanel], *, columns: int = 3) -> Figure:
-    """Draw the arm and its manipulability ellipsoid in the tool frame, y up, a panel a pose."""
+def ellipsoid_figure(
+    arm: Arm, panels: Sequence[tuple[str, Array, Array, Array, Array]], *, columns: int = 3
+) -> Figure:
+    """Draw the arm and its manipulability ellipsoid in the tool frame, y up, a panel a pose.
+
+    A panel has a title, the pose, the half axes in columns [m] (2, 2), the direction in which
+    joint 1 moves the tool (2,), and the printed one of the major axis (2,).
+    """
     from matplotlib.lines import Line2D
 
-    rows = -(-len(panels) // columns)
-    side, top = _FLAT * WIDTH / columns, 0.3
-    height = rows * (side + top) + 0.02
-    figure = new_figure(height)
-    for k, panel in enumerate(panels):
-        row, column = divmod(k, columns)
-        bottom = 1 - ((row + 1) * (side + top)) / height
-        axes = figure.add_axes(
-            (column / columns, bottom, 1 / columns, side / height), aspect="equal"
-        )
-        _ellipsoid(axes, arm, panel)
+    figure, places = bare_panels(len(panels), columns, flat=_FLAT, above=0.3, foot=0.02)
+    for axes, panel in zip(places, panels, strict=True):
+        _ellipsoid(axes, arm, *panel)
     entries = [
         Line2D([], [], color=MEASURED, linewidth=1.6),
         Line2D([], [], color=MEASURED, linewidth=1.1),
@@ -367,9 +294,7 @@ def ellipsoid_figure(arm: Arm, panels: Sequence[EllipsoidPanel], *, columns: int
 def set_figure(arms: Sequence[tuple[Arm, Array, Array]]) -> Figure:
     """Draw the chosen poses, a row an arm, with the pushes on the last link's seat."""
     columns = max(len(poses) for _, poses, _ in arms)
-    side, top = WIDTH / columns, 0.42
-    height = len(arms) * (side + top)
-    figure = new_figure(height)
+    figure, places = bare_panels(len(arms) * columns, columns, above=0.42)
     for row, (arm, poses, pushes) in enumerate(arms):
         drawn = [_drawn(arm, pose, push) for pose, push in zip(poses, pushes, strict=True)]
         low = [np.vstack([points, ends]).min(axis=0) for points, ends in drawn]
@@ -378,28 +303,15 @@ def set_figure(arms: Sequence[tuple[Arm, Array, Array]]) -> Figure:
             max(np.ptp([a, b], axis=0).max() for a, b in zip(low, high, strict=True))
         )
         for column, (points, ends) in enumerate(drawn):
-            bottom = 1 - ((row + 1) * (side + top)) / height
-            axes = figure.add_axes(
-                (column / columns, bottom, 1 / columns, side / height), aspect="equal"
-            )
+            axes = places[row * columns + column]
             _arm(axes, points)
+            look: dict[str, Any] = {"arrowstyle": "-|>", "color": TRUTH, "linewidth": 1.4}
+            look |= {"shrinkA": 0, "shrinkB": 0}
             for end in ends:
-                axes.annotate(
-                    "",
-                    xy=(float(end[0]), float(end[1])),
-                    xytext=(float(points[-2, 0]), float(points[-2, 1])),
-                    arrowprops={
-                        "arrowstyle": "-|>",
-                        "color": TRUTH,
-                        "linewidth": 1.4,
-                        "shrinkA": 0,
-                        "shrinkB": 0,
-                    },
-                    zorder=4,
-                )
+                seat = (float(points[-2, 0]), float(points[-2, 1]))
+                axes.annotate("", xy=tuple(end), xytext=seat, arrowprops=look, zorder=4)
             x, y = (low[column] + high[column]) / 2
             axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
-            axes.axis("off")
             angles = [f"{a:.0f}°".replace("-", "−") for a in np.degrees(poses[column])]
             lines = [", ".join(angles[k : k + 2]) for k in range(0, len(angles), 2)]
             axes.set_title("\n".join(lines), fontsize=8.5, color=MUTED, pad=1)
@@ -414,29 +326,29 @@ def _drawn(arm: Arm, pose: Array, push: Array) -> tuple[Array, Array]:
     return points, points[-2] + size * (chain.tool_axes[:2, :2] @ push).T
 
 
-def comparison_figure(comparisons: Sequence[Comparison], *, columns: int = 2) -> Figure:
+def comparison_figure(comparisons: Mapping[str, Comparison], *, columns: int = 2) -> Figure:
     """Draw the spread of random sets' drive and mark the chosen sets on it."""
     rows = -(-len(comparisons) // columns)
     each, below = 1.4, 0.3
     height = rows * each + below
     figure = new_figure(height)
-    for k, item in enumerate(comparisons):
+    for k, (title, (drawn, chosen)) in enumerate(comparisons.items()):
         row, column = divmod(k, columns)
         bottom = (below + (rows - 1 - row) * each + 0.16) / height
         axes = figure.add_axes((0.04 + 0.5 * column, bottom, 0.42, 0.78 / height))
-        unit = float(item.random.mean())
-        counts, edges = np.histogram(item.random / unit, bins=24)
+        unit = float(drawn.mean())
+        counts, edges = np.histogram(drawn / unit, bins=24)
         axes.stairs(counts / counts.max(), edges, fill=True, color=FAINT)
-        smaller = min(value for _, value in item.chosen)
-        for level, (name, value) in enumerate(item.chosen):
+        smaller = min(value for _, value in chosen)
+        for level, (name, value) in enumerate(chosen):
             at, colour = value / unit, (TRUTH, MEASURED)[level % 2]
             axes.plot([at, at], [0, 1.32], color=colour, linewidth=1.8)
             left = value == smaller
             shift, side = (-0.03, "right") if left else (0.03, "left")
             axes.text(at + shift, 1.32, name, color=colour, fontsize=8.5, ha=side, va="top")
-        most = max([2.0, *(value / unit for _, value in item.chosen)])
+        most = max([2.0, *(value / unit for _, value in chosen)])
         axes.set(xlim=(0.0, 1.12 * most), ylim=(0, 1.35))
-        axes.text(0, 1.1, item.title, transform=axes.transAxes, color=INK, fontsize=9)
+        note(axes, 0, 1.1, title, inside=True)
         axes.set_yticks([])
         quiet_axes(axes, grid=None, pad=4, size=8)
         if row == rows - 1:
@@ -445,29 +357,29 @@ def comparison_figure(comparisons: Sequence[Comparison], *, columns: int = 2) ->
     return figure
 
 
-def _ellipsoid(axes: Axes, arm: Arm, panel: EllipsoidPanel) -> None:
-    chain = Chain.of(arm, panel.pose)
+def _ellipsoid(
+    axes: Axes, arm: Arm, title: str, pose: Array, half_axes: Array, line: Array, said: Array
+) -> None:
+    chain = Chain.of(arm, pose)
     world = np.vstack([chain.anchors, chain.tool])
     points = ((world - chain.tool) @ chain.tool_axes)[:, :2]
     _arm(axes, points)
     turn = np.linspace(0, 2 * np.pi, 121)
-    small = panel.half_axes / 3
+    small = half_axes / 3
     ring = small @ np.array([np.cos(turn), np.sin(turn)])
     axes.plot(ring[0], ring[1], color=MEASURED, linewidth=1.6, zorder=3)
     length = 0.36 * arm.reach
     for vector, colour, width, style in (
         (small[:, 0] / np.linalg.norm(small[:, 0]), MEASURED, 1.1, "-"),
-        (panel.printed, TRUTH, 1.5, (0, (4, 2))),
-        (panel.line, INK, 1.3, (0, (1.2, 1.2))),
+        (said, TRUTH, 1.5, (0, (4, 2))),
+        (line, INK, 1.3, (0, (1.2, 1.2))),
     ):
-        ends = np.outer([-length, length], vector)
         look: dict[str, Any] = {"color": colour, "linewidth": width, "linestyle": style}
-        axes.plot(ends[:, 0], ends[:, 1], zorder=4, **look)
+        axis_line(axes, length * vector, zorder=4, **look)
     wide, middle = 0.72 * arm.reach, -0.38 * arm.reach
     axes.set(xlim=(middle - wide, middle + wide), ylim=(-_FLAT * wide, _FLAT * wide))
-    axes.axis("off")
-    colour = INK if panel.agrees else TRUTH
-    axes.set_title(panel.title, fontsize=8.5, color=colour, pad=2)
+    colour = TRUTH if "printed" in title else INK
+    axes.set_title(title, fontsize=8.5, color=colour, pad=2)
 
 
 def _arm(axes: Axes, points: Array) -> None:

@@ -1,10 +1,10 @@
-"""Rigs of the thesis: the cylindrical arm, VERA on its shaker, and the slide on its bench."""
+"""Arms of the thesis's rigs: cylindrical arm, VERA on its shaker, slide on its bench."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -23,7 +23,6 @@ from loose_env.arms import (
     new_spec,
     vera_spec,
 )
-from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import Preload, StructuralLooseness
 
 _HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
@@ -53,43 +52,28 @@ _WRIST = ((16.0, 0.12), (11.0, 0.10), (8.0, 0.14))  # mass [kg] and length [m] o
 def cylindrical(*, hold: HoldKind = "brake") -> Arm:
     """Build a hydraulic cylindrical arm of six axes with gravity along -z."""
     spec = new_spec(gravity=(0, 0, -9.81))
-    floor = _body(spec.worldbody, "column_foot", (0, 0, 0), 60.0, (0, 0, 0), (0.6, 0.6, 0.6))
+    foot = _solid(60.0, (0.6, 0.6, 0.6))
+    floor = spec.worldbody.add_body(name="column_foot", pos=[0, 0, 0], **foot)
     for name, axis in (("lean_fore", (0, 1, 0)), ("lean_side", (1, 0, 0))):
         floor.add_joint(name=name, type=_HINGE, axis=list(axis))
 
-    column = _link(
-        floor, 1, (0, 0, 0.1), _HINGE, (0, 0, 1), flange_mass=20.0, armature=5.0, damping=400.0
-    )
-    _mass(column, _COLUMN_MASS, (0, 0, 0.75), _box(_COLUMN_MASS, 0.45, 0.45, 1.7))
-
-    carriage = _link(
-        column,
-        2,
-        (0.15, 0, _LOWEST - 0.1),
-        _SLIDE,
-        (0, 0, 1),
-        flange_mass=10.0,
-        armature=10.0,
-        damping=900.0,
-    )
-    _mass(carriage, _CARRIAGE_MASS, (0, 0, 0), _box(_CARRIAGE_MASS, 0.6, 0.5, 0.4))
-    blocks = _body(
-        carriage, GUIDE, (0, 0, 0), _BLOCKS_MASS, (0, 0, 0), _box(_BLOCKS_MASS, 0.5, 0.2, 0.2)
-    )
-    boom = _link(
-        blocks, 3, (0, 0, 0), _SLIDE, (1, 0, 0), flange_mass=5.0, armature=5.0, damping=300.0
-    )
+    solid = _solid(_COLUMN_MASS, _box(_COLUMN_MASS, 0.45, 0.45, 1.7), up=0.75)
+    column = _link(floor, 1, (0, 0, 0.1), _HINGE, (0, 0, 1), (20.0, 5.0, 400.0), **solid)
+    solid = _solid(_CARRIAGE_MASS, _box(_CARRIAGE_MASS, 0.6, 0.5, 0.4))
+    at = (0.15, 0, _LOWEST - 0.1)
+    carriage = _link(column, 2, at, _SLIDE, (0, 0, 1), (10.0, 10.0, 900.0), **solid)
+    solid = _solid(_BLOCKS_MASS, _box(_BLOCKS_MASS, 0.5, 0.2, 0.2))
+    blocks = carriage.add_body(name=GUIDE, pos=[0, 0, 0], **solid)
     centre = _BOOM_AHEAD - _BOOM_LENGTH / 2
-    _mass(boom, _BOOM_MASS, (centre, 0, 0), _box(_BOOM_MASS, _BOOM_LENGTH, 0.15, 0.15))
+    solid = _solid(_BOOM_MASS, _box(_BOOM_MASS, _BOOM_LENGTH, 0.15, 0.15), ahead=centre)
+    boom = _link(blocks, 3, (0, 0, 0), _SLIDE, (1, 0, 0), (5.0, 5.0, 300.0), **solid)
 
     parent, place = boom, (_BOOM_AHEAD, 0.0, -0.15)
     for number, axis in ((4, (1, 0, 0)), (5, (0, 1, 0)), (6, (1, 0, 0))):
         mass, length = _WRIST[number - 4]
-        link = _link(
-            parent, number, place, _HINGE, axis, flange_mass=1.0, armature=0.05, damping=5.0
-        )
-        _mass(link, mass, (length / 2, 0, 0), _box(mass, length, 0.12, 0.12))
-        parent, place = link, (length, 0.0, 0.0)
+        solid = _solid(mass, _box(mass, length, 0.12, 0.12), ahead=length / 2)
+        parent = _link(parent, number, place, _HINGE, axis, (1.0, 0.05, 5.0), **solid)
+        place = (length, 0.0, 0.0)
     parent.add_site(name="tool", pos=list(place))
     boom.add_site(name="wrist_base", pos=[_BOOM_AHEAD, 0, -0.15])
     _stiffen_column(spec)
@@ -153,48 +137,27 @@ def _link(
     at: Sequence[float],
     kind: mujoco.mjtJoint,
     axis: Sequence[float],
-    *,
-    flange_mass: float,
-    armature: float,
-    damping: float,
+    flange: tuple[float, float, float],
+    **solid: Any,
 ) -> mujoco.MjsBody:
-    """Add the flange that carries a joint, and on it the still massless link."""
-    flange = _body(
-        parent, f"flange{number}", at, flange_mass, (0, 0, 0), _box(flange_mass, 0.1, 0.1, 0.1)
-    )
-    flange.add_joint(
-        name=f"joint{number}",
-        type=kind,
-        axis=list(axis),
-        armature=armature,
-        damping=[damping, 0, 0],
-    )
-    return flange.add_body(name=f"link{number}")
+    """Add a flange (its mass, armature and damping) with a joint, and the link behind it."""
+    mass, armature, damping = flange
+    own = _solid(mass, _box(mass, 0.1, 0.1, 0.1))
+    body = parent.add_body(name=f"flange{number}", pos=list(at), **own)
+    joint = body.add_joint(name=f"joint{number}", type=kind, axis=list(axis))
+    joint.armature, joint.damping = armature, [damping, 0, 0]
+    return body.add_body(name=f"link{number}", **solid)
 
 
-def _body(
-    parent: mujoco.MjsBody,
-    name: str,
-    at: Sequence[float],
-    mass: float,
-    centre: Sequence[float],
-    inertia: Sequence[float],
-) -> mujoco.MjsBody:
-    body = parent.add_body(name=name, pos=list(at))
-    _mass(body, mass, centre, inertia)
-    return body
+def _solid(mass: float, inertia: Sequence[float], ahead: float = 0.0, up: float = 0.0) -> Any:
+    """Mass [kg] and principal inertia [kg·m²] of a body, its centre ahead and up of its frame."""
+    place = [ahead, 0, up]
+    return {"mass": mass, "ipos": place, "inertia": list(inertia), "explicitinertial": True}
 
 
-def _mass(
-    body: mujoco.MjsBody, mass: float, centre: Sequence[float], inertia: Sequence[float]
-) -> None:
-    body.mass, body.ipos, body.inertia = mass, list(centre), list(inertia)
-    body.explicitinertial = True
-
-
-def _ball(body: mujoco.MjsBody, mass: float, radius: float) -> None:
-    """Give a body the mass and inertia of a ball about its own frame."""
-    _mass(body, mass, (0, 0, 0), [0.4 * mass * radius**2] * 3)
+def _ball(mass: float, radius: float) -> Any:
+    """A ball about the body's own frame."""
+    return _solid(mass, [0.4 * mass * radius**2] * 3)
 
 
 def _box(mass: float, x: float, y: float, z: float) -> tuple[float, float, float]:
@@ -241,15 +204,6 @@ class ShakenVeraParameters:
     suspension_damping: float = 136.0
     """Its damping [N·s/m]."""
 
-    def __post_init__(self) -> None:
-        for name in ("hitch", "accelerometer"):
-            value = getattr(self, name)
-            if not LINK_LENGTH / 3 <= value <= LINK_LENGTH:
-                raise InvalidSetting(
-                    f"{name} lies on the outer two thirds of link 1, "
-                    f"{LINK_LENGTH / 3:.3f} to {LINK_LENGTH:.2f} m from joint 1; got {value!r}"
-                )
-
 
 STIFF_PIN_FIT = ShakenVeraParameters(
     pin_stiffness=1.41e6,
@@ -274,8 +228,6 @@ STINGER_STIFFNESS, STINGER_DAMPING, STINGER_LENGTH = 1.56e7, 50.0, 0.17
 def shaken_vera(*, pin: Pin = "engaged", parameters: ShakenVeraParameters | None = None) -> Arm:
     """Build VERA on the shaker: link 1 is pushed, joint 2 is blocked by a pin."""
     stiffness = {"engaged": 1.0, "half_released": 0.5, "rigid": STIFF_PIN_FACTOR}
-    if pin not in stiffness:
-        raise UnknownName(f"unknown pin {pin!r}: {', '.join(map(repr, stiffness))}")
     rig = ShakenVeraParameters() if parameters is None else parameters
     spec = vera_spec(
         mode_damping=rig.link1_damping,
@@ -381,13 +333,13 @@ def slide_rig(
 
     spec = new_spec(gravity=(0, 0, -9.81))
     bench = _bench(spec)
-    slide = bench.add_body(name="flange1", pos=[*RAILS, 0.1])
-    _ball(slide, SLIDE_MASS - (CUBE_MASS if looseness_angle is None else 0.0), 0.04)
+    ball = _ball(SLIDE_MASS - (CUBE_MASS if looseness_angle is None else 0.0), 0.04)
+    slide = bench.add_body(name="flange1", pos=[*RAILS, 0.1], **ball)
     slide.add_joint(name="slide", type=_SLIDE, axis=[1, 0, 0], damping=[2.0, 0, 0])
     slide.add_site(name=SLIDE)
     carrier = _loose_plate(slide) if mount == "loose" else slide
-    link = carrier.add_body(name="link1", quat=_about_z(angle))
-    _ball(link, CUBE_MASS if looseness_angle is None else DISTAL_MASS, 0.05)
+    ball = _ball(CUBE_MASS if looseness_angle is None else DISTAL_MASS, 0.05)
+    link = carrier.add_body(name="link1", quat=_about_z(angle), **ball)
     link.add_site(name="tool", quat=_about_z(cube_angle))
     return Arm(
         name="slide",
@@ -423,13 +375,7 @@ def slide_rig(
 
 
 def _bench(spec: mujoco.MjSpec) -> mujoco.MjsBody:
-    bench = spec.worldbody.add_body(
-        name="bench",
-        mass=BENCH_MASS,
-        ipos=[0, 0, 0],
-        inertia=[BENCH_INERTIA] * 3,
-        explicitinertial=True,
-    )
+    bench = spec.worldbody.add_body(name="bench", **_solid(BENCH_MASS, [BENCH_INERTIA] * 3))
     # Its supports are not square to the rails, and the rails do not pass through its centre of
     # mass, so pushing along them also moves and turns the bench across them.
     c, s = float(np.cos(BENCH_CANT)), float(np.sin(BENCH_CANT))
@@ -453,8 +399,7 @@ def _bench(spec: mujoco.MjSpec) -> mujoco.MjsBody:
 
 
 def _loose_plate(slide: mujoco.MjsBody) -> mujoco.MjsBody:
-    plate = slide.add_body(name="plate")
-    _ball(plate, 0.15, 0.04)
+    plate = slide.add_body(name="plate", **_ball(0.15, 0.04))
     for name, kind, axis, play in zip(
         ("plate_x", "plate_y", "plate_yaw"),
         (_SLIDE, _SLIDE, _HINGE),

@@ -1,17 +1,17 @@
-"""Experiments Five and Six: VERA on the shaker, with looseness and with play (6.4.1, 6.4.2)."""
+"""Experiments Five and Six, simulated: direction errors on VERA, loose or with backlash."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.signal import welch
 from scipy.stats import gmean
 
-from loose_env.arms import BENDING_MODE_HZ, COIL, Arm, LinearArm, ShakenArm
+from loose_env.arms import BENDING_MODE_HZ, COIL, Arm, LinearArm
 from loose_env.envs import FAINT, INK, MUTED
 from loose_env.excitation import Excitation
 from loose_env.faults import Backlash, Fault, Healthy
@@ -22,24 +22,26 @@ from loose_env.statistics import (
     axial_mean,
     bandpass,
     comparative_index,
+    covariances,
+    transmission_from,
+)
+from loose_env.typing import Array
+from scripts.thesis.estimators import (
     kurtosis,
     lowest_correlation_direction,
     maximum_correlation,
     skewness,
     transfer_function,
-    transmission,
 )
-from loose_env.typing import Array
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.planar_motion import contour_levels, histogram
 from scripts.thesis.plots import (
     COLOURS,
-    Curve,
-    LoopPanel,
-    Points,
+    axis_line,
     by_category,
+    contours,
     curves_by_direction,
     loop_panels,
+    note,
     rms,
     square_panels,
 )
@@ -53,6 +55,7 @@ from scripts.thesis.rigs import (
     loosened,
     shaken_vera,
 )
+from scripts.thesis.shaken_arm import ShakenArm
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -114,42 +117,43 @@ class Spread(NamedTuple):
         low, high = np.quantile(axial_difference(np.array(angles), centre), [0.025, 0.975])
         return cls(float(centre), float(centre + low), float(centre + high))
 
-    def words(self, digits: int = 2) -> str:
-        """Format a value with its interval."""
-        return f"{self.mean:.{digits}f} ({self.low:.{digits}f} to {self.high:.{digits}f})"
-
-    def axis(self) -> str:
-        """Write a direction with its interval, in degrees from the tool's y axis."""
-        return f"{from_y(self.mean):.0f}° ± {np.degrees(self.high - self.low) / 2:.0f}°"
+    def __format__(self, kind: str) -> str:
+        """Value and interval, to so many digits; ``axis``: in degrees from the tool's y axis."""
+        if kind == "axis":
+            return f"{from_y(self.mean):.0f}° ± {np.degrees(self.high - self.low) / 2:.0f}°"
+        mean, low, high = (f"{value:.{kind}f}" for value in self)
+        return f"{mean} ({low} to {high})"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
-    """One pose in one state, over all its records."""
+    """One angle of a joint in one state, over all its records."""
 
-    theta2: float
-    """Angle of joint 2 [rad]."""
-    measurements: tuple[Measurement, ...]
+    angle: float
+    """Angle of the pose, or of the looseness joint [rad]."""
+    pairs: Sequence[tuple[Array, Array]]
+    """Reference acceleration (N,) and that of the tool (2, N), a pair for every record."""
+    records: Sequence[Measurement] = ()
 
     @property
     def name(self) -> str:
-        """The pose."""
-        return f"{np.degrees(self.theta2):.0f}°"
+        """The angle."""
+        return f"{np.degrees(self.angle):.0f}°"
 
-    @property
-    def pairs(self) -> list[tuple[Array, Array]]:
-        """Acceleration of link 1 (N,) and of the tool (2, N), a pair for every record."""
-        return [(m.probes[PROXIMAL][1], m.tool) for m in self.measurements]
-
-    @property
+    @cached_property
     def lowest(self) -> Spread:
         """Direction of lowest correlation from the tool's x axis [rad] (the thesis's φ)."""
         return Spread.of_axes([lowest_correlation_direction(x, a) for x, a in self.pairs])
 
-    @property
+    @cached_property
     def maximum(self) -> Spread:
         """Maximum correlation over directions (the thesis's C)."""
-        return Spread.of([maximum_correlation(x, a).value for x, a in self.pairs])
+        return Spread.of([maximum_correlation(x, a) for x, a in self.pairs])
+
+    def moments(self, direction: float, *, third: bool) -> list[float]:
+        """Skewness (third moment) or kurtosis along a direction [rad], record by record."""
+        unit, moment = [np.cos(direction), np.sin(direction)], skewness if third else kurtosis
+        return [moment(a, unit) for _, a in self.pairs]
 
     @property
     def peaks(self) -> tuple[float, float]:
@@ -169,7 +173,7 @@ class Case:
         c_n, phi_n = healthy.maximum.mean, healthy.lowest.mean
         found = []
         for x, a in self.pairs:
-            c, phi = maximum_correlation(x, a).value, lowest_correlation_direction(x, a)
+            c, phi = maximum_correlation(x, a), lowest_correlation_direction(x, a)
             found.append(comparative_index(c_n, phi_n, c, phi).mag_d)
         return Spread.of(found)
 
@@ -204,18 +208,26 @@ def axial_turn(found: float, other_deg: float) -> float:
     return float(np.degrees(axial_difference(found, np.radians(other_deg + 90.0))))
 
 
-def measure_states(
-    arm: Arm, excitation: Excitation, slots: Sequence[tuple[Fault, Array, Sequence[int]]]
-) -> list[Measurement]:
-    """Measure faults in poses, each with its seed, by the rig's digitised accelerometers."""
+def measure_case(
+    arm: Arm,
+    fault: Fault,
+    shake: Excitation,
+    seed: Sequence[int],
+    *,
+    angle: float,
+    pair: Callable[[Measurement], tuple[Array, Array]],
+    records: int,
+    pose: Sequence[float] = (0.0,),
+) -> Case:
+    """Measure a fault in a pose by the rig's digitised accelerometers, each record by its seed."""
     sensors = SensorSuite(rate=RATE, accelerometer=Accelerometer(bandwidth=0.45 * RATE))
-    rig = SimulatedRig(arm, slots=len(slots), sensors=sensors)
-    jobs = []
-    for slot, (fault, pose, seed) in enumerate(slots):
-        rig.mount(slot, fault)
-        rng = np.random.default_rng(list(seed))
-        jobs.append(Job(slot=slot, pose=pose, excitation=excitation, rng=rng))
-    return rig.measure_many(jobs)
+    rig, jobs = SimulatedRig(arm, slots=records, sensors=sensors), []
+    for k in range(records):
+        rig.mount(k, fault)
+        rng = np.random.default_rng([*seed, k])
+        jobs.append(Job(slot=k, pose=np.array(pose), excitation=shake, rng=rng))
+    measured = [m for m in rig.measure_many(jobs) if m.failure is None]
+    return Case(angle=angle, pairs=[pair(m) for m in measured], records=measured)
 
 
 @lru_cache(maxsize=8)
@@ -223,21 +235,19 @@ def measured_case(seed: int, state: str, *, records: int = RECORDS) -> list[Case
     """Measure every pose in one state; the first records are the same for any number."""
     fault, pin = STATES[state]
     shake = Excitation(torque_rms=(0.0, 0.0), duration=DURATION, band=SHAKEN_BAND, shaker_rms=FORCE)
-    number, angles = list(STATES).index(state), poses()
-    slots = [
-        (fault, np.array([0.0, theta2]), (seed, number, pose, record))
-        for pose, theta2 in enumerate(angles)
-        for record in range(records)
-    ]
-    measured = measure_states(shaken_vera(pin=pin), shake, slots)
+    arm, number = shaken_vera(pin=pin), list(STATES).index(state)
     return [
-        Case(
-            theta2=theta2,
-            measurements=tuple(
-                m for m in measured[k * records : (k + 1) * records] if m.failure is None
-            ),
+        measure_case(
+            arm,
+            fault,
+            shake,
+            (seed, number, k),
+            angle=theta2,
+            pair=lambda m: (m.probes[PROXIMAL][1], m.tool),
+            records=records,
+            pose=(0.0, theta2),
         )
-        for k, theta2 in enumerate(angles)
+        for k, theta2 in enumerate(poses())
     ]
 
 
@@ -263,15 +273,15 @@ def direction_errors(case: Case, healthy: Case, direction: float) -> Errors:
         return np.degrees(axial_difference(np.array(found), direction))
 
     def low(x: Array, a: Array) -> Array:
-        b = transmission(bandpass(x, RATE, LOW_BAND), bandpass(a, RATE, LOW_BAND))
-        return np.asarray(b).reshape(2)
+        cov = covariances(bandpass(x, RATE, LOW_BAND), bandpass(a, RATE, LOW_BAND))
+        return transmission_from(cov).reshape(2)
 
     reference = np.mean([low(x, a) for x, a in healthy.pairs], axis=0)
     changes = np.array([low(x, a) - reference for x, a in case.pairs])
     lowest = lowest_correlation_direction
     return Errors(
         lowest=errors([lowest(x, a) for x, a in case.pairs]),
-        general=errors([lowest(m.probes[COIL][0], m.tool) for m in case.measurements]),
+        general=errors([lowest(m.probes[COIL][0], m.tool) for m in case.records]),
         coherence=errors([lowest_coherence(x, a) for x, a in case.pairs]),
         change=errors([float(np.arctan2(c[1], c[0])) for c in changes]),
         change_size=float(np.median(np.hypot(*changes.T)) / np.hypot(*reference)),
@@ -306,7 +316,7 @@ def spectral_flatness(
 def rms_over_poses(errors: Sequence[Array]) -> Spread:
     """RMS error over the poses, for every set of single records [deg]."""
     count = min(len(e) for e in errors)
-    return Spread.of([float(np.sqrt(np.mean([e[k] ** 2 for e in errors]))) for k in range(count)])
+    return Spread.of([rms(np.array([e[k] for e in errors])) for k in range(count)])
 
 
 def _estimators(errors: Sequence[Errors]) -> dict[str, Spread]:
@@ -320,7 +330,7 @@ def error_rows(cases: Sequence[Case], errors: Sequence[Errors], told: Sequence[f
     for case, theirs, e in zip(cases, told, errors, strict=True):
         cells = (f"{np.mean(v):+.0f}° (RMS {rms(v):.0f}°)" for v in e[:4])
         rows.append((case.name, f"{theirs:+g}°", *cells, f"{100 * e.change_size:.0f} %"))
-    altogether = (spread.words(1) for spread in _estimators(errors).values())
+    altogether = (f"{spread:1}" for spread in _estimators(errors).values())
     return [*rows, ("RMS", f"{rms(np.array(told)):.1f}°", *altogether, "")]
 
 
@@ -349,9 +359,9 @@ def experiment_five(seed: int) -> Section:
     by, theirs = _estimators(errors), rms(np.array(told))
     ours, change, general, coherence = (by[k] for k in ("lowest", "change", "general", "coherence"))
     closed = _closed_forms()
-    off = {name: _turn_of(found, [phi for _, phi, _ in healthy]) for name, found in closed.items()}
-    soft_turn = _turn_of(closed["pin half released"], closed["pin"])
-    stiff_turn = _turn_of(closed["stiff refitted half released"], closed["stiff refitted"])
+    off = {name: turn_of(found, [phi for _, phi, _ in healthy]) for name, found in closed.items()}
+    soft_turn = turn_of(closed["pin half released"], closed["pin"])
+    stiff_turn = turn_of(closed["stiff refitted half released"], closed["stiff refitted"])
     pin_stiffness, bending_hz = rig.pin_stiffness / 1e4, BENDING_MODE_HZ
 
     groups: dict[str, list[str]] = {"closer": [], "about as close": [], "farther off": []}
@@ -410,58 +420,37 @@ def experiment_five(seed: int) -> Section:
     ]
     least_turn, most_turn = min(map(abs, turns)), max(map(abs, turns))
 
-    healthy_rows = [
-        (
-            case.name,
-            f"{from_y(phi):.0f}°",
-            *(f"{from_y(closed[m][k]):.0f}°" for m in ("rigid", "bending", "stiff refitted")),
-            case.lowest.axis(),
-            f"{axial_turn(case.lowest.mean, from_y(phi)):+.0f}°",
-            f"{c:.2f}",
-            case.maximum.words(),
-        )
-        for k, (case, (_, phi, c)) in enumerate(zip(tight, healthy, strict=True))
+    def column(group: str, name: str) -> list[float]:
+        return [case[name] % 180 for case in table[group]]
+
+    turned_by = [
+        (from_y(phi), *(from_y(closed[m][k]) for m in ("rigid", "bending", "stiff refitted")))
+        for k, (_, phi, _) in enumerate(healthy)
     ]
-    loose_rows = [
-        (
-            f.name,
-            f"{table['looseness_cases'][k]['lowest_looseness_deg'] % 180}°",
-            f.lowest.axis(),
-            f"{table['table_6_4']['c_f'][k]:.2f}",
-            f.maximum.words(),
-            f"{table['table_6_5_looseness']['mag_d'][k]:.2f}",
-            loose_index[k].words(),
-        )
-        for k, f in enumerate(loose)
-    ]
-    preload_rows = [
-        (
-            p.name,
-            f"{table['looseness_cases'][k]['lowest_low_preload_deg'] % 180}°",
-            p.lowest.axis(),
-            p.maximum.words(),
-            f"{table['table_6_6_low_preload']['mag_d'][k]:.3f}",
-            preload_index[k].words(3),
-        )
-        for k, p in enumerate(finger)
-    ]
-    pin_rows = [
-        (
-            n.name,
-            n.maximum.words(),
-            p.maximum.words(),
-            n.lowest.axis(),
-            p.lowest.axis(),
-            f"{turn:+.0f}°",
-        )
-        for n, p, turn in zip(tight, released, turns, strict=True)
-    ]
-    tables: list[Rows] = [healthy_rows, loose_rows, preload_rows, error_rows(tight, errors, told)]
+    off_by = [axial_turn(case.lowest.mean, f[0]) for case, f in zip(tight, turned_by, strict=True)]
+    healthy_rows = zip(tight, turned_by, off_by, magnitudes, strict=True)
+    loose_rows = zip(
+        loose,
+        column("looseness_cases", "lowest_looseness_deg"),
+        table["table_6_4"]["c_f"],
+        table["table_6_5_looseness"]["mag_d"],
+        loose_index,
+        strict=True,
+    )
+    preload_rows = zip(
+        finger,
+        column("looseness_cases", "lowest_low_preload_deg"),
+        table["table_6_6_low_preload"]["mag_d"],
+        preload_index,
+        strict=True,
+    )
+    pin_rows = zip(tight, released, turns, strict=True)
+    vera = [error_rows(tight, errors, told), peak_rows(cases, ranges), axis_rows]
     return section(
         "experiment_five",
         locals(),
-        [*tables, peak_rows(cases, ranges), axis_rows, pin_rows],
-        _figures(cases, (TIGHT, LOOSE, FINGER), (TIGHT, LOOSE), LOOSE_DIRECTION, "looseness joint"),
+        [healthy_rows, loose_rows, preload_rows, *vera, pin_rows],
+        _figures(cases, (TIGHT, LOOSE, FINGER), LOOSE_DIRECTION, "looseness joint"),
     )
 
 
@@ -493,10 +482,9 @@ def _closed_forms() -> dict[str, list[float]]:
     }
 
 
-def _turn_of(one: Sequence[float], other: Sequence[float]) -> float:
+def turn_of(one: Sequence[float], other: Sequence[float]) -> float:
     """RMS angle between directions [deg]."""
-    turns = axial_difference(np.array(one), np.array(other))
-    return float(np.degrees(np.sqrt(np.mean(turns**2))))
+    return float(np.degrees(rms(axial_difference(np.array(one), np.array(other)))))
 
 
 def experiment_six(seed: int) -> Section:
@@ -526,19 +514,7 @@ def experiment_six(seed: int) -> Section:
         if c_b < c_n / 2:
             here = f"here from {n.maximum.mean:.2f} to {b.maximum.mean:.2f}"
             fallen.append(f"{n.name} (from {c_n:.2f} to {c_b:.2f}; {here})")
-        rows.append(
-            (
-                n.name,
-                f"{axis % 180}°",
-                b.lowest.axis(),
-                f"{c_n:.2f}",
-                n.maximum.words(),
-                f"{c_b:.2f}",
-                b.maximum.words(),
-                f"{said[k]:.2f}",
-                index[k].words(),
-            )
-        )
+        rows.append((n, b, axis % 180, c_n, c_b, said[k], index[k]))
     apart_poses, fallen_poses = ", ".join(apart) or "no pose", " and ".join(fallen)
     ranges = table["table_6_2_histogram_range_g"]
     wide = np.ptp(ranges["backlash"], axis=1) / np.ptp(ranges["high_preload"], axis=1)
@@ -548,52 +524,49 @@ def experiment_six(seed: int) -> Section:
         "experiment_six",
         locals(),
         [rows, error_rows(tight, errors, told), peak_rows(cases, ranges)],
-        _figures(cases, (TIGHT, PLAY), (TIGHT, PLAY), PLAY_DIRECTION, "backlash motion", pose=2),
+        _figures(cases, (TIGHT, PLAY), PLAY_DIRECTION, "backlash motion", pose=2),
     )
 
 
-def moment_points(cases: Sequence[Case], direction: float, name: str, *, third: bool) -> Points:
-    """Skewness (third moment) or kurtosis of the tool along a direction, pose by pose."""
-    unit, moment = [np.cos(direction), np.sin(direction)], skewness if third else kurtosis
-    return points_of(name, [[float(moment(a, unit)) for _, a in case.pairs] for case in cases])
+def loops_of(
+    cases: Cases, states: Sequence[str], direction: float, symbol: str, columns: int = 3
+) -> Figure:
+    """Loops of the first record of each case, a panel an angle."""
+    panels = {
+        f"{symbol} = {case.name}": [cases[s][k].pairs[0] for s in states]
+        for k, case in enumerate(cases[states[0]])
+    }
+    return loop_panels(panels, states, direction, columns)
 
 
-def points_of(name: str, values: Sequence[Sequence[float]]) -> Points:
-    """Mean and interval of single records in every category."""
-    mean, low, high = zip(*map(Spread.of, values), strict=True)
-    return Points(name, mean, low, high)
-
-
-def _figures(
-    cases: Cases,
-    states: Sequence[str],
-    two: Sequence[str],
-    direction: float,
-    label: str,
-    *,
-    pose: int = 0,
+def moment_figures(
+    cases: Cases, states: Sequence[str], direction: float, xlabel: str
 ) -> list[Figure]:
-    """Loops, histograms, moments along the fault, and what the thesis left aside, by direction."""
-    names = [case.name for case in cases[TIGHT]]
-    panels = [
-        LoopPanel(f"θ₂ = {name}", [cases[state][k].pairs[0] for state in states], direction)
-        for k, name in enumerate(names)
-    ]
-    moments = [
+    """Skewness and kurtosis along a direction at each angle, with intervals of single records."""
+    return [
         by_category(
-            [moment_points(cases[s], direction, s, third=third) for s in states],
-            names,
+            {
+                s: np.transpose([Spread.of(c.moments(direction, third=third)) for c in cases[s]])
+                for s in states
+            },
+            [case.name for case in cases[TIGHT]],
             ylabel="skewness" if third else "kurtosis",
-            xlabel="pose θ₂",
+            xlabel=xlabel,
             symlog=1.0,
         )
         for third in (True, False)
     ]
+
+
+def _figures(
+    cases: Cases, states: Sequence[str], direction: float, label: str, *, pose: int = 0
+) -> list[Figure]:
+    """Loops, histograms, moments along the fault, and what the thesis left aside, by direction."""
     return [
-        loop_panels(panels, states),
+        loops_of(cases, states, direction, "θ₂"),
         histogram_panels(cases, states, direction),
-        *moments,
-        direction_figure(cases, two, direction, label, pose=pose),
+        *moment_figures(cases, states, direction, "pose θ₂"),
+        direction_figure(cases, states[:2], direction, label, pose=pose),
     ]
 
 
@@ -603,21 +576,16 @@ def direction_figure(
     """Kurtosis, flatness of the spectrum and coherence against direction, first record."""
     angles = np.radians(np.arange(90.0, 270.0, 3.0))
     units = np.stack([np.cos(angles), np.sin(angles)])
-    panels: dict[str, list[Curve]] = {"kurtosis": [], "flatness": [], "coherence": []}
-    for state in states:
-        x, a = cases[state][pose].pairs[0]
-        values = (
-            np.array([kurtosis(a, u) for u in units.T]),
-            spectral_flatness(units.T @ a, RATE, SHAKEN_BAND),
-            coherence_by_direction(x, a, angles),
-        )
-        for curves, curve in zip(panels.values(), values, strict=True):
-            curves.append(Curve(state, angles, curve))
-    return curves_by_direction(list(panels.items()), direction=direction, label=label)
-
-
-_BINS = 31
-_SHARE = 0.9
+    first = {state: cases[state][pose].pairs[0] for state in states}
+    panels: dict[str, Callable[[Array, Array], Array]] = {
+        "kurtosis": lambda x, a: np.array([kurtosis(a, u) for u in units.T]),
+        "flatness": lambda x, a: spectral_flatness(units.T @ a, RATE, SHAKEN_BAND),
+        "coherence": lambda x, a: coherence_by_direction(x, a, angles),
+    }
+    found = {
+        name: {state: of(*pair) for state, pair in first.items()} for name, of in panels.items()
+    }
+    return curves_by_direction(found, angles, direction=direction, label=label)
 
 
 def histogram_panels(cases: Cases, states: Sequence[str], direction: float) -> Figure:
@@ -634,29 +602,13 @@ def histogram_panels(cases: Cases, states: Sequence[str], direction: float) -> F
     for k, axes in enumerate(places):
         axes.set(xlim=(-1.1 * most, 1.1 * most), ylim=(-most, 1.2 * most), aspect="equal")
         end = most * np.array([np.cos(direction), np.sin(direction)])
-        axes.plot([-end[0], end[0]], [-end[1], end[1]], color=INK, linewidth=1.0, zorder=1)
-        for u in ((1, 0), (0, 1)):
-            axes.plot([-most * u[0], most * u[0]], [-most * u[1], most * u[1]], color=FAINT, lw=0.8)
+        axis_line(axes, end, color=INK, linewidth=1.0, zorder=1)
+        for u in ((most, 0), (0, most)):
+            axis_line(axes, u, color=FAINT, lw=0.8)
         for state, colour in zip(states, COLOURS, strict=False):
-            found = histogram(samples[state, k], bins=_BINS)
-            level = contour_levels(found, (_SHARE,))[0]
-            axes.contour(
-                found.centres(0),
-                found.centres(1),
-                found.counts.T,
-                levels=[level],
-                colors=[colour],
-                linewidths=1.4,
-            )
-        name = f"θ₂ = {cases[states[0]][k].name}"
-        axes.text(0.0, 1.05 * most, name, color=INK, fontsize=9, ha="center")
+            contours(axes, samples[state, k], bins=31, shares=(0.9,), colour=colour, linewidths=1.4)
+        note(axes, 0.0, 1.05 * most, f"θ₂ = {cases[states[0]][k].name}", ha="center")
         axes.plot([0.1 * most, 0.1 * most + tick], [-0.93 * most] * 2, color=MUTED, linewidth=2)
-        axes.text(
-            0.1 * most + tick + 0.06 * most,
-            -0.93 * most,
-            f"{tick:.0f} g",
-            color=MUTED,
-            fontsize=8,
-            va="center",
-        )
+        beside = 0.1 * most + tick + 0.06 * most
+        note(axes, beside, -0.93 * most, f"{tick:.0f} g", color=MUTED, size=8, va="center")
     return figure

@@ -1,4 +1,4 @@
-"""Experiments Two and Three: two accelerometers and a resolver (6.3.1, 6.3.2).
+"""Experiments Two and Three, simulated: direction of motion and velocity from sensor signals.
 
 A slide is shaken through a stinger, and link 1 of VERA carries a resolver behind a gear with play.
 The rigs' sensors are ideal; accelerometers, protractor and tape are put on their readings, so that
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import welch
 
-from loose_env.arms import COIL, Arm, Holding, Mismatch
+from loose_env.arms import Arm, Holding, Mismatch
 from loose_env.envs import INK, MEASURED, MUTED, SHAKEN, TRUTH
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation
@@ -26,7 +26,7 @@ from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 from loose_env.statistics import bandpass
 from loose_env.typing import Array
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.plots import centred, panels, rms
+from scripts.thesis.plots import centred, note, panels, rms
 from scripts.thesis.rigs import BENCH, SLIDE, shaken_vera, slide_rig
 
 if TYPE_CHECKING:
@@ -120,42 +120,28 @@ def _filter(g: ArrayLike, weights: tuple[float, ...]) -> Array:
     return np.asarray(sum(w * samples[..., k : k + count] for k, w in enumerate(weights)))
 
 
-class PlaneMotion(NamedTuple):
-    """Size of a motion, and its direction from the first accelerometer's axis [rad]."""
-
-    magnitude: Array
-    direction: Array
-
-
-class LineFit(NamedTuple):
-    """Straight line through pairs of samples: correlation, angle from the x axis [rad]."""
-
-    correlation: float
-    direction: float
-
-
-def rms_motion(x: ArrayLike, y: ArrayLike) -> PlaneMotion:
-    """Find size and direction of a motion from the rms of two perpendicular accelerations.
+def rms_motion(x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+    """Size and direction [rad from x] of a motion, by the rms of two perpendicular accelerations.
 
     Magnitude sqrt(x_rms^2 + y_rms^2) (6.7), direction arctan(y_rms / x_rms) (6.8), means removed.
     An rms has no sign, so the direction lies between 0 and pi/2, and what either channel adds by
     itself pulls it off the axes.
     """
     first, second = np.asarray(x, dtype=float).std(axis=-1), np.asarray(y, dtype=float).std(axis=-1)
-    return PlaneMotion(np.hypot(first, second), np.arctan2(second, first))
+    return np.hypot(first, second), np.arctan2(second, first)
 
 
-def instantaneous_motion(x: Array, y: Array) -> PlaneMotion:
+def instantaneous_motion(x: Array, y: Array) -> tuple[Array, Array]:
     """Find size and direction at every sample, -pi/2 to pi/2 (6.7 and 6.8 without the means)."""
     flip = np.where((x < 0.0) | ((x == 0.0) & (y < 0.0)), -1.0, 1.0)
-    return PlaneMotion(np.hypot(x, y), np.arctan2(flip * y, flip * x))
+    return np.hypot(x, y), np.arctan2(flip * y, flip * x)
 
 
-def line_of_motion(x: Array, y: Array) -> LineFit:
-    """Fit a straight line to one acceleration against the other, by least squares in y alone."""
+def line_of_motion(x: Array, y: Array) -> tuple[float, float]:
+    """Correlation and angle [rad from the x axis] of a line fitted by least squares in y alone."""
     dx, dy = x - x.mean(), y - y.mean()
     correlation = float(np.clip(dx @ dy / np.sqrt(float(dx @ dx) * float(dy @ dy)), -1.0, 1.0))
-    return LineFit(correlation, float(np.arctan(float(dx @ dy) / float(dx @ dx))))
+    return correlation, float(np.arctan(float(dx @ dy) / float(dx @ dx)))
 
 
 def subtract_base(signal: Array, base: Array, *, fit: bool = False) -> tuple[Array, float]:
@@ -169,17 +155,6 @@ def subtract_base(signal: Array, base: Array, *, fit: bool = False) -> tuple[Arr
     return signal - gain * base, gain
 
 
-class BaseRecord(NamedTuple):
-    """The slide while the bench is shaken, along the rails [m/s²] (N,)."""
-
-    slide: Array
-    """Measured on the slide."""
-    base: Array
-    """Measured on the bench."""
-    relative: Array
-    """True motion of the slide relative to the bench."""
-
-
 class SlideRecords(NamedTuple):
     """One record for each angle of the cube."""
 
@@ -189,23 +164,14 @@ class SlideRecords(NamedTuple):
     """Accelerometer at alpha from the rails, as measured [m/s²] (A, N)."""
     y: Array
     """Accelerometer perpendicular to it [m/s²] (A, N)."""
-    shaker: Array
-    """Shaker's table, as measured [m/s²] (A, N)."""
-    velocity: Array
-    """True velocity of the slide along the rails, relative to the bench [m/s] (A, N)."""
-    shaken_by: dict[str, BaseRecord]
-    """Records about the base's motion, by what shakes the bench."""
+    shaken_by: dict[str, tuple[Array, Array, Array]]
+    """By what shakes the bench: slide and bench along the rails as measured, and the true motion of
+    the slide relative to the bench [m/s²] (N,)."""
 
 
-class ResolverRecords(NamedTuple):
-    """Link 1 driven from outside, at `RESOLVER_RATE`."""
-
-    angle: Array
-    """True angle of the link [rad] (N,)."""
-    velocity: Array
-    """True velocity of the link [rad/s] (N,)."""
-    resolver: Array
-    """Reading behind the gear [units of `RESOLVER_UNIT`] (N,)."""
+Turned = tuple[Array, Array, Array]
+"""Link 1 driven from outside, at `RESOLVER_RATE`: true angle [rad] and velocity [rad/s], and the
+reading behind the gear [units of `RESOLVER_UNIT`] (N,)."""
 
 
 def slide_records(seed: int, *, pair: int = 0) -> SlideRecords:
@@ -224,28 +190,18 @@ def slide_records(seed: int, *, pair: int = 0) -> SlideRecords:
     measured += TAPE_OFFSET * FULL_SCALE * rng.standard_normal((2, len(alpha), 1))
     gain = 1 + BENCH_GAIN * rng.standard_normal()
     shaken_by = {}
-    for name, run in (
-        ("the shaker's own reaction", runs[0]),
-        ("another machine too", with_machine),
-    ):
+    both = {"the shaker's own reaction": runs[0], "another machine too": with_machine}
+    for name, run in both.items():
         slide, base = run.probes[SLIDE][0], run.probes[BENCH][0]
-        shaken_by[name] = BaseRecord(
-            slide=slide + noise * rng.standard_normal(slide.shape),
-            base=gain * base + BENCH_SCALE * noise * rng.standard_normal(base.shape),
-            relative=slide - base,
+        shaken_by[name] = (
+            slide + noise * rng.standard_normal(slide.shape),
+            gain * base + BENCH_SCALE * noise * rng.standard_normal(base.shape),
+            slide - base,
         )
-    shaker = np.array([run.probes[COIL][0] for run in runs])
-    return SlideRecords(
-        alpha=alpha,
-        x=measured[0],
-        y=measured[1],
-        shaker=shaker + noise * rng.standard_normal(shaker.shape),
-        velocity=np.array([_velocity(run) for run in runs]),
-        shaken_by=shaken_by,
-    )
+    return SlideRecords(alpha, measured[0], measured[1], shaken_by)
 
 
-def resolver_records(seed: int) -> ResolverRecords:
+def resolver_records(seed: int) -> Turned:
     """Drive link 1 of VERA by the shaker and read its resolver behind a gear with play."""
     shake = Excitation(
         torque_rms=(0.0, 0.0), duration=DURATION, band=LINK_BAND, shaker_rms=LINK_FORCE_RMS
@@ -254,11 +210,7 @@ def resolver_records(seed: int) -> ResolverRecords:
     every = round(RATE / RESOLVER_RATE)
     angle = run.encoder[0, 1:-1]
     rotor = play(angle, GEAR_PLAY)
-    return ResolverRecords(
-        angle=angle[::every],
-        velocity=_velocity(run)[::every],
-        resolver=np.floor(rotor[::every] / RESOLVER_UNIT),
-    )
+    return angle[::every], _velocity(run)[::every], np.floor(rotor[::every] / RESOLVER_UNIT)
 
 
 def play(driving: Array, width: float) -> Array:
@@ -274,16 +226,9 @@ def _motions(seed: int) -> tuple[Array, tuple[Measurement, ...], Measurement]:
     """Angles of the cube, the motion at each, and one with another machine on the bench."""
     alpha = np.radians(np.arange(0.0, 91.0, 5.0))
     shake = Excitation(torque_rms=(0.0,), duration=DURATION, band=FORCE_BAND, shaker_rms=FORCE_RMS)
-    runs = tuple(
-        # The cube's accelerometers turn against its angle: x lies at -alpha in the bench's frame.
-        _measure(
-            slide_rig(cube_angle=-angle, stinger="threaded_rod"),
-            np.zeros(1),
-            shake,
-            [seed, 100 + k],
-        )
-        for k, angle in enumerate(alpha)
-    )
+    # The cube's accelerometers turn against its angle: x lies at -alpha in the bench's frame.
+    rigs = [slide_rig(cube_angle=-angle, stinger="threaded_rod") for angle in alpha]
+    runs = tuple(_measure(r, np.zeros(1), shake, [seed, 100 + k]) for k, r in enumerate(rigs))
     arm = _beside_a_machine(slide_rig(stinger="threaded_rod"))
     return alpha, runs, _with_machine(arm, seed)
 
@@ -348,55 +293,30 @@ def _velocity(run: Measurement) -> Array:
     return np.asarray((position[2:] - position[:-2]) * (run.rate / 2))
 
 
-class Angles(NamedTuple):
-    """Direction of the slide's motion by each method, one entry an angle of the cube [deg]."""
-
-    alpha: Array
-    """Angle of the cube as read."""
-    by_rms: Array
-    """Direction from rms accelerations (6.8)."""
-    by_line: Array
-    """Direction of the regression line."""
-    correlation: Array
-    """Correlation r of that line, by size [1]."""
-    spread: Array
-    """Spread of the instantaneous direction about its middle."""
+def by_rms(records: SlideRecords, band: tuple[float, float]) -> Array:
+    """Direction from rms accelerations within a band [Hz] at every angle of the cube [deg]."""
+    return np.degrees(rms_motion(*(bandpass(centred(s), RATE, band) for s in records[1:3]))[1])
 
 
-def angles(records: SlideRecords, band: tuple[float, float]) -> Angles:
-    """Estimate the direction of motion at every angle of the cube.
+def by_line_and_instant(records: SlideRecords) -> Array:
+    """Direction of the regression line [deg], its |r|, and spread of each instant's [deg] (3, A).
 
-    The rms is taken within `band` [Hz]; line and instantaneous direction use the whole signal. The
-    instantaneous direction is that of samples larger than the rms; its spread is half the
+    The instantaneous direction is that of samples larger than the rms; its spread is half the
     range that holds 68 % of them.
     """
-    x, y = (bandpass(centred(s), RATE, band) for s in (records.x, records.y))
     rows = []
     for one, other in zip(centred(records.x), centred(records.y), strict=True):
-        fit, now = line_of_motion(one, other), instantaneous_motion(one, other)
-        large = now.magnitude > np.sqrt(np.mean(now.magnitude**2))
+        (correlation, line), (size, now) = (
+            line_of_motion(one, other),
+            instantaneous_motion(one, other),
+        )
+        large = size > rms(size)
         # Turn the line upright before taking the spread: its direction has no ends there.
-        middle = rms_motion(one, other).direction
-        turned = (now.direction[large] - middle + np.pi / 2) % np.pi - np.pi / 2
+        middle = rms_motion(one, other)[1]
+        turned = (now[large] - middle + np.pi / 2) % np.pi - np.pi / 2
         low, high = np.percentile(turned, [16, 84])
-        spread = np.degrees(high - low) / 2
-        rows.append((np.degrees(fit.direction), abs(fit.correlation), spread))
-    return Angles(
-        np.degrees(records.alpha),
-        np.degrees(rms_motion(x, y).direction),
-        *np.array(rows).T,
-    )
-
-
-def share_within(
-    records: SlideRecords, band: tuple[float, float], limits: tuple[float, float], percent: float
-) -> float:
-    """Share of the cube's angles within limits that come out right by rms (6.8) [%]."""
-    x, y = (bandpass(centred(s), RATE, band) for s in (records.x, records.y))
-    alpha = np.degrees(records.alpha)
-    inside = (alpha >= limits[0]) & (alpha <= limits[1])
-    off = np.abs(np.degrees(rms_motion(x, y).direction) - alpha)[inside]
-    return float(100 * np.mean(off <= percent / 100 * alpha[inside]))
+        rows.append((np.degrees(line), abs(correlation), np.degrees(high - low) / 2))
+    return np.array(rows).T
 
 
 Correlations = dict[tuple[str, str], float]
@@ -457,27 +377,28 @@ def order_rows(told: Mapping[str, Any]) -> Rows:
     return rows
 
 
-def resolver_rows(turned: ResolverRecords, bits: int) -> tuple[Rows, float]:
+def resolver_rows(turned: Turned, bits: int) -> tuple[Rows, float]:
     """Differentiate the resolver's angle and hold it against the link's true velocity.
 
     Returns the rows, and the error of the better difference of the resolver over the true rms.
     """
     dt, rows, lowest = 1 / RESOLVER_RATE, [], np.inf
+    exact_angle, velocity, resolver = turned
     read = {
-        "exact angle of the link": turned.angle,
-        f"{bits}-bit steps only": RESOLVER_UNIT * np.floor(turned.angle / RESOLVER_UNIT),
-        "steps and the gear's play": RESOLVER_UNIT * turned.resolver,
+        "exact angle of the link": exact_angle,
+        f"{bits}-bit steps only": RESOLVER_UNIT * np.floor(exact_angle / RESOLVER_UNIT),
+        "steps and the gear's play": RESOLVER_UNIT * resolver,
     }
     for name, angle in read.items():
         cells, errors = [name], []
         for rule in DIFFERENCES:
             rate = differentiate(angle, dt, rule)
-            truth = turned.velocity[: len(rate)]
+            truth = velocity[: len(rate)]
             errors.append(rms(rate - truth) / rms(truth))
             # A resolver that does not move follows nothing.
             r = np.corrcoef(rate, truth)[0, 1] if np.ptp(rate) > 0 else 0.0
             twice = differentiate(rate, dt, rule)
-            exact = np.gradient(turned.velocity, dt)[: len(twice)]
+            exact = np.gradient(velocity, dt)[: len(twice)]
             worse = 100 * rms(twice - exact) / rms(exact)
             cells.append(f"{100 * errors[-1]:.0f} %, r = {r:.2f}; {worse:.0f} %")
         rows.append(cells)
@@ -496,25 +417,24 @@ def signals(seed: int) -> Section:
         near = np.abs(frequency - one) < 15.0
         peaks.append(float(frequency[near][np.argmax(power[near])]))
 
-    found = angles(records, band)
-    alpha, off = found.alpha, np.abs(found.by_rms - found.alpha)
+    alpha, found = np.degrees(records.alpha), by_rms(records, band)
+    line, correlation, spread = by_line_and_instant(records)
+    off = np.abs(found - alpha)
     inside = (alpha >= limits[0]) & (alpha <= limits[1])
-    of_angle = np.mean(off[inside] <= within / 100 * alpha[inside])
+    shares = []
+    for pair in range(PAIRS):
+        own = np.abs(by_rms(slide_records(seed, pair=pair), band) - alpha)
+        shares.append(np.mean((own <= within / 100 * alpha)[inside]))
+    of_angle = shares[0]
     of_right = np.mean(off[inside] <= within / 100 * 90)
     ends, error = 100 * off[[0, -1]] / 90, np.median(off[inside])
-    lowest = found.correlation[(alpha >= 20) & (alpha <= 70)].min()
-    best = alpha[np.argmax(found.correlation)]
-    line_off = np.median(np.abs(found.by_line - alpha)[inside])
-    spreads = found.spread[inside].min(), found.spread[inside].max()
-    at_45 = found.spread[np.argmin(np.abs(alpha - 45))]
-    shares = [
-        share_within(slide_records(seed, pair=pair), band, limits, within) for pair in range(PAIRS)
-    ]
+    lowest = correlation[(alpha >= 20) & (alpha <= 70)].min()
+    best = alpha[np.argmax(correlation)]
+    line_off = np.median(np.abs(line - alpha)[inside])
+    spreads = spread[inside].min(), spread[inside].max()
+    at_45 = spread[np.argmin(np.abs(alpha - 45))]
     least, most, middle = min(shares), max(shares), np.median(shares)
-    angle_rows = [
-        (f"{a:.0f}°", f"{r:.1f}°", f"{line:.1f}°", f"{c:.3f}", f"{s:.1f}°")
-        for a, r, line, c, s in list(zip(*found, strict=True))[::2]
-    ]
+    angle_rows = list(zip(alpha, found, line, correlation, spread, strict=True))[::2]
 
     case = int(np.argmin(np.abs(np.degrees(records.alpha) - told["velocity_angle_deg"])))
     x, y, window = records.x[case], records.y[case], told["velocity_windows_s"][0]
@@ -522,10 +442,10 @@ def signals(seed: int) -> Section:
     extra = np.random.default_rng([seed, 30]).standard_normal((2, len(x)))
     wanted = told["acceleration_correlation_same_signals"]
     level, noisy = 0.0, centred(np.array([x, y]))
-    while line_of_motion(*noisy).correlation > wanted:
+    while line_of_motion(*noisy)[0] > wanted:
         level += 0.02 * rms(centred(x))
         noisy = centred(np.array([x, y])) + level * extra
-    as_is = line_of_motion(x, y).correlation
+    as_is = line_of_motion(x, y)[0]
     plain = np.array([x, y])
     variants = {
         f"here: accelerations correlate by {as_is:.4f}, offsets removed": centred(plain),
@@ -558,38 +478,32 @@ def signals(seed: int) -> Section:
     ]
 
     turn_rows, fails = resolver_rows(turned, told["resolver_bits"])
-    turns, units = np.ptp(turned.angle) / RESOLVER_UNIT, np.ptp(turned.resolver)
+    turns, units = np.ptp(turned[0]) / RESOLVER_UNIT, np.ptp(turned[2])
     play_units, unit_rate = GEAR_PLAY / RESOLVER_UNIT, RESOLVER_UNIT * RESOLVER_RATE
-    true_rms, every_ms = rms(turned.velocity), 1000 / RESOLVER_RATE
+    true_rms, every_ms = rms(turned[1]), 1000 / RESOLVER_RATE
 
     base_rows, fitted = [], []
     for name, run in records.shaken_by.items():
         slide, base, truth = (bandpass(centred(s), RATE, band) for s in run)
         mended, gain = subtract_base(slide, base, fit=True)
         kinds = (slide, subtract_base(slide, base)[0], mended)
-        base_rows.append(
-            (
-                name,
-                f"{np.corrcoef(base, truth)[0, 1]:+.2f}",
-                *(f"{100 * rms(kind - truth) / rms(truth):.0f} %" for kind in kinds),
-                f"{gain:+.2f}",
-            )
-        )
+        left = (rms(kind - truth) / rms(truth) for kind in kinds)
+        base_rows.append((name, np.corrcoef(base, truth)[0, 1], *left, gain))
         fitted.append(gain)
     return section(
         "signals",
         locals(),
         [angle_rows, velocity_rows, order_rows(told), turn_rows, base_rows],
         [
-            angle_figure(found),
+            angle_figure(alpha, found - alpha, line - alpha, correlation),
             moment_figure(records),
             velocity_figure(records, case, told),
-            resolver_figure(turned),
+            resolver_figure(*turned),
         ],
     )
 
 
-def angle_figure(found: Angles) -> Figure:
+def angle_figure(alpha: Array, off: Array, line: Array, correlation: Array) -> Figure:
     """Draw the error of the direction and the correlation against the angle of the cube."""
     figure, (upper, lower) = panels(
         ["error of the direction found [°]", "correlation |r| of one axis with the other"],
@@ -597,17 +511,15 @@ def angle_figure(found: Angles) -> Figure:
         up=["", ""],
         height=1.35,
     )
-    off = found.by_rms - found.alpha
-    line = found.by_line - found.alpha
     inside = slice(1, -1)  # at the ends the regression has nothing to go by
     upper.axhline(0, color=MUTED, linewidth=0.9)
-    upper.plot(found.alpha, off, "o-", color=MEASURED, markersize=3.5, linewidth=1.2)
-    upper.plot(found.alpha[inside], line[inside], "s-", color=SHAKEN, markersize=3, linewidth=1.2)
+    upper.plot(alpha, off, "o-", color=MEASURED, markersize=3.5, linewidth=1.2)
+    upper.plot(alpha[inside], line[inside], "s-", color=SHAKEN, markersize=3, linewidth=1.2)
     top = 1.15 * float(max(np.abs(off).max(), np.abs(line[inside]).max()))
     upper.set(xlim=(-2, 92), ylim=(-top, top))
     upper.text(8, 0.72 * top, "rms", color=MEASURED, fontsize=9)
     upper.text(74, 0.3 * top, "regression", color="#a06c00", fontsize=9)
-    lower.plot(found.alpha, found.correlation, "o-", color=INK, markersize=3.5, linewidth=1.2)
+    lower.plot(alpha, correlation, "o-", color=INK, markersize=3.5, linewidth=1.2)
     lower.set(xlim=(-2, 92), ylim=(0, 1.08))
     for panel in (upper, lower):
         panel.set_xticks(range(0, 91, 15))
@@ -626,12 +538,11 @@ def moment_figure(records: SlideRecords) -> Figure:
     )
     time = 1000 * np.arange(count) / RATE
     for panel, k in zip(axes, shown, strict=True):
-        x, y = records.x[k] - records.x[k].mean(), records.y[k] - records.y[k].mean()
-        now = instantaneous_motion(x[:count], y[:count])
+        magnitude, now = instantaneous_motion(*(centred(s[k])[:count] for s in records[1:3]))
         # Within half a turn about the cube's angle.
         true = records.alpha[k]
-        direction = np.degrees((now.direction - true + np.pi / 2) % np.pi - np.pi / 2 + true)
-        size = 2 + 40 * (now.magnitude / now.magnitude.max()) ** 2
+        direction = np.degrees((now - true + np.pi / 2) % np.pi - np.pi / 2 + true)
+        size = 2 + 40 * (magnitude / magnitude.max()) ** 2
         panel.axhline(np.degrees(true), color=TRUTH, linewidth=1.1)
         panel.scatter(time, direction, s=size, color=MEASURED, alpha=0.6, linewidth=0)
         panel.set(xlim=(0, time[-1]), ylim=(np.degrees(true) - 30, np.degrees(true) + 30))
@@ -641,51 +552,25 @@ def moment_figure(records: SlideRecords) -> Figure:
 def velocity_figure(records: SlideRecords, case: int, told: Mapping[str, Any]) -> Figure:
     """Draw velocities by quadrature, step by step and summed, of one record."""
     short, long = told["velocity_windows_s"]
-    rate = RATE
     x, y = records.x[case], records.y[case]
-    figure, axes = panels(
-        [
-            f"two-point rule step by step, {short} s",
-            f"two-point rule summed, {long} s",
-            f"Newton-Cotes summed, {long} s",
-        ],
-        across="time [ms]",
-        up=["mm/s"] * 3,
-        height=1.0,
-    )
-    plans: tuple[tuple[Any, str, float], ...] = (
-        (quadrature_steps, "two_point", short),
-        (integrate, "two_point", long),
-        (integrate, "newton_cotes", long),
-    )
-    for panel, (method, rule, window) in zip(axes, plans, strict=True):
-        part = slice(0, round(window * rate))
+    plans: dict[str, tuple[Any, str, float]] = {
+        f"two-point rule step by step, {short} s": (quadrature_steps, "two_point", short),
+        f"two-point rule summed, {long} s": (integrate, "two_point", long),
+        f"Newton-Cotes summed, {long} s": (integrate, "newton_cotes", long),
+    }
+    figure, axes = panels(list(plans), across="time [ms]", up=["mm/s"] * 3, height=1.0)
+    for panel, (method, rule, window) in zip(axes, plans.values(), strict=True):
+        part = slice(0, round(window * RATE))
         for signal, colour in ((x, MEASURED), (y, SHAKEN)):
-            v = 1000 * method(signal[part], 1 / rate, rule)
-            panel.plot(1000 * np.arange(len(v)) / rate, v, color=colour, linewidth=0.9)
+            v = 1000 * method(signal[part], 1 / RATE, rule)
+            panel.plot(1000 * np.arange(len(v)) / RATE, v, color=colour, linewidth=0.9)
         panel.set_xlim(0, 1000 * window)
-    axes[0].text(
-        1.0,
-        1.07,
-        "x of the cube",
-        transform=axes[0].transAxes,
-        color=MEASURED,
-        fontsize=9,
-        ha="right",
-    )
-    axes[1].text(
-        1.0,
-        1.07,
-        "y of the cube",
-        transform=axes[1].transAxes,
-        color="#a06c00",
-        fontsize=9,
-        ha="right",
-    )
+    note(axes[0], 1.0, 1.07, "x of the cube", color=MEASURED, inside=True, ha="right")
+    note(axes[1], 1.0, 1.07, "y of the cube", color="#a06c00", inside=True, ha="right")
     return figure
 
 
-def resolver_figure(turned: ResolverRecords) -> Figure:
+def resolver_figure(angle: Array, velocity: Array, resolver: Array) -> Figure:
     """Draw angle and velocity by the resolver beside those of the link."""
     count = round(0.12 * RESOLVER_RATE)
     time = 1000 * np.arange(count) / RESOLVER_RATE
@@ -695,17 +580,15 @@ def resolver_figure(turned: ResolverRecords) -> Figure:
         up=["units", "rad/s"],
         height=1.3,
     )
-    middle = np.median(turned.angle[:count]) / RESOLVER_UNIT
-    upper.plot(time, turned.angle[:count] / RESOLVER_UNIT - middle, color=TRUTH, linewidth=1.2)
-    steps = turned.resolver[:count] - np.median(turned.resolver[:count])
+    middle = np.median(angle[:count]) / RESOLVER_UNIT
+    upper.plot(time, angle[:count] / RESOLVER_UNIT - middle, color=TRUTH, linewidth=1.2)
+    steps = resolver[:count] - np.median(resolver[:count])
     upper.step(time, steps, where="post", color=MEASURED, linewidth=1.2)
-    rate = differentiate(RESOLVER_UNIT * turned.resolver, 1 / RESOLVER_RATE, "two_point")
+    rate = differentiate(RESOLVER_UNIT * resolver, 1 / RESOLVER_RATE, "two_point")
     lower.step(time, rate[:count], where="post", color=MEASURED, linewidth=0.9)
-    lower.plot(time, turned.velocity[:count], color=TRUTH, linewidth=1.2)
+    lower.plot(time, velocity[:count], color=TRUTH, linewidth=1.2)
     for panel in (upper, lower):
         panel.set_xlim(0, time[-1])
-    upper.text(1.0, 1.06, "link", transform=upper.transAxes, color=TRUTH, fontsize=9, ha="right")
-    lower.text(
-        1.0, 1.06, "by 6.13", transform=lower.transAxes, color=MEASURED, fontsize=9, ha="right"
-    )
+    note(upper, 1.0, 1.06, "link", color=TRUTH, inside=True, ha="right")
+    note(lower, 1.0, 1.06, "by 6.13", color=MEASURED, inside=True, ha="right")
     return figure

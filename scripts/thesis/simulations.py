@@ -1,23 +1,19 @@
-"""Chapter 5: simulated motion, matching of distributions, and the lowest correlation."""
+"""Chapter 5 of the thesis: motion distributions of a loose arm, ridge fits, correlation loops."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.report import AGENTS, new_figure, quiet_axes
-from loose_env.statistics import (
-    axial_difference,
-    correlation_loop,
-    kurtosis,
-    lowest_correlation_direction,
-)
+from loose_env.statistics import axial_difference
 from loose_env.typing import Array
+from scripts.thesis.estimators import correlation_loop, kurtosis, lowest_correlation_direction
 from scripts.thesis.matching import (
     ANGLE,
     HALF_WIDTH,
@@ -32,17 +28,15 @@ from scripts.thesis.matching import (
     planar_study,
     spatial_study,
 )
-from scripts.thesis.page import Rows, Section, printed, section
+from scripts.thesis.page import Section, printed, section
 from scripts.thesis.planar_motion import (
     LoosePlanarArm,
     MonteCarlo,
     SeatMotion,
-    contour_levels,
     displacement_chain,
     draw_tool_acceleration,
     draw_tool_displacement,
     draw_tool_velocity,
-    histogram,
     looseness_direction,
     region_probabilities,
     regions,
@@ -50,6 +44,7 @@ from scripts.thesis.planar_motion import (
     tool_velocity,
     transition_table,
 )
+from scripts.thesis.plots import axis_line, contours, note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,24 +69,13 @@ KINDS: tuple[tuple[str, Draw], ...] = (
 )
 
 
-class Motion(NamedTuple):
-    """Motion of the tool in one pose, drawn tight and loose (2, N)."""
-
-    theta2: float
-    """Angle of joint 2 [deg]."""
-    slide: Array
-    """Unit vector along the slide in the world (2,)."""
-    tight: Array
-    loose: Array
-
-    @property
-    def across(self) -> Array:
-        """Unit vector across the slide (2,)."""
-        return np.array([-self.slide[1], self.slide[0]])
+Motion = tuple[float, Array, Array, Array]
+"""Angle of joint 2 [deg], unit vector along the slide in the world (2,), and the tool's motion in
+this pose, tight and loose (2, N)."""
 
 
 def draw_motions(draw: Draw, seed: int, first: int) -> list[Motion]:
-    """Draw the motion in each pose, tight and loose, from the seeds ``[seed, first + i]``."""
+    """Draw the motion in each pose from the seeds ``[seed, first + i]``."""
     found = []
     for k, theta2 in enumerate(POSES):
         loose = MonteCarlo(
@@ -101,11 +85,11 @@ def draw_motions(draw: Draw, seed: int, first: int) -> list[Motion]:
             rate_sd=0.1,
             acceleration_sd=100.0,
         )
-        both = [
+        tight, slack = (
             draw(setting, SAMPLES, np.random.default_rng([seed, first + 2 * k + j]))
             for j, setting in enumerate((replace(loose, seat=None), loose))
-        ]
-        found.append(Motion(theta2, looseness_direction(loose.arm, loose.theta), *both))
+        )
+        found.append((theta2, looseness_direction(loose.arm, loose.theta), tight, slack))
     return found
 
 
@@ -138,10 +122,10 @@ def simulations(seed: int) -> Section:
     source = printed("simulations")
     told = source["matching"]
     motions = {name: draw_motions(draw, seed, 10 * k) for k, (name, draw) in enumerate(KINDS)}
-    every = [(name, m) for name, group in motions.items() for m in group]
+    every = [(name, *m) for name, group in motions.items() for m in group]
     excess = [
-        (kurtosis(m.tight, m.slide), kurtosis(m.loose, m.slide), kurtosis(m.loose, m.across))
-        for _, m in every
+        (kurtosis(tight, u), kurtosis(loose, u), kurtosis(loose, [-u[1], u[0]]))
+        for *_, u, tight, loose in every
     ]
     along, across = [along for _, along, _ in excess], [across for *_, across in excess]
     # Four deviations of the kurtosis of a Gaussian sample, sqrt(24 / N), since there are many.
@@ -171,85 +155,40 @@ def simulations(seed: int) -> Section:
         for k, (n, b) in enumerate(((few, 6), (many, 12)))
     }
     promise = f"{told['parameter_error_percent']} %"
-    error_rows = [
-        ("the model's own counts (worst)", promise, *map(_tiny, 100 * np.abs(exact).max(0)), "")
-    ]
+    worst_of = [_tiny(100 * x) for x in np.abs(exact).max(0)]
+    error_rows = [("the model's own counts (worst)", promise, *worst_of, "")]
     for f in found:
-        height, exponent, turn = np.median(np.abs(f.near), axis=0)
-        error_rows.append(
-            (
-                f.case.name.replace("\n", " "),
-                promise if f.case.trials == few else "",
-                *(f"{100 * x:.0f} %" if x < 10.0 else "diverges" for x in (height, exponent)),
-                f"{math.degrees(turn):.1f}°",
-                f"{100 * f.converged:.0f} %",
-            )
-        )
+        *sizes, turn = np.median(np.abs(f.near), axis=0)
+        said = (f"{100 * x:.0f} %" if x < 10.0 else "diverges" for x in sizes)
+        ends = (f"{math.degrees(turn):.1f}°", f"{100 * f.converged:.0f} %")
+        name, told_here = f.case.name.replace("\n", " "), promise if f.case.trials == few else ""
+        error_rows.append((name, told_here, *said, *ends))
     sparse, dense, all_bins = found
     off = np.median(np.abs(sparse.near), axis=0)
+    worst = _tiny(100 * float(np.abs(exact).max()))
+    far_few, least = sparse.success[-1], dense.success[:-1].min()
+    least_words = f"{100 * least:.0f} % or more" if least < 1.0 else "all"
+    beyond, kept = all_bins.success[1:].max(), np.median(np.abs(all_bins.near[:, 2]))
+    begun, covered, half = ANGLE * part, math.sqrt(2.0) / 4.0, HALF_WIDTH
+    in_space = [np.median(s) for _, s in spatial.values()]
+    stays = "stays" if np.abs(across).max() < limit else "does not stay"
+    distinct, low, high = sum(abs(value) > limit for value in along), min(along), max(along)
+    count, gap = len(across), _coriolis_gap()
+    assumed = [end, free, end]
+    scatter = np.abs(shares - assumed).max()
     names = ("proximal stop", "free", "distal stop")
+    chain_rows = [
+        (f"now: {name}", *row, total, f"{p}")
+        for name, row, total, p in zip(names, table, shares, assumed, strict=True)
+    ]
     return section(
         "simulations",
-        {
-            "beta": math.degrees(BETA),
-            "limit": limit,
-            "stays": "stays" if np.abs(across).max() < limit else "does not stay",
-            "cases": len(across),
-            "distinct": sum(abs(value) > limit for value in along),
-            "low": min(along),
-            "high": max(along),
-            "chain": STEPS,
-            "scatter": float(np.abs(shares - [end, free, end]).max()),
-            "gap": _coriolis_gap(),
-            "angle": math.degrees(ANGLE),
-            "half": HALF_WIDTH,
-            "worst": _tiny(100 * float(np.abs(exact).max())),
-            "far": 100 * far,
-            "height": 100 * off[0],
-            "exponent": 100 * off[1],
-            "turn": math.degrees(off[2]),
-            "many": many,
-            "few": few,
-            "least": f"{100 * dense.success[:-1].min():.0f} % or more"
-            if dense.success[:-1].min() < 1.0
-            else "all",
-            "near_few": 100 * sparse.success[0],
-            "far_few": 100 * sparse.success[-1],
-            "starts": STARTS,
-            "searched": 100 * sparse.searched,
-            "ended": 100 * all_bins.converged,
-            "close": 100 * all_bins.success[0],
-            "beyond": 100 * float(all_bins.success[1:].max()),
-            "kept": math.degrees(float(np.median(np.abs(all_bins.near[:, 2])))),
-            "begun": math.degrees(ANGLE) * part,
-            "searched_all": 100 * all_bins.searched,
-            "spatial": [math.degrees(float(np.median(s))) for _, s in spatial.values()],
-            "covered": 100 * math.sqrt(2.0) / 4.0,
-            "samples": SAMPLES,
-        },
+        locals(),
         [
-            [
-                (f"{name}, θ₂ = {m.theta2:g}°", *(f"{x:+.3f}" for x in row))
-                for (name, m), row in zip(every, excess, strict=True)
-            ],
-            [
-                *(
-                    (f"now: {name}", *(f"{p:.4f}" for p in row), f"{total:.4f}", f"{assumed}")
-                    for name, row, total, assumed in zip(
-                        names, table, shares, (end, free, end), strict=True
-                    )
-                ),
-                ("sum", *(f"{p:.4f}" for p in table.sum(axis=0)), f"{table.sum():.4f}", "1"),
-            ],
+            [(*each[:2], *row) for each, row in zip(every, excess, strict=True)],
+            [*chain_rows, ("sum", *table.sum(axis=0), table.sum(), "1")],
             error_rows,
-            [
-                (
-                    f"{n} samples",
-                    *(f"{e:.1f}°" for e in np.degrees(np.median(errors, axis=0))),
-                    f"{math.degrees(float(np.median(searched))):.1f}°",
-                )
-                for n, (errors, searched) in spatial.items()
-            ],
+            [(n, *np.median(errors, axis=0), np.median(s)) for n, (errors, s) in spatial.items()],
         ],
         [
             _contours(motions["displacement"], 1e3, "mm"),
@@ -265,44 +204,28 @@ def _tiny(percent: float) -> str:
 
 def _contours(motions: list[Motion], scale: float, unit: str) -> Figure:
     figure = new_figure(3.9)
-    reach = scale * max(float(np.quantile(np.abs(m.loose), 0.9995)) for m in motions)
-    for k, m in enumerate(motions):
+    reach = scale * max(float(np.quantile(np.abs(loose), 0.9995)) for *_, loose in motions)
+    for k, (theta2, slide, tight, loose) in enumerate(motions):
         for row, (samples, name, colour) in enumerate(
-            ((m.tight, "tight", MEASURED), (m.loose, "loose", TRUTH))
+            ((tight, "tight", MEASURED), (loose, "loose", TRUTH))
         ):
             axes = figure.add_axes((0.075 + 0.31 * k, 0.475 - 0.43 * row, 0.30, 0.42))
-            found = histogram(samples * scale, 50)
-            levels = np.unique(contour_levels(found, SHARES))
-            axes.contour(
-                found.centres(0),
-                found.centres(1),
-                found.counts.T,
-                levels=levels,
-                colors=[colour],
-                linewidths=np.linspace(0.8, 1.8, len(levels)),
-            )
-            bar = reach * np.outer(m.slide, [-0.95, 0.95])
-            axes.plot(*bar, color=MUTED, linewidth=1.0, dashes=(3, 3), zorder=0)
+            look: dict[str, Any] = {"shares": SHARES, "linewidths": np.linspace(0.8, 1.8, 3)}
+            contours(axes, samples * scale, bins=50, colour=colour, **look)
+            bar: dict[str, Any] = {"linewidth": 1.0, "dashes": (3, 3), "zorder": 0}
+            axis_line(axes, 0.95 * reach * slide, color=MUTED, **bar)
             axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
             axes.axis("off")
             if row == 0:
-                axes.set_title(f"θ₂ = {m.theta2:g}°", fontsize=9.5, color=INK, pad=4)
+                axes.set_title(f"θ₂ = {theta2:g}°", fontsize=9.5, color=INK, pad=4)
             if k == 0:
-                figure.text(
-                    0.03,
-                    0.685 - 0.43 * row,
-                    name,
-                    fontsize=9.5,
-                    color=INK,
-                    rotation=90,
-                    ha="center",
-                    va="center",
-                )
+                look = {"rotation": 90, "ha": "center", "va": "center"}
+                figure.text(0.03, 0.685 - 0.43 * row, name, fontsize=9.5, color=INK, **look)
             if k == 0 and row == 1:
                 length = 10.0 ** math.floor(math.log10(reach))
                 x, y = -0.95 * reach, -0.93 * reach
                 axes.plot([x, x + length], [y, y], color=INK, linewidth=1.6)
-                axes.text(x, y + 0.04 * reach, f"{length:g} {unit}", fontsize=8.5, color=INK)
+                note(axes, x, y + 0.04 * reach, f"{length:g} {unit}", size=8.5)
     return figure
 
 
@@ -334,13 +257,13 @@ def basin_figure(found: Sequence[Found], exact: Array) -> Figure:
             arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 1.0, "shrinkB": 6},
         )
     axes.plot(np.degrees(OFFSETS), exact, color=INK, linewidth=1.0, dashes=(4, 2), zorder=5)
-    axes.text(34.0, 0.955, "the model's own counts", color=INK, fontsize=9, ha="center", va="top")
+    note(axes, 34.0, 0.955, "the model's own counts", ha="center", va="top")
     ticks = [0, 30, 60, 90]
     axes.set_xticks([*ticks, search], [*(f"{t}°" for t in ticks), f"{STARTS}\nstarts"])
     axes.set_yticks([0.0, 0.5, 1.0], ["0 %", "50 %", "100 %"])
     axes.set(xlim=(-3.0, search + 4.0), ylim=(-0.04, 1.04))
     axes.set_xlabel("trial direction away from the truth", color=MUTED, fontsize=9, x=0.42)
-    axes.text(-3.0, 1.09, "within 5° of the truth", color=MUTED, fontsize=9)
+    note(axes, -3.0, 1.09, "within 5° of the truth", color=MUTED)
     quiet_axes(axes, size=9)
     return figure
 
@@ -456,43 +379,20 @@ def correlation_simulations(seed: int) -> Section:
     factors = [float(np.sqrt(np.mean(r.errors**2))) / r.predicted for r in both]
     worst = max(mixed, key=lambda r: r.rms)
 
-    def table(results: list[Loop]) -> Rows:
-        return [
-            (
-                r.name,
-                f"{90 + math.degrees(float(r.errors.mean())):.2f}°",
-                f"{r.rms:.2f}°",
-                f"{math.degrees(r.predicted):.2f}°",
-                f"{r.slope:.2f}",
-                f"{2.0 / r.slope:.2f}",
-                f"{100 * r.low:.1f} %",
-            )
-            for r in results
-        ]
-
+    searched = abs(axial_difference(lowest_correlation_search(x, a), direct))
+    opposite = np.abs(loop + correlation_loop(x, a, LOOP + math.pi)).max()
+    louder_words = (
+        "leaves the direction as it is" if abs(louder) < 1e-12 else "changes the direction"
+    )
+    biased_words = "error is within four of its own deviations at every ratio"
+    if biased:
+        biased_words = f"error is beyond four of its own deviations at {', '.join(biased)}"
+    last, least, most = (scaled[-1], mixed[-1]), min(factors), max(factors)
+    turned = np.mean(np.abs(worst.errors) > math.pi / 4)
     return section(
         "correlation_simulations",
-        {
-            "scaled": scaled,
-            "mixed": mixed,
-            "last": (scaled[-1], mixed[-1]),
-            "searched": abs(axial_difference(lowest_correlation_search(x, a), direct)),
-            "opposite": float(np.abs(loop + correlation_loop(x, a, LOOP + math.pi)).max()),
-            "louder": "leaves the direction as it is"
-            if abs(louder) < 1e-12
-            else "changes the direction",
-            "biased": f"error is beyond four of its own deviations at {', '.join(biased)}"
-            if biased
-            else "error is within four of its own deviations at every ratio",
-            "least": min(factors),
-            "most": max(factors),
-            "worst": worst,
-            "turned": 100 * float(np.mean(np.abs(worst.errors) > math.pi / 4)),
-            "thin": 100 * worst.low,
-            "wide": 100 * mixed[0].low,
-            "sets": SETS,
-        },
-        [table(scaled), table(mixed)],
+        locals(),
+        [[(r, math.pi / 2 + r.errors.mean(), 2.0 / r.slope) for r in rs] for rs in (scaled, mixed)],
         [_loops(scaled, mixed), _error_figure(scaled, mixed)],
     )
 
@@ -501,25 +401,19 @@ def _loops(scaled: list[Loop], mixed: list[Loop]) -> Figure:
     figure = new_figure(5.0)
     for k, results in enumerate((scaled, mixed)):
         axes = figure.add_axes((0.02 + 0.5 * k, 0.07, 0.46, 0.87))
-        axes.set_title(
-            ("scaled Gaussian", "uniform across")[k], fontsize=9.5, color=INK, x=0.02, ha="left"
-        )
+        name = ("scaled Gaussian", "uniform across")[k]
+        axes.set_title(name, fontsize=9.5, color=INK, x=0.02, ha="left")
         turn = np.linspace(-math.pi / 2, math.pi / 2, 181)
         for radius in (0.5, 1.0):
             axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, linewidth=0.8)
         for angle, label in ((0, "0°"), (45, "45°"), (90, "90°"), (-45, "135°")):
             c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
             axes.plot([0.0, c], [0.0, s], color=FAINT, linewidth=0.8, zorder=0)
-            axes.text(
-                1.08 * c, 1.08 * s, label, fontsize=8.5, color=MUTED, ha="center", va="center"
-            )
-        for j, result in enumerate(results):
-            axes.plot(
-                result.loop * np.cos(LOOP),
-                result.loop * np.sin(LOOP),
-                color=AGENTS[j],
-                linewidth=1.8,
-            )
+            around: dict[str, Any] = {"ha": "center", "va": "center"}
+            note(axes, 1.08 * c, 1.08 * s, label, color=MUTED, size=8.5, **around)
+        for j, r in enumerate(results):
+            x, y = r.loop * np.cos(LOOP), r.loop * np.sin(LOOP)
+            axes.plot(x, y, color=AGENTS[j], linewidth=1.8)
         _key(axes, [r.name for r in results])
         axes.set(xlim=(-0.12, 1.2), ylim=(-1.7, 1.16), aspect="equal")
         axes.axis("off")
@@ -531,7 +425,7 @@ def _key(axes: Axes, names: Sequence[str]) -> None:
     for j, name in enumerate(names):
         x, y = 0.08 + 0.55 * (j // 3), -1.33 - 0.15 * (j % 3)
         axes.plot([x, x + 0.11], [y, y], color=AGENTS[j], linewidth=2.0)
-        axes.text(x + 0.16, y, name, fontsize=8.5, color=INK, va="center")
+        note(axes, x + 0.16, y, name, size=8.5, va="center")
 
 
 def _error_figure(scaled: list[Loop], mixed: list[Loop]) -> Figure:
@@ -541,22 +435,16 @@ def _error_figure(scaled: list[Loop], mixed: list[Loop]) -> Figure:
     count = 1.0 / (scaled[0].predicted * scaled[0].slope) ** 2
     axes.plot(slopes, np.degrees(1.0 / (slopes * math.sqrt(count))), color=MUTED, linewidth=1.2)
     for results, colour, marker in ((scaled, AGENTS[0], "o"), (mixed, AGENTS[1], "s")):
-        axes.plot(
-            [r.slope for r in results],
-            [r.rms for r in results],
-            color=colour,
-            marker=marker,
-            markersize=6,
-            linestyle="none",
-        )
-    axes.text(0.19, 4.8, "uniform across", color=INK, fontsize=9)
-    axes.text(1.12, 0.78, "scaled Gaussian", color=INK, fontsize=9)
+        x, y = [r.slope for r in results], [r.rms for r in results]
+        axes.plot(x, y, color=colour, marker=marker, markersize=6, linestyle="none")
+    note(axes, 0.19, 4.8, "uniform across")
+    note(axes, 1.12, 0.78, "scaled Gaussian")
     axes.set(xscale="log", yscale="log", xlim=(0.13, 8.0), ylim=(0.09, 7.0))
     axes.set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"], minor=False)
     axes.set_yticks([0.1, 0.3, 1, 3], ["0.1°", "0.3°", "1°", "3°"], minor=False)
     axes.set_xticks([], minor=True)
     axes.set_yticks([], minor=True)
     axes.set_xlabel("deviation along over deviation across", color=MUTED, fontsize=9)
-    axes.text(0.13, 8.0, "rms error of the direction", color=MUTED, fontsize=9)
+    note(axes, 0.13, 8.0, "rms error of the direction", color=MUTED)
     quiet_axes(axes, size=9)
     return figure

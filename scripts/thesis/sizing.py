@@ -1,4 +1,4 @@
-"""Chapters 5.2 and 6.1.2: sizing VERA's drives and links, and where its joints are loaded most.
+"""Sizing of VERA: joint loads over motions, drive torques, frequencies of links and stinger.
 
 Joint loads come twice: in closed form for two links in the plane, and from MuJoCo's inverse
 dynamics for any arm. A force at a joint is what the part on the base's side exerts on the part on
@@ -8,7 +8,7 @@ the tool's side.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
@@ -22,6 +22,7 @@ from loose_env.report import new_figure, quiet_axes
 from loose_env.typing import Array
 from scripts.thesis.loose_joint import placed
 from scripts.thesis.page import Rows, Section, printed, section
+from scripts.thesis.plots import note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -153,31 +154,16 @@ def arm_loads(arm: Arm, pose: Array, rates: Array, accelerations: Array) -> Join
     return JointLoads(torque=torque, force=force, moment=moment)
 
 
-class PeakForce(NamedTuple):
-    """Maximum of a joint's planar force over a sweep."""
+def peak_force(force: Array, angles: Array) -> tuple[float, str, float]:
+    """Maximum planar force [N] over a sweep (..., 3), the first of equal peaks (5.2).
 
-    size: float
-    """Force [N]."""
-    along: float
-    """Its part along the link [N]; negative pulls the link inward."""
-    across: float
-    """Its part across the link, in the plane [N]."""
-    angle: float
-    """Angle of joint 2 there [deg]."""
-
-    @property
-    def direction(self) -> str:
-        """Larger of the two components."""
-        return "longitudinal" if abs(self.along) >= abs(self.across) else "tangential"
-
-
-def peak_force(force: Array, angles: Array) -> PeakForce:
-    """Find the maximum planar force over a sweep (..., 3), the first of equal peaks (5.2)."""
+    With it its larger component, and the angle of joint 2 there [deg].
+    """
     size = np.hypot(force[..., 0], force[..., 1])
     where = np.unravel_index(np.argmax(size >= size.max() * (1 - 1e-12)), size.shape)
-    along, across = force[where][:2]
-    angle = np.broadcast_to(angles, size.shape)[where]
-    return PeakForce(float(size[where]), float(along), float(across), float(angle))
+    along, across = np.abs(force[where][:2])
+    kind = "longitudinal" if along >= across else "tangential"
+    return float(size[where]), kind, float(np.broadcast_to(angles, size.shape)[where])
 
 
 # Frequencies of VERA's links and of the stinger (6.1.2, 6.3.2).
@@ -212,20 +198,6 @@ def rod_area(
     return squared * mass / (modulus / length - squared * density * length / 3)
 
 
-class CaseCurves(NamedTuple):
-    """One case of the sweep, for the figures."""
-
-    name: str
-    angles: Array
-    """Angle of joint 2 [deg] (K,)."""
-    torque: Array
-    """Torque at lowest, no and highest rate of joint 2 [N m] (K, 3, 2 joints)."""
-    reach: Array
-    """Least and greatest torque over all rates of joint 2 [N m] (K, 2, 2 joints)."""
-    force: Array
-    """Greatest force along and across the link over all rates [N] (K, 2, 2 joints)."""
-
-
 def demand(
     links: TwoLinks, told: dict[str, Any], rate: float, accelerations: Sequence[float]
 ) -> tuple[Array, Array, JointLoads]:
@@ -246,7 +218,7 @@ def sizing(seed: int) -> Section:
         for rate in told["theta1_rate_rad_per_s"]
         for acc in told["varied_acceleration_rad_per_s2"]
     ]
-    torque_rows, force_rows, curves, peaks = [], [], [], []
+    torque_rows, force_rows, sweeps, peaks = [], [], {}, []
     highest = [(0.0, 0.0, 0.0)] * 2
     for rate, acc in cases:
         angles, rates, loads = demand(links, told, rate, (acc, 0.0))
@@ -262,33 +234,24 @@ def sizing(seed: int) -> Section:
         torque_rows.append(cells)
         ends = (loads.force[..., 0, :], loads.force[..., 1, :], _in_link_1(loads.force, angles))
         peaks.append([peak_force(force, degrees) for force in ends])
-        words = (f"{p.size:.1f} N, {p.direction}, {p.angle:.0f}°" for p in peaks[-1])
+        words = (f"{size:.1f} N, {kind}, {angle:.0f}°" for size, kind, angle in peaks[-1])
         force_rows.append((cells[0], *words))
-        curves.append(
-            CaseCurves(
-                name=f"θ₁' = {rate:g} rad/s, θ₁'' = {acc:g} rad/s²",
-                angles=degrees[:, 0],
-                torque=loads.torque[:, [0, rates.shape[1] // 2, -1]],
-                reach=np.stack([loads.torque.min(axis=1), loads.torque.max(axis=1)], axis=1),
-                force=np.abs(loads.force[..., :2]).max(axis=1).transpose(0, 2, 1),
-            )
-        )
+        sweeps[f"θ₁' = {rate:g} rad/s, θ₁'' = {acc:g} rad/s²"] = loads
 
     def count(which: Callable[[float], bool], k: int, kind: str) -> int:
         own = (p for (rate, _), p in zip(cases, peaks, strict=True) if which(rate))
-        return sum(p[k].direction == kind for p in own)
+        return sum(p[k][1] == kind for p in own)
 
     slow = [count(lambda rate: rate < 1, k, "tangential") for k in (0, 2)]
     fast = [count(lambda rate: rate >= 1, k, "longitudinal") for k in (0, 1)]
-    top = max(peaks, key=lambda p: p[0].size)
+    top = max(peaks, key=lambda p: p[0])
     reading_rows, tips, fits = _readings(links, told, limits, cases)
-    structure_rows, modulus_gpa, other, inches, smaller = structures(told)
     error, rate_limit = _closed_form_error(arm, links, seed), told["theta2_rate_limit_rad_per_s"]
     return section(
         "sizing",
-        locals(),
-        [torque_rows, reading_rows, force_rows, structure_rows],
-        [torque_figure(curves, limits, rate_limit), force_figure(curves)],
+        locals() | structures(told),
+        [torque_rows, reading_rows, force_rows],
+        [torque_figure(sweeps, limits, rate_limit), force_figure(sweeps)],
     )
 
 
@@ -340,12 +303,8 @@ def _readings(
     return rows, tips, fits
 
 
-def structures(told: dict[str, Any]) -> tuple[Rows, float, float, float, float]:
-    """Frequencies of links and stinger, from the printed data.
-
-    Returns the rows, Young's modulus of link 1 [GPa], the frequency of link 2 [Hz], that of the
-    stinger [Hz], and by how much its area is smaller than printed [1].
-    """
+def structures(told: dict[str, Any]) -> dict[str, float]:
+    """Frequencies of links and stinger [Hz], and areas of its rod [in²], from the printed data."""
     one, rod = told["link_1"], told["stinger"]
     beam = {
         "second_moment": one["second_moment_m4"],
@@ -369,131 +328,93 @@ def structures(told: dict[str, Any]) -> tuple[Rows, float, float, float, float]:
         mass = rod["slide_mass_kg"]
         return rod_area(frequency=frequency, mass=mass, density=STEEL, **bar) / SQUARE_INCH
 
-    inches, hertz, measured = stinger(rod["area"] * SQUARE_INCH), "frequency_hz", rod["measured_hz"]
-    rows = [
-        ("link 1, first bending mode [Hz] (6.6)", f"{one[hertz]:g}", f"{first:.1f}"),
-        ("… as the simulated arm has it [Hz]", f"{one[hertz]:g}", f"{BENDING_MODE_HZ:g}"),
-        ("… Young's modulus that gives it [GPa]", "—", f"{modulus / 1e9:.1f}"),
-        (
-            "link 2, first bending mode [Hz] (6.6)",
-            f"over {told['link_2_frequency_above_hz']:g}",
-            f"{other:.0f}",
-        ),
-        ("stinger [Hz] (6.11, 6.12), area in square inches", "—", f"{inches:.0f}"),
-        (
-            f"… area in {rod['area_unit']} as printed [Hz]",
-            f"{rod[hertz]:g} (slip)",
-            f"{stinger(rod['area']):.0f}",
-        ),
-        (
-            f"… area that gives the printed {rod[hertz]:g} Hz [in²]",
-            f"{rod['area']:g}",
-            f"{area(rod[hertz]):.4f}",
-        ),
-        (f"… area that gives the measured {measured:g} Hz [in²]", "—", f"{area(measured):.4f}"),
-    ]
-    return rows, modulus / 1e9, other, inches, 1 - area(measured) / rod["area"]
+    return {
+        "first": first,
+        "simulated": BENDING_MODE_HZ,
+        "modulus_gpa": modulus / 1e9,
+        "other": other,
+        "inches": stinger(rod["area"] * SQUARE_INCH),
+        "as_printed": stinger(rod["area"]),
+        "of_printed": area(rod["frequency_hz"]),
+        "of_measured": area(rod["measured_hz"]),
+        "smaller": 1 - area(rod["measured_hz"]) / rod["area"],
+    }
 
 
-def torque_figure(cases: Sequence[CaseCurves], limits: Sequence[float], top_rate: float) -> Figure:
-    """Draw the torques of both joints, a row a case; the drives' limits are dashed."""
-    figure, grid = _grid(len(cases))
-    size = [1.12 * max(float(np.abs(c.reach[..., k]).max()) for c in cases) for k in (0, 1)]
-    for row, case in enumerate(cases):
-        for k in (0, 1):
-            axes = grid[row][k]
-            low, high = case.reach[:, 0, k], case.reach[:, 1, k]
-            axes.fill_between(case.angles, low, high, color="#d7e6f1", linewidth=0, zorder=1)
-            for which, style in ((0, (0, (1.4, 1.3))), (1, (0, (5, 1.6))), (2, "-")):
-                curve = case.torque[:, which, k]
-                axes.plot(case.angles, curve, color=MEASURED, linewidth=1.3, linestyle=style)
-            for limit in (-limits[k], limits[k]):
-                axes.axhline(limit, color=TRUTH, linewidth=1.0, linestyle=(0, (4, 2)))
-            axes.set(ylim=(-size[k], size[k]))
-            _finish(axes, last=row == len(cases) - 1)
-        _name(grid[row][0], case.name)
-    for k in (0, 1):
-        text = f"joint {k + 1}: torque [N·m]; drive ±{limits[k]:g}"
-        grid[0][k].text(0.0, 1.32, text, transform=grid[0][k].transAxes, color=INK, fontsize=9)
-    _key(
-        figure,
-        [
-            (MEASURED, (0, (1.4, 1.3)), f"θ₂' = −{top_rate:g} rad/s"),
-            (MEASURED, (0, (5, 1.6)), "0"),
-            (MEASURED, "-", f"+{top_rate:g} rad/s"),
-            (TRUTH, (0, (4, 2)), "drive"),
-        ],
-    )
-    return figure
+def torque_figure(
+    sweeps: Mapping[str, JointLoads], limits: Sequence[float], top_rate: float
+) -> Figure:
+    """Draw torques at lowest, no and highest rate of joint 2, between those of all rates."""
+    styles: Sequence[Any] = ((0, (1.4, 1.3)), (0, (5, 1.6)), "-")
+
+    def draw(axes: Axes, angles: Array, loads: JointLoads, k: int) -> float:
+        torque = loads.torque[..., k]
+        low, high = torque.min(axis=1), torque.max(axis=1)
+        axes.fill_between(angles, low, high, color="#d7e6f1", linewidth=0, zorder=1)
+        for which, style in zip((0, _RATES // 2, -1), styles, strict=True):
+            axes.plot(angles, torque[:, which], color=MEASURED, linewidth=1.3, linestyle=style)
+        for limit in (-limits[k], limits[k]):
+            axes.axhline(limit, color=TRUTH, linewidth=1.0, linestyle=(0, (4, 2)))
+        return 1.12 * float(np.abs(torque).max())
+
+    titles = [f"joint {k + 1}: torque [N·m]; drive ±{limits[k]:g}" for k in (0, 1)]
+    words = (f"θ₂' = −{top_rate:g} rad/s", "0", f"+{top_rate:g} rad/s")
+    lines = [(MEASURED, *entry) for entry in zip(styles, words, strict=True)]
+    return _grid(sweeps, draw, -1.0, titles, [*lines, (TRUTH, (0, (4, 2)), "drive")])
 
 
-def force_figure(cases: Sequence[CaseCurves]) -> Figure:
+def force_figure(sweeps: Mapping[str, JointLoads]) -> Figure:
     """Draw the greatest forces at both joints, along and across the link each moves."""
-    figure, grid = _grid(len(cases))
-    size = [1.1 * max(float(c.force[..., k].max()) for c in cases) for k in (0, 1)]
-    for row, case in enumerate(cases):
-        for k in (0, 1):
-            axes = grid[row][k]
-            axes.plot(case.angles, case.force[:, 0, k], color=INK, linewidth=1.5)
-            across: dict[str, Any] = {"linewidth": 1.5, "linestyle": (0, (5, 1.6))}
-            axes.plot(case.angles, case.force[:, 1, k], color=MEASURED, **across)
-            axes.set(ylim=(0.0, size[k]))
-            _finish(axes, last=row == len(cases) - 1)
-        _name(grid[row][0], case.name)
-    for k in (0, 1):
-        text = f"joint {k + 1}: greatest force [N]"
-        grid[0][k].text(0.0, 1.32, text, transform=grid[0][k].transAxes, color=INK, fontsize=9)
-    _key(figure, [(INK, "-", "along the link"), (MEASURED, (0, (5, 1.6)), "across it")])
-    return figure
+    lines = [(INK, "-", "along the link"), (MEASURED, (0, (5, 1.6)), "across it")]
+
+    def draw(axes: Axes, angles: Array, loads: JointLoads, k: int) -> float:
+        force = np.abs(loads.force[:, :, k, :2]).max(axis=1)
+        for part, (colour, style, _) in zip(force.T, lines, strict=True):
+            axes.plot(angles, part, color=colour, linewidth=1.5, linestyle=style)
+        return 1.1 * float(force.max())
+
+    return _grid(sweeps, draw, 0.0, [f"joint {k}: greatest force [N]" for k in (1, 2)], lines)
 
 
-def _grid(rows: int) -> tuple[Figure, list[list[Axes]]]:
-    each, above, below = 1.28, 0.46, 0.52
+def _grid(
+    sweeps: Mapping[str, JointLoads],
+    draw: Callable[[Axes, Array, JointLoads, int], float],
+    low: float,
+    titles: Sequence[str],
+    lines: Sequence[tuple[str, Any, str]],
+) -> Figure:
+    """A row a case, a column a joint; ``draw`` returns a panel's top, ``low`` is foot over top."""
+    from matplotlib.lines import Line2D
+
+    rows, each, above, below = len(sweeps), 1.28, 0.46, 0.52
     height = rows * each + above + below
-    figure = new_figure(height)
-    width = (_RIGHT - _LEFT - _GAP) / 2
-    grid = []
-    for row in range(rows):
-        bottom = (below + (rows - 1 - row) * each) / height
-        tall = (each - 0.32) / height
+    figure, width = new_figure(height), (_RIGHT - _LEFT - _GAP) / 2
+    angles, ticks = np.linspace(-90, 90, _ANGLES), [-90, -45, 0, 45, 90]
+    grid, tops = [], []
+    for row, (name, loads) in enumerate(sweeps.items()):
+        bottom, tall = (below + (rows - 1 - row) * each) / height, (each - 0.32) / height
         grid.append(
             [figure.add_axes((_LEFT + k * (width + _GAP), bottom, width, tall)) for k in (0, 1)]
         )
-    return figure, grid
-
-
-def _finish(axes: Axes, *, last: bool) -> None:
-    quiet_axes(axes, pad=4, size=8, width=0.7)
-    ticks = [-90, -45, 0, 45, 90]
-    axes.set(xlim=(-90, 90))
-    axes.set_xticks(
-        ticks, [f"{t}°".replace("-", "−") for t in ticks] if last else [""] * len(ticks)
-    )
-    if last:
-        labels = axes.get_xticklabels()
-        labels[-1].set_horizontalalignment("right")
-        axes.set_xlabel("θ₂", color=MUTED, fontsize=9, labelpad=2)
-
-
-def _name(axes: Axes, text: str) -> None:
-    axes.text(0.0, 1.06, text, transform=axes.transAxes, color=MUTED, fontsize=8.5)
-
-
-def _key(figure: Figure, entries: Sequence[tuple[str, Any, str]]) -> None:
-    from matplotlib.lines import Line2D
-
-    handles = [
-        Line2D([], [], color=colour, linestyle=style, linewidth=1.4) for colour, style, _ in entries
-    ]
-    figure.legend(
-        handles,
-        [text for *_, text in entries],
-        loc="upper left",
-        bbox_to_anchor=(_LEFT - 0.03, 1.0),
-        ncols=len(entries),
-        frameon=False,
-        fontsize=8.5,
-        labelcolor=INK,
-        handlelength=2.2,
-        columnspacing=1.4,
-    )
+        tops.append([draw(axes, angles, loads, k) for k, axes in enumerate(grid[-1])])
+        last = row == rows - 1
+        names = [f"{t}°".replace("-", "−") if last else "" for t in ticks]
+        for axes in grid[-1]:
+            quiet_axes(axes, pad=4, size=8, width=0.7)
+            axes.set(xlim=(-90, 90))
+            axes.set_xticks(ticks, names)
+            if last:
+                axes.get_xticklabels()[-1].set_horizontalalignment("right")
+                axes.set_xlabel("θ₂", color=MUTED, fontsize=9, labelpad=2)
+        note(grid[-1][0], 0.0, 1.06, name, color=MUTED, size=8.5, inside=True)
+    for k, title in enumerate(titles):
+        top = max(row[k] for row in tops)
+        for row_axes in grid:
+            row_axes[k].set(ylim=(low * top, top))
+        note(grid[0][k], 0.0, 1.32, title, inside=True)
+    marks = [Line2D([], [], color=c, linestyle=style, linewidth=1.4) for c, style, _ in lines]
+    look: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (_LEFT - 0.03, 1.0)}
+    look |= {"ncols": len(lines), "frameon": False, "fontsize": 8.5, "labelcolor": INK}
+    look |= {"handlelength": 2.2, "columnspacing": 1.4}
+    figure.legend(marks, [text for *_, text in lines], **look)
+    return figure

@@ -1,8 +1,9 @@
-"""Policies choose records they may take, by what these are expected to say."""
+"""Policies choose records they may take, by what these are expected to say; pose sets."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,18 +14,19 @@ from loose_agents.policies.choice import (
     POLICIES,
     ConstantPolicy,
     FixedPolicy,
-    candidate_at,
     drawn_sequences,
-    excitations,
     information_of,
     make_policy,
-    poses,
+)
+from loose_agents.policies.pose_sets import (
+    GreedySeparation,
+    MovesOf,
+    PoseSetPolicy,
 )
 from loose_agents.registry import make_agent
-from loose_agents.tuning import Trails, best_sequences
 
 from loose_env.arms import planar
-from loose_env.envs import DiagnosisSettings, EpisodeBatch, Prices
+from loose_env.envs import DiagnosisSettings, EpisodeBatch
 from loose_env.errors import InvalidSetting, UnknownName
 
 
@@ -38,17 +40,23 @@ def estimator(problem):
     return Tracker(problem)
 
 
-def situation(problem, estimator, seed=0):
+def at_pose(
+    problem: Problem, pose: Any, records: int, memory: Any = None, **more: Any
+) -> Situation:
+    shares = np.full(len(problem.hypotheses), 1 / len(problem.hypotheses))
+    given = {
+        "observation": np.zeros(problem.layout.size, dtype=np.float32),
+        "rng": np.random.default_rng(0),
+        "probabilities": shares,
+    }
+    return Situation(pose=pose, records=records, memory=memory, **{**given, **more})
+
+
+def situation(problem: Problem, estimator: Any, seed: int = 0) -> Situation:
     rng = np.random.default_rng(seed)
     memory = estimator.begin()
-    return Situation(
-        observation=np.zeros(problem.layout.size, dtype=np.float32),
-        pose=problem.arm.random_pose(rng),
-        records=0,
-        probabilities=memory.belief.probabilities,
-        memory=memory,
-        rng=rng,
-    )
+    pose = problem.arm.random_pose(rng)
+    return at_pose(problem, pose, 0, memory, rng=rng, probabilities=memory.belief.probabilities)
 
 
 @pytest.mark.parametrize("name", sorted(set(POLICIES) - {"fixed"}))
@@ -65,27 +73,7 @@ def test_every_policy_measures_and_stays_in_range(problem, estimator, name):
         assert np.array_equal(problem.actions.decode(policy.choose(again)).moves, action.moves)
 
 
-def test_candidates_cost_what_the_environment_charges(problem):
-    rng = np.random.default_rng(0)
-    pose = problem.arm.random_pose(rng)
-    levels, duration = np.array([3, 0, 2]), 1
-    one = candidate_at(problem, np.full(3, 2), pose, levels, duration)
-    prices = Prices()
-    seconds = problem.settings.durations[1]
-    assert one.price == pytest.approx(prices.record + prices.second * seconds + prices.level * 5)
-    assert (one.torque > 0).tolist() == [True, False, True]
-    assert (one.torque <= problem.arm.torque_limits).all()
-
-
-def test_poses_are_distinct_and_within_range(problem, estimator):
-    now = situation(problem, estimator)
-    moves, where = poses(problem, now, 20)
-    assert len(np.unique(moves, axis=0)) == len(moves) == 20
-    assert all(problem.arm.within_ranges(p).all() for p in where)
-    assert any((levels > 0).all() for levels, _ in excitations(problem)[0])
-
-
-def test_a_record_that_drives_no_seat_says_nothing(problem, estimator):
+def test_a_record_says_little_that_drives_no_seat_or_that_is_known_already(problem, estimator):
     information = information_of(problem, estimator)
     now = situation(problem, estimator)
     faults = information.imagine(now.memory.belief, now.rng)
@@ -95,25 +83,10 @@ def test_a_record_that_drives_no_seat_says_nothing(problem, estimator):
     weak = information.of(faults, now.pose, torque / 1e4, 1.2)
     assert strong.information > 0.5
     assert weak.information < 0.2 * strong.information
-    assert 0 < strong.sure <= 1
-
-
-def test_information_falls_as_the_belief_grows_sure(problem, estimator):
-    information = information_of(problem, estimator)
-    now = situation(problem, estimator)
     belief = now.memory.belief
-    sure = type(belief)(
-        healthy=belief.healthy + 6.0,
-        loose=belief.loose,
-        links=belief.links,
-        directions=belief.directions,
-    )
-    torque = np.array(problem.arm.torque_limits) / 5
-    values = [
-        information.of(information.imagine(b, np.random.default_rng(0)), now.pose, torque, 1.2)
-        for b in (belief, sure)
-    ]
-    assert values[1].information < 0.3 * values[0].information
+    sure = information.imagine(replace(belief, healthy=belief.healthy + 6.0), now.rng)
+    known = information.of(sure, now.pose, torque, 1.2)
+    assert known.information < 0.3 * strong.information
 
 
 def test_wrong_settings_are_refused(problem, estimator):
@@ -130,15 +103,8 @@ RULES = DiagnosisSettings(engine="reduced", durations=(0.2,), max_excited=1)
 
 def situation_in(problem: Problem, observation: Any, estimator: Any, records: int) -> Situation:
     memory = estimator.begin()
-    probabilities = estimator.follow(observation, memory)
-    return Situation(
-        observation=observation,
-        pose=problem.layout.pose_of(observation),
-        records=records,
-        probabilities=probabilities,
-        memory=memory,
-        rng=np.random.default_rng(0),
-    )
+    known = {"observation": observation, "probabilities": estimator.follow(observation, memory)}
+    return at_pose(problem, problem.layout.pose_of(observation), records, memory, **known)
 
 
 def test_a_fixed_sequence_turns_back_at_the_limit_of_a_joint() -> None:
@@ -189,15 +155,59 @@ def test_fixed_agents_need_their_sequences_and_take_so_many_records(
     assert [row.records for row in rows] == [2, 2, 2]
 
 
-def test_halving_finds_the_best_sequences() -> None:
-    worth = {((k,),) * 2: (0.1 * k, 1.0 - 0.1 * k) for k in range(8)}
+USUAL = DiagnosisSettings()
 
-    def play(sequence: Any, episodes: int) -> Trails:
-        reward = np.tile(worth[sequence], (episodes, 1))
-        sure = np.full(reward.shape, 0.4)
-        return Trails(confidence=sure, reward=reward, right=reward > 0.5)
 
-    found = best_sequences(list(worth), play, episodes=8, lengths=2)
-    assert found["stopping"] == ((0,), (0,))  # the last record counts: no threshold is reached
-    assert found["2"] == found["stopping"]
-    assert found["1"] == ((1,),)  # the better of the two of the last round
+def test_a_set_is_played_one_pose_after_the_other() -> None:
+    problem = Problem.of(planar(2), USUAL)
+    sets = np.radians([[0.0, 0.0], [0.0, 90.0], [45.0, 0.0]])
+    policy = PoseSetPolicy(problem, sets, excited="first")
+    pose = np.zeros(2)
+    reached = []
+    for t in range(4):
+        action = problem.actions.decode(policy.choose(at_pose(problem, pose, t)))
+        assert action.levels.tolist() == [len(problem.arm.levels), 0]
+        assert action.duration == 1.2
+        assert action.verdict == 0
+        pose = pose + problem.actions.moves[action.moves]
+        reached.append(np.degrees(pose).round().tolist())
+    assert reached == [[0, 0], [0, 90], [45, 0], [0, 0]]
+
+
+def test_greedy_separation_goes_where_two_links_look_different() -> None:
+    arm = planar(2)
+    problem = Problem.of(arm, USUAL)
+    tracker = Tracker(problem)
+    memory = tracker.begin()
+    axes, loose = memory.belief.directions, memory.belief.loose.copy()
+    for link in (0, 1):  # both links, each along its first direction
+        loose[:, link * len(axes) + 1 : (link + 1) * len(axes)] -= 12.0
+    memory.belief = type(memory.belief)(
+        healthy=memory.belief.healthy, loose=loose, links=2, directions=axes
+    )
+    shares = np.array(["link" in name for name in problem.hypotheses], dtype=float)
+    before = at_pose(problem, np.zeros(2), 1, memory)
+    now = Situation(**{**vars(before), "probabilities": shares / shares.sum()})
+    action = problem.actions.decode(GreedySeparation(problem).choose(now))
+    # Alike at first, the two images stand across each other after a quarter turn of joint 2.
+    assert np.degrees(abs(problem.actions.moves[action.moves[1]])).round() == 90
+    assert action.moves[0] == USUAL.stay
+
+
+def test_another_agents_moves_are_played_without_its_excitation_and_verdict() -> None:
+    arm = planar(3)
+    problem = Problem.of(arm, USUAL)
+    batch = EpisodeBatch(arm, USUAL, threads=1)
+    batch.start(0, seed=4, number=0)
+    policy = MovesOf(problem, make_agent("random", problem), excited="all")
+    moved = 0
+    for t in range(3):
+        seen = batch.observe(0)
+        now = at_pose(problem, problem.layout.pose_of(seen), t)
+        action = policy.choose(Situation(**{**vars(now), "observation": seen}))
+        decoded = problem.actions.decode(action)
+        assert decoded.verdict == 0
+        assert (decoded.levels == len(arm.levels)).all()
+        moved += int(np.sum(decoded.moves != USUAL.stay))
+        batch.step([0], [action])
+    assert moved > 0

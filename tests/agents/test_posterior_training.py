@@ -1,15 +1,27 @@
-"""Banks, figures and the training of the learned posterior, at a small size."""
+"""Banks, and the training of the learned posterior; agents that see what it was not made for."""
 
 from __future__ import annotations
 
 import io
 import re
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from loose_agents.base import Problem
-from loose_agents.posterior_training import PosteriorTraining, TrainingSettings
+from loose_agents.belief import BeliefAgent, Sure
+from loose_agents.benchmark.episodes import OFF, OtherArmRig
+from loose_agents.jobs import BackendSettings
+from loose_agents.policies.choice import RandomPolicy
+from loose_agents.posterior_training import (
+    NoveltySettings,
+    PosteriorTraining,
+    TrainingSettings,
+    fit_reference,
+    with_reference,
+)
 from loose_agents.record_bank import (
     BankPlan,
     BankSettings,
@@ -21,9 +33,20 @@ from loose_agents.record_bank import (
     read_features,
 )
 
-from loose_env.arms import Mismatch, planar
-from loose_env.diagnosis import AmortisedPosterior, SeatFeatures, SeatNetwork
-from loose_env.envs import DiagnosisSettings
+from loose_env.arms import Mismatch, MismatchDraw, planar
+from loose_env.diagnosis import (
+    LOCATION_FEATURES,
+    RECORD_FEATURES,
+    AmortisedPosterior,
+    NoveltyReference,
+    RecordStatistics,
+    SeatFeatures,
+    SeatNetwork,
+    Seen,
+)
+from loose_env.diagnosis.features import TransmissionChange
+from loose_env.envs import DiagnosisSettings, EpisodeBatch
+from loose_env.faults import UNSURE, Healthy
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
 
@@ -99,7 +122,7 @@ def test_the_pass_in_numpy_is_that_of_torch(problem, bank, features, figures):
         for k in range(2):
             belief = posterior.update(belief, record_from(problem.layout, observation, k))
             with torch.no_grad():
-                log, _, _ = made.posterior(made.rows(np.array([episode]), 2), 2)
+                log, _ = made.posterior(figures, figures.rows(np.array([episode]), 2), 2)
             # Figures are stored in half precision.
             assert np.allclose(belief.probabilities, np.exp(log[0, k].numpy()), atol=0.01)
 
@@ -139,10 +162,149 @@ def test_banks_on_disk_resume_and_read_back(tmp_path):
         records=BankSettings(records=2, long_every=0),
         directions=6,
     )
-    build_bank(plan, tmp_path)
-    store = build_features(plan, tmp_path)
+    here = BackendSettings(backend="threading", workers=1)
+    build_bank(plan, tmp_path, here)
+    store = build_features(plan, tmp_path, here)
     bank = read_bank(plan, tmp_path)
     assert len(bank) == 12
     found = read_features(store, plan.shards)
     assert found.place.shape[:2] == (int((bank.slots[:, :, 0] > 0.5).sum()), 2 * 6 + 2)
     assert np.array_equal(found.truth, bank.truth)
+
+
+JOINTS, SIX = 2, 6
+PLACES = JOINTS * SIX + JOINTS
+SIZES = {"C": len(LOCATION_FEATURES), "Q": len(RECORD_FEATURES), "W": 8, "H": 2 * JOINTS}
+SIZES |= {"F": 3, "R": 4}
+
+
+class _Estimator:
+    """Says what it is told to."""
+
+    def __init__(self, problem: Problem, probabilities: np.ndarray, surprise: float) -> None:
+        self.problem, self.probabilities, self.surprise = problem, probabilities, surprise
+
+    def begin(self) -> Any:
+        return SimpleNamespace(belief=SimpleNamespace(surprise=self.surprise))
+
+    def follow(self, observation: np.ndarray, memory: Any) -> np.ndarray:
+        return self.probabilities
+
+
+@pytest.fixture(scope="module")
+def tensors() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    made = {
+        name: rng.normal(0, 0.3, [SIZES[x] for x in letters])
+        for name, letters in SeatNetwork.shapes.items()
+    }
+    made |= {"place_scale": np.ones(SIZES["C"]), "record_scale": np.ones(SIZES["Q"])}
+    return made | {"temper": np.zeros(SIZES["R"])}
+
+
+def episodes(
+    rng: np.random.Generator, count: int, *, records: int = 3, size: float = 1.0
+) -> list[list[Seen]]:
+    """Episodes of records with a change that no place explains, of some size."""
+
+    def one() -> Seen:
+        return Seen(
+            rng.uniform(0.1, 1.0, (PLACES, SIZES["C"])),
+            rng.normal(size=SIZES["Q"]),
+            TransmissionChange(
+                measured=size * rng.normal(size=4),
+                open=rng.normal(size=(PLACES, 4)),
+                nominal=np.ones(4),
+                covariance=np.eye(4),
+            ),
+        )
+
+    return [[one() for _ in range(records)] for _ in range(count)]
+
+
+def verdict(problem: Problem, probabilities: np.ndarray, surprise: float, **options: float) -> str:
+    agent = BeliefAgent(
+        problem,
+        _Estimator(problem, probabilities, surprise),
+        RandomPolicy(problem),
+        Sure(probability=0.0),
+        **options,  # type: ignore[arg-type]
+    )
+    batch = EpisodeBatch(problem.arm, problem.settings, num=1, threads=1)
+    batch.start(0, seed=1, number=0)
+    for _ in range(problem.settings.unsure_after):  # "unsure" counts from then on
+        batch.step([0], [problem.actions.encode(levels=np.array([1, 0]))])
+    action, _ = agent.predict(batch.observe(0))
+    return str(batch.step([0], [action])[0].info["verdict"])
+
+
+def test_an_agent_that_is_surprised_or_knows_nothing_names_nothing(problem: Problem) -> None:
+    count = len(problem.hypotheses)
+    certain = np.eye(count)[2]
+    assert verdict(problem, certain, 0.0005) == UNSURE
+    assert verdict(problem, certain, 0.5) == problem.hypotheses[2]
+    assert verdict(problem, certain, 0.0005, surprising=0.0) == problem.hypotheses[2]
+    assert verdict(problem, np.full(count, 1 / count), 1.0) == UNSURE
+
+
+@pytest.mark.slow
+def test_episodes_of_the_trained_kind_do_not_surprise_and_others_do(
+    tensors: dict[str, np.ndarray],
+) -> None:
+    rng = np.random.default_rng(1)
+    reference = fit_reference(
+        tensors,
+        episodes(rng, 150),
+        episodes(rng, 200),
+        directions=axes_grid(SIX, 2),
+        settings=NoveltySettings(components=1),
+    )
+    assert [len(scores) for scores in reference.scores] == [200, 200, 200]
+    stored = with_reference(tensors | {"reference.old": np.zeros(1)}, reference)
+    assert "reference.old" not in stored
+    assert all(stored[name] is values for name, values in tensors.items())
+    problem = Problem.of(planar(JOINTS), DiagnosisSettings())
+
+    def posterior(reference: NoveltyReference | None) -> AmortisedPosterior:
+        return AmortisedPosterior(
+            problem.linear,
+            SensorSuite(),
+            Mismatch(),
+            SeatNetwork(tensors),
+            directions=SIX,
+            reference=reference,
+        )
+
+    def surprises(played: list[list[Seen]], one: AmortisedPosterior) -> np.ndarray:
+        found = []
+        rows = iter([(s.location, s.record, s.change) for seen in played for s in seen])
+        one.features.with_change = lambda record: next(rows)  # type: ignore[method-assign]
+        for seen in played:
+            belief = one.start()
+            assert belief.surprise == 1.0
+            for _ in seen:
+                belief = one.update(belief, RecordStatistics.__new__(RecordStatistics))
+            found.append(belief.surprise)
+        return np.array(found)
+
+    known = surprises(episodes(rng, 150), posterior(reference))
+    assert np.mean(known < 0.1) == pytest.approx(0.1, abs=0.1)
+    assert np.mean(known < 0.5) == pytest.approx(0.5, abs=0.18)
+    far = episodes(rng, 10, size=30.0)
+    assert (surprises(far, posterior(reference)) == 1 / 201).all()
+    assert (surprises(far, posterior(None)) == 1.0).all()
+
+
+def test_another_arm_is_off_in_every_length_and_mass_and_the_same_each_time() -> None:
+    draws: list[MismatchDraw] = []
+    rig: Any = SimpleNamespace(arm=planar(2), mount=lambda slot, fault, draw: draws.append(draw))
+    draw = Mismatch().draw(planar(2), np.random.default_rng(3))
+    other = OtherArmRig(rig)
+    for _ in range(2):
+        other.mount(0, Healthy(), draw)
+    first, second = draws
+    for name in ("length", "mass"):
+        factor = getattr(first, name) / getattr(draw, name)
+        assert np.abs(factor - 1) == pytest.approx(OFF)
+        assert np.array_equal(getattr(first, name), getattr(second, name))
+    assert np.array_equal(first.sensor, draw.sensor)

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
-import loose_agents.tuning as module
 import numpy as np
 import pytest
+from loose_agents import sharded_play
 from loose_agents.base import Problem
 from loose_agents.belief import BeliefAgent, Sure
 from loose_agents.evaluation import evaluate, problem_of
 from loose_agents.jobs import BackendSettings
-from loose_agents.policies.link_finding import LinkFindingAgent
-from loose_agents.policies.oracle import oracle_agent
 from loose_agents.registry import belief_agent
 from loose_agents.tuning import (
     THRESHOLDS,
@@ -25,18 +24,15 @@ from loose_agents.tuning import (
     best_threshold,
     names_of,
     play_player,
-    play_trails,
     trained,
     write_tuned,
 )
 
 from loose_env.arms import planar
-from loose_env.diagnosis import LinkFindingSettings
 from loose_env.envs import DiagnosisSettings, Prices
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.errors import InvalidData, UnknownName
 
 RECORDS = 3
-HERE = BackendSettings(backend="threading", workers=1)
 SETTINGS = DiagnosisSettings(
     durations=(0.2,),
     max_records=RECORDS,
@@ -48,72 +44,36 @@ SETTINGS = DiagnosisSettings(
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    pytest.importorskip("numba")
     return Problem.of(planar(2), SETTINGS)
 
 
-def agents_of(problem: Problem) -> list[BeliefAgent]:
-    return [
-        belief_agent("posterior", "random", problem, seed=1),
-        oracle_agent(problem, estimator="posterior", policy="together", seed=1),
-    ]
+def trails_of(agent: BeliefAgent, episodes: int) -> Trails:
+    agent.surprising = 0.0
+    rows = evaluate(
+        agent, "a", agent.problem.arm, SETTINGS, episodes=episodes, seed=9, records=RECORDS
+    )
+    return Trails.of([asdict(row) for row in rows], SETTINGS.prices, RECORDS)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("which", [0, 1], ids=["random", "oracle"])
-def test_a_threshold_is_worth_what_playing_with_it_brings(problem: Problem, which: int) -> None:
-    agent = agents_of(problem)[which]
-    trails = play_trails(agent, problem, episodes=8, seed=9, records=RECORDS, width=5)
+def test_a_threshold_is_worth_what_playing_with_it_brings(problem: Problem) -> None:
+    agent = belief_agent("posterior", "random", problem, seed=1)
+    trails = trails_of(agent, 8)
     for threshold in (0.5, 0.95):
         agent.stopping = Sure(probability=threshold)
         rows = evaluate(agent, "a", problem.arm, SETTINGS, episodes=8, seed=9, threads=1)
         assert [row.records for row in rows] == (1 + trails.ends(threshold)).tolist()
         assert [row.success for row in rows] == trails.success(threshold).tolist()
         assert [row.reward for row in rows] == pytest.approx(trails.returns(threshold))
-        if which == 0 and threshold == 0.5:
-            assert "unsure" in {row.verdict for row in rows}
+        assert threshold > 0.5 or "unsure" in {row.verdict for row in rows}
     assert len({tuple(trails.ends(t)) for t in THRESHOLDS}) > 1  # there was something to choose
 
 
-def test_trails_do_not_depend_on_width_or_range(problem: Problem) -> None:
-    agent = agents_of(problem)[0]
-    whole = play_trails(agent, problem, episodes=5, seed=9, records=2, width=5)
-    parts = [
-        vars(play_trails(agent, problem, episodes=n, first=k, seed=9, records=2, width=2))
-        for k, n in ((0, 3), (3, 2))
-    ]
-    for name, values in vars(Trails.joined(parts)).items():
-        np.testing.assert_array_equal(values, getattr(whole, name))
-
-
-def test_an_episode_that_diverged_ends_there(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from loose_env.envs import EpisodeBatch, Outcome
-
-    agent = agents_of(problem)[0]
-    real = EpisodeBatch.step
-
-    def step(self: EpisodeBatch, slots: list[int], actions: list[object]) -> list[Outcome]:
-        """Let the first episode fail in its second record."""
-        outcomes = real(self, slots, actions)
-        for k, slot in enumerate(slots):
-            episode = self.episode(slot)
-            assert episode is not None
-            if (episode.number, episode.records) == (0, 2) and not outcomes[k].terminated:
-                outcomes[k] = replace(
-                    outcomes[k], truncated=True, info=outcomes[k].info | self._truth(episode, None)
-                )
-        return outcomes
-
-    monkeypatch.setattr(EpisodeBatch, "step", step)
-    trails = play_trails(agent, problem, episodes=3, seed=9, records=RECORDS)
-    agent.stopping = Sure(probability=1.1)
-    rows = evaluate(agent, "a", problem.arm, SETTINGS, episodes=3, seed=9, threads=1)
-    assert rows[0].truncated and rows[0].records == 2
-    assert [row.reward for row in rows] == pytest.approx(trails.returns(1.1))
-    assert [row.records for row in rows] == (1 + trails.ends(1.1)).tolist()
-    assert not trails.success(1.1)[0]
+def test_an_episode_that_diverged_ends_there_whatever_the_threshold() -> None:
+    row = {"truth": "healthy", "price": 0.3, "trail_verdict": ["healthy"], "trail_price": [0.1]}
+    trails = Trails.of([{**row, "trail_confidence": [0.7]}], Prices(), 3)
+    assert trails.ends(0.6).tolist() == [0] and trails.returns(0.6) == pytest.approx([0.9])
+    assert trails.ends(1.1).tolist() == [1] and trails.returns(1.1) == pytest.approx([-0.3])
+    assert trails.success(0.6)[0] and not trails.success(1.1)[0]
 
 
 def made_trails(count: int, seed: int) -> Trails:
@@ -173,7 +133,6 @@ def test_settings_of_others_are_kept(tmp_path: Path) -> None:
 
 
 def test_shards_go_on_and_grow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("numba")
     arguments = {"n_links": 2, "durations": (0.2,), "max_records": 2, "engine": "reduced"}
     problem = problem_of("loose_env/Planar-v0", arguments)
     player = Player(
@@ -185,21 +144,23 @@ def test_shards_go_on_and_grow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         records=2,
         posterior=trained(problem),
     )
+    here = BackendSettings(backend="threading", workers=1)
+    prices = problem.settings.prices
 
     def play(episodes: int, shard: int = 2, by: Player = player) -> Trails:
         return play_player(
-            by, problem, episodes=episodes, folder=tmp_path, settings=HERE, shard=shard
+            by, prices, episodes=episodes, folder=tmp_path, settings=here, shard=shard
         )
 
     first = play(2)
     played: list[int] = []
-    real = module.play_trails
+    real = sharded_play.evaluate
 
-    def counted(*given: object, **settings: int) -> Trails:
+    def counted(*given: Any, **settings: Any) -> Any:
         played.append(settings["first"])
         return real(*given, **settings)
 
-    monkeypatch.setattr(module, "play_trails", counted)
+    monkeypatch.setattr(sharded_play, "evaluate", counted)
     more = play(4)
     assert played == [2]  # the first shard was there
     np.testing.assert_array_equal(more.confidence[:2], first.confidence)
@@ -209,11 +170,6 @@ def test_shards_go_on_and_grow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         play(2, by=replace(player, posterior="that of yesterday"))
 
 
-def test_what_cannot_be_tuned_is_told_so(problem: Problem) -> None:
+def test_what_cannot_be_tuned_is_told_so() -> None:
     with pytest.raises(UnknownName, match="amortised/greedy"):
         names_of("thesis")
-    thesis = LinkFindingAgent(problem, LinkFindingSettings(joint=2))
-    with pytest.raises(InvalidSetting, match="no stopping rule"):
-        play_trails(thesis, problem, episodes=1, seed=1, records=1)
-    with pytest.raises(InvalidSetting, match="max_records"):
-        play_trails(agents_of(problem)[0], problem, episodes=1, seed=1, records=RECORDS + 1)

@@ -6,20 +6,28 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, arm_from_file, planar, scara, six_axis, vera, with_compliance
-from loose_env.arms.arm import Gears
-from loose_env.arms.holding import BARE_ROTOR, compliant, fastest_turn, servoed
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import Mismatch
+from loose_env.arms import (
+    Arm,
+    Gears,
+    LinearArm,
+    Mismatch,
+    arm_from_file,
+    planar,
+    scara,
+    servoed,
+    six_axis,
+    vera,
+    with_compliance,
+)
+from loose_env.arms.holding import BARE_ROTOR, compliant
 from loose_env.diagnosis import SensorFloor, predict, statistics_of, variants
 from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import at_levels
-from loose_env.faults import Backlash, Healthy, hypotheses
+from loose_env.faults import Backlash, hypotheses
 from loose_env.rig import Job, SimulatedRig
 from loose_env.sensors import SensorSuite
 from scripts.thesis.rigs import cylindrical
@@ -105,28 +113,9 @@ def test_with_stiff_gears_the_arm_feels_as_before(name: str, bare_file: Path) ->
     assert np.abs((new - old) / scale).max() < 0.02
 
 
-@pytest.mark.parametrize("name", EVERY)
-def test_stepping_is_stable_with_every_seat_open(name: str, bare_file: Path) -> None:
-    assert fastest_turn(arm_of(name, "compliant", bare_file)) < 1.4
-
-
-@pytest.mark.parametrize("mode", [12.0, 45.0, 150.0, 400.0])
-def test_the_step_follows_stiffer_gears(mode: float) -> None:
-    arm = with_compliance(planar(3), mode_hz=mode)
-    assert fastest_turn(arm) < 1.4
-    assert arm.timestep == pytest.approx(2e-4 / (1 if mode < 200 else 2), rel=1e-9)
-
-
 def test_a_gear_as_stiff_as_a_brake_is_refused() -> None:
     with pytest.raises(InvalidSetting, match=r"joint \d is too stiff.*hold='brake'"):
         with_compliance(planar(3), mode_hz=3000.0)
-
-
-def test_fastest_turn_is_that_of_a_mass_on_a_spring() -> None:
-    # One joint, its motor side light: rotor and wheel swing against each other.
-    arm = with_compliance(planar(2), stiffness=2e4, damping_ratio=0.0)
-    looser = with_compliance(planar(2), stiffness=500.0, damping_ratio=0.0)
-    assert fastest_turn(looser) < fastest_turn(arm) < 1.0
 
 
 # --- settings
@@ -177,6 +166,7 @@ def test_servos_take_a_bandwidth_and_stand_behind_gears() -> None:
         ({"stiffness": 1e4, "mode_hz": 20.0}, "not both"),
         ({"stiffness": (1e4, 1e4)}, "one for each of 3 joints"),
         ({"stiffness": -1.0}, "positive"),
+        ({"stiffness": "stiff"}, "positive"),
         ({"mode_hz": 0.0}, "positive"),
         ({"mode_hz": float("nan")}, "positive"),
         ({"damping_ratio": -0.1}, "positive"),
@@ -205,7 +195,13 @@ def test_other_mistakes_are_refused() -> None:
 RECORDS = 6
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("planar3", "bare") else pytest.param(name, marks=pytest.mark.slow)
+        for name in EVERY
+    ],
+)
 def test_a_healthy_arm_with_elastic_gears_answers_as_predicted(name: str, bare_file: Path) -> None:
     arm = arm_of(name, "compliant", bare_file)
     rig = SimulatedRig(arm, slots=RECORDS, sensors=SensorSuite.ideal())
@@ -226,35 +222,6 @@ def test_a_healthy_arm_with_elastic_gears_answers_as_predicted(name: str, bare_f
         scatter = np.linalg.norm(b.std(axis=0, ddof=1)) / np.sqrt(RECORDS)
         error = np.linalg.norm(b.mean(axis=0) - expected)
         assert error < 4 * scatter + 0.01 * np.linalg.norm(expected)
-
-
-def test_the_closed_form_without_gears_would_be_wrong() -> None:
-    rigid, soft = LinearArm(planar(3)), LinearArm(planar(3, hold="compliant"))
-    pose, on = np.array([0.3, 0.8, -0.5]), np.array([True, False, False])
-    excitation, _ = at_levels(soft.at(pose), 1.0 * on, duration=1.2)
-    b = [predict(a.at(pose), excitation, QUIET).transmission for a in (rigid, soft)]
-    assert np.linalg.norm(b[1] - b[0]) > 0.5 * np.linalg.norm(b[0])
-
-
-@pytest.mark.parametrize("name", ["planar4v", "six_axis", "bare"])
-def test_the_links_rest_at_the_pose_under_gravity(name: str, bare_file: Path) -> None:
-    arm = arm_of(name, "compliant", bare_file)
-    rig = SimulatedRig(arm, sensors=SensorSuite.ideal())
-    rng = np.random.default_rng(2)
-    rig.mount(0, Healthy(), Mismatch().draw(arm, rng))
-    plant = rig.plants[0]
-    data = mujoco.MjData(plant.model)
-    data.qpos[plant.position] = plant.hold_at(arm.random_pose(rng))
-    mujoco.mj_forward(plant.model, data)
-    gears = [plant.model.joint(g).dofadr[0] for g in arm.gear_joints]
-    resting = data.qfrc_spring[gears] - data.qfrc_bias[gears]
-    np.testing.assert_allclose(resting, 0.0, atol=1e-6 * np.abs(data.qfrc_bias).max())
-    assert (
-        np.abs(
-            plant.model.qpos_spring[[plant.model.joint(g).qposadr[0] for g in arm.gear_joints]]
-        ).max()
-        < 0.02
-    )
 
 
 @pytest.mark.parametrize("name", ["planar3", "six_axis", "scara", "bare"])
@@ -283,9 +250,3 @@ def test_the_posterior_tries_softer_and_stiffer_gears() -> None:
     assert len(arms) > 1
     assert np.all(np.diff(stiffness) > 0)
     assert np.exp(weights).sum() == pytest.approx(1.0)
-
-
-def test_figures_that_are_no_numbers_are_refused() -> None:
-    for wrong in ("stiff", float("nan"), (1.0, 2.0)):
-        with pytest.raises(InvalidSetting):
-            with_compliance(planar(3), stiffness=wrong)  # type: ignore[arg-type]

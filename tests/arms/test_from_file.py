@@ -13,10 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import Arm
-from loose_env.arms.from_file import arm_from_file, describe_file
-from loose_env.arms.linear import LinearArm
-from loose_env.arms.mismatch import MismatchDraw
+from loose_env.arms import DESK_ARM, Arm, LinearArm, MismatchDraw, arm_from_file, describe_file
 from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError, UnknownName
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
@@ -203,15 +200,9 @@ def test_a_mixed_file_keeps_its_dynamics(write: Write) -> None:
     assert arm.model.opt.density == 0
     assert arm.model.nu == arm.model.neq == arm.model.nsensor == arm.model.ngeom == 0
 
-
-def test_damping_and_rotor_inertia_of_nested_defaults_and_actuators_are_kept(write: Write) -> None:
-    model = arm_from_file(write(MIXED)).model
-    np.testing.assert_allclose(model.dof_damping, (5, 5, 2, 2))
-    np.testing.assert_allclose(model.dof_armature, (0.2 + 1e-4 * 50**2, 0.2, 0.01, 0.01))
-
-
-def test_ranges_are_in_radians_and_limits_are_the_tighter_of_joint_and_drive(write: Write) -> None:
-    arm = arm_from_file(write(MIXED))
+    # Those of nested defaults and actuators too.
+    np.testing.assert_allclose(arm.model.dof_damping, (5, 5, 2, 2))
+    np.testing.assert_allclose(arm.model.dof_armature, (0.2 + 1e-4 * 50**2, 0.2, 0.01, 0.01))
     # motor 50 x 2; joint 40 below actuator 60; 10 x 9; 3 x 2
     assert arm.torque_limits == pytest.approx((100.0, 40.0, 90.0, 6.0))
     assert arm.joint_ranges[0] == pytest.approx((-np.pi, np.pi))
@@ -386,6 +377,14 @@ ACTUATED = 'actuatorfrcrange="-9 9"'
         ),
         ("<mujoco><worldbody/></mujoco>", InvalidData, "no joint at all"),
         (simple(joint='<freejoint name="base"/>'), InvalidData, "'one' floats on the free joint"),
+        (
+            """<robot name="r"><link name="base"/><link name="l1"><inertial><mass value="3"/>
+            <inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+            <joint name="up" type="floating"><parent link="base"/><child link="l1"/></joint>
+            </robot>""",
+            InvalidData,
+            "stands on the ground: fix its base",
+        ),
         (simple(joint='<joint name="s" type="ball"/>'), InvalidData, "'s' of body 'one' is a ball"),
         (
             simple(joint='<joint name="a"/><joint name="a2" axis="1 0 0"/>'),
@@ -552,16 +551,15 @@ def test_drives_that_cannot_hold_the_arm_are_refused(write: Write) -> None:
     weak = simple(joint='<joint name="a" axis="0 1 0" actuatorfrcrange="-.01 .01"/>')
     with pytest.raises(InvalidData, match="no torque is left to shake the tool"):
         arm_from_file(write(weak.replace("-5 5", "-.01 .01")))
+    on_axis = """<mujoco><worldbody><body><joint axis="0 0 1" actuatorfrcrange="-9 9"/>
+      <geom size=".1"/><site pos="0 0 .2"/></body></worldbody></mujoco>"""
+    with pytest.raises(InvalidData, match=r"no joint moves its tool.*add a site beside the axis"):
+        arm_from_file(write(on_axis))
 
 
 def test_a_body_may_already_be_called_a_flange(write: Write) -> None:
     arm = arm_from_file(write(simple().replace('name="two"', 'name="one_flange"')))
     assert arm.seat_bodies == ("one", "one_flange")
-
-
-def test_an_arm_is_held_by_servos_where_asked(write: Write) -> None:
-    arm = arm_from_file(write(simple(), "two.xml"), hold="servo")
-    assert (arm.name, arm.hold) == ("two-servo", "servo")
 
 
 @pytest.mark.parametrize(("name", "n"), [("ur5e_bare", 6), ("so101_bare", 5)])
@@ -581,19 +579,10 @@ def test_published_arms_keep_their_dynamics_and_are_measured(
     require_records(arm)
 
 
-def test_each_call_gives_the_same_arm(write: Write) -> None:
-    file = write(MIXED)
-    first, second = arm_from_file(file), arm_from_file(file)
-    assert first.levels == second.levels
-    assert first.brake == second.brake
-
-
 # ---- the arm that ships with the package
 
 
 def test_the_small_arm_needs_no_assumption_and_carries_its_gripper() -> None:
-    from loose_env.arms import DESK_ARM
-
     found = describe_file(DESK_ARM)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -607,26 +596,3 @@ def test_the_small_arm_needs_no_assumption_and_carries_its_gripper() -> None:
     # Every joint moves the tool in a pose drawn at random, the last one too.
     pose = arm.random_pose(np.random.default_rng(0))
     assert (np.linalg.norm(LinearArm(arm).at(pose).kinematic, axis=0) > 0.03).all()
-
-
-@pytest.mark.parametrize("name", ["ur5e_bare.xml", "so101_bare.xml"])
-def test_a_user_s_arm_runs_in_the_environment_unedited(name: str) -> None:
-    from loose_env.envs import DiagnosisEnv, DiagnosisSettings
-
-    if not (MODELS / name).is_file():
-        pytest.skip(f"{name} is not here")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        arm = arm_from_file(MODELS / name)
-    env = DiagnosisEnv(arm, DiagnosisSettings(difficulty="easy", max_records=6), threads=1)
-    observation, _ = env.reset(seed=1, options={"fault": "structural_looseness@link2"})
-    rng = np.random.default_rng(0)
-    for joint in range(arm.n):
-        moves = np.where(rng.random(arm.n) < 0.5, 1, 3)
-        levels = 2 * np.eye(arm.n, dtype=int)[joint]
-        action = env.actions.encode(moves=moves, levels=levels, duration=0)
-        observation, _, _, truncated, info = env.step(action)
-        assert not truncated, info.get("failure")
-        assert observation in env.observation_space
-    assert env.layout.physical(observation, "valid")[: arm.n].all()
-    env.close()

@@ -1,4 +1,4 @@
-"""A headless Chromium, driven by its DevTools protocol: loads pages, measures them, draws them."""
+"""A headless Chromium, driven by its DevTools protocol, and checks that hold for every page."""
 
 from __future__ import annotations
 
@@ -12,18 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--disable-dev-shm-usage",
-    "--hide-scrollbars",
+    *("--headless", "--no-sandbox", "--no-first-run", "--hide-scrollbars"),
+    *(f"--disable-{x}" for x in ("gpu", "quic", "background-networking", "component-update")),
+    *(f"--disable-{x}" for x in ("sync", "dev-shm-usage")),
     # Whatever a page asks of a network fails, and is heard of.
     "--host-resolver-rules=MAP * ~NOTFOUND",
 )
@@ -76,17 +71,12 @@ class Page:
         elif method == "Network.requestWillBeSent":
             self.asked.append(told["request"]["url"])
 
-    def open(self, path: Path, *, width: int, height: int = 900, dark: bool = False) -> None:
+    def open(self, path: Path, *, width: int, dark: bool = False) -> None:
         """Load a file in a window of a size and wait until it is there."""
         self.errors.clear()
         self.asked.clear()
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=1,
-            mobile=width < 600,
-        )
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", media="", features=[scheme])
         self.events.clear()
@@ -106,18 +96,10 @@ class Page:
             raise RuntimeError(f"{expression}: {found['exceptionDetails']}")
         return found["result"].get("value")
 
-    def picture(self, path: Path) -> None:
-        """Draw the whole page into a PNG."""
-        size = self.call("Page.getLayoutMetrics")["cssContentSize"]
-        clip = {"x": 0, "y": 0, "width": size["width"], "height": size["height"], "scale": 1}
-        shot = self.call("Page.captureScreenshot", captureBeyondViewport=True, clip=clip)
-        path.write_bytes(base64.b64decode(shot["data"]))
-
     def paper(self, path: Path) -> None:
         """Print the page as a PDF."""
-        found = self.call(
-            "Page.printToPDF", printBackground=True, paperWidth=8.27, paperHeight=11.7
-        )
+        size = {"paperWidth": 8.27, "paperHeight": 11.7}
+        found = self.call("Page.printToPDF", printBackground=True, **size)
         path.write_bytes(base64.b64decode(found["data"]))
 
 
@@ -137,17 +119,12 @@ def chromium(profile: Path) -> Iterator[Page]:
         address = _address(profile, process)
         # No pings: their thread draws from the global `random`, which Hypothesis takes for a
         # strategy that does, whatever test happens to run just then.
-        with connect(
-            address, max_size=None, compression=None, proxy=None, ping_interval=None
-        ) as socket:
+        plain = {"max_size": None, "compression": None, "proxy": None, "ping_interval": None}
+        with connect(address, **plain) as socket:
             yield Page(socket)
     finally:
-        process.terminate()
-        try:
-            process.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        process.kill()
+        process.wait()
 
 
 def _address(profile: Path, process: subprocess.Popen[bytes]) -> str:
@@ -167,3 +144,74 @@ def _address(profile: Path, process: subprocess.Popen[bytes]) -> str:
             pass
         time.sleep(0.1)
     raise RuntimeError(f"the browser did not answer (exit status {process.poll()})")
+
+
+# ------------------------------------------------------------------------- checks
+
+WIDTHS = (390, 768, 1280)
+"""A phone, a tablet, a desk [pixels]."""
+PAPER = 718
+"""Width of an A4 sheet within its margins [pixels]."""
+
+TOO_WIDE = """
+(() => {
+  const wide = document.documentElement.clientWidth;
+  const boxes = ['pre', '.scroll', '.table-wrapper', 'svg', '.sidebar-drawer', '.toc-drawer',
+    '.strip figcaption'].join();
+  const held = e => e.closest(boxes);
+  return [...document.body.querySelectorAll('*')]
+    .filter(e => e.getBoundingClientRect().right > wide + 1 && !held(e.parentElement))
+    .slice(0, 5)
+    .map(e => `${e.tagName}.${e.className} ends at ${Math.round(e.getBoundingClientRect().right)}`);
+})()
+"""
+"""Elements that reach beyond the window, but for those in boxes that scroll on their own."""
+
+PICTURES = """
+[...document.querySelectorAll('main figure svg, main figure img, article img')].map(e => {
+  const box = e.getBoundingClientRect();
+  const parts = e.tagName.toLowerCase() === 'svg'
+    ? e.querySelectorAll('path, use, text, rect, circle').length : e.naturalWidth;
+  return [e.tagName + ' ' + (e.getAttribute('alt') || ''), box.width, box.height, parts];
+})
+"""
+"""Every picture: its name, its size on the page, and how much is in it."""
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """One tab of a headless Chromium."""
+    pytest.importorskip("websockets", reason="driving a browser needs the package websockets")
+    if executable() is None:
+        pytest.skip("no Chromium on this machine: install one, as chromium or google-chrome")
+    with chromium(tmp_path_factory.mktemp("chromium")) as page:
+        yield page
+
+
+def is_in_order(page: Page, file: Path, *, width: int, dark: bool = False) -> None:
+    """Load a page and check what holds for all of them."""
+    page.open(file, width=width, dark=dark)
+    where = f"{file.name} at {width} pixels"
+    assert not page.errors, f"{where}: {page.errors}"
+    outside = [url for url in page.asked if not url.startswith(("file:", "data:"))]
+    assert not outside, f"{where} asks for {outside}"
+    assert page.value("document.title"), where
+    reach = page.value("document.documentElement.scrollWidth")
+    assert reach <= width, f"{where} is {reach} wide: {page.value(TOO_WIDE)}"
+    for name, wide, high, parts in pictures(page):
+        assert wide > 40 and high > 40 and parts > 3, f"{where}: {name} is {wide} x {high}"
+
+
+def pictures(page: Page) -> list[list[Any]]:
+    """Name, width, height and content of every picture of the page that is open."""
+    return list(page.value(PICTURES))
+
+
+def fits_on_paper(page: Page, file: Path) -> None:
+    """Check that nothing is cut off in print, where nothing scrolls."""
+    page.open(file, width=PAPER)
+    page.call("Emulation.setEmulatedMedia", media="print", features=[])
+    reach = page.value("document.documentElement.scrollWidth")
+    assert reach <= PAPER, f"{file.name} in print is {reach} wide: {page.value(TOO_WIDE)}"
+    ink = page.value("getComputedStyle(document.body).color")
+    assert sum(map(int, ink[4:-1].split(","))) < 200, f"{file.name} prints in {ink}"

@@ -33,11 +33,9 @@ from loose_env.report import (
     write_plan_page,
     write_trend_page,
 )
-from tests.browser.chromium import Page
-from tests.browser.looks import WIDTHS, browser, fits_on_paper, is_in_order, pictures
+from tests.browser.chromium import WIDTHS, Page, browser, fits_on_paper, is_in_order, pictures
 from tests.gap.cases.gap_case import record, solution_for
-from tests.instrument.arms.plan_arms import SERVOED, written
-from tests.instrument.trend.sessions_of_an_arm import named, session
+from tests.instrument.arms import SERVOED, named, session, written
 from tests.report.diagnosis_case import CASES, LONG
 from tests.report.test_comparison import ROWS, Guesser
 from tests.scripts.test_reproduce_thesis import FAILED, outcome, render
@@ -108,13 +106,8 @@ def plan_page(in_turn: int) -> Callable[[Path], Path]:
         planned = files.runs_of(made)
         # Paths as long as people have them: no command may push the page out of a phone's window.
         long = "measurements/2026-03-18 cell 4 after the collision/session one of three"
-        return write_plan_page(
-            folder / "plan.html",
-            made,
-            planned,
-            folder=long,
-            model=f"{long}/the arm of cell 4.xml",
-        )
+        paths = {"folder": long, "model": f"{long}/the arm of cell 4.xml"}
+        return write_plan_page(folder / "plan.html", made, planned, **paths)
 
     return write
 
@@ -168,20 +161,3 @@ def test_it_can_be_printed(browser: Page, report: tuple[Path, int], tmp_path: Pa
     fits_on_paper(browser, report[0])
     browser.paper(tmp_path / "report.pdf")
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
-
-
-def test_the_checks_find_what_is_wrong(browser: Page, tmp_path: Path) -> None:
-    def page(body: str) -> Path:
-        head = '<meta name="viewport" content="width=device-width"><title>t</title>'
-        return write_text(tmp_path / "page.html", f"{head}<main>{body}</main>")
-
-    wrong = {
-        r"is 9\d\d wide": "<div style='width: 900px'>wide</div>",
-        "asks for": "<img src='http://example.org/a.png'>",
-        "broken": "<script>throw new Error('broken')</script>",
-        "svg": "<figure><svg width='300' height='200'></svg></figure>",
-    }
-    is_in_order(browser, page("words"), width=390)
-    for said, body in wrong.items():
-        with pytest.raises(AssertionError, match=said if said != "asks for" else "not loaded"):
-            is_in_order(browser, page(body), width=390)

@@ -12,24 +12,22 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.cli.instrument import trend_summary
 from loose_env.cli.main import main
 from loose_env.instrument import (
     Diagnosis,
     Fault,
     NextSettings,
-    change_since,
     diagnose,
     next_for,
+    read_arm,
+    read_recorded_arm,
 )
-from loose_env.instrument.model.instrumented_arm import read_arm
 from loose_env.recording import read_recording, write_csv, write_recording
 from scripts.suites.diagnosis.months import machine, session_runs
 from scripts.suites.gap.arms import model_xml
-from tests.instrument.arms.plan_arms import MOTORS, SERVOED, URDF, written
-from tests.instrument.trend.sessions_of_an_arm import named, session
+from scripts.suites.golden import DIAGNOSES, write_shaken_recording
+from tests.instrument.arms import MOTORS, SERVOED, written
 
-STEP = 2e-4
 MONTHS = 5
 Capture = pytest.CaptureFixture[str]
 
@@ -48,6 +46,12 @@ def refused(capsys: Capture, *words: str) -> str:
     return said.err
 
 
+def undecided_of(hypotheses: tuple[str, ...], **more: Any) -> Diagnosis:
+    posterior = dict.fromkeys(hypotheses, 1 / len(hypotheses))
+    fault = Fault(kind="healthy")
+    return Diagnosis(fault=fault, probability=posterior["healthy"], posterior=posterior, **more)
+
+
 @pytest.fixture(scope="module")
 def motors(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("motors"), MOTORS)
@@ -57,12 +61,8 @@ def motors(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def undecided(motors: Path) -> Diagnosis:
     """A diagnosis that settles nothing, and asks for a measurement."""
     arm = read_arm(motors)
-    posterior = dict.fromkeys(arm.hypotheses, 1 / len(arm.hypotheses))
     wanted = next_for(arm, settings=NextSettings(poses=2, seconds=1.4, seed=3))
-    return Diagnosis(
-        fault=Fault(kind="healthy"), probability=posterior["healthy"], posterior=posterior,
-        next=wanted, settings={"poses": 2},
-    )  # fmt: skip
+    return undecided_of(arm.hypotheses, next=wanted, settings={"poses": 2})
 
 
 def test_plan_writes_everything_it_names(motors: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -146,14 +146,25 @@ def test_limits_are_printed_with_their_sources_and_hold_for_the_session(
     assert not (out / "first-signal.csv").exists()
 
 
-def test_the_plan_of_a_urdf_keeps_the_speeds_that_it_states(
-    tmp_path: Path, capsys: Capture
-) -> None:
-    model, out = written(tmp_path, URDF, "arm.urdf"), tmp_path / "session"
-    command = ["plan", str(model), "--out", str(out), "--poses", "2", "--signal-format", "ros2"]
-    assert main(command) == 0
-    assert 'speed: all joints 2 rad/s (<limit velocity="2"> of arm.urdf)' in capsys.readouterr().out
-    assert (out / "signal.yaml").is_file() and not (out / "signal.csv").exists()
+def test_a_later_command_goes_on_with_what_was_given_last(tmp_path: Path, capsys: Capture) -> None:
+    """Limits of the machine, how it is held, and the layout of the signal."""
+    model, home = written(tmp_path, SERVOED), tmp_path / "session"
+    plan = ["plan", str(model), "--out", str(home)]
+    first = ["--poses", "2", "--seconds", "1", "--hold", "brake", "--ramp-s", "0.4"]
+    assert main([*plan, *first, "--payload-kg", "0.5", "--most-tool", "4"]) == 0
+    hypotheses = read_arm(model).hypotheses
+    undecided_of(hypotheses, settings={"most_tool": 3.0}).write(tmp_path / "d" / "result.json")
+    plan += ["--known", str(tmp_path / "d")]
+    assert main([*plan, "--most-tool", "5"]) == 0
+    assert read(home / "plan.json")["settings"]["hold"] == "brake"
+    capsys.readouterr()
+    assert main([*plan, "--joint", "elbow"]) == 0
+    said = capsys.readouterr().err
+    settings = read(home / "plan.json")["settings"]
+    assert settings["most_tool"] == 5.0 and settings["joint"] == "elbow"
+    assert (settings["ramp_s"], settings["hold_s"], settings["payload_kg"]) == (0.4, 0.5, 0.5)
+    for words in ("--most-tool 5", "--hold brake", "--ramp-s 0.4", "--payload-kg 0.5"):
+        assert words in said
 
 
 @pytest.mark.parametrize("where", ["next", None])
@@ -164,14 +175,9 @@ def test_settings_of_a_result_that_make_no_sense_are_refused_with_file_and_field
     for changed, words in (
         ({"gap_mm": "a"}, "gap_mm is a finite number, got 'a'"),
         ({"poses": None}, "poses is a whole number, got None"),
-        ({"poses": 2.5}, "poses is a whole number, got 2.5"),
-        ({"poses": 10**9}, "poses is a whole number from 1 to 10000"),
         ({"in_turn": [1]}, r"in_turn is a whole number, got [1]"),
-        ({"band_low": "x"}, "band_low is a finite number, got 'x'"),
-        ({"seed": True}, "seed is a whole number, got True"),
         ({"seconds": 1e9}, "seconds is a length of 0.2 to 600 s"),
         ({"rate_hz": 10**400}, "rate_hz is a finite number"),
-        ({"most_tool": 0}, "most_tool is a positive number"),
     ):
         damaged = json.loads(undecided.to_json())
         if where:
@@ -193,12 +199,8 @@ def test_settings_of_a_result_that_make_no_sense_are_refused_with_file_and_field
         (["{model}", "--out", "{dir}/o", "--known", "{model}"], "no JSON"),
         (["{model}", "--out", "{dir}/o", "--tool", "hammer"], "no site or body 'hammer'"),
         (["{model}", "--out", "{dir}/o", "--seconds", "-1"], "seconds is a length of 0.2 to 600 s"),
-        (["{model}", "--out", "{dir}/o", "--max-speed-rad-s", "-1"], "one positive number for all"),
         (["{model}", "--out", "{dir}/o", "--max-jerk-rad-s3", "1", "2", "3"], "of lift, elbow"),
-        (["{model}", "--out", "{dir}/o", "--signal-format", "mat"], "csv, parquet, ros2, got mat"),
         (["{model}", "--out", "{dir}/o", "--repeat", "-1"], "repeat is a whole number from 0 to"),
-        (["{model}", "--out", "{dir}/o", "--command-bandwidth-hz", "1"], "followed up to 1 Hz"),
-        (["{model}", "--out", "{dir}/o", "--pose-deg", "1", "2", "3"], "each of lift, elbow"),
     ],
 )
 def test_a_mistake_is_one_line_and_leaves_nothing(
@@ -211,38 +213,35 @@ def test_a_mistake_is_one_line_and_leaves_nothing(
 
 def measured(home: Path) -> Path:
     """What somebody at the machine does with the folder: play the signal, save the readings."""
-    plan = read(home / "plan.json")
+    plan, step = read(home / "plan.json"), 2e-4
     (one,) = plan["signals"]
     signal = np.genfromtxt(home / one["csv"], delimiter=",", names=True, deletechars="")
     spec = mujoco.MjSpec.from_file(str(home / "recording" / "model.xml"))
-    spec.option.timestep = STEP
+    spec.option.timestep = step
     model = spec.compile()
     data = mujoco.MjData(model)
     for joint, q in plan["pose"].items():
         data.qpos[model.joint(joint).qposadr[0]] = q
     given = np.array([signal[f"ctrl.{model.actuator(a).name}"] for a in range(model.nu)]).T
     data.ctrl[:] = given[0]
-    mujoco.mj_step(model, data, round(1.0 / STEP))
-    columns: dict[str, list[float]] = {name: [] for name in plan["columns"]}
-    rng = np.random.default_rng(1)
-    for row, command in zip(signal, given, strict=True):
+    mujoco.mj_step(model, data, round(1.0 / step))
+    rows, rng = [], np.random.default_rng(1)
+    for command in given:
         mujoco.mj_forward(model, data)
-        for name, values in columns.items():
-            values.append(reading(model, data, name, row, rng))
+        rows.append(data.sensordata.copy())
         data.ctrl[:] = command
-        mujoco.mj_step(model, data, round(1 / (STEP * plan["rate_hz"])))
-    path = home / one["run"]
-    write_csv(path, {name: np.array(values) for name, values in columns.items()})
-    return path
-
-
-def reading(model: Any, data: Any, name: str, row: Any, rng: np.random.Generator) -> float:
-    group, _, rest = name.partition(".")
-    if group != "sensor":
-        return float(row[name])
-    sensor, _, axis = rest.partition(".")
-    at = int(model.sensor(sensor).adr[0]) + ("xyz".index(axis) if axis else 0)
-    return float(data.sensordata[at] + rng.normal(0, 0.01 if axis else 1e-6))
+        mujoco.mj_step(model, data, round(1 / (step * plan["rate_hz"])))
+    columns, readings = {}, np.array(rows)
+    for name in plan["columns"]:
+        group, _, rest = name.partition(".")
+        sensor, _, axis = rest.partition(".")
+        if group == "sensor":
+            at = int(model.sensor(sensor).adr[0]) + ("xyz".index(axis) if axis else 0)
+            columns[name] = readings[:, at] + rng.normal(0, 0.01 if axis else 1e-6, len(rows))
+        else:
+            columns[name] = signal[name]
+    write_csv(home / one["run"], columns)
+    return home / str(one["run"])
 
 
 @pytest.mark.slow
@@ -279,29 +278,6 @@ def test_plan_and_diagnosis_take_turns_in_one_folder_under_the_limits_of_the_fir
     files = ["run-01.csv", "run-02.csv", "run-03.csv", "repeat-01.csv"]
     assert [run["file"] for run in listed] == files
     assert [run["pose"] for run in listed] == [pytest.approx(q) for q in (*poses, poses[0])]
-
-
-def test_a_later_command_goes_on_with_what_was_given_last(tmp_path: Path, capsys: Capture) -> None:
-    """Limits of the machine, how it is held, and the layout of the signal."""
-    model, home = str(written(tmp_path, SERVOED)), tmp_path / "session"
-    plan = ["plan", model, "--out", str(home)]
-    first = ["--poses", "2", "--seconds", "1", "--hold", "brake", "--ramp-s", "0.4"]
-    assert main([*plan, *first, "--payload-kg", "0.5", "--most-tool", "4"]) == 0
-    measured(home)
-    given = ["diagnose", str(home / "recording"), "--out", str(tmp_path / "d"), "--quiet"]
-    assert main([*given, "--most-tool", "3"]) == 0
-    assert read(tmp_path / "d" / "result.json")["settings"]["most_tool"] == 3.0
-    plan += ["--known", str(tmp_path / "d")]
-    assert main([*plan, "--most-tool", "5"]) == 0
-    assert read(home / "plan.json")["settings"]["hold"] == "brake"
-    capsys.readouterr()
-    assert main([*plan, "--joint", "elbow"]) == 0
-    said = capsys.readouterr().err
-    settings = read(home / "plan.json")["settings"]
-    assert settings["most_tool"] == 5.0 and settings["joint"] == "elbow"
-    assert (settings["ramp_s"], settings["hold_s"], settings["payload_kg"]) == (0.4, 0.5, 0.5)
-    for words in ("--most-tool 5", "--hold brake", "--ramp-s 0.4", "--payload-kg 0.5"):
-        assert words in said
     damaged = read(home / "plan.json")
     for changed in ({"most_tool": "a"}, {"poses": 1e9}, None, []):
         damaged["settings"] = changed
@@ -316,30 +292,23 @@ def of_a_month(folder: Path, month: int, *, worn: int = 0) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def earlier(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Sessions of a healthy machine: results, and one recording without a result."""
-    pytest.importorskip("numba")
-    home = tmp_path_factory.mktemp("months")
-    for month in range(MONTHS):
-        folder = of_a_month(home / f"m{month}" / "recording", month)
-        if month:
-            found = diagnose(read_recording(folder), plan=False)
-            replace(found, date=f"2026-0{month + 1}-10").write(home / f"m{month}" / "result.json")
-    return home
-
-
 @pytest.mark.slow
 def test_a_machine_that_got_play_has_changed_and_pages_say_since_when(
-    earlier: Path, tmp_path: Path, capsys: Capture
+    tmp_path: Path, capsys: Capture
 ) -> None:
+    pytest.importorskip("numba")
+    old = [tmp_path / f"m{month}" for month in range(MONTHS)]
+    for month, folder in enumerate(old):
+        of_a_month(folder / "recording", month)
+        if month:  # the first is without a result, and diagnosed
+            found = diagnose(read_recording(folder / "recording"), plan=False)
+            replace(found, date=f"2026-0{month + 1}-10").write(folder / "result.json")
     new = of_a_month(tmp_path / "new", MONTHS, worn=8)
     work = tmp_path / "work.json"
     work.write_text(json.dumps([{"date": "2026-01-02", "joint": "joint1", "work": "oil"}]))
-    old = [str(earlier / f"m{month}") for month in range(1, MONTHS)]
     given = [str(new), "--out", str(tmp_path / "out"), "--poses", "2", "--date", "2026-09-01"]
-    more = ["--maintenance", str(work), "--false-alarm-rate", "0.1", "--quiet"]
-    assert main(["diagnose", *given, "--before", *old, *more]) == 0
+    more = ["--maintenance", str(work), "--false-alarm-rate", "0.1"]
+    assert main(["diagnose", *given, "--before", *map(str, old[1:]), *more]) == 0
     said = capsys.readouterr().out
     assert "changed since earlier sessions" in said and "since 2026-09-01" in said
     whole = read(tmp_path / "out" / "trend.json")
@@ -347,25 +316,26 @@ def test_a_machine_that_got_play_has_changed_and_pages_say_since_when(
     assert "alarm since 2026-09-01" in (tmp_path / "out" / "trend.html").read_text("utf-8")
     result = read(tmp_path / "out" / "result.json")
     assert result["date"] == "2026-09-01" and len(result["model_hash"]) == 16
+    assert main(["diagnose", *given, "--before", str(old[0])]) == 0
+    said_both = capsys.readouterr()
+    assert "diagnosing the earlier session" in said_both.err
+    assert "not compared" in said_both.out  # one earlier session has no scatter
     # Without --before the same folder no longer tells of a trend.
     assert main(["diagnose", *given, "--quiet"]) == 0
     assert not (tmp_path / "out" / "trend.html").exists()
     assert not (tmp_path / "out" / "trend.json").exists()
 
 
-@pytest.mark.slow
-def test_a_recording_without_a_result_is_diagnosed_first(
-    earlier: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    new = of_a_month(tmp_path / "new", MONTHS)
-    given = ["diagnose", str(new), "--out", str(tmp_path / "out"), "--poses", "2"]
-    assert main([*given, "--before", str(earlier / "m0")]) == 0
-    said = capsys.readouterr()
-    assert "diagnosing the earlier session" in said.err
-    assert "not compared" in said.out  # one earlier session has no scatter
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording, and beside it the result of an earlier session."""
+    home = tmp_path_factory.mktemp("healthy")
+    write_shaken_recording(home / "recording", **DIAGNOSES["healthy, flat"])
+    arm = read_recorded_arm(home / "recording" / "model.xml")
+    undecided_of(arm.hypotheses).write(home / "earlier" / "result.json")
+    return home
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "work", "words"),
     [
@@ -375,28 +345,16 @@ def test_a_recording_without_a_result_is_diagnosed_first(
         (["--false-alarm-rate", "2"], None, "at most 0.2"),
         ([], "", "no JSON from line 1 on; records are as"),
         ([], '[{"date": "2026-05-04", "joint": "knee", "work": "oil"}]', "no joint or link 'knee'"),
-        ([], '[{"date": "May", "joint": "joint1", "work": "oil"}]', "a date is as 2026-05-04"),
-        (["--maintenance", "none.json", "--before", "m1"], None, "none.json.*No such file"),
     ],
 )
 def test_what_makes_no_sense_is_refused_before_anything_is_diagnosed(
-    options: list[str], work: str | None, words: str, earlier: Path, tmp_path: Path, capsys: Capture
+    options: list[str], work: str | None, words: str, healthy: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     if work is not None:
         (tmp_path / "work.json").write_text(work)
         maintenance = ["--maintenance", str(tmp_path / "work.json")]
-        options = [*options, "--before", str(earlier / "m1"), *maintenance]
-    options = [str(earlier / "m1") if word == "m1" else word for word in options]
-    given = ["diagnose", str(earlier / "m0" / "recording"), "--out", str(tmp_path / "out")]
+        options = ["--before", str(healthy / "earlier"), *maintenance]
+    given = ["diagnose", str(healthy / "recording"), "--out", str(tmp_path / "out")]
     said = refused(capsys, *given, *options)
-    for each in words.split(".*"):
-        assert each in said
-    assert work is None or "work.json" in said
+    assert words in said and (work is None or "work.json" in said)
     assert not (tmp_path / "out").exists()
-
-
-def test_the_console_says_what_changed_and_the_rate_of_false_alarms() -> None:
-    before = named(10)
-    assert trend_summary(change_since(session(10), before)).startswith("no change since 10")
-    words = trend_summary(change_since(session(10, factor={"elbow": 1.4}), before))
-    assert "transmission from elbow to tool." in words and "1 %" in words

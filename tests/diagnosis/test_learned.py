@@ -134,13 +134,16 @@ def test_files_come_back_and_other_arms_are_refused(tmp_path):
     described.write_text(json.dumps({**read, "format": "loose-posterior/0"}))
     with pytest.raises(InvalidData, match="format"):
         read_network(tmp_path)
+    wrong = {"format": "loose-posterior/1"}
     for broken, words in (
-        ({"format": "loose-posterior/1"}, "says nothing of"),
-        ([], "format None"),
+        ([], "format"),
+        (wrong, "'arm' is missing"),
+        (wrong | configuration | {"directions": 0}, "directions"),
+        (wrong | configuration | {"friction": [-1.0, 1.0]}, "friction"),
     ):
         described.write_text(json.dumps(broken))
         with pytest.raises(InvalidData, match=words):
-            read_network(tmp_path)
+            AmortisedPosterior.load(tmp_path, LinearArm(planar(3)), SensorSuite(), Mismatch())
     weights = tmp_path / "posterior.safetensors"
     weights.write_bytes(weights.read_bytes()[:500])
     with pytest.raises(InvalidData, match="cannot be read"):

@@ -56,8 +56,18 @@ def sightings(arm: Arm, hypothesis: str | None, count: int, level: int) -> list[
     return found
 
 
-@pytest.mark.parametrize("arm", [planar(4), scara(), six_axis()], ids=lambda a: a.name)
-@pytest.mark.parametrize("level", [1, 3])
+@pytest.mark.parametrize(
+    ("arm", "level"),
+    [
+        (planar(4), 1),
+        (six_axis(), 3),
+        *(
+            pytest.param(arm, level, marks=pytest.mark.slow)
+            for arm, level in ((planar(4), 3), (six_axis(), 1), (scara(), 1), (scara(), 3))
+        ),
+    ],
+    ids=lambda each: getattr(each, "name", str(each)),
+)
 def test_a_healthy_arm_changes_by_what_errors_leave(arm: Arm, level: int) -> None:
     seen: list[ChangeSighting] = [s for s, _ in sightings(arm, "healthy", 16, level)]
     excess = np.array([s.excess for s in seen])

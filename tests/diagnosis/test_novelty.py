@@ -8,29 +8,23 @@ import numpy as np
 import pytest
 
 from loose_env.diagnosis import (
-    LOCATION_FEATURES,
     NOVELTY_STATISTICS,
-    RECORD_FEATURES,
     NoveltyReference,
-    Seen,
     used_columns,
 )
 from loose_env.diagnosis.features import (
     TransmissionChange,
-    sampling_covariance,
 )
 from loose_env.diagnosis.novelty import (
     COLUMNS,
     MODEL_SHARE,
     residual_change,
-    sights,
 )
 from loose_env.errors import InvalidData
 from loose_env.statistics import fit_gaussian_mixture
 
 SIZE = len(COLUMNS)
 FIRST = len(NOVELTY_STATISTICS)  # where the context begins
-HYPOTHESIS = np.array([0, 0, 1, 1, 2])
 
 
 def made(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -109,60 +103,6 @@ def test_it_is_stored_and_read_again(reference: NoveltyReference) -> None:
             NoveltyReference.of(reference.tensors() | {name: np.zeros(4)})
 
 
-def seen(rng: np.random.Generator, measured: np.ndarray, opened: np.ndarray) -> Seen:
-    size = len(measured)
-    return Seen(
-        rng.uniform(0.1, 2.0, (len(opened), len(LOCATION_FEATURES))),
-        rng.normal(size=len(RECORD_FEATURES)),
-        TransmissionChange(
-            measured=measured, open=opened, nominal=np.ones(size), covariance=1e-4 * np.eye(size)
-        ),
-    )
-
-
-def test_the_figures_follow_the_favoured_place() -> None:
-    rng = np.random.default_rng(4)
-    records = [seen(rng, rng.normal(size=6), rng.normal(size=(5, 6))) for _ in range(3)]
-    found = sights(records, np.eye(5)[2], -50.0, HYPOTHESIS)
-    assert found.shape == (3, SIZE)
-    at = {name: found[:, k] for k, name in enumerate(COLUMNS)}
-    left = [each.residual_change.residual[2] for each in records]
-    assert at["left"] == pytest.approx(np.log(np.array(left) + 0.1))
-    for name in ("visible", "load"):
-        expected = [each.location[2, LOCATION_FEATURES.index(name)] for each in records]
-        assert at[name] == pytest.approx(expected)
-    for name in ("excited", "kurtosis"):
-        expected = [each.record[RECORD_FEATURES.index(name)] for each in records]
-        assert at[name] == pytest.approx(expected)
-    assert at["opening"] == pytest.approx([each.residual_change.opening[2] for each in records])
-    assert (at["healthy"] == -10.0).all()
-    assert at["records"] == pytest.approx(np.log(3))
-    sound = sights(records, np.eye(5)[2], 50.0, HYPOTHESIS)
-    assert sound[:, 0] == pytest.approx(
-        np.log(np.array([each.residual_change.healthy for each in records]) + 0.1)
-    )
-    assert sound[:, COLUMNS.index("opening")] == pytest.approx(0.0)
-
-
-def test_a_second_seat_shows_where_all_records_need_the_same_one() -> None:
-    rng = np.random.default_rng(5)
-    second = COLUMNS.index("second")
-
-    def found(others: list[int]) -> float:
-        records = []
-        for other in others:
-            opened = rng.normal(size=(5, 8))
-            records.append(seen(rng, 0.7 * opened[0] + 0.6 * opened[other], opened))
-        return float(sights(records, np.eye(5)[0], -50.0, HYPOTHESIS)[0, second])
-
-    alike = np.mean([found([3, 3, 3]) for _ in range(10)])
-    apart = np.mean([found([2, 3, 4]) for _ in range(10)])
-    none = np.mean([found([0, 0, 0]) for _ in range(10)])
-    assert alike > 1.5 * apart > 3 * none
-    # Another direction of the same link is no second fault.
-    assert np.mean([found([1, 1, 1]) for _ in range(10)]) < 0.5 * alike
-
-
 ELEMENTS, PLACES = 8, 6
 
 
@@ -211,32 +151,3 @@ def test_a_sound_arm_is_a_sound_arm_however_thin_the_errors() -> None:
         assert np.mean([each.healthy for each in found]) < ELEMENTS
     far = [residual_change(change(rng, {}, error=0.15)) for _ in range(50)]
     assert min(each.healthy for each in far) > 3 * ELEMENTS
-
-
-def test_the_second_seat_takes_off_what_the_first_leaves() -> None:
-    rng = np.random.default_rng(4)
-    for _ in range(20):
-        found = residual_change(change(rng, {1: 0.8, 4: 0.5}))
-        second = found.second(1)
-        assert int(np.argmax(second)) == 4
-        assert second[1] == pytest.approx(0.0, abs=1e-9)
-        assert (second >= 0).all()
-
-
-def test_it_is_the_scatter_of_records_with_gaussian_commands() -> None:
-    rng = np.random.default_rng(1)
-    lines, axes, commands, records = 20, 2, 2, 20_000
-    rest = rng.standard_normal((lines, axes, commands, 2)) @ [1.0, 1j]
-    rest[:, 0] *= 5.0  # one axis moves more
-    rest -= rest.real.mean(axis=0)  # nothing in step
-    drawn = rng.standard_normal((records, lines, commands, 2)) @ [1.0, 1j] / np.sqrt(2)
-    moved = np.einsum("fij,rfj->rfi", rest, drawn)
-    in_step = np.einsum("rfi,rfj->rij", moved, drawn.conj()).real / lines
-    noise = np.diag([0.3, 0.1])
-    # Noise of an axis is uncorrelated with every command.
-    in_step += rng.standard_normal(in_step.shape) * np.sqrt(np.diag(noise) / (2 * lines))[:, None]
-    found = np.cov(in_step.reshape(records, -1).T)
-    expected = sampling_covariance(rest, noise, 2 * lines)
-    size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    assert np.abs(found - expected).max() < 0.05 * size.max()
-    assert (np.abs(found - expected) < 0.05 * size).all()

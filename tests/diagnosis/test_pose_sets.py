@@ -12,15 +12,10 @@ from loose_env.arms import Arm, planar, scara, six_axis
 from loose_env.diagnosis import (
     PLANNED,
     PoseSets,
-    ToolFrames,
     bingham_width,
     direction_limit,
-    one_by_one_share,
     pose_sets,
     scattered_axes,
-)
-from loose_env.diagnosis.pose_sets import (
-    link_confusion,
 )
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.kinematics import worst_push
@@ -62,19 +57,6 @@ def test_all_joints_at_once_moves_every_hinge_that_turns_a_direction() -> None:
     np.testing.assert_array_equal(moved, np.tile([False, True, False, True], (4, 1)))
 
 
-def test_one_move_of_all_joints_turns_each_link_its_own_way() -> None:
-    """One joint turns the links below it alike: only all joints tell every pair apart."""
-    arm = planar(4)
-    frames = ToolFrames(arm)
-    for seed in range(5):
-        one, whole = (a_set(arm, s, 2, seed) for s in ("one joint", "all joints"))
-        together, alone = (
-            link_confusion(frames, p[:1], p[1:], sd=np.radians(5.0))[0] for p in (whole, one)
-        )
-        assert alone > 0.49  # links 2, 3 and 4 stay together
-        assert together < 0.15
-
-
 def test_reaction_wrenches_choose_poses_that_load_the_worst_seat_more() -> None:
     arm = planar(3)
     loaded = np.mean([worst_push(arm, q) for q in a_set(arm, "reaction wrenches")])
@@ -92,14 +74,6 @@ def test_largest_differences_beat_random_poses_in_their_least_moved_joint() -> N
     chosen = np.mean([least(a_set(arm, "largest differences", 3, s)) for s in range(8)])
     drawn = np.mean([least(a_set(arm, "random", 3, s)) for s in range(8)])
     assert chosen > 2 * drawn
-
-
-def test_confusion_is_bhattacharyyas_bound_of_two_directions_in_the_plane() -> None:
-    sd, turn = 0.2, 0.3
-    frames = ToolFrames(planar(2))
-    found = link_confusion(frames, [[0.0, 0.0]], [[0.0, turn]], sd=sd)
-    # The difference of two directions scatters by root 2 times sd; the best fit halves the turn.
-    assert found == pytest.approx(np.exp(-2 * np.sin(turn / 2) ** 2 / (8 * sd**2)))
 
 
 def test_unknown_strategies_and_bad_settings_are_refused_with_words() -> None:
@@ -160,26 +134,3 @@ def test_no_layout_of_images_passes_the_limit(poses: int) -> None:
         best = max(best, float(np.mean(fit.argmax(axis=1) == truth)))
     assert best < limit + 0.03  # 4000 cases, the best of four
     assert best > limit - 0.06  # and a good layout comes close
-
-
-def test_the_limit_rises_with_poses_and_falls_with_links_and_scatter() -> None:
-    def limit(links: int, degrees: float, dimension: int = 2) -> np.ndarray:
-        rng = np.random.default_rng(0)
-        return direction_limit(links, 5, np.radians(degrees), dimension, rng, samples=8000)
-
-    assert (np.diff(limit(6, 20.0)) > 0).all()
-    assert (limit(3, 20.0) > limit(6, 20.0)).all()
-    assert (limit(6, 10.0)[1:] > limit(6, 20.0)[1:]).all()
-    # In space a direction has two coordinates and says more.
-    assert limit(6, 20.0, 3)[1] > limit(6, 20.0)[1] + 0.05
-
-
-def test_one_joint_at_a_time_takes_the_thesiss_number_of_moves() -> None:
-    for n in range(2, 8):
-        # Settled after m moves: m of n links, and the last of them with the one before.
-        settled = [m / n if m < n - 1 else 1.0 for m in range(n)]
-        moves = np.sum([1 - share for share in settled])
-        assert moves == pytest.approx((n - 1) * (n + 2) / (2 * n))
-        shares = [one_by_one_share(n, t) for t in range(1, n + 1)]
-        # A guess among those left adds one link to those settled.
-        np.testing.assert_allclose(shares, [(m + 1) / n for m in range(n)])

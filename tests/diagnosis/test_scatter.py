@@ -2,55 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from loose_env.arms import LinearArm, Mismatch, planar
 from loose_env.diagnosis import PlaceDirections, PooledScatter, RecordScatter
-from loose_env.diagnosis.features import (
-    TransmissionChange,
-)
-from loose_env.diagnosis.scatter import (
-    scatter_of,
-)
 from loose_env.sensors import SensorSuite
-from loose_env.typing import Array
-
-
-def change(direction: float, size: float) -> TransmissionChange:
-    """Change along one direction [rad] with three joints shaken; places at 0, 30, ... degrees."""
-    angles = np.radians(np.arange(0.0, 180.0, 30.0))
-    lines = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    share = np.array([0.5, -1.0, 0.2])
-    seen = size * np.outer([np.cos(direction), np.sin(direction)], share)
-    return TransmissionChange(
-        measured=seen.ravel(),
-        open=np.einsum("pi,j->pij", lines, share).reshape(6, -1),
-        nominal=np.full(6, 1e6),  # so large that no error counts to second order
-    )
-
-
-# Unequal errors: what counts is the change in units of them.
-ERRORS = np.diag([1.0, 4.0, 1.0, 9.0, 1.0, 4.0])
-
-
-def gain_of(*changes: TransmissionChange, errors: Array = ERRORS) -> Array:
-    """Gain of every place, the errors of all sensors alike and independent."""
-    sampling = np.kron(np.eye(len(changes)), errors)
-    return scatter_of(changes, 3, sampling=sampling).gain
-
-
-@pytest.mark.parametrize("k", range(6))
-def test_a_change_along_a_places_line_is_all_gain_there(k: int) -> None:
-    made = change(np.radians(30.0 * k), 8.0)
-    found = scatter_of([made], 3, sampling=ERRORS)
-    whole = made.measured @ np.linalg.solve(ERRORS, made.measured)
-    assert found.gain[k] == pytest.approx(whole)
-    assert (np.delete(found.gain, k) < 0.999 * whole).all()
-    axis = np.array([np.cos(np.radians(30.0 * k)), np.sin(np.radians(30.0 * k))])
-    assert abs(found.direction @ axis) == pytest.approx(1.0)
 
 
 def on_axes(measured: list[float], *, shared: list[float] | None = None) -> RecordScatter:
@@ -132,13 +89,3 @@ def test_a_change_beyond_all_errors_stands_out_and_none_does_not() -> None:
     assert pooled(on_axes([8.0, 0.0])).stands_out(0.001, rng)
     assert not pooled(on_axes([0.5, 0.0])).stands_out(0.1, rng)
     assert not pooled().stands_out(0.5, rng)
-
-
-def test_sensors_do_not_outvote_an_error_that_they_share() -> None:
-    made = change(0.0, 8.0)
-    spring = made.measured[None]
-    seen = replace(made, arm_errors=spring)
-    # Known to be shared, it is no surer for being seen twice; taken as two errors it would be.
-    assert gain_of(seen, seen)[0] < 1.1
-    errors = ERRORS + spring.T @ spring
-    assert gain_of(made, made, errors=errors)[0] == pytest.approx(2 * gain_of(seen)[0])

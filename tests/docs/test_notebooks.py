@@ -20,7 +20,6 @@ from tests.docs.pages import ROOT
 
 pytestmark = pytest.mark.slow
 
-NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 SECONDS = 300
 """Longest time that a cell may take [s]."""
 
@@ -65,10 +64,3 @@ def test_the_three_lines_show_the_loose_link_and_the_missing_friction(home: Path
     assert "dry friction (joint2)" in shown(gap)[0]["text/html"]
     assert "model.xml" in shown(written)[0]["text/plain"]
     assert (home / "arm-gap" / "result.json").is_file()
-
-
-def test_notebooks_are_stored_without_output() -> None:
-    """What is stored would go stale; the test above shows what comes out."""
-    for notebook in NOTEBOOKS:
-        cells = nbformat.read(notebook, as_version=4).cells
-        assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)

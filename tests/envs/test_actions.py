@@ -8,25 +8,20 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium import spaces
 from numpy.typing import NDArray
 
-from loose_env.arms import Mismatch, planar, six_axis
+from loose_env.arms import planar, six_axis
 from loose_env.envs import (
     ActionLayout,
     DiagnosisEnv,
     DiagnosisSettings,
-    Difficulty,
 )
-from loose_env.errors import InvalidAction, InvalidSetting
-from loose_env.faults import Healthy
-from loose_env.sensors import SensorSuite
+from loose_env.errors import InvalidAction
 from loose_env.typing import Array
 
 Make = Callable[..., Any]
 
 MOVES = (-90, -45, 0, 45, 90)
-DURATIONS = (0.2, 0.4, 1.2)
 
 
 def pose_of(env: DiagnosisEnv, observation: NDArray[np.float32]) -> Array:
@@ -35,27 +30,9 @@ def pose_of(env: DiagnosisEnv, observation: NDArray[np.float32]) -> Array:
     return np.degrees(np.arctan2(sin, cos))
 
 
-def valid(env: DiagnosisEnv, observation: NDArray[np.float32]) -> list[bool]:
-    return [bool(v) for v in env.layout.physical(observation, "valid").ravel()]
-
-
 def mask_parts(env: DiagnosisEnv, mask: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
     """The mask, one array for each entry of the action."""
     return np.split(mask, np.cumsum(env.actions.nvec)[:-1])
-
-
-@pytest.mark.parametrize(
-    ("name", "arguments", "joints"),
-    [("vera", {}, 2), ("planar", {}, 4), ("planar", {"n_links": 7, "vertical": True}, 7)],
-)
-def test_an_action_is_moves_then_levels_then_length_then_verdict(
-    make_env: Make, name: str, arguments: dict[str, Any], joints: int
-) -> None:
-    env = make_env(name, **arguments)
-    hypotheses = 1 + 2 * joints
-    assert env.action_space == spaces.MultiDiscrete(
-        [5] * joints + [4] * joints + [3, 1 + hypotheses + 1]
-    )
 
 
 def test_each_joint_makes_the_move_its_entry_names(make_env: Make) -> None:
@@ -88,37 +65,6 @@ def test_a_sliding_joint_goes_through_its_range_in_proportion(
         np.testing.assert_allclose(found, [0.0, 0.0, place, 0.0], atol=1e-7)
     np.testing.assert_allclose(env.actions.steps[2], [-0.105, -0.0525, 0.0, 0.0525, 0.105])
     np.testing.assert_allclose(env.actions.steps[0], np.radians(MOVES))
-
-
-def test_every_move_of_a_mask_stays_in_range(make_env: Make) -> None:
-    for name in ("six_axis", "scara", "desk"):
-        env = make_env(name, max_records=40)
-        rng = np.random.default_rng(0)
-        _, info = env.reset(seed=1)
-        for _ in range(40):
-            parts = mask_parts(env, info["action_mask"])[: env.arm.n]
-            moves = np.array([rng.choice(np.flatnonzero(part)) for part in parts])
-            info = env.step(env.actions.encode(moves=moves))[-1]
-            assert not info["move_ignored"].any()
-            pose = env.batch.episode(0).pose
-            assert env.arm.within_ranges(pose).all()
-
-
-def test_verdict_k_names_hypothesis_k(make_env: Make) -> None:
-    env = make_env("vera")
-    assert env.hypotheses == (
-        "healthy",
-        "structural_looseness@link1",
-        "structural_looseness@link2",
-        "backlash@joint1",
-        "backlash@joint2",
-    )
-    for k, name in enumerate(env.hypotheses, start=1):
-        env.reset(seed=k, options={"fault": name})
-        env.step(env.actions.encode())
-        _, reward, terminated, truncated, info = env.step(env.actions.encode(verdict=k))
-        assert (reward, terminated, truncated) == (1.0, True, False)
-        assert info["verdict"] == info["fault"] == name
 
 
 def test_with_every_joint_off_the_last_one_is_excited(
@@ -173,55 +119,6 @@ def test_a_joint_told_to_pass_its_limit_stays_and_the_others_move(
     observation, _, _, _, info = env.step(env.actions.encode(moves=np.array([3, 4, 0])))
     assert info["move_ignored"].tolist() == [False, True, False]
     np.testing.assert_allclose(pose_of(env, observation), [45.0, 140.0, -110.0], atol=1e-4)
-
-
-NOMINAL = Difficulty(mismatch=Mismatch().scaled(0.0))
-"""True arms equal to the nominal one."""
-
-
-@pytest.mark.parametrize(
-    ("name", "arguments"),
-    [
-        ("planar", {"n_links": 3, "vertical": True}),
-        ("vera", {}),
-        *(
-            pytest.param(name, {"hold": hold}, marks=pytest.mark.slow)
-            for name in ("planar", "six_axis", "scara", "desk")
-            for hold in ("brake", "servo")
-        ),
-    ],
-)
-def test_a_level_is_the_rms_acceleration_of_the_nominal_tool_and_its_share_of_it_where_clipped(
-    make_env: Make, name: str, arguments: dict[str, Any]
-) -> None:
-    env = make_env(
-        name,
-        **arguments,
-        difficulty=NOMINAL,
-        sensors=SensorSuite.ideal(),
-        raw=True,
-        max_records=150,
-    )
-    env.reset(seed=0, options={"fault": Healthy()})
-    rng = np.random.default_rng(1)
-    n = env.arm.n
-    reached: dict[bool, list[float]] = {True: [], False: []}
-    for k in range(150):
-        if min(len(found) for found in reached.values()) >= 6:
-            break
-        levels, level, joint = np.zeros(n, dtype=int), 2 + k % 2, k // 2 % n
-        levels[joint] = level
-        action = env.actions.encode(moves=rng.integers(0, 5, n), levels=levels, duration=2)
-        info = env.step(action)[-1]
-        share = info["level_share"][joint]
-        rms = np.sqrt(info["measurement"].tool.var(axis=1).sum())
-        reached[share < 1].append(rms / (share * env.arm.levels[level - 1]))
-    for found in reached.values():
-        # One record of 1.2 s scatters by 5 %.
-        assert len(found) >= 6
-        assert np.sqrt(np.mean(np.square(found))) == pytest.approx(
-            1.0, abs=4 * 0.05 / np.sqrt(len(found))
-        )
 
 
 def test_a_clipped_level_shows_in_the_observation(make_env: Make) -> None:
@@ -301,6 +198,3 @@ def test_weaker_levels_leave_the_friction_of_the_seats() -> None:
         made.reset(seed=3, options={"fault": "structural_looseness@link2"})
     assert env.batch.episode(0).fault == usual.batch.episode(0).fault
     assert env.action_space.nvec[6] == usual.action_space.nvec[6] - 1
-    for wrong in ([], [2, 1], [0.0, 1.0], ["a"], "12"):
-        with pytest.raises(InvalidSetting, match="levels"):
-            arm.with_levels(wrong)  # type: ignore[arg-type]

@@ -147,24 +147,6 @@ def test_a_diverging_simulation_truncates_and_says_why(make_env: Make) -> None:
     assert env.divergences == {"backlash": 1}
 
 
-def test_a_diverging_arm_leaves_the_others_of_its_batch_unharmed(make_vector: Make) -> None:
-    sound, harmed = (make_vector(n_links=2, num_envs=4) for _ in range(2))
-    for env in (sound, harmed):
-        env.reset(seed=5)
-    poison(harmed.batch.rig, 2)
-    kind = harmed.batch.episode(2).fault.kind
-    others = [0, 1, 3]
-    for step in range(3):
-        actions = np.stack([sound.actions.encode(levels=np.array([1, 2]), duration=0)] * 4)
-        expected, found = sound.step(actions), harmed.step(actions)
-        for a, b in zip(expected[:4], found[:4], strict=True):
-            np.testing.assert_array_equal(a[others], b[others])
-        assert found[3].tolist() == [False, False, step == 0, False]
-        assert not found[2].any() and not expected[3].any()
-    assert harmed.divergences == {kind: 1}
-    assert sound.divergences == {}
-
-
 def everything_in(value: Any) -> Iterator[Any]:
     """All that can be reached from a value."""
     yield value
@@ -409,16 +391,6 @@ def test_unsure_waits_for_the_third_measured_record(make_env: Make) -> None:
     assert env.step(said(env, UNSURE))[-1]["verdict"] == UNSURE
 
 
-def test_giving_up_blindly_pays_less_than_the_best_blind_name() -> None:
-    # The cheapest records: 0.2 s, one joint, one level up. "healthy" is right on a third.
-    settings = DiagnosisSettings()
-    prices = settings.prices
-    record = prices.record + min(settings.durations) * prices.second + prices.level
-    blind = prices.correct / 3 + prices.wrong * 2 / 3 - record
-    assert prices.unsure - settings.unsure_after * record < blind
-    assert prices.unsure - record > blind  # without the rule it would be the other way round
-
-
 @pytest.mark.parametrize("fault", [TWO, ACROSS], ids=["two places", "across"])
 def test_no_name_is_right_for_a_fault_outside_the_hypotheses(
     make_env: Make, fault: SeveralFaults | CompoundLooseness
@@ -464,7 +436,7 @@ def test_the_scale_of_the_mismatch_multiplies_the_same_draw(make_env: Make) -> N
     env.reset(seed=4)
     fault, pose = env.batch.episode(0).fault, env.batch.episode(0).pose
     plain = true_arm(env)
-    for scale in (0.0, 0.5, 3.0):
+    for scale in (0.0, 0.5, 1.0, 3.0):
         env.reset(seed=4, options={"mismatch_scale": scale})
         episode = env.batch.episode(0)
         assert episode is not None and episode.fault == fault
@@ -478,18 +450,14 @@ def test_the_scale_of_the_mismatch_multiplies_the_same_draw(make_env: Make) -> N
             np.testing.assert_allclose(getattr(found, name), scale * getattr(plain, name))
 
 
-def test_scale_one_is_the_episode_without_the_option_bit_for_bit(make_env: Make) -> None:
-    one, plain = make_env("six_axis"), make_env("six_axis")
-    one.reset(seed=4, options={"mismatch_scale": 1, "preload_g": 0})
-    plain.reset(seed=4)
-    for field in fields(MismatchDraw):
-        np.testing.assert_array_equal(
-            getattr(true_arm(one), field.name), getattr(true_arm(plain), field.name)
-        )
-    np.testing.assert_array_equal(one.step(shake_all(one))[0], plain.step(shake_all(plain))[0])
-
-
-@pytest.mark.parametrize("arm", [planar(4), vera(), six_axis(), scara()], ids=lambda a: a.name)
+@pytest.mark.parametrize(
+    "arm",
+    [
+        *(planar(4), vera()),
+        *(pytest.param(arm, marks=pytest.mark.slow) for arm in (six_axis(), scara())),
+    ],
+    ids=lambda a: a.name,
+)
 def test_drawn_faults_fit_the_step_even_with_three_times_the_mismatch(arm: Arm) -> None:
     shop = PlantShop(arm, timestep=arm.timestep, link_accelerometers=False)
     sampler = FaultSampler(LinearArm(arm), Difficulty(), KINDS)

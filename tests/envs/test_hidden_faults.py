@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,52 @@ from loose_env.faults import (
 )
 from loose_env.rig import PlantShop
 
-ARMS = {arm.name: arm for arm in (planar(3), planar(4, vertical=True), vera())}
+UR5E = Path(__file__).parents[3] / "shared" / "models" / "ur5e_bare.xml"
+PLANE = ("planar3", "planar4v", "vera")
+MANY: dict[str, Callable[[], Arm]] = {
+    "vera": vera,
+    "planar3": lambda: planar(3),
+    "six_axis": six_axis,
+    "scara": scara,
+    "scara-compliant": lambda: scara(hold="compliant"),
+}
+if UR5E.exists():
+    MANY["ur5e"] = lambda: arm_from_file(UR5E)
+GANTRY = """<mujoco><compiler autolimits="true"/><worldbody>
+  <body name="x"><joint name="x" type="slide" axis="1 0 0" range="0 1"/>
+    <geom type="box" size=".5 .05 .05" mass="30"/>
+    <body name="y"><joint name="y" type="slide" axis="0 1 0" ref=".4" range="0 1"/>
+      <geom type="box" size=".1 .1 .1" mass="10"/>
+      <body name="z"><joint name="z" type="slide" axis="0 0 1" range="-.5 0"/>
+        <geom type="box" size=".03 .03 .3" mass="4"/><site name="tool" pos="0 0 -.3"/>
+  </body></body></body></worldbody>
+  <actuator><motor joint="x" gear="-100" ctrlrange="-5 5"/>
+    <motor joint="y" gear="100" ctrlrange="-3 3"/></actuator></mujoco>"""
+HEAVY = """<mujoco><worldbody>
+  <body name="a"><joint name="a" axis="0 0 1" armature="50" damping="100"/>
+    <geom type="box" size=".4 .4 .4" mass="250"/>
+    <body name="b" pos=".3 0 .4"><joint name="b" axis="0 1 0" range="-120 60" armature="50"/>
+      <geom type="capsule" fromto="0 0 0 0 0 1.2" size=".15" mass="150"/>
+      <body name="c" pos="0 0 1.2"><joint name="c" axis="0 1 0" range="-150 100" armature="30"/>
+        <geom type="capsule" fromto="0 0 0 1.5 0 0" size=".1" mass="90"/>
+        <body name="d" pos="1.5 0 0"><joint name="d" axis="1 0 0" armature="2"/>
+          <geom type="box" size=".1 .1 .1" mass="10"/><site name="tool" pos=".2 .1 0"/>
+  </body></body></body></body></worldbody></mujoco>"""
+SMALL = """<mujoco><worldbody><body><joint axis="0 0 1" range="-150 150"/>
+  <geom type="capsule" fromto="0 0 0 .05 0 0" size=".004"/>
+  <body pos=".04 0 0"><joint axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 .03 0 0" size=".003"/>
+    <body pos=".04 0 0"><joint axis="1 0 0"/>
+      <geom type="capsule" fromto="0 0 0 .02 0 0" size=".002"/><site name="tip" pos=".02 .005 0"/>
+  </body></body></body></worldbody></mujoco>"""
+SOME = [
+    pytest.param(name, marks=pytest.mark.slow) if name in ("ur5e", "scara-compliant") else name
+    for name in MANY
+]
+"""Arms in every run, the others before a release."""
+FILES = {"gantry": GANTRY, "heavy": HEAVY, "small": SMALL}
+
+
 FRICTION = {
     "easy": (0.02, 0.2),
     "default": (0.02, 1.0),
@@ -56,20 +102,35 @@ GAP["reachable"] = GAP["hard"]
 
 
 @cache
-def linear(arm: str) -> LinearArm:
-    return LinearArm(ARMS[arm])
+def arm_of(name: str) -> Arm:
+    if name in FILES:
+        with TemporaryDirectory() as folder:
+            path = Path(folder, f"{name}.xml")
+            path.write_text(FILES[name])
+            return arm_from_file(path)
+    return planar(4, vertical=True) if name == "planar4v" else MANY[name]()
 
 
 @cache
-def sampler(arm: str, difficulty: str) -> FaultSampler:
-    return FaultSampler(linear(arm), DIFFICULTIES[difficulty])
+def linear(name: str) -> LinearArm:
+    return LinearArm(arm_of(name))
+
+
+@cache
+def sampler_of(name: str, difficulty: str = "default") -> FaultSampler:
+    return FaultSampler(linear(name), DIFFICULTIES[difficulty], KINDS)
+
+
+@cache
+def sampler(name: str, difficulty: str) -> FaultSampler:
+    return FaultSampler(linear(name), DIFFICULTIES[difficulty])
 
 
 @cache
 def figures(arm: str, difficulty: str) -> tuple[list[float], list[float]]:
     """Friction ratios and travels [m] of many draws."""
     over = DIFFICULTIES[difficulty].friction_over
-    drive, reach = SeatDrive(linear(arm), over=over), ARMS[arm].reach
+    drive, reach = SeatDrive(linear(arm), over=over), arm_of(arm).reach
     rng = np.random.default_rng(0)
     frictions, travels = [], []
     for _ in range(600):
@@ -84,7 +145,7 @@ def figures(arm: str, difficulty: str) -> tuple[list[float], list[float]]:
 
 
 @pytest.mark.parametrize("difficulty", DIFFICULTIES)
-@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("arm", PLANE)
 def test_friction_and_gap_lie_in_the_range_and_spread_evenly_over_it(
     arm: str, difficulty: str
 ) -> None:
@@ -99,7 +160,7 @@ def test_friction_and_gap_lie_in_the_range_and_spread_evenly_over_it(
 def test_a_ratio_of_one_is_the_force_that_the_top_level_drives_through_the_seat() -> None:
     # In the plane, shaken joint by joint at the top level, over random poses: the joint that
     # drives the seat best, and the middle pose.
-    arm = ARMS["planar3"]
+    arm = arm_of("planar3")
     at, rng = linear("planar3"), np.random.default_rng(5)
     direction = np.array([0.6, 0.8])
     forces, torques = [], []
@@ -123,7 +184,7 @@ def test_a_ratio_of_one_is_the_force_that_the_top_level_drives_through_the_seat(
 def seat_masses(arm: str, fault: StructuralLooseness | Backlash) -> tuple[float, float]:
     """Mass on a seat with the rest of the straight arm held, and the least with the rest free."""
     at = linear(arm)
-    whole = at.at(np.zeros(ARMS[arm].n)).inertia
+    whole = at.at(np.zeros(arm_of(arm).n)).inertia
     seat = np.zeros(len(whole))
     if isinstance(fault, Backlash):
         seat[at.hinge_dofs[fault.joint - 1]] = 1.0
@@ -131,16 +192,16 @@ def seat_masses(arm: str, fault: StructuralLooseness | Backlash) -> tuple[float,
         seat[at.slide_dofs[fault.link - 1]] = fault.direction[:2]
     moving = np.vstack([np.eye(len(whole))[[*at.joint_dofs, *at.flexible_dofs]], seat])
     rng = np.random.default_rng(0)
-    folded = [at.at(ARMS[arm].random_pose(rng)).inertia for _ in range(64)]
+    folded = [at.at(arm_of(arm).random_pose(rng)).inertia for _ in range(64)]
     free = [1 / np.linalg.inv(moving @ m @ moving.T)[-1, -1] for m in (whole, *folded)]
     return float(seat @ whole @ seat), float(min(free))
 
 
-@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("arm", PLANE)
 def test_stops_are_as_stiff_and_damped_as_stated_each_side_its_own(arm: str) -> None:
     rng = np.random.default_rng(2)
-    fastest = 0.85 * FASTEST_TURN / ARMS[arm].timestep
-    for name in hypotheses(ARMS[arm])[1:]:
+    fastest = 0.85 * FASTEST_TURN / arm_of(arm).timestep
+    for name in hypotheses(arm_of(arm))[1:]:
         for _ in range(10):
             fault = sampler(arm, "default").draw(rng, hypothesis=name)
             assert isinstance(fault, (StructuralLooseness, Backlash))
@@ -175,28 +236,6 @@ def test_kinds_come_with_the_probability_given(kinds: dict[str, float]) -> None:
     if len(possible) > 1:
         observed = [found[kind] for kind in possible]  # type: ignore[index]
         assert stats.chisquare(observed, expected).pvalue > 0.01
-
-
-UR5E = Path(__file__).parents[3] / "shared" / "models" / "ur5e_bare.xml"
-MANY: dict[str, Callable[[], Arm]] = {
-    "vera": vera,
-    "planar3": lambda: planar(3),
-    "six_axis": six_axis,
-    "scara": scara,
-    "scara-compliant": lambda: scara(hold="compliant"),
-}
-if UR5E.exists():
-    MANY["ur5e"] = lambda: arm_from_file(UR5E)
-
-
-@cache
-def arm_of(name: str) -> Arm:
-    return MANY[name]()
-
-
-@cache
-def sampler_of(name: str, difficulty: str = "default") -> FaultSampler:
-    return FaultSampler(LinearArm(arm_of(name)), DIFFICULTIES[difficulty], KINDS)
 
 
 def draws(name: str, kind: str, count: int, difficulty: str = "default") -> list[Any]:
@@ -243,7 +282,7 @@ def levers(arm: Arm) -> Any:
     return np.maximum(most, 0.1 * arm.reach)
 
 
-@pytest.mark.parametrize("name", MANY)
+@pytest.mark.parametrize("name", SOME)
 def test_a_rocking_link_has_its_travel_at_the_tool_and_its_axis_off_the_joint(name: str) -> None:
     arm, own = arm_of(name), sampler_of(name)
     lever = levers(arm)
@@ -267,7 +306,7 @@ def test_a_rocking_link_has_its_travel_at_the_tool_and_its_axis_off_the_joint(na
             assert stats.kstest((component + 1) / 2, "uniform").pvalue > 0.001
 
 
-@pytest.mark.parametrize("name", MANY)
+@pytest.mark.parametrize("name", SOME)
 def test_a_compound_seat_has_two_slides_across_or_a_slide_and_a_rotation(name: str) -> None:
     arm = arm_of(name)
     slides = 0
@@ -287,8 +326,11 @@ def test_a_compound_seat_has_two_slides_across_or_a_slide_and_a_rotation(name: s
     assert stats.binomtest(slides, len(faults)).pvalue > 0.001
 
 
-@pytest.mark.parametrize("difficulty", DIFFICULTIES)
-@pytest.mark.parametrize("name", MANY)
+@pytest.mark.parametrize(
+    "difficulty",
+    [d if d == "hard" else pytest.param(d, marks=pytest.mark.slow) for d in DIFFICULTIES],
+)
+@pytest.mark.parametrize("name", SOME)
 def test_every_further_fault_can_be_simulated_in_every_drawn_arm(
     name: str, difficulty: str
 ) -> None:
@@ -311,9 +353,18 @@ def run(env: Any, fault: str, seed: int) -> tuple[Any, ...]:
     return first, seen, env.step(verdict)
 
 
-@pytest.mark.parametrize("name", MANY)
+@pytest.mark.filterwarnings("ignore:.*(no torque limits|no limits):UserWarning")
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in ("six_axis", "ur5e") else name
+        for name in (*MANY, *FILES)
+    ],
+)
 def test_episodes_with_all_kinds_run_on_every_arm(name: str) -> None:
-    env = DiagnosisEnv(arm_of(name), DiagnosisSettings(kinds=KINDS, max_records=2), threads=1)
+    env = DiagnosisEnv(
+        arm_of(name), DiagnosisSettings(kinds=KINDS, max_records=2, durations=(0.1,)), threads=1
+    )
     assert env.hypotheses == hypotheses(env.arm, KINDS)
     assert env.action_space.nvec[-1] == 1 + len(env.verdicts)
     for k, fault in enumerate(env.hypotheses):

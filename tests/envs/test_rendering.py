@@ -41,8 +41,6 @@ from loose_env.statistics import (
     Covariances,
     acceleration_from_angle,
     bandpass,
-    covariances,
-    maximum_correlation,
 )
 
 ARMS: dict[str, Callable[[], Arm]] = {
@@ -165,35 +163,6 @@ def test_the_fault_is_seen_at_the_end_and_not_before(fault: Fault, title: str) -
     picture.close()
 
 
-@pytest.mark.parametrize("make", [vera, scara])
-@pytest.mark.parametrize("fault", [fault for fault, _ in TITLES[3:]], ids=lambda f: f.kind)
-def test_the_words_above_stay_in_the_figure_and_off_the_drawing(
-    make: Callable[[], Arm], fault: Fault
-) -> None:
-    arm = make()
-    env = measured(arm, fault, 0, pose=np.array([0.1, 0.2, -0.07, 0.1])[: arm.n])
-    episode = env.batch.episode(0)
-    episode.ended = True
-    figure = Picture(env.batch.nominal).figure(episode, verdict="compound_looseness@link2")
-    figure.canvas.draw()
-    boxes = [text.get_window_extent() for text in figure.texts if text.get_va() == "top"]
-    assert max(box.x1 for box in boxes) < figure.bbox.x1
-    assert boxes[0].y0 > boxes[1].y1 and boxes[1].y0 > figure.axes[0].bbox.y1 - 3  # pixels
-
-
-def test_gravity_points_down_and_an_arm_in_a_plane_is_seen_along_its_axes() -> None:
-    for arm, planar_arm in ((planar(3, vertical=True), True), (six_axis(), False)):
-        for pull in ([0.0, -9.81, 0.0], [9.81, 0.0, 0.0]):
-            spec = arm.spec.copy()
-            spec.option.gravity = pull
-            drawing = ArmDrawing(replace(arm, spec=spec))
-            down = drawing.camera @ drawing.turn @ np.array(pull) / 9.81
-            assert down[0] == pytest.approx(0.0, abs=1e-12) and down[1] < -0.9
-            assert drawing.planar is planar_arm and drawing.seen == "gravity ↓"
-    spec.option.gravity = [0.0, 0.0, 0.0]
-    assert ArmDrawing(replace(arm, spec=spec)).seen == "no gravity"
-
-
 def test_the_arm_lies_where_its_joints_put_it() -> None:
     pose = np.radians([30.0, 40.0, -100.0])
     drawing = ArmDrawing(planar(3))
@@ -227,6 +196,12 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) 
 # ---- the correlation by direction
 
 
+def multiple_correlation(x: np.ndarray, a: np.ndarray) -> float:
+    design = np.vstack((a, np.ones(len(x)))).T
+    residual = x - design @ np.linalg.lstsq(design, x, rcond=None)[0]
+    return float(np.sqrt(1 - residual.var() / x.var()))
+
+
 @pytest.mark.parametrize("name", ["vera", "six_axis", "scara"])
 def test_the_correlation_of_one_shaken_joint_is_that_of_the_statistics(name: str) -> None:
     env = measured(ARMS[name](), "structural_looseness@link2")
@@ -235,7 +210,7 @@ def test_the_correlation_of_one_shaken_joint_is_that_of_the_statistics(name: str
     joint = acceleration_from_angle(measurement.encoder[1:2], rate, band)[0]
     tool = bandpass(measurement.tool, rate, band)
     found = measured_correlation(measurement)
-    assert found.maximum == pytest.approx(maximum_correlation(joint, tool).value)
+    assert found.maximum == pytest.approx(multiple_correlation(joint, tool))
     directions = np.random.default_rng(0).standard_normal((30, len(tool)))
     for direction, r in zip(directions, found.along(directions), strict=True):
         assert r == pytest.approx(correlation_along(joint, tool, direction), abs=1e-9)
@@ -248,18 +223,6 @@ def test_the_correlation_of_one_shaken_joint_is_that_of_the_statistics(name: str
         assert section.lowest is not None
         direction[list(section.axes)] = section.lowest
         assert found.along(direction[None])[0] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_several_joints_count_as_the_sum_the_tool_follows_best() -> None:
-    rng = np.random.default_rng(1)
-    x = rng.standard_normal((3, 4000))
-    a = np.array([[1.0, 0.4, 0.0], [0.0, 1.0, -0.3], [0.2, 0.0, 0.5]]) @ x
-    a += 0.5 * rng.standard_normal(a.shape)
-    found = CorrelationByDirection.of(covariances(x, a))
-    best = max(
-        maximum_correlation(weights @ x, a).value for weights in rng.standard_normal((400, 3))
-    )
-    assert best <= found.maximum <= best + 0.02
 
 
 def test_a_tool_axis_that_stands_still_leaves_the_planes_finite() -> None:

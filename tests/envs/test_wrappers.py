@@ -26,6 +26,7 @@ PLAIN: list[type[Any]] = [
     PosteriorObservation,
     LatestRecord,
     MeasuredMinusNominal,
+    JointSideObservation,
     MacroActions,
     SeparateVerdict,
     ActionAndPrediction,
@@ -33,7 +34,7 @@ PLAIN: list[type[Any]] = [
 
 
 def make(**arguments: Any) -> Any:
-    usual = {"n_links": 2, "durations": (0.2,), "max_records": 4, "threads": 1}
+    usual = {"n_links": 2, "durations": (0.1,), "max_records": 4, "threads": 1}
     return gymnasium.make("loose_env/Planar-v0", **{**usual, **arguments})
 
 
@@ -45,12 +46,8 @@ def shake(env: Any, level: int = 2) -> Any:
 @pytest.mark.filterwarnings(
     "ignore:.*different from the unwrapped.*", "ignore:.*Box action space.*"
 )
-def test_gymnasium_s_checker_finds_nothing(wrapper: type[Any]) -> None:
-    check_env(wrapper(make().unwrapped), skip_render_check=True)
-
-
-@pytest.mark.parametrize("wrapper", PLAIN)
 def test_whole_episodes_stay_in_the_spaces_and_masks_fit(wrapper: type[Any]) -> None:
+    check_env(wrapper(make().unwrapped), skip_render_check=True)
     env = wrapper(make())
     env.action_space.seed(0)
     space = env.action_space
@@ -120,7 +117,7 @@ def test_the_posterior_is_that_of_the_estimator() -> None:
     from loose_agents.base import Problem
     from loose_agents.belief import Tracker
 
-    env = PosteriorObservation(make())
+    env = PosteriorObservation(make(durations=(0.2,)))
     inner = env.unwrapped
     problem = Problem.of(inner.arm, inner.settings)
     tracker = Tracker(problem)
@@ -246,11 +243,8 @@ def test_only_what_torque_and_encoders_give_is_left() -> None:
     assert {name for name in whole if name.startswith(("now", "spent"))} <= set(names)
 
 
-def test_it_is_made_anew_from_its_spec_and_takes_other_layouts() -> None:
+def test_it_takes_other_layouts() -> None:
     env = JointSideObservation(gymnasium.make("loose_env/Planar-v0", **ARGUMENTS))
-    again = gymnasium.make(env.spec)
-    assert again.observation_space == env.observation_space
-    assert np.array_equal(again.reset(seed=1)[0], env.reset(seed=1)[0])
     difference = MeasuredMinusNominal(gymnasium.make("loose_env/Planar-v0", **ARGUMENTS))
     alone = JointSideObservation(difference)
     assert alone.observation_space.contains(alone.reset(seed=1)[0])

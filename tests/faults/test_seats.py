@@ -1,4 +1,4 @@
-"""Every link takes a seat, a shut seat shows nowhere, and what is refused."""
+"""Seats: where they stand, alone and together, what a load does to them, and what is refused."""
 
 from __future__ import annotations
 
@@ -10,39 +10,52 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from mujoco.batch import Batch
-from numpy.typing import NDArray
 
-from loose_env.arms import Arm, MismatchDraw, planar, vera
+from loose_env.arms import Arm, planar, vera
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import (
     SEAT,
+    SEVERAL_FAULTS,
     Backlash,
     CompoundLooseness,
-    Fault,
     Healthy,
     Preload,
     RotationalLooseness,
     SeatKind,
     SeveralFaults,
     StructuralLooseness,
+    gaps_of,
     hypotheses,
+    part_seats,
+    parts_of,
     place_of,
     preloaded,
     seat_names,
-    seat_of,
+    seat_weight,
     seated_spec,
     seats_of,
     set_seat,
     twist_of,
 )
-from loose_env.rig import Plant, PlantShop, SimulatedRig
+from loose_env.rig import Plant, SimulatedRig
 from loose_env.typing import Array
+from tests.faults.seats import (
+    ARMS,
+    at_pose,
+    inertia_of,
+    plant_of,
+    play,
+    pose_of,
+    records,
+    rock,
+    slide,
+)
 
 KINDS: tuple[SeatKind, ...] = ("slide", "hinge", "play")
-ARMS: dict[str, Callable[[], Arm]] = {
-    **{f"planar{n}": (lambda n=n: planar(n)) for n in (2, 4, 7)},  # type: ignore[misc]
+NAMED = ("healthy", "structural_looseness", "backlash", "rotational_looseness")
+MAKE: dict[SeatKind, Callable[..., Any]] = {"slide": slide, "hinge": rock, "play": play}
+FLAT: dict[str, Callable[[], Arm]] = {
+    "planar4": lambda: planar(4),
     "planar3v": lambda: planar(3, vertical=True),
     "vera": vera,
 }
@@ -53,106 +66,51 @@ def arm(request: pytest.FixtureRequest) -> Arm:
     return ARMS[request.param]()
 
 
+@pytest.fixture(params=FLAT)
+def flat(request: pytest.FixtureRequest) -> Arm:
+    return FLAT[request.param]()
+
+
 def places(arm: Arm) -> list[tuple[int, SeatKind]]:
     return [(link, kind) for link in range(1, arm.n + 1) for kind in KINDS]
 
 
-def shut(arm: Arm) -> list[Plant]:
-    """The healthy nominal arm, once with every seat it can have."""
-    shop = PlantShop(arm, timestep=arm.timestep, link_accelerometers=False)
-    none = MismatchDraw.none(arm)
-    return [Plant(shop.template(*place), arm, Healthy(), none) for place in places(arm)]
-
-
-def loosened(kind: SeatKind, link: int, **changes: Any) -> Fault:
-    settings = {"gap": 1e-4, "stiffness": (1e4, 2e4), "damping": (1.0, 2.0), **changes}
-    if kind == "play":
-        return Backlash(joint=link, **settings)
-    if kind == "hinge":
-        return RotationalLooseness(**{"link": link, "axis": (0.0, 0.0, 1.0), **settings})
-    return StructuralLooseness(**{"link": link, "direction": (0.0, 1.0, 0.0), **settings})
-
-
-def test_every_link_takes_all_kinds_of_seat(arm: Arm) -> None:
-    for link, kind in places(arm):
-        model = seated_spec(arm, link, kind).compile()
-        assert model.nv == arm.model.nv + 1
+def test_every_link_takes_all_kinds_of_seat(flat: Arm) -> None:
+    for link, kind in places(flat):
+        model = seated_spec(flat, link, kind).compile()
+        assert model.nv == flat.model.nv + 1
         seat = model.joint(SEAT)
-        assert model.body(seat.bodyid[0]).name == arm.seat_bodies[link - 1]
+        assert model.body(seat.bodyid[0]).name == flat.seat_bodies[link - 1]
         wanted = mujoco.mjtJoint.mjJNT_SLIDE if kind == "slide" else mujoco.mjtJoint.mjJNT_HINGE
         assert seat.type[0] == wanted
 
 
-def shaken(arm: Arm, plants: list[Plant], excited: NDArray[np.bool_]) -> Array:
-    """Readings of all plants under the same torque: (plants, steps, channels)."""
-    batch = Batch(plants[0].model, len(plants), 1)
-    shake = Excitation(
-        torque_rms=tuple(np.where(excited, np.array(arm.torque_limits) / 4, 0.0)),
-        duration=0.2,
-        band=arm.band,
-    )
-    torque = torque_signals(
-        shake, timestep=arm.timestep, before=0, after=0, rng=np.random.default_rng(0)
-    )
-    position, active = batch.bind("qpos"), batch.bind("eq_active")
-    for k, plant in enumerate(plants):
-        position[k, plant.position] = plant.hold_at(np.linspace(0.3, 0.9, arm.n))
-        active[k] = plant.model.eq_active0
-        active[k, plant.brakes] = ~excited
-    batch.set_models([plant.model for plant in plants])
-    control = np.broadcast_to(torque.T, (len(plants), *torque.T.shape))
-    found: Array = batch.rollout(control.shape[1], control, record=("sensordata",))["sensordata"]
-    assert not batch.warning[..., 1].any()
-    return found
+def test_a_shut_seat_shows_nowhere(flat: Arm) -> None:
+    specs = [flat.spec.copy(), *(seated_spec(flat, *place) for place in places(flat))]
+    ends = []
+    for spec in specs:
+        spec.option.timestep = flat.timestep
+        model = spec.compile()
+        set_seat(model, Healthy())
+        data, torque = mujoco.MjData(model), np.array(flat.torque_limits) / 4
+        for k, name in enumerate(flat.joints):
+            data.joint(name).qpos[0], data.joint(name).qfrc_applied[0] = 0.3 + 0.3 * k, torque[k]
+        mujoco.mj_step(model, data, round(0.2 / flat.timestep))
+        mujoco.mj_forward(model, data)
+        turned = [data.joint(name).qpos[0] - 0.3 - 0.3 * k for k, name in enumerate(flat.joints)]
+        ends.append(np.concatenate([turned, data.site(flat.tool).xpos]))
+    bare, *seated = np.array(ends)
+    assert np.abs(bare[: flat.n]).min() > 1e-3
+    for place, own in zip(places(flat), seated, strict=True):
+        np.testing.assert_allclose(own, bare, atol=1e-4 * np.abs(bare).max(), err_msg=str(place))
 
 
-@pytest.mark.parametrize("all_excited", [False, True], ids=["brakes on", "brakes off"])
-def test_a_shut_seat_shows_nowhere(arm: Arm, all_excited: bool) -> None:
-    # All seats in one batch: their layouts are the same.
-    excited = np.ones(arm.n, dtype=bool) if all_excited else np.arange(arm.n) == 0
-    readings = shaken(arm, shut(arm), excited)
-    mean = readings.mean(axis=0)
-    for channels in (slice(0, 2), slice(3, 3 + arm.n)):  # tool in the plane, encoders
-        moved = np.linalg.norm(mean[:, channels] - mean[0, channels])
-        assert moved > 0
-        for seat, own in zip(places(arm), readings, strict=True):
-            error = np.linalg.norm(own[:, channels] - mean[:, channels])
-            assert error < 1e-4 * moved, f"{seat} reads differently by {error / moved:.1e}"
-
-
-def test_a_seat_can_be_set_again() -> None:
-    arm = planar(3)
-    spec = seated_spec(arm, 2, "slide")
-    spec.option.timestep = arm.timestep
-    once, again = spec.compile(), spec.compile()
-    final = loosened("slide", 2, direction=(1.0, 1.0, 0.0), friction=2.0)
-    set_seat(once, final)
-    for first in (
-        Healthy(),
-        Preload(link=2, direction=(0.0, 1.0, 0.0), stiffness=1e6, damping=10.0),
-        loosened("slide", 2, gap=3e-4),
-    ):
-        set_seat(again, first)
-    set_seat(again, final)
-    for field in (
-        "eq_active0",
-        "eq_solref",
-        "jnt_axis",
-        "jnt_stiffness",
-        "dof_damping",
-        "dof_frictionloss",
-        "tendon_range",
-        "tendon_solref_lim",
-    ):
-        np.testing.assert_array_equal(getattr(again, field), getattr(once, field), err_msg=field)
-
-
-def test_hypotheses_name_every_place_and_each_fault_its_own(arm: Arm) -> None:
-    names = hypotheses(arm, ("healthy", "structural_looseness", "backlash", "rotational_looseness"))
-    assert len(names) == len(set(names)) == 3 * arm.n + 1
+def test_hypotheses_name_every_place_and_each_fault_its_own(flat: Arm) -> None:
+    names = hypotheses(flat, NAMED)
+    assert len(names) == len(set(names)) == 3 * flat.n + 1
     assert Healthy().hypothesis in names
-    for link, kind in places(arm):
-        fault = loosened(kind, link)
+    for link, kind in places(flat):
+        fault = MAKE[kind](link)
         assert fault.hypothesis in names
         assert place_of(fault.hypothesis) == link
         assert seats_of(fault) == (link, (kind,))
@@ -169,14 +127,109 @@ def test_a_stop_too_stiff_for_the_step_is_refused_with_what_would_do(
     stiffness = [100.0, 100.0]
     stiffness[side] = 1e9
     with pytest.raises(InvalidSetting, match=r"1e\+09 .* Hz, too fast for a step of") as refusal:
-        set_seat(model, loosened(kind, 2, stiffness=tuple(stiffness)))
+        set_seat(model, MAKE[kind](2, stiffness=tuple(stiffness)))
     # The message names a stiffness and a step that are allowed: they must be.
     named = re.search(r"use (\S+) at most, or a step of (\S+) s at most", str(refusal.value))
     assert named is not None
     allowed, step = float(named[1]), float(named[2])
-    set_seat(model, loosened(kind, 2, stiffness=(0.99 * allowed, 0.99 * allowed)))
+    set_seat(model, MAKE[kind](2, stiffness=(0.99 * allowed, 0.99 * allowed)))
     model.opt.timestep = 0.95 * step
-    set_seat(model, loosened(kind, 2, stiffness=tuple(stiffness)))
+    set_seat(model, MAKE[kind](2, stiffness=tuple(stiffness)))
+
+
+def test_every_seat_stands_where_it_would_stand_alone(arm: Arm) -> None:
+    pose = pose_of(arm)
+    for first, second in ((slide(1), play(2)), (play(1), slide(2)), (play(1), rock(2))):
+        both = plant_of(arm, SeveralFaults(faults=(first, second)))
+        for own, alone in (("seat", plant_of(arm, first)), ("seat2", plant_of(arm, second))):
+            np.testing.assert_allclose(
+                inertia_of(both.model, at_pose(both, pose), (*arm.joints, own)),
+                inertia_of(alone.model, at_pose(alone, pose), (*arm.joints, "seat")),
+                rtol=1e-12,
+                atol=1e-14,
+            )
+
+
+def test_a_compound_seat_beside_another_keeps_its_parts_in_order(arm: Arm) -> None:
+    cross = CompoundLooseness(link=1, parts=(slide(1), rock(1)))
+    fault = SeveralFaults(faults=(cross, play(2)))
+    assert parts_of(fault) == (slide(1), rock(1), play(2))
+    assert part_seats(fault) == ((1, 1, 2), ("slide", "hinge", "play"))
+    assert gaps_of(fault) == (2e-4, 1e-3, 1e-3)
+    assert fault.hypothesis == fault.kind == SEVERAL_FAULTS
+    plant = plant_of(arm, fault)
+    assert plant.parts == 3 and seat_names(plant.model) == ("seat", "seat2", "seat3")
+    bodies = [int(plant.model.joint(s).bodyid[0]) for s in seat_names(plant.model)]
+    wanted = [plant.model.body(arm.seat_bodies[k]).id for k in (0, 0, 1)]
+    assert bodies == wanted
+
+
+def test_a_seat_that_nothing_opens_leaves_the_other_as_it_is_alone(arm: Arm) -> None:
+    loose, shut = slide(1, friction=0.5), play(2, friction=1e6)
+    alone, beside, both = records(
+        arm, [loose, SeveralFaults(faults=(loose, shut)), SeveralFaults(faults=(loose, play(2)))]
+    )
+    start = slice(0, 60)  # later on, strikes of the stops magnify the last digits
+    size = np.linalg.norm(alone[:, start])
+    assert np.linalg.norm(beside[:, start] - alone[:, start]) < 0.03 * size
+    assert np.linalg.norm(both[:, start] - alone[:, start]) > 0.05 * size
+
+
+@pytest.mark.parametrize("load", [20.0, -3.5])
+def test_a_preload_is_a_constant_force_on_the_seat(arm: Arm, load: float) -> None:
+    for fault in (slide(2, preload=load), play(1, preload=load), rock(2, preload=load)):
+        plant = plant_of(arm, fault)
+        data, dof = at_pose(plant, pose_of(arm)), int(plant.model.joint("seat").dofadr[0])
+        for place in (-0.5, 0.0, 0.5):
+            data.qpos[plant.seat_positions] = place * fault.gap
+            mujoco.mj_forward(plant.model, data)
+            assert data.qfrc_passive[dof] == pytest.approx(load, rel=1e-6)
+
+
+def settled(plant: Plant, pose: Array, push: float) -> float:
+    """Where a seat comes to rest under a further force on it [m or rad]."""
+    data, dof = at_pose(plant, pose), int(plant.model.joint("seat").dofadr[0])
+    data.qfrc_applied[dof] = push
+    mujoco.mj_step(plant.model, data, round(1.0 / plant.model.opt.timestep))
+    assert abs(data.qvel[dof]) < 1e-5
+    return float(data.qpos[plant.seat_positions[0]])
+
+
+@pytest.mark.parametrize("make", [slide, play])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_pressed_seat_rests_on_its_stop_until_the_drive_exceeds_the_load(
+    make: Callable[..., StructuralLooseness | Backlash], sign: float
+) -> None:
+    arm = planar(3)
+    pose, load = np.array([0.1, 0.5, 0.3]), sign * (8.0 if make is slide else 0.4)
+    springs, dampers = (
+        ((2e4, 3e4), (300.0, 300.0)) if make is slide else ((1e4, 2e4), (100.0, 100.0))
+    )
+    fault = make(2, preload=load, stiffness=springs, damping=dampers)
+    plant = plant_of(arm, fault)
+    side = 1 if sign > 0 else 0
+    for share in (0.0, 0.5, 0.9, -0.5):
+        # On the stop that the load presses on, as deep as what is left of it pushes.
+        left = (1 - share) * abs(load)
+        wanted = sign * (fault.gap / 2 + left / fault.stiffness[side])
+        assert settled(plant, pose, -share * load) == pytest.approx(wanted, rel=1e-3)
+    wanted = -sign * (fault.gap / 2 + 0.5 * abs(load) / fault.stiffness[1 - side])
+    assert settled(plant, pose, -1.5 * load) == pytest.approx(wanted, rel=1e-3)
+
+
+def test_the_weight_on_a_seat_is_the_most_that_gravity_can_do(arm: Arm) -> None:
+    parts: list[Any] = []
+    for link in range(1, arm.n + 1):
+        parts += [slide(link), rock(link), play(link)]
+    for part in parts:
+        plant = plant_of(arm, part)
+        data, dof = mujoco.MjData(plant.model), int(plant.model.joint("seat").dofadr[0])
+        forces = []
+        for axis in np.eye(3):
+            plant.model.opt.gravity[:] = 9.81 * axis
+            mujoco.mj_forward(plant.model, data)
+            forces.append(data.qfrc_bias[dof])
+        assert seat_weight(arm, part) == pytest.approx(float(np.linalg.norm(forces)), rel=1e-9)
 
 
 # ---- what is refused
@@ -187,7 +240,7 @@ SLIDE: dict[str, Any] = {"link": 2, "direction": (1, 0, 0), "gap": 1e-3, "stiffn
 ROCK: dict[str, Any] = {"link": 2, "axis": (0, 0, 1), "gap": 1e-3, "stiffness": (1e3, 1e3)}
 PLAY: dict[str, Any] = {"joint": 2, "gap": 1e-3, "stiffness": (1e3, 1e3)}
 TIGHT: dict[str, Any] = {"link": 2, "direction": (1, 0, 0), "stiffness": 1e6}
-slide, rock, play = StructuralLooseness(**SLIDE), RotationalLooseness(**ROCK), Backlash(**PLAY)
+SLIDING, ROCKING, PLAYING = slide(2), rock(2), play(2)
 REFUSED: list[tuple[Any, dict[str, Any], dict[str, Any], str]] = [
     *(
         (kind, given, {name: bad if name in ("gap", "friction") else (1.0, bad)}, "zero or more")
@@ -219,27 +272,31 @@ REFUSED: list[tuple[Any, dict[str, Any], dict[str, Any], str]] = [
     *(
         (CompoundLooseness, {"link": 2}, {"parts": parts}, said)
         for parts, said in (
-            ((), "two to six parts"),
-            ((slide,), "for one use StructuralLooseness"),
-            ([slide, rock], "a tuple of two to six"),
-            ((Healthy(), rock), r"parts .* are StructuralLooseness or"),
-            ((replace(slide, link=1), rock), "lie on its link 2; got one on link 1"),
+            *(
+                (parts, "parts must be a tuple of two to six StructuralLooseness or Rotational")
+                for parts in ((), (SLIDING,), (Healthy(), ROCKING))
+            ),
+            ((replace(SLIDING, link=1), ROCKING), "lie on its link 2; got one on link 1"),
             (
-                (slide, replace(slide, direction=(0, 1, 0)), replace(slide, direction=(1, 1, 0))),
+                tuple(replace(SLIDING, direction=(x, y, 0)) for x, y in ((1, 0), (0, 1), (1, 1))),
                 "directions of the slides must be independent, three at most",
             ),
-            ((rock, replace(rock, pivot=(1.0, 0, 0))), "axes of the rotations must be independent"),
+            ((ROCKING, rock(2, pivot=(1.0, 0, 0))), "axes of the rotations must be independent"),
         )
     ),
     *(
         (SeveralFaults, {}, {"faults": faults}, said)
         for faults, said in (
-            ((slide,), "two or more"),
-            ([replace(slide, link=1), play], "tuple"),
-            ((slide, Healthy()), "each of several faults"),
-            ((slide, Preload(**TIGHT)), "each of several faults"),
-            ((slide, play), "different numbers"),
-            ((slide, slide), "different numbers"),
+            *(
+                (faults, "faults must be a tuple of two or more loose faults")
+                for faults in (
+                    (SLIDING,),
+                    (SLIDING, Healthy()),
+                    (SLIDING, Preload(**TIGHT)),
+                )
+            ),
+            ((SLIDING, PLAYING), "different numbers"),
+            ((SLIDING, SLIDING), "different numbers"),
         )
     ),
 ]  # fmt: skip
@@ -268,30 +325,29 @@ def seat(*kinds: Any) -> mujoco.MjModel:
         (lambda: seat(), InvalidSetting, "1 to 6 degrees of freedom, got 0"),
         (lambda: seat(*["slide"] * 4), InvalidSetting, "three slides and three hinges at most"),
         (lambda: seated_spec(planar(3), (1, 2), ("slide",)), InvalidSetting, "one link"),
-        (lambda: set_seat(seat("slide"), replace(slide, gap=5.0)), InvalidSetting, "gap of 5 is"),
-        (lambda: set_seat(seat("slide"), rock), InvalidSetting, "needs a hinge, which 'seat'"),
+        (lambda: set_seat(seat("slide"), replace(SLIDING, gap=5.0)), InvalidSetting, "gap of 5 is"),
+        (lambda: set_seat(seat("slide"), ROCKING), InvalidSetting, "needs a hinge, which 'seat'"),
         (
-            lambda: set_seat(seat("slide"), CompoundLooseness(link=2, parts=(slide, rock))),
+            lambda: set_seat(seat("slide"), CompoundLooseness(link=2, parts=(SLIDING, ROCKING))),
             InvalidSetting,
             "2 loose degrees of freedom, the model's seat has 1",
         ),
-        (lambda: set_seat(seat("slide", "hinge"), slide), InvalidSetting, "has 1 loose"),
-        (lambda: seat_of("backlash"), UnknownName, r"Healthy, Preload.*got str: 'backlash'"),  # type: ignore[arg-type]
-        (lambda: seat_of(rock), InvalidSetting, "is not dealt with here"),
+        (lambda: set_seat(seat("slide", "hinge"), SLIDING), InvalidSetting, "has 1 loose"),
+        (lambda: seats_of("backlash"), UnknownName, r"Healthy, Preload.*got str: 'backlash'"),  # type: ignore[arg-type]
         (
-            lambda: seats_of(SeveralFaults(faults=(replace(slide, link=1), play))),
+            lambda: seats_of(SeveralFaults(faults=(replace(SLIDING, link=1), PLAYING))),
             InvalidSetting,
             "part_seats",
         ),
         (lambda: twist_of(planar(2), Healthy()), InvalidSetting, "one loose degree of freedom"),
-        (lambda: preloaded(planar(2), slide, NAN), InvalidSetting, "finite"),
+        (lambda: preloaded(planar(2), SLIDING, NAN), InvalidSetting, "finite"),
         (
             lambda: SimulatedRig(planar(2)).mount(0, Preload(**TIGHT | {"stiffness": 1e10})),
             InvalidSetting,
             "too fast for a step",
         ),
         (
-            lambda: SimulatedRig(planar(2)).mount(0, replace(slide, damping=(1e3, 1e6))),
+            lambda: SimulatedRig(planar(2)).mount(0, replace(SLIDING, damping=(1e3, 1e6))),
             InvalidSetting,
             "use less than",
         ),

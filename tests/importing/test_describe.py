@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -11,9 +12,11 @@ import numpy as np
 import pytest
 
 from loose_env.cli.main import main
-from loose_env.importing import describe_sources, import_recording, read_mapping
-from loose_env.importing.readers.csv_list import list_csv
+from loose_env.errors import InvalidData
+from loose_env.importing import describe_sources, import_recording, list_sources, read_mapping
 from tests.importing.sample_files import ARM, motion, write_csv, write_robot, write_uff
+
+Mapped = Callable[[str], Path]
 
 
 def filled(text: str, columns: dict[str, str]) -> str:
@@ -100,7 +103,7 @@ def test_tables_are_recognised(
 ) -> None:
     path = tmp_path / "log.csv"
     path.write_text(text)
-    found = list_csv(path, "log.csv")
+    (found,) = list_sources([str(path)]).values()
     assert found.options[:-1] == options
     assert [each.key.channel for each in found.streams[0].channels] == names
 
@@ -112,3 +115,71 @@ def test_files_of_one_stem_are_all_listed(tmp_path: Path) -> None:
     tomllib.loads(text)
     assert "[sources.daq]" in text
     assert "[sources.daq-2]" in text
+
+
+# ------------------------------------------------------------------------- dates
+
+COLUMN = '[columns]\n"sensor.elbow_angle" = { channel = "q" }\n[[runs]]\n'
+
+
+def table(path: Path, stamps: list[str]) -> Path:
+    lines = ["Time;q", *(f"{stamp};{0.01 * i:.3f}" for i, stamp in enumerate(stamps))]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def stamps(date: str) -> list[str]:
+    """200 Hz over half a second, across a full second."""
+    return [f"{date} 10:11:{12 + (i * 5) // 1000:02d}.{i * 5 % 1000:03d}" for i in range(180, 280)]
+
+
+@pytest.mark.parametrize(
+    ("cells", "expected"),
+    [
+        (["04.03.2025 10:11:12.345"], "%d.%m.%Y %H:%M:%S.%f"),
+        (["04.03.25 10:11:12"], "%d.%m.%y %H:%M:%S"),
+        (["13/03/2025 10:11:12"], "%d/%m/%Y %H:%M:%S"),
+        (["03/13/2025 10:11:12.5 AM"], "%m/%d/%Y %I:%M:%S.%f %p"),
+        (["04/03/2025 23:59:59", "05/03/2025 00:00:00"], "%d/%m/%Y %H:%M:%S"),
+        (["04/03/2025 23:59:59", "04/04/2025 00:00:00"], "%m/%d/%Y %H:%M:%S"),
+        (["2025/03/04 10:11:12,345"], "%Y/%m/%d %H:%M:%S,%f"),
+        (["2025-03-04T10:11:12.345Z"], "iso"),
+    ],
+)
+def test_the_order_of_day_and_month_follows_from_the_data(
+    tmp_path: Path, cells: list[str], expected: str
+) -> None:
+    said = describe_sources([str(table(tmp_path / "log.csv", cells * 2))])
+    assert tomllib.loads(said)["sources"]["log"]["time"]["date_format"] == expected
+
+
+def test_a_table_with_german_dates_keeps_its_rate(home: Path, mapping: Mapped) -> None:
+    log = table(home / "log.csv", stamps("04.03.2025"))
+    mapped = mapping(f'[sources.log]\nseparator = ";"\ntime = {{ column = "Time" }}\n{COLUMN}')
+    run = import_recording([log], mapped, home / "out").runs[0]
+    np.testing.assert_allclose(np.diff(run.time), 0.005, atol=1e-9)
+    assert 'date_format = "%d.%m.%Y %H:%M:%S.%f"' in describe_sources([str(log)])
+
+
+def test_an_ambiguous_table_is_refused_until_the_format_is_stated(
+    home: Path, mapping: Mapped
+) -> None:
+    log = table(home / "log.csv", stamps("04/03/2025"))
+    source = '[sources.log]\nseparator = ";"\ntime = { column = "Time"'
+    with pytest.raises(InvalidData, match="give date_format"):
+        import_recording([log], mapping(f"{source} }}\n{COLUMN}"), home / "out")
+    stated = mapping(f'{source}, date_format = "%m/%d/%Y %H:%M:%S.%f" }}\n{COLUMN}')
+    assert import_recording([log], stated, home / "out").runs[0].samples == 100
+    said = describe_sources([str(log)])
+    tomllib.loads(said)
+    assert "give date_format" in said
+
+
+def test_no_rate_is_assumed_where_a_table_has_no_time(home: Path, mapping: Mapped) -> None:
+    log = home / "log.csv"
+    log.write_text("p,q\n" + "".join(f"{i},{i * 0.1}\n" for i in range(50)))
+    said = describe_sources([str(log)])
+    assert "time" not in tomllib.loads(said)["sources"]["log"]
+    assert "no column of time was found" in said
+    with pytest.raises(InvalidData, match="no rate is assumed"):
+        import_recording([log], mapping(f"[sources.log]\n{COLUMN}"), home / "out")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +10,8 @@ import pytest
 from mcap.writer import CompressionType
 
 from loose_env.cli.main import main
-from loose_env.importing import ImportSettings, import_recording
+from loose_env.errors import InvalidData
+from loose_env.importing import import_recording
 from loose_env.recording import Run, read_recording, write_recording
 from tests.importing.sample_files import (
     ARM,
@@ -292,32 +292,6 @@ def test_many_runs_take_their_files_in_turn(home: Path, mapping: Mapped) -> None
     assert [list(run.torques) for run in found.runs] == [[], [], ["elbow"]]
 
 
-def test_a_mapping_may_be_json_and_a_model_lie_elsewhere(home: Path, tmp_path: Path) -> None:
-    write_csv(home / "log.csv", np.stack([np.arange(20) / 10, np.ones(20)], 1), ["t", "q"])
-    mapping = home / "map.json"
-    mapping.write_text(
-        json.dumps(
-            {
-                "format": "loose-mapping/1",
-                "sources": {"log": {"time": {"column": "t"}}},
-                "runs": [{"columns": {"sensor.elbow_angle": {"channel": "q"}}}],
-            }
-        )
-    )
-    elsewhere = tmp_path / "models"
-    elsewhere.mkdir()
-    (elsewhere / "other.xml").write_text(ARM)
-    found = import_recording(
-        [home / "log.csv"],
-        mapping,
-        home / "out",
-        ImportSettings(file_format="csv"),
-        model=elsewhere / "other.xml",
-    )
-    assert found.model_path == home / "out" / "other.xml"
-    assert found.runs[0].name == "run-01.csv"
-
-
 def test_a_gap_stays_a_gap(home: Path, mapping: Mapped) -> None:
     time = np.arange(1000) / 1000
     fast = write_csv(home / "fast.csv", np.stack([time, time], 1), ["t", "q"])
@@ -341,6 +315,71 @@ time = { column = "t" }
     missing = np.isnan(run.sensors["shoulder_rate"])
     np.testing.assert_array_equal(missing, (run.time > 0.3905) & (run.time < 0.4595))
     assert not np.isnan(run.sensors["elbow_angle"]).any()
+
+
+def of_stamps(home: Path, mapping: Mapped, stamps: np.ndarray, *, run: str = "") -> Run:
+    """A table of one angle, equal to its row, whose stamps are said to be evenly spaced."""
+    rows = np.stack([stamps, np.arange(len(stamps)) / 1e3], 1)
+    log = write_csv(home / "log.csv", rows, ["t", "q"])
+    mapped = mapping(
+        '[sources.log]\ntime = { column = "t", even = true }\n[columns]\n'
+        f'"sensor.elbow_angle" = {{ channel = "q" }}\n[[runs]]\n{run}'
+    )
+    return import_recording([log], mapped, home / "out").runs[0]
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.05, 0.2])
+def test_even_stamps_lose_their_jitter_and_missing_samples_stay_missing(
+    home: Path, mapping: Mapped, jitter: float
+) -> None:
+    rng = np.random.default_rng(0)
+    kept = np.setdiff1d(np.arange(4000), (700, 701, 2500))
+    noted = np.sort(1e-3 * kept + 1e-3 * jitter * rng.normal(size=len(kept)))
+    run = of_stamps(home, mapping, noted)
+    near = np.abs(run.time[:, None] - 1e-3 * np.array([700, 2500])).min(axis=1) < 8e-3
+    true = np.interp(run.time, 1e-3 * kept, np.arange(len(kept)) / 1e3)
+    read = run.sensors["elbow_angle"]
+    assert np.nanmax(np.abs(read - true)[~near]) < 2e-4  # a fifth of a step
+    assert np.isfinite(read[~near]).all()
+
+
+@pytest.mark.parametrize("steps", [0.6, -0.7])
+def test_stamps_that_move_by_no_whole_step_are_refused(
+    home: Path, mapping: Mapped, steps: float
+) -> None:
+    noted = 1e-3 * (np.arange(4000) + 0.02 * np.random.default_rng(0).normal(size=4000))
+    late = noted + np.where(np.arange(4000) >= 2000, 1e-3 * steps, 0.0)
+    late[2000:] = np.maximum(late[2000:], late[1999] + 1e-6)
+    late = np.maximum.accumulate(late) + 1e-8 * np.arange(4000)
+    with pytest.raises(InvalidData, match="cannot be told"):
+        of_stamps(home, mapping, late)
+
+
+def test_a_faster_channel_brings_nothing_from_above_half_the_rate(
+    home: Path, mapping: Mapped
+) -> None:
+    """And commands are held, no longer than their gaps."""
+    time = np.arange(8000) / 2000
+    rng = np.random.default_rng(0)
+    low, high = (
+        np.sin(2 * np.pi * np.outer(time, rng.uniform(*band, 40)) + rng.uniform(0, 6, 40)).sum(1)
+        for band in ((1, 40), (60, 900))
+    )
+    log = write_csv(home / "log.csv", np.stack([time, low, high], 1), ["t", "a", "b"])
+    steps = write_csv(home / "steps.csv", np.array([[0, 1], [1, 2], [2, 3], [4, 4]]), ["t", "u"])
+    clock = 'time = { column = "t" }'
+    mapped = mapping(
+        f"[sources.log]\n{clock}\n[sources.steps]\n{clock}\n[columns]\n"
+        '"sensor.elbow_angle" = { source = "log", channel = "a" }\n'
+        '"sensor.shoulder_rate" = { source = "log", channel = "b" }\n'
+        '"ctrl.lift" = { source = "steps", channel = "u" }\n[[runs]]\nrate_hz = 100\nstop = 3\n'
+    )
+    run = import_recording([log, steps], mapped, home / "out").runs[0]
+    inner = slice(20, -20)
+    assert np.abs(run.sensors["elbow_angle"] - low[::20][: run.samples])[inner].max() < 2e-2
+    assert np.abs(run.sensors["shoulder_rate"])[inner].max() < 2e-2
+    played = run.controls["lift"]
+    np.testing.assert_array_equal(played[[0, 99, 100, 199, 200]], [1, 1, 2, 2, 3])
 
 
 URDF = """

@@ -1,19 +1,29 @@
-"""What cannot be used is refused in one line that names the file and the place."""
+"""What cannot be used is refused in one line that names the file and the place; no traceback."""
 
 from __future__ import annotations
 
+import json
+import shutil
 import struct
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import zstandard
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from mcap.writer import CompressionType
 
 from loose_env.cli.main import main
-from loose_env.errors import InvalidData, LooseEnvError
-from loose_env.importing import describe_sources, import_recording
+from loose_env.errors import LooseEnvError
+from loose_env.importing import ImportSettings, describe_sources, import_recording
+from tests.importing import arm_log
 from tests.importing.sample_files import (
     IMU,
     JOINT_STATE,
@@ -22,6 +32,7 @@ from tests.importing.sample_files import (
     motion,
     write_csv,
     write_json_mcap,
+    write_protobuf_mcap,
     write_robot,
     write_ros2,
     write_uff,
@@ -31,20 +42,30 @@ Mapped = Callable[..., Path]
 
 ONE = '[sources.s]\n{source}\n[columns]\n"sensor.{column}" = {{ {channel} }}\n[[runs]]\n{run}\n'
 TIME = np.arange(50) / 100
+CLOCK = 'time = { column = "t" }'
+ELBOW = 'topic = "/joint_states", channel = "position[elbow]"'
 
 
 def one(channel: str, *, source: str = "", column: str = "elbow_angle", run: str = "") -> str:
     return ONE.format(source=source, column=column, channel=channel, run=run)
 
 
-def refused(home: Path, file: Path, mapped: Path) -> str:
+def log_of(home: Path, name: str = "log.csv", *columns: np.ndarray) -> Path:
+    names = ["t", "q", "w"][: 2 + len(columns)]
+    return write_csv(home / name, np.stack([TIME, TIME, *columns], 1), names)
+
+
+def refused(home: Path, files: Path | list[Path], mapped: Path) -> str:
     """The message, after making sure that it is one line and nothing was written."""
     before = sorted(home.iterdir())
     with pytest.raises(LooseEnvError) as error:
-        import_recording([file], mapped, home / "out")
+        import_recording([files] if isinstance(files, Path) else files, mapped, home / "out")
     assert sorted(home.iterdir()) == before
     assert "\n" not in str(error.value)
     return str(error.value)
+
+
+# ------------------------------------------------------------------------- mappings
 
 
 @pytest.mark.parametrize(
@@ -53,20 +74,15 @@ def refused(home: Path, file: Path, mapped: Path) -> str:
         ('topic = "/joint_state", channel = "position[elbow]"', "did you mean '/joint_states'"),
         ('channel = "position[elbow]"', "say which by topic"),
         ('topic = "/joint_states", channel = "positon[elbow]"', "did you mean 'position'"),
-        ('topic = "/joint_states", channel = "position[wrist]"', "none of its 400 messages"),
-        ('topic = "/joint_states", channel = "position[9]"', "none of its 400 messages"),
-        ('topic = "/joint_states", channel = "position"', "is no number"),
+        ('topic = "/joint_states", channel = "position[wrist]"', "none of its 100 messages"),
         ('topic = "/joint_states", channel = "header"', "is no number; it holds stamp"),
-        ('topic = "/joint_states", channel = "header.frame_id"', "is no number"),
         ('topic = "/imu", channel = "linear_acceleration[0]"', "is no array"),
         ('topic = "/commands", channel = "data[lift]"', "have no names; take one by its number"),
-        ('topic = "/imu", channel = "a..b"', "no way to a number"),
         ('topic = "/imu", channel = "linear_acceleration.x", unit = "g"', "measures acceleration"),
-        ('topic = "/imu", channel = "linear_acceleration.x", unit = "furlong"', "unknown unit"),
     ],
 )
 def test_channels_that_are_not_there(home: Path, mapping: Mapped, channel: str, words: str) -> None:
-    bag = write_robot(home / "robot.mcap")
+    bag = write_robot(home / "robot.mcap", seconds=0.5)
     said = refused(home, bag, mapping(one(channel)))
     assert words in said
     assert "robot.mcap" in said or "map.toml" in said
@@ -79,23 +95,15 @@ def test_channels_that_are_not_there(home: Path, mapping: Mapped, channel: str, 
         (one('channel = "q"', run='pose = { wrist = 1 }'), "no hinge or slide"),
         (one('channel = "q"', run='pose = { elbow = "3 kg" }'), "unknown unit 'kg'"),
         (one('channel = "q"', run='file = "../../run"'), "leaves the folder"),
-        (one('channel = "q"', run='file = "/etc/run"'), "is absolute"),
         (one('channel = "q"', run="start = 1.7e9"), "give a date in quotes"),
         (one('channel = "q"', run="start = 0.3\nstop = 0.1"), "start is not before stop"),
         (one('channel = "q"', run="start = 0.1\nstop = 7"), "not within what all its channels"),
         (one('channel = "q"', run="rate_hz = 1e9"), "more than"),
-        (one('channel = "q"', run="rate_hz = 5"), "at least 10"),
         (one('channel = "q"', run='condition = "sound"'), "'suspect', 'healthy'"),
         (one('channel = "q", sign = 2'), "sign is 1 or -1"),
-        (one('channel = "q", scale = 0'), "leaves nothing"),
-        (one('channel = "q", scale = inf'), "is a number from"),
         (one('channel = "q", topic = "/a"'), "has no topics"),
         (one('channel = "w"'), "there is no column 'w'"),
         (one('channel = "q", sources = "x"'), "did you mean 'source'"),
-        (one('channel = "q", source = "t"'), "there is no source 't'"),
-        (one('channel = "q"', source='separator = ";"'), "there is no column"),
-        (one('channel = "q"', source='separator = ";"\ndecimal = ";"'), "is one of '.', ','"),
-        (one('channel = "q"', source='time = { column = "t", unit = "kg" }'), "unknown unit"),
         (one('channel = "q"', source='time = { column = "t", unit = "g" }'), "no unit of time"),
         ("[sources.s]\n", "runs is a list"),
         ("[[runs]]\n", "[sources.NAME] is missing"),
@@ -103,233 +111,27 @@ def test_channels_that_are_not_there(home: Path, mapping: Mapped, channel: str, 
          "not aligned itself"),
         ("[sources", "not TOML"),
         (f"a = {'[' * 100000}", "nested too deeply"),
-        (f"a = {'9' * 5000}", "not TOML"),
     ],
 )  # fmt: skip
 def test_mappings_that_make_no_sense(home: Path, mapping: Mapped, text: str, words: str) -> None:
-    log = write_csv(home / "log.csv", np.stack([TIME, TIME], 1), ["t", "q"])
     if "time =" not in text and "[sources.s]\n" in text and "align" not in text:
-        text = text.replace("[sources.s]\n", '[sources.s]\ntime = { column = "t" }\n')
-    said = refused(home, log, mapping(text))
+        text = text.replace("[sources.s]\n", f"[sources.s]\n{CLOCK}\n")
+    said = refused(home, log_of(home), mapping(text))
     assert words in said
     assert "map.toml" in said or "log.csv" in said or "run " in said
 
 
-def test_a_model_outside_the_mapping_s_folder_is_for_the_command_line(home: Path) -> None:
-    log = write_csv(home / "log.csv", np.stack([TIME, TIME], 1), ["t", "q"])
+def test_only_files_of_the_command_line_are_read(home: Path, mapping: Mapped) -> None:
+    log, secret = log_of(home), log_of(home, "secret.csv")
     inner = home / "maps"
     inner.mkdir()
     for model in ("../arm.xml", str(home / "arm.xml")):
-        path = inner / "map.toml"
-        path.write_text(
-            f'format = "loose-mapping/1"\nmodel = "{model}"\n'
-            + one('channel = "q"', source='time = { column = "t" }')
-        )
-        assert "given by --model" in refused(home, log, path)
-    assert import_recording([log], path, home / "out", model=home / "arm.xml").runs
-
-
-@pytest.mark.parametrize(
-    ("lines", "words"),
-    [
-        (["t,q", "0,1", "1,two", "2,3"], "line 3, column 'q': 'two' is no number"),
-        (["t,q", "0,1", "1,1_0", "2,3"], "is no number"),
-        (["t,q", "0,1", "1,2,5", "2"], "line 4: 1 cells, and 2 columns"),
-        (["t,q", "0,1", "2,2", "1,3"], "line 4: time runs backwards"),
-        (["t,q", "0,1", "1,2", "1,3"], "line 4: time stands still"),
-        (["t,q", "0,1", ",2", "1,3"], "line 3, column 't': '' is no time"),
-        (["t,q", "0,1", "1e999,2", "1,3"], "line 3, column 't'"),
-        (["t,q", "0,1", "1,inf", "2,3"], "line 3: the value is infinite"),
-        (["t,q", "0,1", "1,1e999", "2,3"], "line 3: the value is infinite"),
-        (["t,q"], "it has 0 samples"),
-        (["t,q", "0,", "1,", "2,nan"], "it has 0 samples"),
-        (["t,q,q", "0,1,1"], "is there 2 times; take one by its number, #2 or #3"),
-        ([], "there is no table"),
-        (["t,q", '0,"1', "1,2"], "not a table"),
-        (["t,q", "0,\0"], "no"),
-        (["t,q" + "x" * 2**20, "0,1"], "longer than"),
-    ],
-)
-def test_tables_that_are_damaged(home: Path, mapping: Mapped, lines: list[str], words: str) -> None:
-    (home / "log.csv").write_text("\n".join(lines))
-    said = refused(home, home / "log.csv", mapping(one('channel = "q"', source=CLOCK)))
-    assert words in said
-    assert said.startswith("log.csv")
-
-
-CLOCK = 'time = { column = "t" }'
-
-
-def test_tables_of_another_encoding_say_which(home: Path, mapping: Mapped) -> None:
-    for encoding, words in (("utf-16", "encoding = 'utf-16'"), ("latin-1", "'latin-1'")):
-        (home / "log.csv").write_text("t,q°\n0,1\n1,2\n", encoding=encoding)
-        assert words in refused(home, home / "log.csv", mapping(one('channel = "q"', source=CLOCK)))
-
-
-def test_a_column_that_misses_more_than_a_fifth(home: Path, mapping: Mapped) -> None:
-    rows = np.stack([TIME, TIME, np.where((TIME > 0.1) & (TIME < 0.3), np.nan, 1)], 1)
-    write_csv(home / "log.csv", rows, ["t", "q", "w"])
-    text = one('channel = "q"', source=CLOCK).replace(
-        "[[runs]]", '"sensor.shoulder_rate" = { channel = "w" }\n[[runs]]'
-    )
-    said = refused(home, home / "log.csv", mapping(text))
-    assert "'sensor.shoulder_rate', from log.csv: column 'w': 38% of 50 rows" in said
-    assert "0.110 s after the start" in said
-
-
-def test_sources_that_never_meet(home: Path, mapping: Mapped) -> None:
-    bag = write_robot(home / "robot.mcap")
-    log = write_csv(home / "log.csv", np.stack([TIME, TIME], 1), ["t", "q"])
-    text = (
-        '[sources.robot]\n[sources.log]\ntime = { column = "t" }\n[columns]\n'
-        '"sensor.elbow_angle" = { source = "log", channel = "q" }\n'
-        '"sensor.shoulder_angle" = { source = "robot", topic = "/joint_states", '
-        'channel = "position[shoulder]" }\n[[runs]]\n'
-    )
-    with pytest.raises(InvalidData, match=r"no time in common.*from_start"):
-        import_recording([bag, log], mapping(text), home / "out")
-
-
-@pytest.mark.parametrize("relation", ["another", "periodic"])
-def test_clocks_are_not_set_by_motions_that_do_not_tell(
-    home: Path, mapping: Mapped, relation: str
-) -> None:
-    time = np.arange(3000) / 1000
-    own = motion(time)["x"] if relation == "another" else np.sin(40 * time)
-    other = motion(time)["shoulder"] if relation == "another" else np.sin(40 * time)
-    a = write_csv(home / "a.csv", np.stack([time, own], 1), ["t", "q"])
-    b = write_csv(home / "b.csv", np.stack([time, other], 1), ["t", "w"])
-    text = (
-        '[sources.a]\ntime = { column = "t" }\n[sources.a.align]\nto = "b"\nchannel = "q"\n'
-        'to_channel = "w"\n[sources.b]\ntime = { column = "t" }\n[columns]\n'
-        '"sensor.elbow_angle" = { source = "a", channel = "q" }\n[[runs]]\n'
-    )
-    words = {"another": "agree at no shift", "periodic": "motion repeats itself"}[relation]
-    with pytest.raises(InvalidData, match=words):
-        import_recording([a, b], mapping(text), home / "out")
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("a.bag", b"#ROSBAG V2.0", "mcap convert"),
-        ("a.pkl", b"\x80\x04", "can hold code"),
-        ("a.mcap", b"SQLite format 3", "does not start with"),
-        ("a.mcap", b"", "does not start with"),
-        ("a.xyz", b"hello", "of what kind is it"),
-        ("a.uff", b"hello", "no lines '    -1'"),
-        ("a.uff", b"    -1\n    58\nNONE\n", "cut short"),
-        ("a.uff", b"    -1\n   151\nNONE\n    -1\n", "has no data set 58"),
-        ("a.uff", b"    -1\n    58\nNONE\n    -1\n", "damaged"),
-    ],
-)
-def test_files_that_are_something_else(
-    home: Path, mapping: Mapped, name: str, content: bytes, words: str
-) -> None:
-    (home / name).write_bytes(content)
-    mapped = mapping(one('topic = "/a", channel = "q"'))
-    assert words in refused(home, home / name, mapped)
-
-
-def chunk(size: int, kind: bytes, packed: bytes) -> bytes:
-    """An MCAP file of one chunk, as a hostile hand writes it."""
-    body = struct.pack("<QQQI", 0, 0, size, 0) + struct.pack("<I", len(kind)) + kind
-    body += struct.pack("<Q", len(packed)) + packed
-    return b"\x89MCAP0\r\n" + struct.pack("<BQ", 6, len(body)) + body
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (chunk(2**62, b"zstd", b"x"), "declares 4611686018427387904 bytes"),
-        (chunk(100, b"zstd", zstandard.compress(bytes(2**24))), "its size is not the one declared"),
-        (chunk(100, b"zstd", b"nonsense"), "the chunk is damaged"),
-        (chunk(100, b"lz4", b"nonsense"), "the chunk is damaged"),
-        (chunk(3, b"bz2", b"abc"), "compressed as 'bz2'"),
-        (chunk(3, b"", b"abc"), "the last record of the chunk is cut"),
-        (chunk(9, b"", struct.pack("<BQ", 5, 2**60)), "a record inside the chunk is"),
-        (chunk(31, b"", struct.pack("<BQHIQQ", 5, 22, 7, 0, 0, 0)), "does not introduce"),
-        (b"\x89MCAP0\r\n" + struct.pack("<BQ", 9, 2**63), "bytes long, and it is 17"),
-        (b"\x89MCAP0\r\n", "cut short"),
-    ],
-)
-def test_chunks_of_a_hostile_hand(home: Path, mapping: Mapped, content: bytes, words: str) -> None:
-    (home / "a.mcap").write_bytes(content)
-    said = refused(home, home / "a.mcap", mapping(one('topic = "/a", channel = "q"')))
-    assert words in said
-    assert "a.mcap: byte 8" in said or "byte 17" in said
-
-
-def test_encodings_that_are_not_read(home: Path, mapping: Mapped) -> None:
-    file = write_json_mcap(home / "a.mcap", [(0, {"q": 1})], encoding="cbor")
-    said = refused(home, file, mapping(one('topic = "/tool", channel = "q"')))
-    assert "'cbor with jsonschema'; read are cdr with ros2msg, json" in said
-    assert "read are cdr" in describe_sources([str(file)])
-
-
-@pytest.mark.parametrize(
-    ("messages", "words"),
-    [
-        ([(0, {"q": 1}), (1, {"q": "two"})], "message 2: 'q' is no number"),
-        ([(0, {"q": 1}), (1, b"{")], "message 2: it is damaged"),
-        ([(0, {"q": 1}), (1, b"[" * 100000)], "message 2: it is damaged"),
-        ([(0, {"q": 1}), (1, b'{"q": 1' + b"0" * 400 + b"}")], "too large a number"),
-        ([(0, {"q": 1}), (1, b'{"q": Infinity}')], "message 2: the value is infinite"),
-        ([(5, {"q": 1}), (4, {"q": 1})], "message 2: time runs backwards"),
-        ([(5, {"q": 1}), (2**63, {"q": 1})], "which is no date"),
-        ([(0, [1, 2]), (1, [1])], "has no fields"),
-        ([(0, {"w": 1})], "there is no field 'q'; there are 'w'"),
-    ],
-)
-def test_messages_that_cannot_be_used(
-    home: Path, mapping: Mapped, messages: list[tuple[int, object]], words: str
-) -> None:
-    file = write_json_mcap(home / "a.mcap", messages)
-    said = refused(home, file, mapping(one('topic = "/tool", channel = "q"')))
-    assert words in said
-    assert "topic '/tool'" in said
-
-
-def test_a_message_whose_bytes_do_not_fit_its_type(home: Path, mapping: Mapped) -> None:
-    rows = imu(np.arange(20) / 100)
-    file = write_ros2(home / "a.mcap", {"/imu": ("sensor_msgs/msg/Imu", IMU, rows)},
-                      compression=CompressionType.NONE, enable_crcs=False)  # fmt: skip
-    # The length of the frame's name becomes four gigabytes.
-    raw = file.read_bytes().replace(b"\x05\0\0\0base\0", b"\xff\xff\xff\xffbase\0")
-    file.write_bytes(raw)
-    mapped = mapping(one('topic = "/imu", channel = "linear_acceleration.x"'))
-    assert "message 1: it is damaged" in refused(home, file, mapped)
-
-
-def test_a_checksum_that_is_wrong(home: Path, mapping: Mapped) -> None:
-    file = write_robot(home / "a.mcap", compression=CompressionType.NONE)
-    raw = bytearray(file.read_bytes())
-    raw[len(raw) // 3] ^= 1
-    file.write_bytes(bytes(raw))
-    said = refused(home, file, mapping(one('topic = "/imu", channel = "linear_acceleration.x"')))
-    assert "its checksum is not the one declared" in said
-
-
-def test_histories_that_are_none(home: Path, mapping: Mapped) -> None:
-    time = np.arange(64) / 100
-    signals = motion(time)
-    file = write_uff(home / "v.uff", time, {(1, 1): signals["x"], (1, -1): signals["y"]}, kind=2)
-    assert "kind 'auto spectrum', no time history" in refused(
-        home, file, mapping(one('channel = "1+X"'))
-    )
-    file = write_uff(home / "v.uff", time, {(1, 1): signals["x"]})
-    said = refused(home, file, mapping(one('channel = "1+Y"')))
-    assert "there is no history '1+Y'; there are '1+X'; did you mean '1+X'" in said
-    file = write_uff(home / "v.uff", time, {(1, 1): signals["x"]}, unit="NONE")
-    text = file.read_text()
-    file.write_text(text.replace(text.splitlines()[-3] + "\n", ""))
-    said = refused(home, file, mapping(one('channel = "1+X"')))
-    assert "64 values declared, 60 there" in said
-
-
-def test_only_files_of_the_command_line_are_read(home: Path, mapping: Mapped) -> None:
-    log = write_csv(home / "log.csv", np.stack([TIME, TIME], 1), ["t", "q"])
-    secret = write_csv(home / "secret.csv", np.stack([TIME, TIME], 1), ["t", "q"])
+        text = f'format = "loose-mapping/1"\nmodel = "{model}"\n'
+        (inner / "map.toml").write_text(text + one('channel = "q"', source=CLOCK))
+        assert "given by --model" in refused(home, log, inner / "map.toml")
+    stated = import_recording([log], inner / "map.toml", home / "out", model=home / "arm.xml")
+    assert stated.runs
+    shutil.rmtree(home / "out")
     named = (
         one('channel = "q"', source=f'{CLOCK}\nfile = "{secret}"')
         .replace("[columns]", "[sources.other]\n[columns]")
@@ -343,7 +145,7 @@ def test_only_files_of_the_command_line_are_read(home: Path, mapping: Mapped) ->
 def test_the_command_line_needs_a_mapping(
     home: Path, mapping: Mapped, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bag = str(write_robot(home / "robot.mcap"))
+    bag = str(write_robot(home / "robot.mcap", seconds=0.2))
     for words in ([], ["--out", "x"], ["--describe", "--out", "x"]):
         with pytest.raises(SystemExit) as ended:
             main(["import", bag, *words])
@@ -357,18 +159,364 @@ def test_the_command_line_needs_a_mapping(
     ):
         assert main(["import", *words, *told]) == 1
         said = capsys.readouterr().err
-        assert reason in said
-        assert said.count("\n") == 1
+        assert reason in said and said.count("\n") == 1
+
+
+# ------------------------------------------------------------------------- tables
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        (["t,q", "0,1", "1,two", "2,3"], "line 3, column 'q': 'two' is no number"),
+        (["t,q", "0,1", "1,2,5", "2"], "line 4: 1 cells, and 2 columns"),
+        (["t,q", "0,1", "2,2", "1,3"], "line 4: time runs backwards"),
+        (["t,q", "0,1", "1,2", "1,3"], "line 4: time stands still"),
+        (["t,q", "0,1", ",2", "1,3"], "line 3, column 't': '' is no time"),
+        (["t,q", "0,1", "1,inf", "2,3"], "line 3: the value is infinite"),
+        (["t,q,q", "0,1,1"], "is there 2 times; take one by its number, #2 or #3"),
+        ([], "there is no table"),
+        (["t,q", '0,"1', "1,2"], "not a table"),
+        (["t,q" + "x" * 2**20, "0,1"], "longer than"),
+    ],
+)
+def test_tables_that_are_damaged(home: Path, mapping: Mapped, lines: list[str], words: str) -> None:
+    (home / "log.csv").write_text("\n".join(lines))
+    said = refused(home, home / "log.csv", mapping(one('channel = "q"', source=CLOCK)))
+    assert words in said
+    assert said.startswith("log.csv")
+
+
+def test_tables_of_another_encoding_say_which(home: Path, mapping: Mapped) -> None:
+    for encoding, words in (("utf-16", "encoding = 'utf-16'"), ("latin-1", "'latin-1'")):
+        (home / "log.csv").write_text("t,q°\n0,1\n1,2\n", encoding=encoding)
+        assert words in refused(home, home / "log.csv", mapping(one('channel = "q"', source=CLOCK)))
+
+
+def test_a_column_that_misses_more_than_a_fifth(home: Path, mapping: Mapped) -> None:
+    log = log_of(home, "log.csv", np.where((TIME > 0.1) & (TIME < 0.3), np.nan, 1))
+    text = one('channel = "q"', source=CLOCK).replace(
+        "[[runs]]", '"sensor.shoulder_rate" = { channel = "w" }\n[[runs]]'
+    )
+    said = refused(home, log, mapping(text))
+    assert "'sensor.shoulder_rate', from log.csv: column 'w': 38% of 50 rows" in said
+    assert "0.110 s after the start" in said
+
+
+# ------------------------------------------------------------------------- clocks
+
+
+def test_sources_that_never_meet(home: Path, mapping: Mapped) -> None:
+    bag = write_robot(home / "robot.mcap", seconds=0.2)
+    text = (
+        f'[sources.robot]\n[sources.log]\n{CLOCK}\n[columns]\n"sensor.elbow_angle" = '
+        f'{{ source = "log", channel = "q" }}\n"sensor.shoulder_angle" = '
+        f'{{ source = "robot", {ELBOW} }}\n[[runs]]\n'
+    )
+    said = refused(home, [bag, log_of(home)], mapping(text))
+    assert "no time in common" in said and "from_start" in said
+
+
+@pytest.mark.parametrize("relation", ["another", "periodic"])
+def test_clocks_are_not_set_by_motions_that_do_not_tell(
+    home: Path, mapping: Mapped, relation: str
+) -> None:
+    time = np.arange(3000) / 1000
+    own = motion(time)["x"] if relation == "another" else np.sin(40 * time)
+    other = motion(time)["shoulder"] if relation == "another" else np.sin(40 * time)
+    a = write_csv(home / "a.csv", np.stack([time, own], 1), ["t", "q"])
+    b = write_csv(home / "b.csv", np.stack([time, other], 1), ["t", "w"])
+    text = (
+        f'[sources.a]\n{CLOCK}\n[sources.a.align]\nto = "b"\nchannel = "q"\n'
+        f'to_channel = "w"\n[sources.b]\n{CLOCK}\n[columns]\n'
+        '"sensor.elbow_angle" = { source = "a", channel = "q" }\n[[runs]]\n'
+    )
+    words = {"another": "agree at no shift", "periodic": "motion repeats itself"}[relation]
+    assert words in refused(home, [a, b], mapping(text))
 
 
 def test_late_stamps_are_not_those_of_the_header(home: Path, mapping: Mapped) -> None:
     rows = joint_states(np.arange(50) / 100, late_ns=3_000_000_000)
     kind = {"/joint_states": ("sensor_msgs/msg/JointState", JOINT_STATE, rows)}
     bag = write_ros2(home / "robot.mcap", kind)
-    channel = 'topic = "/joint_states", channel = "position[elbow]"'
     stop = 'stop = "2024-05-01T10:00:00.2Z"'
-    text = one(channel, source='time = { stamp = "log" }', run=stop)
+    text = one(ELBOW, source='time = { stamp = "log" }', run=stop)
     assert "is not within" in refused(home, bag, mapping(text))
     for number, source in enumerate(('time = { stamp = "header" }', "")):  # preferred by default
-        mapped = mapping(one(channel, source=source, run=stop))
+        mapped = mapping(one(ELBOW, source=source, run=stop))
         assert import_recording([bag], mapped, home / f"out{number}").runs[0].samples == 21
+
+
+# ------------------------------------------------------------------------- MCAP, UFF
+
+
+def chunk(size: int, kind: bytes, packed: bytes) -> bytes:
+    """An MCAP file of one chunk, as a hostile hand writes it."""
+    body = struct.pack("<QQQI", 0, 0, size, 0) + struct.pack("<I", len(kind)) + kind
+    body += struct.pack("<Q", len(packed)) + packed
+    return b"\x89MCAP0\r\n" + struct.pack("<BQ", 6, len(body)) + body
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.bag", b"#ROSBAG V2.0", "mcap convert"),
+        ("a.pkl", b"\x80\x04", "can hold code"),
+        ("a.xyz", b"hello", "of what kind is it"),
+        ("a.mcap", chunk(2**62, b"zstd", b"x"), "byte 8: .*declares 4611686018427387904 bytes"),
+        ("a.mcap", chunk(100, b"zstd", zstandard.compress(bytes(2**24))),
+         "its size is not the one declared"),
+        ("a.mcap", chunk(3, b"", b"abc"), "the last record of the chunk is cut"),
+        ("a.mcap", chunk(9, b"", struct.pack("<BQ", 5, 2**60)), "a record inside the chunk is"),
+        ("a.mcap", chunk(31, b"", struct.pack("<BQHIQQ", 5, 22, 7, 0, 0, 0)),
+         "does not introduce"),
+        ("a.mcap", b"\x89MCAP0\r\n" + struct.pack("<BQ", 9, 2**63), "bytes long, and it is 17"),
+        ("a.mcap", b"\x89MCAP0\r\n", "cut short"),
+        ("a.uff", b"hello", "no lines '    -1'"),
+        ("a.uff", b"    -1\n    58\nNONE\n", "cut short"),
+        ("a.uff", b"    -1\n    58\nNONE\n    -1\n", "damaged"),
+    ],
+)  # fmt: skip
+def test_files_that_are_something_else_or_of_a_hostile_hand(
+    home: Path, mapping: Mapped, name: str, content: bytes, words: str
+) -> None:
+    (home / name).write_bytes(content)
+    said = refused(home, home / name, mapping(one('topic = "/a", channel = "q"')))
+    for each in words.split(".*"):
+        assert each in said
+
+
+@pytest.mark.parametrize(
+    ("messages", "words"),
+    [
+        ([(0, {"q": 1}), (1, {"q": "two"})], "message 2: 'q' is no number"),
+        ([(0, {"q": 1}), (1, b"[" * 100000)], "message 2: it is damaged"),
+        ([(0, {"q": 1}), (1, b'{"q": 1' + b"0" * 400 + b"}")], "too large a number"),
+        ([(0, {"q": 1}), (1, b'{"q": Infinity}')], "message 2: the value is infinite"),
+        ([(5, {"q": 1}), (4, {"q": 1})], "message 2: time runs backwards"),
+        ([(5, {"q": 1}), (2**63, {"q": 1})], "which is no date"),
+        ([(0, {"w": 1})], "there is no field 'q'; there are 'w'"),
+    ],
+)
+def test_messages_that_cannot_be_used(
+    home: Path, mapping: Mapped, messages: list[tuple[int, object]], words: str
+) -> None:
+    file = write_json_mcap(home / "a.mcap", messages)
+    said = refused(home, file, mapping(one('topic = "/tool", channel = "q"')))
+    assert words in said
+    assert "topic '/tool'" in said
+
+
+def test_messages_whose_encoding_bytes_or_checksum_are_wrong(home: Path, mapping: Mapped) -> None:
+    file = write_json_mcap(home / "a.mcap", [(0, {"q": 1})], encoding="cbor")
+    said = refused(home, file, mapping(one('topic = "/tool", channel = "q"')))
+    assert "'cbor with jsonschema'; read are cdr with ros2msg, json" in said
+    assert "read are cdr" in describe_sources([str(file)])
+    mapped = mapping(one('topic = "/imu", channel = "linear_acceleration.x"'))
+    topics = {"/imu": ("sensor_msgs/msg/Imu", IMU, imu(np.arange(20) / 100))}
+    write_ros2(file, topics, compression=CompressionType.NONE, enable_crcs=False)
+    # The length of the frame's name becomes four gigabytes.
+    raw = file.read_bytes().replace(b"\x05\0\0\0base\0", b"\xff\xff\xff\xffbase\0")
+    file.write_bytes(raw)
+    assert "message 1: it is damaged" in refused(home, file, mapped)
+    write_robot(file, seconds=0.5, compression=CompressionType.NONE)
+    flipped = bytearray(file.read_bytes())
+    flipped[len(flipped) // 3] ^= 1
+    file.write_bytes(bytes(flipped))
+    assert "its checksum is not the one declared" in refused(home, file, mapped)
+
+
+def test_histories_that_are_none(home: Path, mapping: Mapped) -> None:
+    time = np.arange(64) / 100
+    signals = motion(time)
+    mapped = mapping(one('channel = "1+X"'))
+    file = write_uff(home / "v.uff", time, {(1, 1): signals["x"], (1, -1): signals["y"]}, kind=2)
+    assert "kind 'auto spectrum', no time history" in refused(home, file, mapped)
+    file = write_uff(home / "v.uff", time, {(1, 1): signals["x"]}, unit="NONE")
+    text = file.read_text()
+    file.write_text(text.replace(text.splitlines()[-3] + "\n", ""))
+    assert "64 values declared, 60 there" in refused(home, file, mapped)
+    file = write_uff(home / "v.uff", time, {(1, 1): signals["x"]})
+    said = refused(home, file, mapping(one('channel = "1+Y"')))
+    assert "there is no history '1+Y'; there are '1+X'; did you mean '1+X'" in said
+
+
+# ------------------------------------------------------------------------- datasets, bags, archives
+
+SHORT = arm_log.moved(1.0)
+COLUMN = {
+    "lerobot": 'channel = "observation.state[elbow.pos]", unit = "deg"',
+    "bag": ELBOW,
+    "demos.hdf5": 'channel = "obs/robot0_joint_pos[2]"',
+    "sensors.npz": 'channel = "elbow_pos"',
+}
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "lerobot": lambda path: arm_log.write_lerobot(path, SHORT),
+    "bag": lambda path: arm_log.write_bag(path, SHORT),
+    "demos.hdf5": lambda path: arm_log.write_robomimic(path, SHORT),
+    "sensors.npz": lambda path: arm_log.write_sysid(path.parent, SHORT),
+}
+FRAMES = "data/chunk-000/file-000.parquet"
+POSITIONS = "data/demo_0/obs/robot0_joint_pos"
+
+
+def info(folder: Path, **changes: object) -> None:
+    path = folder / "meta/info.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def no_rows_of_episode(folder: Path) -> None:
+    table = pq.read_table(folder / FRAMES)
+    pq.write_table(table.filter(pa.compute.equal(table["episode_index"], 1)), folder / FRAMES)
+
+
+def drop(folder: Path, column: str) -> None:
+    pq.write_table(pq.read_table(folder / FRAMES).drop_columns([column]), folder / FRAMES)
+
+
+def cut(path: Path, share: float = 0.5) -> None:
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(len(whole) * share)])
+
+
+def metadata(folder: Path, old: str, new: str) -> None:
+    path = folder / "metadata.yaml"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+
+
+def database(folder: Path) -> Path:
+    return next(folder.glob("*.db3"))
+
+
+def positions(path: Path, *, value: Any, at: str = POSITIONS) -> None:
+    with h5py.File(path, "r+") as file:
+        del file[at]
+        if value is not None:
+            file[at] = value
+
+
+TAPE = ("storage_identifier: sqlite3", "storage_identifier: tape")
+SPOILT: list[tuple[str, Callable[[Path], object], str]] = [
+    ("lerobot", lambda f: (f / "meta/info.json").unlink(), "meta/info.json"),
+    ("lerobot", lambda f: cut(f / "meta/info.json"), "not JSON"),
+    ("lerobot", lambda f: info(f, codebase_version="v9.0"), "read are v2.0, v2.1, v3.0"),
+    ("lerobot", lambda f: info(f, data_path="../x.parquet"), "no path within the folder"),
+    ("lerobot", lambda f: shutil.rmtree(f / "meta/episodes"), "no Parquet files"),
+    ("lerobot", lambda f: cut(f / FRAMES), "cut short or damaged"),
+    ("lerobot", no_rows_of_episode, "episode_000000: it has 0 frames"),
+    ("lerobot", lambda f: drop(f, "observation.state"), "no column 'observation.state'"),
+    ("bag", lambda f: (f / "metadata.yaml").unlink(), "ros2 bag reindex"),
+    ("bag", lambda f: (f / "metadata.yaml").write_text("a: 1\n"), "is it a ROS 2 bag"),
+    ("bag", lambda f: metadata(f, "version: 9", "version: 99"), "read are 1 to 9"),
+    ("bag", lambda f: metadata(f, *TAPE), "read are mcap and sqlite3"),
+    ("bag", lambda f: cut(database(f)), "cannot be read as a ROS 2 bag in SQLite"),
+    ("demos.hdf5", cut, "cut short or damaged"),
+    ("demos.hdf5", lambda f: positions(f, value=None, at="data"), "no group 'data'"),
+    ("demos.hdf5", lambda f: positions(f, value=h5py.ExternalLink("other.hdf5", "/x")),
+     "there is no dataset"),
+    ("demos.hdf5", lambda f: positions(f, value=np.zeros((0, 3))), "it has 0 samples"),
+    ("demos.hdf5", lambda f: arm_log.write_robomimic(f, SHORT, rate=None),
+     "give the rate of control"),
+    ("sensors.npz", lambda f: cut(f, 0.1), "cut short or damaged"),
+    ("sensors.npz", lambda f: np.savez(f, a=np.zeros(3)), "neither a TimeSeries"),
+    ("sensors.npz", lambda f: np.savez(f, times=np.arange(3.0), data=np.array([{}] * 3)),
+     "holds objects"),
+    ("sensors.npz", lambda f: np.savez(f, times=np.arange(3.0), data=np.zeros((2, 1))),
+     "one row for each time"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "spoil", "words"), SPOILT)
+def test_datasets_that_are_incomplete_damaged_or_unknown(
+    home: Path, mapping: Mapped, name: str, spoil: Callable[[Path], object], words: str
+) -> None:
+    WRITERS[name](home / name)
+    spoil(home / name)
+    source = "time = { rate_hz = 125 }" if "demos" in name and "rate" not in words else ""
+    assert words in refused(home, home / name, mapping(one(COLUMN[name], source=source)))
+
+
+@pytest.mark.parametrize(
+    ("column", "run", "words"),
+    [
+        ('channel = "observation.state[elbow.pos]"', "", "unit = 'deg', unit = 'rad', or"),
+        ('channel = "observation.state[elbow.pos]", unit = "V"', "", "measures voltage"),
+        ('channel = "observation.state[elbo.pos]", unit = "deg"', "", "did you mean"),
+        ('channel = "observation.state[7]", unit = "deg"', "", "[0] to [2]"),
+        ('topic = "t", channel = "action[0]", unit = "deg"', "", "has no topics"),
+        (COLUMN["lerobot"], 'episodes = "7"', "there is no episode 7"),
+        (COLUMN["lerobot"], 'episodes = "first"', "is no episode"),
+    ],
+)
+def test_columns_and_episodes_that_a_dataset_lacks(
+    home: Path, mapping: Mapped, column: str, run: str, words: str
+) -> None:
+    WRITERS["lerobot"](home / "lerobot")
+    assert words in refused(home, home / "lerobot", mapping(one(column, run=run)))
+
+
+def test_names_of_a_table_that_are_too_few(home: Path, mapping: Mapped) -> None:
+    path = arm_log.write_rtde(home / "log.csv", SHORT, header=False)
+    source = 'separator = " "\nheader = false\nnames = ["timestamp", "actual_q"]\n'
+    source += 'time = { column = "timestamp" }'
+    said = refused(home, path, mapping(one('channel = "actual_q_2"', source=source)))
+    assert "13 cells, and names of the source gives 7 columns" in said
+
+
+# ------------------------------------------------------------------------- anything at all
+
+FREELY = settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+AXES = '\n"sensor.tool.y" = { channel = "1+Y" }\n"sensor.tool.z" = { channel = "#3" }'
+COLUMNS = {
+    "robot.mcap": f'"sensor.elbow_angle" = {{ {ELBOW} }}',
+    "plain.mcap": f'"sensor.elbow_angle" = {{ {ELBOW} }}',
+    "proto.mcap": '"sensor.elbow_angle" = { topic = "/tool", channel = "axes[0]" }',
+    "v.uff": f'"sensor.tool.x" = {{ channel = "1+X" }}{AXES}',
+}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The bytes of a sound file of each kind."""
+    place = tmp_path_factory.mktemp("whole")
+    time = np.arange(60) / 100
+    bare = {"compression": CompressionType.NONE, "enable_crcs": False}
+    write_robot(place / "robot.mcap", seconds=0.3)
+    write_robot(place / "plain.mcap", seconds=0.3, **bare)
+    write_protobuf_mcap(place / "proto.mcap", time)
+    signals = motion(time)
+    write_uff(place / "v.uff", time, {(1, k + 1): signals[axis] for k, axis in enumerate("xyz")})
+    return {path.name: path.read_bytes() for path in sorted(place.iterdir())}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(COLUMNS))
+@FREELY
+@given(data=st.data())
+def test_files_that_were_cut_or_whose_bytes_were_flipped(
+    home: Path, mapping: Mapped, whole: dict[str, bytes], name: str, data: st.DataObject
+) -> None:
+    content, file = bytearray(whole[name]), home / name
+    shortened = data.draw(st.booleans())
+    if shortened:
+        content = content[: data.draw(st.integers(0, len(content) - 12))]
+    else:
+        for _ in range(data.draw(st.integers(1, 8))):
+            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    file.write_bytes(bytes(content))
+    mapped = mapping(f"[sources.s]\n[columns]\n{COLUMNS[name]}\n[[runs]]\n")
+    try:
+        tomllib.loads(describe_sources([str(file)]))
+    except LooseEnvError as error:
+        assert name in str(error)
+    try:
+        found = import_recording([file], mapped, home / "out", ImportSettings(overwrite=True))
+    except LooseEnvError as error:
+        assert name in str(error) or "map.toml" in str(error)
+        assert not list(home.glob(".*.part"))
+    else:
+        assert not shortened
+        assert all(np.isfinite(run.time).all() for run in found.runs)

@@ -1,22 +1,17 @@
-"""What a model says about measuring its arm."""
+"""Preview of a model: levels, modes, and which faults a diagnosis of its arm would find."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from loose_env.arms import LinearArm
 from loose_env.errors import InvalidSetting
-from loose_env.instrument.inspect import Inspection, inspect_model, screen
-from loose_env.instrument.model.instrumented_arm import read_arm
-from loose_env.instrument.planning.excitation import sensitivity
-from loose_env.instrument.planning.next_measurement import NextSettings, seat_features
-from loose_env.instrument.settings.arm_and_plan import ModelSettings
-from loose_env.instrument.settings.thresholds import DETECTABLE_Z
-from tests.instrument.arms.plan_arms import MOTORS, SERVOED, written
+from loose_env.instrument import ModelSettings, NextSettings, inspect_model, screen
+from tests.instrument.arms import MOTORS, SERVOED, written
 
 FEW = NextSettings(poses=6)
 
@@ -27,13 +22,8 @@ def servoed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def seen(servoed: Path) -> Inspection:
+def seen(servoed: Path) -> Any:
     return inspect_model(servoed, FEW)
-
-
-def test_every_fault_of_a_diagnosis_is_judged(seen: Inspection) -> None:
-    assert tuple(f.hypothesis for f in seen.faults) == seen.arm.hypotheses[1:]
-    assert {f.verdict for f in seen.faults} <= {"yes", "mostly", "hardly", "no"}
 
 
 def test_the_band_is_the_one_that_is_asked_for(servoed: Path) -> None:
@@ -64,38 +54,25 @@ def test_play_in_a_joint_whose_axis_meets_the_tool_is_not_found(tmp_path: Path) 
     assert "axis" in play.why
 
 
-def test_a_smaller_gap_shows_with_a_healthy_reference_than_without(seen: Inspection) -> None:
+def test_a_smaller_gap_shows_with_a_healthy_reference_than_without(seen: Any) -> None:
     for fault in seen.faults:
         if fault.smallest_gap is not None and fault.smallest_gap_model is not None:
             assert fault.smallest_gap <= fault.smallest_gap_model
 
 
 def test_more_noise_hides_larger_gaps(servoed: Path) -> None:
-    machine = read_arm(servoed)
-    linear, pose = LinearArm(machine.nominal), np.array([0.3, -0.5, 1.0])
-    torque = np.array([5.0, 0.0, 0.0])
     quiet, loud = (
-        sensitivity(seat_features(linear, NextSettings(noise_ug=noise)), pose, torque, 1.2)
+        inspect_model(servoed, NextSettings(poses=2, noise_ug=noise)).faults
         for noise in (20.0, 20000.0)
     )
-    assert (quiet.smallest_gap(reference=True) <= loud.smallest_gap(reference=True)).all()
-    assert np.median(loud.by_noise) < 0.1 * np.median(quiet.by_noise)
+    found = [(q.smallest_gap, n.smallest_gap) for q, n in zip(quiet, loud, strict=True)]
+    assert any(q is not None for q, _ in found)
+    assert all(q is not None and q <= n for q, n in found if n is not None)
 
 
-def test_a_gap_as_large_as_the_smallest_that_shows_is_just_seen(servoed: Path) -> None:
-    machine = read_arm(servoed)
-    linear, pose = LinearArm(machine.nominal), np.array([0.3, -0.5, 1.0])
-    found = sensitivity(seat_features(linear, FEW), pose, np.array([5.0, 0.0, 0.0]), 1.2)
-    smallest = found.smallest_gap(reference=False)
-    shows = np.isfinite(smallest)
-    assert shows.any()
-    change = (found.lost(smallest) * found.by_model)[shows]
-    assert change == pytest.approx(DETECTABLE_Z, rel=1e-6)
-
-
-def test_levels_and_modes_are_those_of_the_servos(seen: Inspection) -> None:
+def test_levels_and_modes_are_those_of_the_servos(seen: Any) -> None:
     assert seen.arm.held_by == "the model's position servos"
-    inertia = LinearArm(seen.arm.nominal).at(np.zeros(3)).inertia
+    inertia = seen.arm.linear.at(np.zeros(3)).inertia
     slowest = np.sqrt(800 / inertia[0, 0]) / (2 * np.pi)
     assert 0.3 * slowest < seen.modes_hz[0] < 3 * slowest
     for joint, limit in zip(seen.joints, (80.0, 90.0, 50.0), strict=True):
@@ -111,14 +88,13 @@ def test_the_models_own_accelerometer_says_where_the_tool_is(tmp_path: Path) -> 
     assert "torque alone" in found.arm.held_by
 
 
-def test_the_screen_names_joints_tool_band_and_faults(seen: Inspection) -> None:
+def test_screen_and_file_hold_joints_tool_band_and_every_fault(seen: Any) -> None:
+    assert tuple(f.hypothesis for f in seen.faults) == seen.arm.hypotheses[1:]
+    assert {f.verdict for f in seen.faults} <= {"yes", "mostly", "hardly", "no"}
     text = screen(seen)
     for word in ("pan_servo", "80 N·m", "accelerometer: at tool", "Hz", "backlash@elbow", "mm"):
         assert word in text
     assert max(map(len, text.splitlines())) < 200
-
-
-def test_the_file_holds_the_same(seen: Inspection) -> None:
     whole = json.loads(seen.to_json())
     assert whole["format"] == "loose-inspection/1"
     assert [f["hypothesis"] for f in whole["faults"]] == list(seen.arm.hypotheses[1:])

@@ -1,19 +1,30 @@
+"""The format of a diagnosis, and the settings of plan and diagnosis with what they refuse."""
+
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
-from loose_env.errors import InvalidData
-from loose_env.instrument.result import (
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.instrument import (
+    DiagnoseSettings,
     Diagnosis,
     Fault,
     Loop,
+    ModelSettings,
+    MotionSettings,
     NextMeasurement,
+    NextSettings,
+    PlanSettings,
     RecordSeen,
+    TrendSettings,
     read_diagnosis,
 )
 
@@ -69,30 +80,16 @@ def test_a_diagnosis_reads_back_as_it_was(tmp_path: Path) -> None:
     assert [path.name for path in file.parent.iterdir()] == ["result.json"]
 
 
-def test_the_fault_is_a_key_of_the_posterior() -> None:
+def test_files_of_earlier_and_later_versions_and_missing_numbers_are_read() -> None:
     found = diagnosis()
     assert found.posterior[found.fault.hypothesis] == found.probability
-    assert Fault(kind="healthy").hypothesis == "healthy"
-
-
-def test_whether_it_is_settled_is_kept_and_not_known_of_older_files() -> None:
-    plain = json.loads(replace(diagnosis(), settled=True).to_json())
+    plain = json.loads(replace(found, settled=True).to_json())
     assert Diagnosis.from_json(json.dumps(plain)).settled
     del plain["settled"]
-    assert not Diagnosis.from_json(json.dumps(plain)).settled
-
-
-def test_numbers_that_are_not_finite_are_null() -> None:
-    plain = json.loads(diagnosis().to_json())
-    plain["probability"] = None
-    read = Diagnosis.from_json(json.dumps(plain))
+    assert Diagnosis.from_json(json.dumps(plain | {"colour": "blue"})) == found
+    read = Diagnosis.from_json(json.dumps(plain | {"probability": None}))
     assert math.isnan(read.probability)
     assert json.loads(read.to_json())["probability"] is None
-
-
-def test_keys_of_a_later_version_are_left_out() -> None:
-    plain = json.loads(diagnosis().to_json()) | {"colour": "blue"}
-    assert Diagnosis.from_json(json.dumps(plain)) == diagnosis()
 
 
 @pytest.mark.parametrize(
@@ -128,3 +125,69 @@ def test_text_and_files_that_are_no_json_are_refused(tmp_path: Path) -> None:
         Diagnosis.from_json("[" * 100000)
     with pytest.raises(InvalidData, match="cannot be read"):
         read_diagnosis(tmp_path)
+
+
+# ------------------------------------------------------------------------- settings
+
+KINDS: tuple[Any, ...] = (
+    NextSettings,
+    DiagnoseSettings,
+    TrendSettings,
+    MotionSettings,
+    PlanSettings,
+    ModelSettings,
+)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_field_takes_a_value_of_another_type_or_a_number_that_is_none(kind: Any) -> None:
+    for each in dataclasses.fields(kind):
+        for wrong in ({}, object(), "no such", [None], True, np.array(["a"]), 10**400):
+            if wrong == "no such" and each.name in ("tool", "joint", "package_path"):
+                continue
+            if (wrong is True and each.type == "bool") or (
+                wrong == 10**400 and not isinstance(each.default, float)
+            ):
+                continue
+            with pytest.raises(InvalidSetting, match=each.name):
+                kind(**{each.name: wrong})
+        if isinstance(each.default, float):
+            for wrong in (float("nan"), float("inf")):
+                with pytest.raises(InvalidSetting, match=each.name):
+                    kind(**{each.name: wrong})
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "words"),
+    [
+        (DiagnoseSettings, {"healthy_prior": 1.0}, "healthy_prior is a probability"),
+        (DiagnoseSettings, {"sure": 0.999}, r"sure is at most 0\.995"),
+        (DiagnoseSettings, {"inertial_parameters": -0.1}, "is a standard deviation"),
+        (NextSettings, {"seconds": 0.0}, "seconds is a length"),
+        (NextSettings, {"poses": 2.5}, "poses is a whole number"),
+        (NextSettings, {"most_tool": -1.0}, "most_tool is a positive number"),
+        (NextSettings, {"torque_share": 2.0}, "torque_share is above 0"),
+        (NextSettings, {"band_low": 50.0, "band_high": 20.0}, "a band goes upwards"),
+        (NextSettings, {"seconds": 600.0, "rate_hz": 1e5}, "more than 5000000 samples"),
+        (NextSettings, {"rate_hz": 250.0, "band_high": 140.0},
+         r"band_high is at most 0\.4 of the rate, 100 Hz"),
+        (MotionSettings, {"max_speed_rad_s": (0.0,)}, "max_speed_rad_s is one positive number"),
+        (MotionSettings, {"max_jerk_rad_s3": (float("nan"),)}, "max_jerk_rad_s3"),
+        (MotionSettings, {"command_bandwidth_hz": -1.0}, "command_bandwidth_hz is above 0"),
+        (MotionSettings, {"commands": "force"}, "commands is"),
+        (MotionSettings, {"signal_format": ("csv", "mat")}, "csv, parquet, ros2, got csv mat"),
+        (MotionSettings, {"signal_format": ()}, "got none"),
+        (PlanSettings, {"force_n": 0.0}, "force_n is above 0"),
+        (ModelSettings, {"payload_kg": -1.0}, "zero or more kg"),
+    ],
+)  # fmt: skip
+def test_settings_that_make_no_sense_are_refused(
+    kind: Any, given: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(InvalidSetting, match=words):
+        kind(**given)
+
+
+def test_numbers_of_numpy_and_whole_ones_are_numbers() -> None:
+    taken = NextSettings(seconds=np.float32(2.0), most_tool=2)  # type: ignore[arg-type]
+    assert (taken.seconds, taken.most_tool) == (2.0, 2)

@@ -19,8 +19,6 @@ from loose_env.recording import (
 )
 from tests.recording.conftest import ARM, COS, TIME, Folder, csv_text
 
-MEASURED = Path(__file__).parents[3] / "shared" / "measured" / "so101"
-
 
 def test_columns_become_arrays_of_the_elements_they_name(folder: Folder) -> None:
     text = csv_text(
@@ -181,20 +179,3 @@ def test_a_free_response_needs_every_joint_and_a_sensor_of_each(folder: Folder) 
 def test_a_forward_comparison_needs_no_joint_sensor() -> None:
     run = Run(name="a.csv", time=TIME, controls={"lift": TIME}, torques={"reach": TIME})
     check_comparison(mujoco.MjModel.from_xml_string(ARM), run)
-
-
-def test_the_measured_arm_reads() -> None:
-    if not MEASURED.is_dir():
-        pytest.skip(f"no measured data at {MEASURED}")
-    recording = read_recording(MEASURED)
-    assert len(recording.runs) == 42
-    recording.check_comparison()
-    joints = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "jaw"]
-    for run in recording.runs:
-        assert run.comparison == "forward"
-        assert list(run.controls) == joints
-        assert list(run.sensors) == [f"{joint}_pos" for joint in joints]
-        assert np.median(np.diff(run.time)) == pytest.approx(0.02, rel=0.02)
-    assert {s.position for s in recording.joint_sensors().values()} == {
-        (f"{joint}_pos",) for joint in joints
-    }

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidData
 from loose_env.recording import read_recording, tables
 from tests.recording.conftest import ARM, COS, TIME, Folder, csv_text
 
@@ -36,31 +36,22 @@ def refused(home: Path, pattern: str, **arguments: Any) -> str:
             {"format": "loose-recording/2"},
             r"'loose-recording/1' is needed, not 'loose-recording/2'",
         ),
-        ({"format": 1}, r"is needed, not 1"),
         ({"format": ...}, r"is needed, not None"),
         ({"model": ...}, r"'model' is missing"),
         ({"runs": ...}, r"'runs' is missing"),
         ({"Runs": []}, r"unknown key 'Runs'; .*did you mean 'runs'"),
-        ({"model": ["model.xml"]}, r"model: str is needed, not \['model.xml'\]"),
-        ({"model": ""}, r"model: .*at least 1"),
         ({"runs": []}, r"runs: .*at least 1"),
-        ({"runs": {"file": "run.csv"}}, r"runs: a list is needed"),
         ({"runs": ["run.csv"]}, r"runs\[0\]: a mapping is needed"),
-        ({"runs": [{}]}, r"runs\[0\]: 'file' is missing"),
         ({"runs": [{"file": 3}]}, r"runs\[0\]\.file: str is needed, not 3"),
-        ({"runs": [{"file": "run.csv", "rate": 5}]}, r"runs\[0\]: unknown key 'rate'"),
         ({"runs": [{"file": "run.csv", "exited": []}]}, r"did you mean 'excited'"),
         (
             {"runs": [{"file": "run.csv", "condition": "good"}]},
             r"condition: 'good' is none of 'suspect' or 'healthy'",
         ),
-        ({"runs": [{"file": "run.csv", "condition": None}]}, r"condition: None is none of"),
-        ({"runs": [{"file": "run.csv", "condition": []}]}, r"condition: \[\] is none of"),
         (
             {"runs": [{"file": "run.csv", "excited": "reach"}]},
             r"excited: a list is needed, not 'reach'",
         ),
-        ({"runs": [{"file": "run.csv", "excited": [1]}]}, r"excited\[0\]: str is needed"),
         (
             {"runs": [{"file": "run.csv", "excited": ["reach"] * 2}]},
             r"excited: a joint stands twice",
@@ -69,9 +60,7 @@ def refused(home: Path, pattern: str, **arguments: Any) -> str:
             {"runs": [{"file": "run.csv", "excited": ["reach", "sholder"]}]},
             r"runs\[0\]\.excited\[1\]: 'sholder' is no hinge.*did you mean 'shoulder'",
         ),
-        ({"runs": [{"file": "run.csv", "pose": [1]}]}, r"pose: a mapping is needed"),
         ({"runs": [{"file": "run.csv", "pose": None}]}, r"pose: a mapping .* leave the key out"),
-        ({"runs": [{"file": "run.csv", "pose": {"reach": "0"}}]}, r"pose\.reach: float is needed"),
         ({"runs": [{"file": "run.csv", "pose": {"reach": True}}]}, r"pose\.reach: float is needed"),
         (
             {"runs": [{"file": "run.csv", "pose": {"reach": 10**400}}]},
@@ -79,12 +68,8 @@ def refused(home: Path, pattern: str, **arguments: Any) -> str:
         ),
         ({"runs": [{"file": "run.csv", "pose": {"elbow": 0}}]}, r"pose: 'elbow' is no hinge"),
         ({"runs": [{"file": "none.csv"}]}, r"runs\[0\]\.file: there is no file 'none\.csv'"),
-        ({"runs": [{"file": "run.txt"}]}, r"runs\[0\]\.file: .*run\.txt"),
         ({"runs": [{"file": "model.xml"}]}, r"has to end in \.parquet or \.csv"),
-        ({"runs": [{"file": "run.csv"}] * 2}, r"runs\[1\]\.file: 'run\.csv' is the same file"),
         ({"runs": [{"file": "run.csv"}, {"file": "./run.csv"}]}, r"'\./run\.csv' is the same file"),
-        ({"runs": [{"file": "../recorded/run.csv"}, {"file": "run.csv"}]}, r"is the same file"),
-        ({"runs": [{"file": "."}]}, r"there is no file '\.'"),
         ({"model": "none.xml"}, r"model: there is no file 'none\.xml'"),
     ],
 )
@@ -167,13 +152,6 @@ def test_a_second_name_of_the_same_file(folder: Folder) -> None:
     refused(home, r"runs\[1\]\.file: 'twin\.csv' is the same file as 'run\.csv'")
 
 
-def test_a_description_that_is_a_link_to_elsewhere(folder: Folder, tmp_path: Path) -> None:
-    home = folder()
-    home.joinpath("recording.json").rename(tmp_path / "recording.json")
-    home.joinpath("recording.json").symlink_to(tmp_path / "recording.json")
-    refused(home, r"'recording\.json' leaves the folder")
-
-
 def test_folders_that_are_not_there(tmp_path: Path) -> None:
     refused(tmp_path / "none", r"there is no folder .*none")
     refused(tmp_path, r"there is no file 'recording\.json'")
@@ -187,33 +165,14 @@ def test_folders_that_are_not_there(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "pattern"),
     [
-        ("", r"not XML"),
-        ("{}", r"not XML"),
         (ARM[:300], r"not XML"),
         ("<svg/>", r"outermost element is <svg>"),
         (ARM.replace("<motor", "<mtoor"), r"MuJoCo cannot read it: .*mtoor"),
         (ARM.replace('joint="reach" kp', 'joint="rech" kp'), r"MuJoCo cannot build it: .*rech"),
-        (ARM.replace('mass="2"', 'mass="0"'), r"MuJoCo cannot build it: .*a body that moves"),
         (ARM.replace('name="rate"', 'name="angle"'), r"repeated name 'angle'"),
         (ARM.replace('kp="100"', 'kp="nan"'), r"actuator_gainprm has to be finite|cannot"),
-        (ARM.replace('pos=".4 0 0"', 'pos="nan 0 0"'), r"body_pos has to be finite|cannot"),
-        (f"<!DOCTYPE mujoco>{ARM}", r"document type"),
-        (ARM.encode("utf-16").decode("latin-1"), r"not XML"),
-        *[
-            (ARM.replace("<mujoco>", f"<mujoco><include file='{path}'/>"), "lies outside")
-            for path in ("../other.xml", "/etc/passwd", "away/other.xml")
-        ],
-        (
-            ARM.replace(
-                "<worldbody>", "<asset><mesh name='m' file='../m.stl'/></asset><worldbody>"
-            ),
-            r"<mesh file='\.\./m\.stl'> lies outside",
-        ),
-        (
-            ARM.replace("<worldbody>", "<asset><mesh name='m' file='m.stl'/></asset><worldbody>"),
-            r"MuJoCo cannot .*m\.stl",
-        ),
         (ARM.encode().replace(b"upper", b"\xfcber"), "not XML"),
+        (ARM.replace("<mujoco>", "<mujoco><include file='away/other.xml'/>"), "lies outside"),
     ],
 )
 def test_models_that_do_not_compile(
@@ -223,33 +182,6 @@ def test_models_that_do_not_compile(
     home = folder({"model.xml": text})
     home.joinpath("away").symlink_to(tmp_path)
     refused(home, rf"^model\.xml: .*({pattern})")
-
-
-def test_another_model_that_is_missing_or_broken(folder: Folder, tmp_path: Path) -> None:
-    with pytest.raises(InvalidSetting, match=r"there is no file .*other\.xml"):
-        read_recording(folder(), model=tmp_path / "other.xml")
-    tmp_path.joinpath("other.xml").write_text("<mujoco><worldbodi/></mujoco>")
-    refused(folder(), r"^other\.xml: MuJoCo cannot read it", model=tmp_path / "other.xml")
-
-
-def test_any_mangled_description_is_refused_in_one_line_or_reads(folder: Folder) -> None:
-    rng = np.random.default_rng(5)
-    text = json.dumps(PLAIN | {"runs": [{"file": "run.csv", "pose": {"reach": 0.5}}]})
-    outcomes = set()
-    for _ in range(60):
-        raw = bytearray(text.encode())
-        for _ in range(rng.integers(1, 4)):
-            place = rng.integers(len(raw))
-            raw[place : place + rng.integers(3)] = rng.bytes(rng.integers(3))
-        home = folder({"recording.json": bytes(raw)})
-        try:
-            read_recording(home)
-            outcomes.add("read")
-        except InvalidData as error:
-            outcomes.add("refused")
-            assert "recording.json" in str(error)
-            assert "\n" not in str(error)
-    assert "refused" in outcomes
 
 
 def at(file: str, column: str, row: int) -> str:
@@ -442,13 +374,6 @@ def test_damaged_parquet_reads_as_it_was_or_is_refused(folder: Folder, seed: int
         np.testing.assert_array_equal(run.time, np.arange(200.0))
         angle = np.random.default_rng(1).normal(size=200)
         np.testing.assert_array_equal(run.sensors["angle"], angle)
-
-
-def test_csv_named_parquet_and_parquet_named_csv(folder: Folder) -> None:
-    text = csv_text(sensor__angle=COS)
-    home = folder({"a.parquet": text}, runs=[{"file": "a.parquet"}])
-    refused(home, "not a whole Parquet")
-    refused(folder({"a.csv": parquet_bytes()}, runs=[{"file": "a.csv"}]), r"^a\.csv: ")
 
 
 @pytest.mark.parametrize("file", ["run.csv", "run.parquet"])

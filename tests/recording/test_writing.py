@@ -63,12 +63,6 @@ def test_every_number_comes_back(
     assert [p.name for p in tmp_path.joinpath("new").iterdir()] == ["made"]
 
 
-def test_both_formats_hold_the_same(tmp_path: Path, swing: Swing) -> None:
-    first = write_recording(tmp_path / "a", model_xml=ARM, runs=[swing()], file_format="csv")
-    second = write_recording(tmp_path / "b", model_xml=ARM, runs=first.runs)
-    assert_same(swing(), second.runs[0])
-
-
 def test_a_model_file_brings_what_it_refers_to(tmp_path: Path, swing: Swing) -> None:
     source = tmp_path / "cad"
     source.joinpath("meshes").mkdir(parents=True)

@@ -13,10 +13,8 @@ pytest.importorskip("matplotlib")
 
 from loose_env.arms import vera
 from loose_env.envs import DiagnosisSettings
-from loose_env.errors import InvalidData
 from loose_env.report import (
     EpisodeTimeline,
-    FigureCard,
     comparison_text,
     episode_timeline,
     write_comparison,
@@ -127,25 +125,6 @@ def test_terminal_and_page_hold_the_same_tables(tmp_path: Path) -> None:
     for cell in numbers:
         if cell.replace(".", "").isdigit() and "." in cell:
             assert cell in page, cell
-
-
-def test_many_long_names_still_fit_the_terminal() -> None:
-    name = "amortised-with-a-long-name/two-step-look-ahead"
-    rows = [
-        {**row, "agent": f"{name}-{k}", "verdict": "unsure"} for k in range(9) for row in WHOLE[:20]
-    ]
-    text = comparison_text(rows, rng=np.random.default_rng(0), reference=f"{name}-0")
-    assert max(map(len, text.splitlines())) <= 120
-
-
-def test_a_page_that_fails_leaves_the_old_file_whole(tmp_path: Path) -> None:
-    path = tmp_path / "page.html"
-    path.write_text("old")
-    card = FigureCard(caption="no picture", image=b"GIF89a")
-    broken = EpisodeTimeline(cards=(card,), words="")
-    with pytest.raises(InvalidData):
-        write_comparison(path, ROWS[:4], title="t", played="p", timeline=broken)
-    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
 
 def test_the_confusion_matrix_counts_every_arm() -> None:

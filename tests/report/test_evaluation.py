@@ -2,39 +2,30 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from loose_env.arms import LinearArm, planar
 from loose_env.errors import InvalidData, UnknownName
 from loose_env.evaluation import (
     bootstrap_mean,
-    calibration_of,
-    claims_of,
     configuration_hash,
-    crossing,
-    divisions,
     expected_calibration_error,
     need_format,
     paired_difference,
-    pareto_front,
     read_rows,
     reliability,
-    runs_of,
     standings,
-    success_after,
-    trained_agents,
-    who_won,
     write_rows,
 )
-from loose_env.evaluation.hidden_faults import SeatOpenness
-from loose_env.evaluation.success import paired_values, stratified_interval
-from loose_env.faults import Backlash, CompoundLooseness, Healthy, StructuralLooseness
 from loose_env.inference import log_score
+from loose_env.report.outcomes import (
+    divisions,
+    runs_of,
+    who_won,
+)
 
 TRUTHS = ("healthy", "structural_looseness@link1", "backlash@joint2")
 RATIOS = (None, 0.5, 3.0)
@@ -93,21 +84,6 @@ def test_the_words_say_who_won_and_whether_it_may_be_sampling_error() -> None:
     assert len(who_won(a)) == 1
 
 
-@pytest.mark.parametrize(
-    ("cost", "value", "front"),
-    [
-        ([1, 2, 3], [0.1, 0.2, 0.3], [True, True, True]),
-        ([1, 1, 2], [0.5, 0.5, 0.5], [True, True, False]),
-        ([3, 1, 2], [0.9, 0.9, 0.95], [False, True, True]),
-        ([], [], []),
-    ],
-)
-def test_the_front_holds_what_nothing_beats_in_both(
-    cost: list[float], value: list[float], front: list[bool]
-) -> None:
-    assert pareto_front(cost, value).tolist() == front
-
-
 def test_false_alarms_are_counted_on_healthy_arms_and_misses_on_faulty_ones() -> None:
     found = standings(rows_of("a", right=15))[0]
     assert found.false_alarms == 5 / 10
@@ -138,47 +114,12 @@ def test_every_episode_lies_in_one_group_of_each_division() -> None:
     assert by_kind.cells["net/greedy"][0].success == 0.9
 
 
-def test_estimators_stand_across_and_policies_down() -> None:
-    found = crossing(standings(ROWS))
-    assert found is not None
-    assert found.estimators == ("net", "analytic")
-    assert found.policies == ("greedy", "random")
-    assert found.cells["greedy", "analytic"].right == 15
-    assert ("random", "analytic") not in found.cells
-    assert crossing(standings(rows_of("thesis", right=3))) is None
-
-
-def test_the_curve_counts_a_trail_that_was_cut_short_with_its_last_entry() -> None:
-    rows = [
-        {"agent": "a", "truth": "x", "trail_best": ["y", "x", "x"]},
-        {"agent": "a", "truth": "x", "trail_best": ["x"]},
-        {"agent": "a", "truth": "x", "trail_best": []},
-        {"agent": "b", "truth": "x", "trail_best": []},
-    ]
-    assert success_after(rows) == {"a": [1 / 3, 2 / 3, 2 / 3]}
-    assert success_after([]) == {}
-
-
 def test_the_error_weighs_each_bin_by_its_claims() -> None:
     # Ten claims of 0.9, all right: off by 0.1. Thirty of 0.6, a third right: off by 0.2667.
     confidence = [0.9] * 10 + [0.6] * 30
     right = [True] * 10 + [True] * 10 + [False] * 20
     expected = (10 * 0.1 + 30 * (0.6 - 1 / 3)) / 40
     assert expected_calibration_error(confidence, right) == pytest.approx(expected)
-
-
-def test_errors_of_opposite_sign_in_two_bins_do_not_cancel_and_in_one_they_do() -> None:
-    right = [True, False]
-    assert expected_calibration_error([0.55, 0.95], right) == pytest.approx(0.5 * 0.45 + 0.5 * 0.95)
-    assert expected_calibration_error([0.45, 0.55], right, bins=1) == pytest.approx(0.0)
-
-
-def test_a_calibrated_source_shows_no_more_than_its_sampling_error() -> None:
-    rng = np.random.default_rng(3)
-    p = rng.uniform(0.2, 1.0, size=20_000)
-    right = rng.random(len(p)) < p
-    assert expected_calibration_error(p, right) < 0.012  # sqrt(15 / 20000) / 3 is 0.009
-    assert expected_calibration_error(np.minimum(1.0, p + 0.1), right) > 0.07
 
 
 def test_a_confidence_of_one_lies_in_the_last_bin_and_no_claim_is_lost() -> None:
@@ -200,40 +141,11 @@ def row(best: list[str], confidence: list[float], ratio: float | None = 3.0) -> 
     }
 
 
-def test_beliefs_are_judged_by_record_and_by_friction() -> None:
-    rows = [
-        row(["y", "x"], [0.6, 1.0]),
-        row(["x"], [0.6], ratio=0.5),
-        row(["x", "x", "x"], [0.6, 0.7, 0.7], ratio=None),
-    ]
-    claims = claims_of(rows)
-    assert claims.record.tolist() == [1, 2, 1, 1, 2, 3]
-    assert claims.last.tolist() == [False, True, True, False, False, True]
-    found = calibration_of("a", rows, edges=(1.0, 4.0), records=2)
-    assert found is not None
-    assert found.claims == 6
-    assert found.by_record[0] == pytest.approx(abs(0.6 - 2 / 3))
-    assert found.by_record[2] == pytest.approx(0.3)
-    assert found.by_ratio == pytest.approx((0.4, 0.5 * 0.6 + 0.0, np.nan), nan_ok=True)
-    assert found.score == pytest.approx(np.mean(np.log([1.0, 0.6, 0.7])))
-    assert calibration_of("a", [{"truth": "x", "trail_best": ()}], edges=(1.0,)) is None
-
-
 def rows_with(rewards: Any, *, truth: str = "healthy", seed: int = 1) -> list[dict[str, Any]]:
     return [
         {"difficulty": "default", "seed": seed, "episode": k, "truth": truth, "reward": float(r)}
         for k, r in enumerate(rewards)
     ]
-
-
-def test_the_interval_of_a_mean_holds_the_truth_as_often_as_it_says() -> None:
-    rng = np.random.default_rng(1)
-    held = 0
-    for _ in range(300):
-        found = bootstrap_mean(rng.exponential(size=120), rng=rng, resamples=400)
-        held += found.low <= 1.0 <= found.high
-    # 95 % of 300 is 285; the standard deviation of the count is 3.8, skewness costs some more.
-    assert 268 <= held <= 297
 
 
 def test_the_paired_interval_holds_the_difference_and_is_narrower_than_the_arms_differ() -> None:
@@ -250,43 +162,6 @@ def test_the_paired_interval_holds_the_difference_and_is_narrower_than_the_arms_
     assert 180 <= held <= 198
     # Unpaired it would be 2 * 1.96 * sqrt(2 * (9 + 1) / 150) = 1.43 wide.
     assert np.mean(widths) == pytest.approx(2 * 1.96 * np.sqrt(2 / 150), rel=0.1)
-
-
-def test_rows_are_paired_by_episode_not_by_order() -> None:
-    first, second = rows_with([1, 2, 3]), rows_with([0, 0, 3])
-    assert paired_values(first, second[::-1], "reward").tolist() == [1, 2, 0]
-
-
-def test_a_quarter_of_the_scores_is_cut_at_each_end() -> None:
-    rng = np.random.default_rng(0)
-    middle = stratified_interval([[9, 1, 2, 3], [4, 5, -100, 80]], rng=rng)
-    assert middle.estimate == (2 + 3 + 4 + 5) / 4
-    assert stratified_interval([[5, 1, 2, 3, 100]], rng=rng).estimate == pytest.approx(10 / 3)
-
-
-def test_runs_are_drawn_within_their_task() -> None:
-    # Each task has the same score in every run: whatever is drawn, nothing changes.
-    scores = np.array([[0.0, 1.0, 5.0]] * 4)
-    found = stratified_interval(scores, rng=np.random.default_rng(0), resamples=50)
-    assert found.estimate == found.low == found.high == np.mean([0, 1, 1, 1, 1, 5])
-
-
-def test_the_interval_of_two_runs_is_that_of_the_enumerated_resamples() -> None:
-    # Two runs 0 and 1 of one task: resamples are 0, 0.5, 0.5, 1 with equal chance.
-    found = stratified_interval([[0.0], [1.0]], rng=np.random.default_rng(0))
-    assert (found.low, found.estimate, found.high) == (0.0, 0.5, 1.0)
-
-
-def test_trainings_are_told_by_their_names_and_scored_in_each_difficulty() -> None:
-    rows = [
-        {"agent": f"ppo#{run}", "difficulty": level, "success": run > k, "records": 2, "reward": k}
-        for run in (1, 2, 3)
-        for level in ("easy", "hard")
-        for k in range(4)
-    ]
-    assert trained_agents(row["agent"] for row in rows) == {"ppo": ["ppo#1", "ppo#2", "ppo#3"]}
-    found = runs_of(rows, rng=np.random.default_rng(0))
-    assert found["ppo"]["success"].estimate == 0.5
 
 
 CONFIGURATION = {"env": "loose_env/Vera-v0", "seed": 3, "agents": ["a"], "ranges": [0.02, 1.0]}
@@ -355,7 +230,6 @@ def paired(other: list[dict[str, Any]]) -> object:
     [
         (lambda: standings([]), InvalidData, "no episodes"),
         (lambda: standings(ROWS, reference="nobody"), UnknownName, "net/greedy"),
-        (lambda: pareto_front([1.0], [np.nan]), InvalidData, "finite cost and value"),
         (lambda: expected_calibration_error([1.2], [True]), InvalidData, "probability"),
         (lambda: expected_calibration_error([0.2, 0.3], [True]), InvalidData, "outcome"),
         (lambda: paired(rows_with([0, 0])), InvalidData, "same arms"),
@@ -372,7 +246,6 @@ def paired(other: list[dict[str, Any]]) -> object:
             InvalidData,
             "one or more finite",
         ),
-        (lambda: stratified_interval([1.0], rng=np.random.default_rng(0)), InvalidData, "runs, t"),
         (lambda: trained_twice("easy", "hard", "easy"), InvalidData, "every difficulty"),
         (lambda: need_format("csv"), UnknownName, "parquet or json"),
     ],
@@ -380,25 +253,3 @@ def paired(other: list[dict[str, Any]]) -> object:
 def test_what_cannot_be_evaluated_is_refused(given: Any, error: type, words: str) -> None:
     with pytest.raises(error, match=words):
         given()
-
-
-def test_seats_open_by_drive_over_friction_and_gravity() -> None:
-    def slide(*direction: float, friction: float = 5.0) -> StructuralLooseness:
-        axis, seat = (direction[0], direction[1], direction[2]), (1e4, 1e4)
-        return StructuralLooseness(
-            link=2, direction=axis, gap=1e-4, stiffness=seat, friction=friction
-        )
-
-    arm = planar(3)
-    lying, upright = (SeatOpenness(LinearArm(planar(3, vertical=v))) for v in (False, True))
-    once = lying.ratio(slide(0, 1, 0)) or 0.0
-    assert lying.ratio(slide(0, 1, 0, friction=10.0)) == pytest.approx(once / 2)
-    assert (lying.ratio(Backlash(joint=1, gap=1e-3, stiffness=(1e3, 1e3), friction=2.0)) or 0) > 0
-    levels = tuple(level / 10 for level in arm.levels)
-    gentle = SeatOpenness(LinearArm(dataclasses.replace(arm, levels=levels)))
-    assert (gentle.ratio(slide(0, 1, 0)) or 0) < 0.7 * once  # joint 1 is at its torque limit
-    free = slide(0, 1, 0, friction=1e-6)
-    assert (lying.ratio(free) or 0) > 1e4
-    assert (upright.ratio(free) or 0) < 0.1 * (lying.ratio(free) or 0)
-    both = CompoundLooseness(link=2, parts=(slide(1, 0, 0), slide(0, 1, 0)))
-    assert lying.ratio(Healthy()) is lying.ratio(both) is None

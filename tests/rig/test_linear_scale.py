@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loose_env.arms import LinearArm, planar, scara
+from loose_env.arms import LinearArm, scara
 from loose_env.diagnosis import SensorFloor, predict, statistics_of
 from loose_env.excitation import Excitation, at_levels
-from loose_env.rig import SimulatedRig
-from loose_env.sensors import Encoder, SensorSuite, read_encoder
+from loose_env.rig import SimulatedRig, read_encoder
+from loose_env.sensors import Encoder, SensorSuite
 
 POSE = np.array([0.5, 0.9, -0.08, -0.4])
 
@@ -50,16 +50,3 @@ def test_the_predicted_floor_is_what_a_scale_at_rest_shows() -> None:
     assert record.joint_rms[2] == pytest.approx(floor.slide, rel=0.2)
     nominal = predict(LinearArm(arm).at(POSE), shake, floor)
     assert np.sqrt(nominal.joint[0, 0]) == pytest.approx(floor.slide, rel=0.05)
-
-
-def test_an_arm_of_hinges_has_one_floor() -> None:
-    floor = SensorFloor.of(SensorSuite(), (30.0, 150.0))
-    assert floor.joints(planar(3)).tolist() == [floor.joint] * 3
-
-
-@pytest.mark.parametrize("name", ["linear_resolution", "linear_noise"])
-def test_a_negative_figure_is_refused(name: str) -> None:
-    from loose_env.errors import InvalidSetting
-
-    with pytest.raises(InvalidSetting, match=name):
-        Encoder(**{name: -1e-6})

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.arms import Arm, LinearArm, Mismatch, MismatchDraw, planar, vera
+from loose_env.arms import Arm, LinearArm, Mismatch, MismatchDraw, planar, scara, six_axis, vera
 from loose_env.diagnosis import SensorFloor, predict, statistics_of
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, at_levels
@@ -145,25 +145,10 @@ def test_more_arms_than_one_call_simulates_are_each_measured_alike() -> None:
         assert_same(measurement, single.measure_many([job(seed=int(seed), excitation=brief)])[0])
 
 
-def test_arms_never_mounted_are_healthy_and_keep_their_own_poses() -> None:
-    rig = SimulatedRig(planar(2), slots=3)
-    poses = [POSE, -2 * POSE, POSE + 1.0]
-    found = rig.measure_many([job(s, pose=p) for s, p in enumerate(poses)])
-    for pose, measurement in zip(poses, found, strict=True):
-        assert_same(measurement, SimulatedRig(planar(2)).measure_many([job(pose=pose)])[0])
-
-
 def test_a_single_measurement_is_that_of_a_job() -> None:
     rig = SimulatedRig(planar(2), slots=2)
     single = rig.measure(POSE, SHAKE, rng=np.random.default_rng(0), slot=1)
     assert_same(single, rig.measure_many([job(1)])[0])
-
-
-def test_another_generator_gives_other_readings() -> None:
-    rig = SimulatedRig(planar(2))
-    one, other = (rig.measure_many([job(seed=s)])[0] for s in (0, 1))
-    for name in ("command", "encoder", "tool"):
-        assert not np.array_equal(getattr(one, name), getattr(other, name))
 
 
 def test_channels_have_the_stated_shapes() -> None:
@@ -224,29 +209,29 @@ def levels_of(arm: Arm, *excited: int) -> Array:
     return levels
 
 
-PREDICTED: dict[str, tuple[Arm, tuple[int, ...]]] = {
+SETTLED: dict[str, tuple[Arm, tuple[int, ...]]] = {
     "planar2 joint 1": (planar(2), (0,)),
-    "planar2 joint 2": (planar(2), (1,)),
     "planar2 both": (planar(2), (0, 1)),
-    "planar4 joint 2": (planar(4), (1,)),
     "planar4 joints 1 and 4": (planar(4), (0, 3)),
+    "vertical all": (planar(3, vertical=True), (0, 1, 2)),
+    **{f"scara joint {j + 1}": (scara(), (j,)) for j in range(4)},
+    **{f"six_axis joint {j + 1}": (six_axis(), (j,)) for j in range(6)},
+}
+"""Arms whose modes lie far above the band: their records hold no transient."""
+RINGING: dict[str, tuple[Arm, tuple[int, ...]]] = {
+    "planar2 joint 1": (planar(2), (0,)),
     "planar2 servo joint 1": (planar(2, hold="servo"), (0,)),
     "planar4 servo joint 3": (planar(4, hold="servo"), (2,)),
-    "vertical joint 1": (planar(3, vertical=True), (0,)),
-    "vertical all": (planar(3, vertical=True), (0, 1, 2)),
-    "vera joint 1": (vera(), (0,)),
-    "vera joint 2": (vera(), (1,)),
     "vera both": (vera(), (0, 1)),
-    "vera servo joint 1": (vera(hold="servo"), (0,)),
     "vera servo joint 2": (vera(hold="servo"), (1,)),
 }
 QUIET = SensorFloor(joint=0.0, tool=0.0)
 RECORDS = 6
 
 
-@pytest.mark.parametrize("case", PREDICTED)
+@pytest.mark.parametrize("case", RINGING)
 def test_a_healthy_nominal_arm_transmits_what_its_closed_form_says(case: str) -> None:
-    arm, excited = PREDICTED[case]
+    arm, excited = RINGING[case]
     # The simulation's damping acts half a step late: a servo's takes off up to c h / 2 of the
     # inertia that it holds, a brake's nothing to speak of.
     allowed = 0.005
@@ -269,12 +254,13 @@ def test_a_healthy_nominal_arm_transmits_what_its_closed_form_says(case: str) ->
         assert (error < 4 * scatter + allowed * np.linalg.norm(expected)).all()
 
 
-@pytest.mark.parametrize("case", [c for c in PREDICTED if "servo" not in c and "vera" not in c])
+@pytest.mark.parametrize("case", SETTLED)
 def test_every_line_of_a_healthy_record_is_as_the_closed_form_says(case: str) -> None:
     # No sampling error here: the drawn torque is known, line by line.
-    arm, excited = PREDICTED[case]
+    arm, excited = SETTLED[case]
     linear = LinearArm(arm, points=145)
-    at = linear.at(np.linspace(0.2, 0.9, arm.n))
+    pose = np.where(arm.sliding, -0.08, np.linspace(0.2, 0.9, arm.n))
+    at = linear.at(pose)
     excitation, _ = at_levels(at, levels_of(arm, *excited), duration=1.2)
     record = SimulatedRig(arm, sensors=SensorSuite.ideal()).measure(at.pose, excitation)
     lines = slice(36, 181)
@@ -283,17 +269,6 @@ def test_every_line_of_a_healthy_record_is_as_the_closed_form_says(case: str) ->
     tool = np.fft.rfft(record.tool)[:, lines]
     expected = np.einsum("kdm,mk->dk", at.response(excitation.excited).tool, torque)
     assert np.linalg.norm(tool - expected) < 0.01 * np.linalg.norm(expected)
-
-
-def test_a_loose_arm_departs_from_the_healthy_closed_form() -> None:
-    arm = planar(2)
-    at = LinearArm(arm).at(POSE)
-    excitation, _ = at_levels(at, levels_of(arm, 0), duration=1.2)
-    rig = SimulatedRig(arm, sensors=SensorSuite.ideal())
-    rig.mount(0, dataclasses.replace(LOOSE, friction=0.01, gap=4e-4))
-    found = statistics_of(rig.measure(POSE, excitation)).transmission[:, :1]
-    expected = predict(at, excitation, QUIET).transmission
-    assert np.linalg.norm(found - expected) > 0.1 * np.linalg.norm(expected)
 
 
 def test_a_preloaded_seat_looks_healthy() -> None:
@@ -327,33 +302,17 @@ def nan_mass(model: mujoco.MjModel) -> None:
     model.body_mass[1] = np.nan
 
 
-def negative_masses(model: mujoco.MjModel) -> None:
-    model.body_mass[:] = -1e3
-
-
-def absurd_damping_at_the_first_joint(model: mujoco.MjModel) -> None:
+def absurd_damping(model: mujoco.MjModel) -> None:
     model.dof_damping[0] = 1e9
-
-
-def absurd_spring_at_the_last_joint(model: mujoco.MjModel) -> None:
-    model.jnt_stiffness[-1] = 1e15
 
 
 def infinite_gravity(model: mujoco.MjModel) -> None:
     model.opt.gravity[:] = np.inf
 
 
-POISONS = (
-    nan_mass,
-    negative_masses,
-    absurd_damping_at_the_first_joint,
-    absurd_spring_at_the_last_joint,
-    infinite_gravity,
+@pytest.mark.parametrize(
+    ("poison", "threads"), [(nan_mass, 1), (absurd_damping, 4), (infinite_gravity, 4)]
 )
-
-
-@pytest.mark.parametrize("threads", [1, 4])
-@pytest.mark.parametrize("poison", POISONS)
 def test_a_diverging_arm_fails_alone_and_in_silence(
     poison: Callable[[mujoco.MjModel], None],
     threads: int,
@@ -383,23 +342,6 @@ def test_a_diverging_arm_fails_alone_and_in_silence(
     assert captured.err == ""
     assert captured.out == ""
     assert list(tmp_path.iterdir()) == []
-
-
-def test_arms_that_diverge_in_several_chunks_fail_alone() -> None:
-    brief = dataclasses.replace(SHAKE, duration=0.04)
-    rig = SimulatedRig(planar(2), slots=40, threads=2)
-
-    def measured() -> list[Measurement]:
-        return rig.measure_many([job(s, seed=s, excitation=brief) for s in range(40)])
-
-    before = measured()
-    bad = {3, 20, 21, 39}
-    for slot in bad:
-        absurd_damping_at_the_first_joint(rig.plants[slot].model)
-    after = measured()
-    assert {slot for slot in range(40) if after[slot].failure is not None} == bad
-    for slot in set(range(40)) - bad:
-        assert_same(after[slot], before[slot])
 
 
 def test_a_failed_record_has_the_shapes_of_a_good_one() -> None:
@@ -474,14 +416,3 @@ def test_sensors_add_no_more_than_they_state() -> None:
     assert encoder.std() == pytest.approx(np.hypot(2e-5, 1e-5 / np.sqrt(12)), rel=0.15)
     for values, step in ((read.tool, 2e-2), (read.encoder, 1e-5)):
         np.testing.assert_allclose(values / step, np.round(values / step), atol=1e-6)
-
-
-def test_the_accelerometer_of_the_last_joint_s_link_and_of_the_tool_agree_on_gravity() -> None:
-    still = Excitation(torque_rms=(0.0, 0.0), duration=0.2, band=(30.0, 150.0))
-    suite = dataclasses.replace(SensorSuite.ideal(), link_accelerometers=True)
-    found = SimulatedRig(planar(2, vertical=True), sensors=suite).measure(POSE, still)
-    turn = POSE.sum()
-    up = 9.81 * np.array([np.sin(turn), np.cos(turn)])
-    assert found.links is not None
-    np.testing.assert_allclose(found.tool.mean(axis=1), up, atol=0.02)
-    np.testing.assert_allclose(found.links[1].mean(axis=1), up, atol=0.02)

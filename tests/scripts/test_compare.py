@@ -8,26 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loose_agents.base import EVALUATION_SEED, Problem
 
-from loose_env.arms import planar, vera
-from loose_env.envs import DiagnosisSettings
 from loose_env.evaluation import read_rows
 from scripts.agents import compare
 
 ARGUMENTS = json.dumps({"durations": [0.2], "max_records": 3})
-FAST = [
-    "--arguments",
-    ARGUMENTS,
-    "--episodes",
-    "5",
-    "--shard",
-    "2",
-    "--seed",
-    "3",
-    "--rows",
-    "json",
-]
+FAST = ["--arguments", ARGUMENTS, "--episodes", "5", "--shard", "2", "--seed", "3"]
+FAST += ["--rows", "json"]
 
 
 def run(tmp_path: Path, *options: str, name: str = "out") -> list[dict[str, Any]]:
@@ -57,7 +44,7 @@ def test_agents_meet_the_same_arms(whole: Path) -> None:
     assert by_agent["random"] == by_agent["classical"]
     assert [row[1] for row in by_agent["random"]] == list(range(5))
     assert configuration["engine"] == "mujoco"
-    assert configuration["settings"][0]["durations"] == [0.2]
+    assert configuration["settings"]["durations"] == [0.2]
 
 
 def test_agents_that_may_not_stop_take_every_record(whole: Path) -> None:
@@ -75,83 +62,26 @@ def test_the_page_says_how_to_make_it_again(whole: Path) -> None:
     assert list((whole / "shards").iterdir()) == []
 
 
-def test_rows_are_the_same_for_any_worker_count_shard_and_width(
-    whole: Path, tmp_path: Path
-) -> None:
+def test_rows_are_the_same_for_any_worker_count_and_shard(whole: Path, tmp_path: Path) -> None:
     pytest.importorskip("joblib")
     expected = [row for row in read_rows(whole / "rows.json")[0] if row["agent"] == "random"]
     threads = run(tmp_path, "--agents", "random", "--backend", "threading", "--workers", "2")
     assert threads == expected
-    narrow = run(
-        tmp_path, "--agents", "random", "--workers", "1", "--shard", "5", "--width", "2", name="b"
-    )
-    assert narrow == expected
-
-
-@pytest.mark.slow
-def test_rows_are_the_same_from_two_processes(whole: Path, tmp_path: Path) -> None:
-    pytest.importorskip("joblib")
-    expected = [row for row in read_rows(whole / "rows.json")[0] if row["agent"] == "classical"]
-    assert run(tmp_path, "--agents", "classical", "--workers", "2", "--shard", "3") == expected
-
-
-def test_estimators_are_crossed_with_policies() -> None:
-    problem = Problem.of(vera(), DiagnosisSettings())
-    untrained = Problem.of(planar(3), DiagnosisSettings())
-    options = compare.Options(estimators=("a", "b"), policies=("x", "y"))
-    assert compare.names_of(options, problem) == ["a/x", "b/x", "a/y", "b/y"]
-    assert compare.reference_of(options, ["a/x", "b/x"]) == "a/x"
-    plain = compare.Options()
-    names = compare.names_of(plain, problem)
-    assert names == ["greedy", "constant", "random", *compare.CLASSICAL]
-    assert compare.reference_of(plain, names) == "classical"
-    assert compare.names_of(plain, untrained)[0] == "posterior/greedy"
-    assert plain.seed == EVALUATION_SEED and plain.episodes == 4000
-
-
-def test_what_is_no_agent_gets_a_star() -> None:
-    rows = [{"agent": "oracle"}, {"agent": "random"}]
-    assert [row["agent"] for row in compare.shown(rows)] == ["oracle*", "random"]
-    assert "no agent" in compare.words_of("oracle")
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--agents", "nobody"], "unknown agent 'nobody'"),
-        (
-            ["--agents", "classical", "--episodes", "0"],
-            "--episodes must be a whole number, 1 or more; got 0",
-        ),
-        (["--agents", "classical", "--reference", "random"], "does not play"),
-        (["--estimators", "posterior"], "give both or neither"),
-        (["--agents", "classical", "--arguments", "["], "must be JSON"),
-        (["--agents", "classical", "--rows", "csv"], "parquet or json"),
-        (["--agents", "classical", "--curve", "4"], "--curve must be 1 to 3"),
-        (["--agents", "classical", "--difficulties", "grim"], "unknown difficulty 'grim'"),
-        (["--agents", "classical", "--backend", "carrier"], "carrier"),
-    ],
-)
-def test_errors_teach_before_anything_is_played(
-    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        compare.main([*FAST, "--out", str(tmp_path), *options])
-    assert words in f"{stopped.value}{capsys.readouterr().err}"
-    assert not (tmp_path / "rows.json").exists()
+    narrow = ["--agents", "random", "--workers", "1", "--shard", "5"]
+    assert run(tmp_path, *narrow, name="b") == expected
 
 
 def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from loose_agents import comparison as evaluation_shards
+    from loose_agents import sharded_play as evaluation_shards
 
     played: list[int] = []
     real = evaluation_shards.evaluate_shard
 
-    def counted(task: Any, progress: Any = None) -> Any:
+    def counted(task: Any, span: range, progress: Any = None) -> Any:
         if len(played) == 1:
             raise KeyboardInterrupt
-        played.append(task.first)
-        return real(task, progress)
+        played.append(span.start)
+        return real(task, span, progress)
 
     monkeypatch.setattr(evaluation_shards, "evaluate_shard", counted)
     with pytest.raises(SystemExit) as stopped:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -14,10 +13,10 @@ import pytest
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.errors import InvalidData
 from loose_env.report import FigureCard, new_figure
 from scripts import reproduce_thesis as script
-from scripts.thesis import page
+from scripts.thesis import index_tables, page
 from scripts.thesis.page import (
     LEFT_OUT,
     SECTIONS,
@@ -33,20 +32,16 @@ from scripts.thesis.page import (
 
 SVG = b'<svg viewBox="0 0 5 4"><g id="a"/><use href="#a"/></svg>'
 FAILED = Outcome(key="third_one", seconds=0.1, error="ValueError: a <b> c", trace="Traceback")
+ROW = ("mode", "720 Hz", "885 Hz", "from its own figures, which do not agree")
 
 
 def outcome(key: str, **changes: Any) -> Outcome:
+    columns = ("name", "printed", "here", "remark")
     settings: dict[str, Any] = {
         "key": key,
         "title": f"Title of {key}",
         "words": [f"Words of {key}."],
-        "tables": [
-            Table(
-                caption=f"Table of {key}",
-                columns=("name", "printed", "here", "remark"),
-                rows=(("mode", "720 Hz", "885 Hz", "from its own figures, which do not agree"),),
-            )
-        ],
+        "tables": [Table(caption=f"Table of {key}", columns=columns, rows=(ROW,))],
         "cards": [FigureCard(image=SVG, caption=f"Figure of {key}", title="A name")],
         "finding": f"Outcome of {key}, 7 of 9.",
         "equations": {"6.15": "loose_env.a.f", "6.2": "loose_env.a.g"},
@@ -60,56 +55,42 @@ def render(*outcomes: Outcome, **changes: Any) -> str:
     return render_thesis_page(outcomes, **about | {"versions": {"numpy": "1.2.3"}} | changes)
 
 
-def test_the_page_holds_every_section_and_links_to_it() -> None:
-    html = render(outcome("first"), outcome("second"), FAILED)
-    for key in ("first", "second"):
-        for word in (f"Words of {key}.", f"Table of {key}", f"Figure of {key}", "885 Hz"):
-            assert word in html
-        assert f'<section id="{key}">' in html
-    for word in ("python x.py --seed 7", "Seed 7", "numpy 1.2.3", "Text.", LEFT_OUT[1][:20]):
-        assert word in html
-    assert "1 of 3 sections failed." in html and "ValueError: a &lt;b&gt; c" in html
-    ids = re.findall(r'\bid="([^"]+)"', html)
-    assert len(ids) == len(set(ids))
-    assert set(re.findall(r'(?:href="#|url\(#)([^")]+)', html)) <= set(ids)
-
-
-def test_the_page_loads_nothing_from_elsewhere_and_escapes_values() -> None:
+def test_the_page_holds_every_section_links_to_it_and_escapes_values() -> None:
     figure = new_figure(2.0)
     figure.add_subplot().plot([0, 1])
     bad = Table(caption="<script>", columns=("<i>",), rows=(("<b>",),))
     cards = [FigureCard(image=figure, caption="f")]
-    html = render(outcome("first", cards=cards, tables=[bad], title="<u>"), command="<s>")
+    odd = outcome("odd", cards=cards, tables=[bad], title="<u>", equations={"3.41": "loose_env.b"})
+    html = render(outcome("first"), outcome("second"), odd, FAILED, command="<s> --seed 7")
+    for key in ("first", "second"):
+        for word in (f"Words of {key}.", f"Table of {key}", f"Figure of {key}", "885 Hz"):
+            assert word in html
+        assert f'<section id="{key}">' in html
+    for word in ("--seed 7", "Seed 7", "numpy 1.2.3", "Text.", LEFT_OUT[1][:20]):
+        assert word in html
+    assert "1 of 4 sections failed." in html and "ValueError: a &lt;b&gt; c" in html
+    for cell in ('number">720 Hz<', 'words">mode<', 'words long">from its own figures'):
+        assert f'<td class="{cell}' in html  # numbers stand right, long cells break
+    ids = re.findall(r'\bid="([^"]+)"', html)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'(?:href="#|url\(#)([^")]+)', html)) <= set(ids)
     assert not re.search(r"""(?:src|href)\s*=\s*["']?\s*(?:https?:)?//""", html)
     assert "@import" not in html and "<link" not in html
     assert not re.search(r"<(script|i|b|u|s)>", html)
-    with pytest.raises(InvalidData):
-        render(outcome("first", cards=[FigureCard(image=b"GIF89a", caption="no picture")]))
-    with pytest.raises(InvalidData, match="2 columns"):
-        Table(caption="c", columns=("a", "b"), rows=(("x",),))
-
-
-def test_equations_stand_once_in_the_order_of_their_numbers() -> None:
-    other = outcome("second", equations={"3.41": "loose_env.b.f", "6.15": "loose_env.a.f"})
-    index = render(outcome("first"), other).partition('<section id="every-equation">')[2]
+    index = html.partition('<section id="every-equation">')[2]
     places = [index.index(f"({number})") for number in ("3.41", "6.2", "6.15")]
     assert places == sorted(places) and index.count("<code>loose_env.a.f</code>") == 1
     row = index[index.index("(6.15)") :].split("</tr>")[0]
     assert 'href="#first"' in row and 'href="#second"' in row
     assert ranges(["6.9", "6.10", "6.11", "6.2", "A.1"]) == "6.2, 6.9 to 6.11, A.1"
-
-
-def test_columns_of_numbers_stand_right_and_long_cells_break() -> None:
-    html = render(outcome("first"))
-    assert '<td class="number">720 Hz</td>' in html and '<td class="words">mode</td>' in html
-    assert '<td class="words long">from its own figures' in html
+    with pytest.raises(InvalidData):
+        render(outcome("first", cards=[FigureCard(image=b"GIF89a", caption="no picture")]))
 
 
 def here(keys: list[str], *, seed: int, workers: int) -> Iterator[Outcome]:
     """Outcomes of some sections, the last first, as a race of workers might give them."""
-    made = {"sizing": outcome("sizing"), "index_tables": outcome("index_tables")}
     failed = Outcome(key="link_finding", seconds=0.1, error="ZeroDivisionError: x", trace="Trace")
-    return (made.get(key, failed) for key in reversed(keys))
+    return (failed if key == "link_finding" else outcome(key) for key in reversed(keys))
 
 
 def test_one_failure_keeps_the_others_and_shows(
@@ -121,7 +102,7 @@ def test_one_failure_keeps_the_others_and_shows(
         script.main([*arguments, "link_finding", "index_tables"])
     assert ended.value.code == 1
     html = (tmp_path / "index.html").read_text(encoding="utf-8")
-    keys = ("sizing", "index_tables", "link_finding")
+    keys = ("sizing", "index_tables", "link_finding")  # in the order of the page
     places = [html.index(f'<section id="{key}">') for key in keys]
     assert places == sorted(places)
     assert f"reproduce_thesis.py --seed 5 --only {' '.join(keys)}<" in html
@@ -130,13 +111,9 @@ def test_one_failure_keeps_the_others_and_shows(
     assert "3 of 3" in said.err and "Trace" in said.err
     script.main(arguments)  # all well: no exit with an error
     assert "Failed" not in capsys.readouterr().out
-
-
-def test_the_list_says_what_each_section_does(capsys: pytest.CaptureFixture[str]) -> None:
     script.main(["--list"])
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == list(SECTIONS)
-    assert lines[7].split(maxsplit=1)[1].startswith("Experiment One: repeatability")
+    assert [line.split()[0] for line in lines] == list(SECTIONS) == choose()
 
 
 @pytest.mark.parametrize("arguments", [["--only", "nothing"], ["--seed", "-1"], ["--workers", "0"]])
@@ -149,49 +126,30 @@ def test_wrong_options_end_in_one_line_and_write_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_sections_are_chosen_in_the_order_of_the_page() -> None:
-    assert choose() == list(SECTIONS)
-    assert choose(["link_finding", "sizing", "sizing"]) == ["sizing", "link_finding"]
-    with pytest.raises(UnknownName, match=r"'nothing'.*index_tables"):
-        choose(["nothing"])
-    with pytest.raises(InvalidSetting, match="workers"):
-        list(run_sections(["sizing"], seed=0, workers=0))
-    assert list(run_sections([], seed=0)) == []
-
-
 def test_an_error_comes_back_as_the_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(seed: int) -> Section:
         raise ZeroDivisionError("nothing\nto divide by")
 
-    module: ModuleType = importlib.import_module("scripts.thesis.index_tables")
-    monkeypatch.setattr(module, "index_tables", broken)
+    monkeypatch.setattr(index_tables, "index_tables", broken)
     found = run_section("index_tables", 0)
     assert found.section is None and "in broken" in found.trace
     assert found.error == "ZeroDivisionError: nothing to divide by"
-    assert "no section 'missing'" in run_section("missing", 0).error
+
+
+def die(key: str, seed: int) -> Outcome:
+    """End the process of one section, as a crash of a simulation does."""
+    if key == "sizing":
+        os._exit(3)
+    return run_section(key, seed)
 
 
 @pytest.mark.slow
-def test_a_section_is_the_same_in_a_process_of_its_own() -> None:
-    (other,) = run_sections(["index_tables"], seed=1, workers=1)
-    own = run_section("index_tables", 1)
-    assert other.section is not None and own.section is not None
-    assert other.section.words == own.section.words
-    assert other.section.tables == own.section.tables
-    assert [p.image for p in other.section.cards] == [p.image for p in own.section.cards]
-
-
 def test_a_process_that_dies_takes_no_other_section_along(monkeypatch: pytest.MonkeyPatch) -> None:
-    keys, calls = ["sizing", "index_tables", "link_finding"], []
-
-    def pool(own: list[str], seed: int, workers: int) -> Iterator[tuple[str, Outcome | None]]:
-        calls.append(list(own))
-        for key in own:
-            # The pool of all breaks at its second section; alone, only that one dies again.
-            died = key == "index_tables" or (len(own) > 1 and key == "link_finding")
-            yield key, None if died else Outcome(key=key, seconds=0.0, error="x")
-
-    monkeypatch.setattr(page, "_pool", pool)
-    found = {o.key: o.error for o in run_sections(keys, seed=0)}
-    assert found == {"sizing": "x", "index_tables": "its process died", "link_finding": "x"}
-    assert calls == [keys, ["index_tables"], ["link_finding"]]
+    own = run_section("index_tables", 1)
+    monkeypatch.setattr(page, "run_section", die)
+    found = {o.key: o for o in run_sections(["sizing", "index_tables"], seed=1)}
+    assert found["sizing"].error == "its process died"
+    other = found["index_tables"].section
+    assert other is not None and own.section is not None
+    assert other.words == own.section.words and other.tables == own.section.tables
+    assert [p.image for p in other.cards] == [p.image for p in own.section.cards]

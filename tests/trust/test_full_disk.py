@@ -28,6 +28,7 @@ from scripts.suites.golden import (
 
 pytestmark = pytest.mark.slow
 
+Capture = pytest.CaptureFixture[str]
 ROOT = Path(__file__).resolve().parents[2]
 ROOM = 96
 """Size of the small disk [kB]; the model of a training and a page of results do not fit."""
@@ -44,101 +45,59 @@ time = { column = "time", unit = "s" }
 file = "run-0"
 """
 TINY = ["--env", "loose_env/Planar-v0"]
+TRAINING = [
+    *("--env-kwargs", "n_links:2", "durations:[0.2]", "threads:1", "-n", "8", "-params"),
+    *("n_envs:2", "n_steps:4", "batch_size:8", "n_epochs:1", "policy_kwargs:dict()"),
+]
+AGENTS = [
+    *("--arguments", '{"n_links": 2}', "--agents", "posterior/random", "--episodes", "160"),
+    *("--workers", "1", "--shard", "1"),
+]
+SCRIPTS: dict[str, tuple[str, Callable[[Path], list[str]]]] = {
+    "train": (
+        "agents/train", lambda out: [*TINY, "-f", str(out), "--eval-freq", "-1", *TRAINING]),
+    "compare": ("agents/compare", lambda out: [*TINY, *AGENTS, "--out", str(out)]),
+    "example_recording": ("example_recording", lambda out: ["--out", str(out / "example")]),
+}  # fmt: skip
+"""Scripts that write, as short as they can be: their file and their words."""
+COMMANDS: dict[str, Callable[[Path], list[str]]] = {
+    "gap": lambda home: [str(home / "recording"), "--kinds", "viscous_friction", "--threads", "1"],
+    "diagnose": lambda home: [str(home / "shaken"), "--poses", "2"],
+    "plan": lambda home: [str(home / "shaken" / "model.xml"), "--poses", "4"],
+    "import": lambda home: [
+        f"t={home / 'recording' / 'run-0.csv'}", "--mapping", str(home / "mapping.toml")],
+}  # fmt: skip
+NAMES = [*SCRIPTS, *COMMANDS]
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("disk") / "recording"
-    write_gap_recording(folder, **GAPS["forward, damping"])
-    write_shaken_recording(shaken_beside(folder), **DIAGNOSES["healthy, flat"])
-    mapping_beside(folder).write_text(MAPPING)
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a recording, one to diagnose, and a mapping that imports a table."""
+    folder = tmp_path_factory.mktemp("disk")
+    write_gap_recording(folder / "recording", **GAPS["forward, damping"])
+    write_shaken_recording(folder / "shaken", **DIAGNOSES["healthy, flat"])
+    (folder / "mapping.toml").write_text(MAPPING)
     return folder
 
 
-def shaken_beside(recording: Path) -> Path:
-    """The recording to diagnose, beside the one to compare with its model."""
-    return recording.with_name("shaken")
-
-
-def mapping_beside(recording: Path) -> Path:
-    """The mapping that imports a table of the recording."""
-    return recording.with_name("mapping.toml")
-
-
-def script(name: str, *words: str) -> Callable[[], None]:
-    """A script of the repository, run in this process."""
-
-    def run() -> None:
+def refused(name: str, out: Path, home: Path, words: str, capsys: Capture) -> None:
+    """It ends with one line that begins with the command and says what is wrong."""
+    if name in COMMANDS:
+        assert loose([name, *COMMANDS[name](home), "--out", str(out)]) == 1
+        message = capsys.readouterr().err.strip().splitlines()[-1]
+        assert message.startswith(f"loose {name}: ")
+    else:
+        script, given = SCRIPTS[name]
         before, path = sys.argv, list(sys.path)
-        sys.argv = [name, *words]
+        sys.argv = [script, *given(out)]
         try:
-            runpy.run_path(str(ROOT / "scripts" / f"{name}.py"), run_name="__main__")
+            with pytest.raises(SystemExit) as ended:
+                runpy.run_path(str(ROOT / "scripts" / f"{script}.py"), run_name="__main__")
         finally:
             sys.argv, sys.path[:] = before, path
-
-    run.script, run.words = name, words  # type: ignore[attr-defined]
-    return run
-
-
-def commands(out: Path, recording: Path) -> dict[str, Callable[[], None]]:
-    """Every command that writes, as short as it can be."""
-    two = ["--arguments", '{"n_links": 2}']
-    agents = ["--agents", "posterior/random", "--episodes", "160", "--workers", "1"]
-    short = ["--threads", "1", "--shard", "1"]
-    training = [
-        *("--env-kwargs", "n_links:2", "durations:[0.2]", "threads:1", "-n", "8", "-params"),
-        *("n_envs:2", "n_steps:4", "batch_size:8", "n_epochs:1", "policy_kwargs:dict()"),
-    ]
-    pose_sets = ["--quick", "--cases", "1", "--level", "directions", "--arm", "planar2"]
-
-    def tool(*words: str) -> Callable[[], None]:
-        def run() -> None:
-            if code := loose([*words, "--out", str(out)]):
-                sys.exit(code)
-
-        return run
-
-    shaken = shaken_beside(recording)
-    gap = ["gap", str(recording), "--kinds", "viscous_friction", "--threads", "1", "--quiet"]
-    diagnose = ["diagnose", str(shaken), "--poses", "2", "--quiet"]
-    plan = ["plan", str(shaken / "model.xml"), "--poses", "4"]
-    table = f"t={recording / 'run-0.csv'}"
-    imports = ["import", table, "--mapping", str(mapping_beside(recording)), "--quiet"]
-
-    return {
-        "train": script("agents/train", *TINY, "-f", str(out), "--eval-freq", "-1", *training),
-        "compare": script("agents/compare", *TINY, *two, *agents, *short, "--out", str(out)),
-        "run": script("run_demo", *TINY, *two, *agents, *short, "--out", str(out)),
-        "reproduce_thesis": script(
-            "reproduce_thesis", "--only", "index_tables", "--workers", "1", "--out", str(out)
-        ),
-        "pose_sets": script("studies/pose_sets", *pose_sets, "--workers", "1", "--out", str(out)),
-        "example_recording": script("example_recording", "--out", str(out / "example")),
-        "gap": tool(*gap),
-        "diagnose": tool(*diagnose),
-        "plan": tool(*plan),
-        "import": tool(*imports),
-    }
-
-
-NAMES = list(commands(Path("out"), Path("recording")))
-SAID = {"run": "compare"} | {
-    name: f"loose {name}" for name in ("gap", "diagnose", "plan", "import")
-}
-
-
-def refused(
-    name: str, run: Callable[[], None], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """It ends with one line that begins with the command and says what is wrong."""
-    with pytest.raises(SystemExit) as ended:
-        run()
-    said = capsys.readouterr()
-    message = str(ended.value.code)
-    if ended.value.code == 1:  # said on the error stream by the command itself
-        message = said.err.strip().splitlines()[-1]
-    assert message.startswith(f"{SAID.get(name, name)}: "), message
-    assert words in message and "\n" not in message and "Traceback" not in said.err, message
+        message = str(ended.value.code)
+        assert message.startswith(f"{name}: ") and "Traceback" not in capsys.readouterr().err
+    assert words in message and "\n" not in message, message
 
 
 @contextmanager
@@ -153,26 +112,17 @@ def disk(place: Path, options: str) -> Iterator[None]:
         subprocess.run(["umount", "-l", str(place)], check=True)
 
 
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk with little room; as root a disk of its own."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    with disk(place, f"size={ROOM}k"):
-        place.joinpath("filled").write_bytes(bytes((ROOM - 8) * 1024))
-        yield place
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_a_full_disk_is_said_in_one_line(
-    small_disk: Path, recording: Path, name: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, home: Path, name: str, capsys: Capture
 ) -> None:
-    run = commands(small_disk / "out", recording)[name]
-    refused(name, run, "the disk is full", capsys)
-    # What has its final name is whole: nothing half-written lies there.
-    for file in small_disk.joinpath("out").rglob("*"):
-        if file.is_file() and file.suffix in (".json", ".parquet", ".zip", ".html", ".xml"):
-            assert file.stat().st_size > 0, file
+    with disk(tmp_path, f"size={ROOM}k"):
+        tmp_path.joinpath("filled").write_bytes(bytes((ROOM - 8) * 1024))
+        refused(name, tmp_path / "out", home, "the disk is full", capsys)
+        # What has its final name is whole: nothing half-written lies there.
+        for file in tmp_path.joinpath("out").rglob("*"):
+            if file.is_file() and file.suffix in (".json", ".parquet", ".zip", ".html", ".xml"):
+                assert file.stat().st_size > 0, file
 
 
 SHORT_FILES = """
@@ -186,13 +136,12 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 In a process of its own: the limit would hold for what the tests themselves write, too."""
 
 
-@pytest.mark.parametrize("name", ["train", "compare", "example_recording"])
+@pytest.mark.parametrize("name", SCRIPTS)
 def test_a_file_that_cannot_grow_is_said_in_one_line(tmp_path: Path, name: str) -> None:
-    run = commands(tmp_path / "out", tmp_path)[name]
-    words = run.words  # type: ignore[attr-defined]
-    program = str(ROOT / "scripts" / f"{run.script}.py")  # type: ignore[attr-defined]
+    script, given = SCRIPTS[name]
+    program = [str(ROOT / "scripts" / f"{script}.py"), *given(tmp_path / "out")]
     ended = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", SHORT_FILES, program, *words],
+        [sys.executable, "-W", "ignore", "-c", SHORT_FILES, *program],
         capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert ended.returncode == 1
@@ -203,32 +152,22 @@ def test_a_file_that_cannot_grow_is_said_in_one_line(tmp_path: Path, name: str) 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_output_folder_below_a_file_is_refused_in_one_line(
-    tmp_path: Path, recording: Path, name: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, home: Path, name: str, capsys: Capture
 ) -> None:
     tmp_path.joinpath("file").write_text("mine")
-    run = commands(tmp_path / "file" / "out", recording)[name]
-    refused(name, run, "a file lies where a folder is needed", capsys)
+    refused(name, tmp_path / "file" / "out", home, "a file lies where a folder is needed", capsys)
     assert tmp_path.joinpath("file").read_text() == "mine"
-
-
-@pytest.fixture
-def closed(tmp_path: Path) -> Iterator[Path]:
-    """A folder that cannot be written to, not by root either."""
-    place = tmp_path / "closed"
-    place.mkdir()
-    if os.geteuid():
-        place.chmod(0o500)
-        yield place
-        place.chmod(0o700)
-        return
-    with disk(place, "ro,size=64k"):
-        yield place
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_folder_without_the_right_to_write_is_said_in_one_line(
-    closed: Path, recording: Path, name: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, home: Path, name: str, capsys: Capture
 ) -> None:
-    run = commands(closed / "out", recording)[name]
-    refused(name, run, "no permission", capsys)
-    assert list(closed.iterdir()) == []
+    if os.geteuid():
+        tmp_path.chmod(0o500)
+        refused(name, tmp_path / "out", home, "no permission", capsys)
+        tmp_path.chmod(0o700)
+    else:
+        with disk(tmp_path, "ro,size=64k"):
+            refused(name, tmp_path / "out", home, "no permission", capsys)
+            assert list(tmp_path.iterdir()) == []

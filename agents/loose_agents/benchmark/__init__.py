@@ -1,1 +1,1 @@
-"""Tasks, results files and leaderboard of the benchmark of agents."""
+"""Benchmark of agents: tasks in `episodes`, files in `results`, tables in `leaderboard`."""

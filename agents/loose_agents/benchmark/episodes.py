@@ -1,4 +1,4 @@
-"""Tasks and frozen episode sets of the benchmark, those out of distribution among them.
+"""Tasks and frozen episode sets of the benchmark, in and out of distribution, and play on them.
 
 Out of distribution: two faults at once, a mismatch three times as large, an arm of other lengths
 and masses, a load that presses every loose seat against its stop, friction beyond the range,
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from loose_agents.base import BANK_SEED, BENCHMARK_SEED, TUNING_SEED, Agent, Problem
+from loose_agents.base import BENCHMARK_SEED, Agent, Problem
 from loose_agents.evaluation import EpisodeRow, evaluate, problem_of
 from loose_env.arms import Drift, MismatchDraw
 from loose_env.envs import BatchRig, DiagnosisSettings, difficulty_named
@@ -164,9 +164,6 @@ TASKS = (*TIERS, "loose_env/Planar-v0", "loose_env/SixAxis-v0")
 ENGINE = "reduced"
 """Simulation engine of the episodes; two faults at once need MuJoCo."""
 
-TRAINING_SEEDS = (BANK_SEED, TUNING_SEED)
-"""Seeds of the frozen training set and of the frozen set for tuning."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeSet:
@@ -196,13 +193,7 @@ SETS: Mapping[str, EpisodeSet] = MappingProxyType(
 
 
 def set_named(name: str) -> EpisodeSet:
-    """Look up a set.
-
-    Examples
-    --------
-    >>> set_named("test").episodes
-    320
-    """
+    """Look up a set."""
     if name not in SETS:
         raise UnknownName(f"unknown set {name!r}; sets are {list(SETS)}")
     return SETS[name]

@@ -1,4 +1,4 @@
-"""The leaderboard: stored results files as tables, paired on the same episodes."""
+"""Leaderboard of the benchmark: stored results as Markdown tables, paired on equal episodes."""
 
 from __future__ import annotations
 
@@ -11,30 +11,17 @@ from numpy.typing import NDArray
 from loose_agents.base import hypothesis_prior
 from loose_agents.benchmark.episodes import SETS, TASKS, task_problem
 from loose_agents.benchmark.results import Results, read_results
-from loose_agents.comparison import STAR, bound_of
+from loose_agents.sharded_play import bound_of
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidData
 from loose_env.evaluation import Interval, bootstrap_mean, expected_calibration_error, wilson
 from loose_env.faults import UNSURE
 from loose_env.typing import Array
 
-__all__ = [
-    "ADAPTIVE",
-    "RESULTS",
-    "agent_rows",
-    "leaderboard",
-    "outside_table",
-    "results_path",
-    "stored_results",
-    "value_tables",
-]
-
 RESULTS = Path(__file__).resolve().parents[3] / "docs" / "benchmark_results"
 """Results files of the repository."""
 ADAPTIVE = "greedy"
 """Entry with which the others are compared, and whose choice of records V values."""
-NO_AGENTS = ("oracle",)
-"""Entries that are told what no agent is; their names get a star."""
 
 _HEAD = (
     "| entry | arms | return | over greedy | right % (95 %) | unsure % | false alarms % | missed % "
@@ -150,7 +137,7 @@ def _row(results: Results, greedy: Array | None) -> str:
     training = results.training_records
     return _line(
         [
-            _name(results),
+            results.entry.replace("|", "\\|"),
             str(count),
             _signed(results.returns),
             over,
@@ -168,15 +155,14 @@ def _row(results: Results, greedy: Array | None) -> str:
 
 def _bound_words(task: str, own: ByEntry) -> str:
     """Lower bound on the mean number of records at the best entry's error."""
-    agents = {name: each for name, each in own.items() if name not in NO_AGENTS}
     players = {
         name: (each.information, each.guesses)
-        for name, each in agents.items()
+        for name, each in own.items()
         if each.information and each.guesses
     }
     if not players:
         return ""
-    best = max(agents.values(), key=lambda each: float(each.returns.mean()))
+    best = max(own.values(), key=lambda each: float(each.returns.mean()))
     problem = task_problem(task, best.episodes)
     shares = difficulty_named(problem.settings.difficulty).probabilities(problem.settings.kinds)
     bound = bound_of(hypothesis_prior(problem.hypotheses, shares), players)
@@ -184,7 +170,7 @@ def _bound_words(task: str, own: ByEntry) -> str:
         return ""
     error = 1 - float(_right(best).mean())
     return (
-        f"\n\nBound: {float(bound.records(error)):.2f} records on average at the error of "
+        f"\n\nBound: {bound.records(error):.2f} records on average at the error of "
         f"{best.entry}, {100 * error:.1f} %, which takes {np.mean(best.records):.2f}; no record "
         f"says more than {bound.information:.2f} nat ({bound.teller}, record {bound.record})."
     )
@@ -233,11 +219,6 @@ def _difference(first: Array | None, second: Array | None) -> str:
 def _signed(values: Array) -> str:
     found: Interval = bootstrap_mean(values, rng=np.random.default_rng(0))
     return f"{found.estimate:+.3f} ± {found.half:.3f}"
-
-
-def _name(results: Results) -> str:
-    shown = results.entry.replace("|", "\\|")
-    return f"{shown}{STAR}" if results.entry in NO_AGENTS else shown
 
 
 def _short(task: str) -> str:

@@ -1,42 +1,36 @@
-"""Results files of the benchmark, ``loose-benchmark/1``: made by playing, checked by replay."""
+"""Results files of the benchmark (``loose-benchmark/1``): play, reading, schema, replay check."""
 
 from __future__ import annotations
 
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
 import mujoco
 import numpy as np
+from annotated_types import Ge, Le
+from pydantic import ConfigDict, TypeAdapter
 
 import loose_env
-from loose_agents.base import Agent, Problem
-from loose_agents.belief import (
-    setting_name,
-    usual_estimator,
-    weights_path,
-)
+from loose_agents.base import Agent, EpisodeAgent, Problem
+from loose_agents.belief import setting_name, usual_estimator, weights_path
 from loose_agents.benchmark.episodes import (
     SETS,
     TASKS,
-    UNLIKE,
     EpisodeSet,
     evaluate_kind,
-    rig_for,
     set_named,
-    settings_for,
     task_problem,
 )
-from loose_agents.comparison import information_limits, success_limits
 from loose_agents.jobs import Store, spans
 from loose_agents.registry import AGENTS, LEARNED, content_of, is_outside, make_agent
-from loose_env.envs import EpisodeBatch
+from loose_agents.sharded_play import information_limits, success_limits
 from loose_env.errors import InvalidAction, InvalidData, InvalidSetting
-from loose_env.io import read_result_file, restored, whole_of, write_text
+from loose_env.io import NonNegativeCount, read_result_file, restored, whole_of
 from loose_env.typing import Array
 
 _UNTRAINED = ("always_healthy", "always_unsure", "random", "classical", "classical_literal",
@@ -86,6 +80,9 @@ FORMAT = "loose-benchmark/1"
 OUTSIDE = -1
 """Index of what is no verdict: a truth outside the hypotheses, or no verdict given."""
 
+_Index = Annotated[int, Ge(OUTSIDE)]
+_Share = Annotated[float, Ge(0), Le(1)]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Results:
@@ -94,6 +91,8 @@ class Results:
     Lists have an item for each episode, from number 0; one that has fewer than the set is
     provisional.
     """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
 
     task: str
     """Id of the environment."""
@@ -111,21 +110,21 @@ class Results:
     """Address of code and weights."""
     log: str = ""
     """Learning curve or training log: path in the repository, or address."""
-    training_records: int | None = None
+    training_records: NonNegativeCount | None = None
     """Records taken from the simulator in training and tuning, all seeds; None: not told."""
     fingerprint: str
     """Fingerprint of the problem that was played, `loose_agents.base.Problem`."""
     verdicts: tuple[str, ...]
     """What the next two lists count: hypotheses, then "unsure"; -1 stands for none of them."""
-    truth: tuple[int, ...]
+    truth: tuple[_Index, ...]
     """Index of the hidden fault's hypothesis."""
-    verdict: tuple[int, ...]
+    verdict: tuple[_Index, ...]
     """Index of the verdict."""
     reward: tuple[float, ...]
     """Return, every digit."""
-    records: tuple[int, ...]
+    records: tuple[NonNegativeCount, ...]
     """Records taken."""
-    confidence: tuple[float | None, ...]
+    confidence: tuple[_Share | None, ...]
     """Probability of the verdict as the agent saw it; None of an agent that keeps none."""
     actions: tuple[str, ...]
     """Actions with spaces between, the verdict last: `loose_env.envs.ActionLayout.code`."""
@@ -192,14 +191,7 @@ def read_results(path: Path) -> Results:
     """Read a results file and check it against the format."""
 
     def parse(text: str) -> Results:
-        whole = whole_of(text, format=FORMAT, noun="results")
-        results = restored(Results, whole, "results")
-        strange = sorted(set(whole) - {each.name for each in fields(Results)})
-        if strange:
-            raise InvalidData(
-                f"results: unknown entries {strange}; known are "
-                f"{[each.name for each in fields(Results)]}"
-            )
+        results = restored(Results, whole_of(text, format=FORMAT, noun="results"), "results")
         _check(results)
         return results
 
@@ -224,67 +216,24 @@ def _check(results: Results) -> None:
             )
     last = len(results.verdicts) - 1
     for name in ("truth", "verdict"):
-        if not all(OUTSIDE <= k <= last for k in getattr(results, name)):
+        if max(getattr(results, name)) > last:
             raise InvalidData(f"results.{name}: indices run from -1 to {last}")
     if not np.isfinite(results.returns).all():
         raise InvalidData("results.reward: returns are finite numbers")
-    if not all(p is None or 0 <= p <= 1 for p in results.confidence):
-        raise InvalidData("results.confidence: probabilities run from 0 to 1, or are null")
     if not results.entry.strip():
         raise InvalidData("results.entry: give the entry a name")
 
 
-def write_results(path: Path, results: Results) -> Path:
-    """Write a results file; it is renamed into place."""
-    return write_text(path, results.to_json())
-
-
 def results_schema() -> dict[str, Any]:
-    """JSON Schema (2020-12) of a results file; lists are checked against the set beside it.
-
-    Examples
-    --------
-    >>> results_schema()["properties"]["format"]
-    {'const': 'loose-benchmark/1'}
-    """
-    text, number = {"type": "string"}, {"type": "number"}
-    whole = {"type": "integer"}
-
-    def of(item: Mapping[str, Any]) -> dict[str, Any]:
-        return {"type": "array", "items": item}
-
-    share = {"type": ["number", "null"], "minimum": 0, "maximum": 1}
-    properties: dict[str, Any] = {
-        "format": {"const": FORMAT},
-        "task": {"enum": list(TASKS)},
-        "set": {"enum": list(SETS)},
-        "entry": {"type": "string", "minLength": 1},
-        "agent": {"type": ["string", "null"]},
-        "agent_seed": whole,
-        **dict.fromkeys(("about", "code", "log"), text),
-        "training_records": {"type": ["integer", "null"], "minimum": 0},
-        "fingerprint": {"type": "string", "pattern": "^[0-9a-f]{16}$"},
-        "verdicts": of(text),
-        **dict.fromkeys(("truth", "verdict"), of({"type": "integer", "minimum": OUTSIDE})),
-        "reward": of(number),
-        "records": of({"type": "integer", "minimum": 0}),
-        "confidence": of(share),
-        "actions": of({"type": "string", "pattern": "^[0-9a-z ]*$"}),
-        **dict.fromkeys(("information", "guesses"), of(number)),
-        "cpu_seconds": {"type": ["number", "null"], "minimum": 0},
-        "versions": {"type": "object", "additionalProperties": text},
-    }
-    optional = (
-        *("agent_seed", "code", "log", "training_records", "information", "guesses"),
-        *("cpu_seconds", "versions"),
-    )
+    """JSON Schema (2020-12) of a results file; lists are checked against the set beside it."""
+    schema = TypeAdapter(Results).json_schema()
+    own = {"format": {"const": FORMAT}, "task": {"enum": list(TASKS)}, "set": {"enum": list(SETS)}}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
         "title": FORMAT,
-        "type": "object",
-        "required": [name for name in properties if name not in optional],
-        "properties": properties,
-        "additionalProperties": False,
+        "required": [*schema["required"], "format"],
+        "properties": {**schema["properties"], **own},
     }
 
 
@@ -322,7 +271,7 @@ def play_results(
     store, parts = Store(folder / name, kept), spans(played, SHARD)
     for part in store.missing(parts):
         begin = time.process_time()
-        rows = _play(player, agent, problem, episodes, part)
+        rows = _rows(player, agent, problem, episodes, part.start, len(part))
         spent = (time.process_time() - begin) / len(rows)
         store.write(part, [{**row, "cpu_seconds": spent} for row in rows])
         say(f"{task} {set_name} {agent}: {part.stop} of {played} episodes")
@@ -367,79 +316,64 @@ def check_results(
         raise InvalidData(f"verdicts of {results.task} are {list(problem.verdicts)}")
     whole = len(results.reward)
     count = min(episodes, whole)
-    numbers = sorted(rng.choice(whole, size=count, replace=False).tolist())
-    _replay(results, problem, numbers)
-    words = f"{count} of {whole} episodes replayed from their actions"
-    if results.agent is None or not by_agent:
-        return f"{words}; returns equal bit for bit"
-    player = make_agent(results.agent, problem, seed=results.agent_seed)
-    for number in numbers:
-        row = _play(player, results.agent, problem, results.episodes, range(number, number + 1))[0]
-        _same(number, "actions", results.actions[number], row["actions"])
-        _same(number, "return", results.reward[number], row["reward"])
-        told = None if row["confidence"] is None else round(row["confidence"], 5)
-        _same(number, "confidence", results.confidence[number], told)
-    return f"{words} and by the agent {results.agent!r}; returns equal bit for bit"
+    player = None
+    if results.agent is not None and by_agent:
+        player = make_agent(results.agent, problem, seed=results.agent_seed)
+    for number in sorted(rng.choice(whole, size=count, replace=False).tolist()):
+        recorded = _Recorded(problem, number, results.actions[number])
+        _compare(results, number, *_rows(recorded, "", problem, results.episodes, number, 1))
+        if player is not None:
+            (row,) = _rows(player, str(results.agent), problem, results.episodes, number, 1)
+            _compare(results, number, row)
+            p = row["confidence"]
+            _same(number, "confidence", results.confidence[number], p if p is None else round(p, 5))
+    words = f" and by the agent {results.agent!r}" if player else ""
+    return (
+        f"{count} of {whole} episodes replayed from their actions{words}; returns equal bit for bit"
+    )
 
 
-def _play(
-    player: Agent, name: str, problem: Problem, episodes: EpisodeSet, numbers: range
+def _rows(
+    player: Agent, name: str, problem: Problem, episodes: EpisodeSet, first: int, count: int
 ) -> list[dict[str, Any]]:
     rows = evaluate_kind(
-        player, name, problem, episodes.kind,
-        episodes=len(numbers), first=numbers.start, seed=episodes.seed,
-    )  # fmt: skip
+        player, name, problem, episodes.kind, episodes=count, first=first, seed=episodes.seed
+    )
     return [asdict(row) for row in rows]
 
 
-def _replay(results: Results, problem: Problem, numbers: Sequence[int]) -> None:
-    """Play recorded actions, all episodes side by side."""
-    episodes = results.episodes
-    batch = EpisodeBatch(
-        problem.arm,
-        settings_for(episodes.kind, problem),
-        num=len(numbers),
-        threads=1,
-        rig=rig_for(episodes.kind, problem, len(numbers)),
-    )
-    options = UNLIKE[episodes.kind][1]
-    actions = []
-    for slot, number in enumerate(numbers):
-        batch.start(slot, seed=episodes.seed, number=number, options=options)
+class _Recorded(EpisodeAgent):
+    """Plays the recorded actions of one episode."""
+
+    def __init__(self, problem: Problem, number: int, actions: str) -> None:
+        super().__init__(problem)
         try:
-            found = [batch.actions.from_code(code) for code in results.actions[number].split()]
+            self.actions = [problem.actions.from_code(code) for code in actions.split()]
         except InvalidAction as error:
             raise InvalidData(f"episode {number}: {error}") from error
-        if not 0 < len(found) <= problem.settings.max_records + 1:
-            raise InvalidData(
-                f"episode {number}: 1 to {problem.settings.max_records + 1} actions, the last one "
-                f"a verdict, are needed, got {len(found)}"
-            )
-        actions.append(found)
-    prices = np.zeros(len(numbers))
-    going = list(range(len(numbers)))
-    for taken in range(max(map(len, actions))):
-        slots = [slot for slot in going if taken < len(actions[slot])]
-        for slot, outcome in zip(
-            slots, batch.step(slots, [actions[slot][taken] for slot in slots]), strict=True
-        ):
-            number = numbers[slot]
-            if not outcome.terminated:
-                prices[slot] -= outcome.reward
-            if not (outcome.terminated or outcome.truncated):
-                continue
-            going.remove(slot)
-            ended = outcome.reward if outcome.terminated else 0.0
-            info = outcome.info
-            _same(number, "number of actions", len(actions[slot]), taken + 1)
-            _same(number, "return", results.reward[number], float(ended - prices[slot]))
-            _same(number, "records", results.records[number], info["records"])
-            for name, told in (("truth", info["fault"]), ("verdict", info["verdict"])):
-                here = problem.verdicts
-                index = here.index(told) if told in here else OUTSIDE
-                _same(number, name, getattr(results, name)[number], index)
-    if going:
-        raise InvalidData(f"episode {numbers[going[0]]}: its actions end without a verdict")
+        self.number = number
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Start with the first action."""
+        return iter(self.actions)
+
+    def act(self, observation: Any, memory: Any) -> Any:
+        """Take the next action."""
+        action = next(memory, None)
+        if action is None:
+            raise InvalidData(f"episode {self.number}: its actions end without a verdict")
+        return action
+
+
+def _compare(results: Results, number: int, row: Mapping[str, Any]) -> None:
+    """Refuse a file that says something else of an episode than was played."""
+    _same(number, "actions", results.actions[number], row["actions"])
+    names = results.verdicts
+    for name in ("truth", "verdict"):
+        index = names.index(row[name]) if row[name] in names else OUTSIDE
+        _same(number, name, getattr(results, name)[number], index)
+    _same(number, "return", results.reward[number], row["reward"])
+    _same(number, "records", results.records[number], row["records"])
 
 
 def _same(number: int, name: str, given: Any, found: Any) -> None:

@@ -1,1 +1,1 @@
-"""Choice of the next record, and searches with a rule of their own."""
+"""Policies that choose the next record, and agents that search by rules of their own."""

@@ -1,10 +1,9 @@
-"""Policies, which choose the next record: random, fixed, by expected information."""
+"""Policies choosing the next record: random, constant, fixed, greedy, look-ahead, open loop."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from loose_agents.belief import (
     belief_of,
     tuned,
 )
+from loose_agents.evaluation import evaluate
 from loose_env.diagnosis import (
     AmortisedPosterior,
     Belief,
@@ -28,7 +28,7 @@ from loose_env.diagnosis import (
     RecordInformation,
     SeatFeatures,
 )
-from loose_env.envs import EpisodeBatch, difficulty_named
+from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import at_levels
 from loose_env.typing import Array
@@ -53,8 +53,7 @@ class RandomPolicy:
 
 def random_moves(problem: Problem, situation: Situation) -> NDArray[np.intp]:
     """Sample an allowed move for every joint (n,)."""
-    allowed = problem.actions.allowed_moves(situation.pose)
-    drawn = np.array([situation.rng.choice(np.flatnonzero(row)) for row in allowed])
+    drawn = problem.random_moves(situation.pose, situation.rng)
     return problem.actions.few_moves(drawn, situation.rng)
 
 
@@ -103,46 +102,36 @@ def information_of(problem: Problem, estimator: Estimator) -> RecordInformation:
     )
 
 
-def _random(problem: Problem, estimator: Estimator) -> Policy:
-    return RandomPolicy(problem)
-
-
 def _constant(problem: Problem, estimator: Estimator) -> Policy:
-    best = tuned(problem).get("constant")
-    levels = [0] * problem.arm.n
-    levels[0] = len(problem.arm.levels)  # joint 1 moves everything behind it
     top = len(problem.arm.levels)
-    return ConstantPolicy(problem, tuple(levels if best is None else [min(b, top) for b in best]))
-
-
-def _together(problem: Problem, estimator: Estimator) -> Policy:
-    return ConstantPolicy(problem, (len(problem.arm.levels),) * problem.arm.n)
-
-
-def _greedy(problem: Problem, estimator: Estimator) -> Policy:
-    return GreedyPolicy(problem, information_of(problem, estimator))
-
-
-def _look_ahead(problem: Problem, estimator: Estimator) -> Policy:
-    return LookAheadPolicy(problem, information_of(problem, estimator))
-
-
-def _fixed(problem: Problem, estimator: Estimator) -> Policy:
-    return FixedPolicy(problem, tuned_sequence(problem))
-
-
-def _open_loop(problem: Problem, estimator: Estimator) -> Policy:
-    return OpenLoopPolicy(problem, information_of(problem, estimator), estimator)
+    usual = [top] + [0] * (problem.arm.n - 1)  # joint 1 moves everything behind it
+    levels = tuned(problem).get("constant", usual)
+    return ConstantPolicy(problem, tuple(min(level, top) for level in levels))
 
 
 POLICIES: dict[str, tuple[Callable[[Problem, Estimator], Policy], str]] = {
-    "random": (_random, "random poses, joint, level and length"),
+    "random": (lambda problem, _: RandomPolicy(problem), "random poses, joint, level and length"),
     "constant": (_constant, "the best single joint and level, random poses"),
-    "together": (_together, "all joints at the top level, random poses"),
-    "fixed": (_fixed, "the same records on every arm, the best of many sequences"),
-    "open_loop": (_open_loop, "records that the model chooses without looking at any result"),
-    "greedy": (_greedy, "the record that is expected to say most"),
-    "look_ahead": (_look_ahead, "the record that is worth most with the next one in view"),
+    "together": (
+        lambda problem, _: ConstantPolicy(problem, (len(problem.arm.levels),) * problem.arm.n),
+        "all joints at the top level, random poses",
+    ),
+    "fixed": (
+        lambda problem, _: FixedPolicy(problem, tuned_sequence(problem)),
+        "the same records on every arm, the best of many sequences",
+    ),
+    "open_loop": (
+        lambda problem, made: OpenLoopPolicy(problem, information_of(problem, made), made),
+        "records that the model chooses without looking at any result",
+    ),
+    "greedy": (
+        lambda problem, made: GreedyPolicy(problem, information_of(problem, made)),
+        "the record that is expected to say most",
+    ),
+    "look_ahead": (
+        lambda problem, made: LookAheadPolicy(problem, information_of(problem, made)),
+        "the record that is worth most with the next one in view",
+    ),
 }
 """Constructor and short description of each policy."""
 
@@ -241,42 +230,29 @@ def candidate_at(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class GreedySettings:
-    """Number of candidate records and value of information."""
-
-    poses: int = 16
-    """Poses weighed with all joints shaken at the top level."""
-    single_poses: int = 6
-    """Poses weighed where joints are shaken one at a time, each joint in each."""
-    shortlist: int = 1
-    """The best of these, weighed with every other excitation too."""
-    worth: float = 0.5
-    """Value of a nat of information, in the environment's reward."""
+TOGETHER_POSES, SINGLE_POSES = 16, 6
+"""Poses weighed with all joints shaken at the top level; with each joint shaken alone."""
+SHORTLIST = 1
+"""The best of these, weighed with every other excitation too."""
+WORTH = 0.5
+"""Value of a nat of information, in the environment's reward."""
 
 
 class GreedyPolicy:
     """Maximises expected information over pose, joints, level and duration."""
 
-    def __init__(
-        self,
-        problem: Problem,
-        information: RecordInformation,
-        settings: GreedySettings | None = None,
-    ) -> None:
+    def __init__(self, problem: Problem, information: RecordInformation) -> None:
         self.problem, self.information = problem, information
-        self.settings = GreedySettings() if settings is None else settings
 
     def choose(self, situation: Situation) -> NDArray[np.int64]:
         """Choose the best of the scored records."""
         faults = self.information.imagine(belief_of(situation), situation.rng)
-        return ranked(self.problem, self.information, self.settings, situation, faults)[0].action
+        return ranked(self.problem, self.information, situation, faults)[0].action
 
 
 def ranked(
     problem: Problem,
     information: RecordInformation,
-    settings: GreedySettings,
     situation: Situation,
     faults: ImaginedFaults,
     planned: Array | None = None,
@@ -293,16 +269,15 @@ def ranked(
         found = information.of(
             faults, candidate.pose, candidate.torque, candidate.duration, planned
         )
-        return settings.worth * found.information - candidate.price
+        return WORTH * found.information - candidate.price
 
     first, further = excitations(problem)
-    together = len(first) == 1
-    moves, where = poses(problem, situation, settings.poses if together else settings.single_poses)
+    moves, where = poses(problem, situation, TOGETHER_POSES if len(first) == 1 else SINGLE_POSES)
     begun = [(k, how) for k in range(len(moves)) for how in first]
     candidates = [candidate_at(problem, moves[k], where[k], *how) for k, how in begun]
     found = [(value(candidate), candidate) for candidate in candidates]
     order = np.argsort([-v for v, _ in found], kind="stable")
-    for k in (begun[i][0] for i in order[: settings.shortlist]):
+    for k in (begun[i][0] for i in order[:SHORTLIST]):
         for levels, duration in further:
             candidate = candidate_at(problem, moves[k], where[k], levels, duration)
             found.append((value(candidate), candidate))
@@ -310,42 +285,25 @@ def ranked(
     return [candidate for _, candidate in found]
 
 
-@dataclass(frozen=True, kw_only=True)
-class LookAheadSettings:
-    """Depth and width of the look-ahead."""
-
-    first: int = 4
-    """First records that are looked at, the best by information."""
-    outcomes: int = 24
-    """Outcomes of each that are imagined."""
-    second: int = 4
-    """Second records weighed after each outcome."""
-    greedy: GreedySettings = field(default_factory=GreedySettings)
-    """Search for first records."""
+FIRST_RECORDS, SECOND_RECORDS = 4, 4
+"""First records that the look-ahead weighs, the best by information; poses after each."""
+OUTCOMES = 24
+"""Outcomes that the look-ahead imagines of each first record."""
 
 
 class LookAheadPolicy:
-    """Scores records by the expected reward after them, or after one more.
+    """Maximises the expected reward after a record, or after one more.
 
-    Values are those of the environment's prices: the expected reward of the best name, less
-    what the records cost.
+    The value of a record is the expected reward of the best name less what the records cost.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        information: RecordInformation,
-        settings: LookAheadSettings | None = None,
-    ) -> None:
+    def __init__(self, problem: Problem, information: RecordInformation) -> None:
         self.problem, self.information = problem, information
-        self.settings = LookAheadSettings() if settings is None else settings
 
     def choose(self, situation: Situation) -> NDArray[np.int64]:
         """Choose the record of the highest value."""
         faults = self.information.imagine(belief_of(situation), situation.rng)
-        firsts = ranked(self.problem, self.information, self.settings.greedy, situation, faults)[
-            : self.settings.first
-        ]
+        firsts = ranked(self.problem, self.information, situation, faults)[:FIRST_RECORDS]
         values = [self._value(candidate, faults, situation) for candidate in firsts]
         return firsts[int(np.argmax(values))].action
 
@@ -353,44 +311,40 @@ class LookAheadPolicy:
         """Expected reward after taking this record."""
         if not candidate.torque.any():
             return -np.inf
-        likely = self.information.likelihood(
-            faults, candidate.pose, candidate.torque, candidate.duration
-        )
-        after = Situation(**{**vars(situation), "pose": candidate.pose})
-        every, _ = excitations(self.problem)
-        moves, where = poses(self.problem, after, self.settings.second)
+        prices, every = self.problem.settings.prices, excitations(self.problem)[0]
+        stake = prices.correct - prices.wrong
+        after = replace(situation, pose=candidate.pose)
+        moves, where = poses(self.problem, after, SECOND_RECORDS)
         seconds = [
-            candidate_at(self.problem, m, p, *how)
-            for m, p in zip(moves, where, strict=True)
+            candidate_at(self.problem, move, pose, *how)
+            for move, pose in zip(moves, where, strict=True)
             for how in every
         ]
-        next_likely = [
-            (self.information.likelihood(faults, c.pose, c.torque, c.duration), c.price)
-            for c in seconds
-            if c.torque.any()
+        seconds = [second for second in seconds if second.torque.any()]
+        likely, *more = [
+            self.information.likelihood(faults, c.pose, c.torque, c.duration)
+            for c in (candidate, *seconds)
         ]
-        prices = self.problem.settings.prices
-        stake = prices.correct - prices.wrong
-        ticks = (np.arange(self.settings.outcomes) + 0.5) / self.settings.outcomes
+        ticks = (np.arange(OUTCOMES) + 0.5) / OUTCOMES
         drawn = np.searchsorted(np.cumsum(faults.weight), ticks * faults.weight.sum())
         total = 0.0
         for k in np.minimum(drawn, len(faults.weight) - 1):
             weight = faults.weight * likely[k]
             weight = weight / weight.sum()
-            worth = float(self._sures(weight[None], faults)[0])  # of a verdict now
-            for more, price in next_likely:
-                after_both = weight[None] * more
-                after_both /= after_both.sum(1, keepdims=True)
-                then = float(weight @ self._sures(after_both, faults))
-                worth = max(worth, then - price / stake)
+            worth = float(_sureness(weight[None], faults)[0])  # of a verdict now
+            for second, of_second in zip(seconds, more, strict=True):
+                both = weight[None] * of_second
+                both /= both.sum(1, keepdims=True)
+                then = float(weight @ _sureness(both, faults))
+                worth = max(worth, then - second.price / stake)
             total += worth / len(drawn)
         return prices.wrong + stake * total - candidate.price
 
-    def _sures(self, weights: Array, faults: ImaginedFaults) -> Array:
-        """Maximum posterior probability (K,) for weights (K, M)."""
-        labels = np.zeros((weights.shape[1], int(faults.hypothesis.max()) + 1))
-        labels[np.arange(len(labels)), faults.hypothesis] = 1.0
-        return np.asarray((weights @ labels).max(1))
+
+def _sureness(weights: Array, faults: ImaginedFaults) -> Array:
+    """Maximum posterior probability (K,) for weights (K, M)."""
+    labels = np.eye(int(faults.hypothesis.max()) + 1)[faults.hypothesis]
+    return np.asarray((weights @ labels).max(1))
 
 
 FIXED_RECORDS = 4
@@ -484,10 +438,8 @@ class OpenLoopPolicy:
         problem: Problem,
         information: RecordInformation,
         estimator: Estimator,
-        settings: GreedySettings | None = None,
     ) -> None:
         self.problem, self.information = problem, information
-        self.settings = GreedySettings() if settings is None else settings
         start = getattr(estimator.begin(), "belief", None)
         prior = getattr(start, "belief", start)
         if not isinstance(prior, Belief):
@@ -507,25 +459,18 @@ class OpenLoopPolicy:
                 planned *= self.information.likelihood(
                     faults, record.pose, record.torque, record.duration
                 )
-        found = ranked(self.problem, self.information, self.settings, situation, faults, planned)
-        return found[0].action
+        return ranked(self.problem, self.information, situation, faults, planned)[0].action
 
 
 def designed_sequences(
     policy: OpenLoopPolicy, estimator: Estimator, count: int, length: int, *, seed: int
 ) -> list[Records]:
     """Sequences that the model chooses in open loop, each from another first pose."""
-    problem, stopping = policy.problem, AfterRecords(records=length + 1)
+    problem, stopping = policy.problem, AfterRecords(records=length)
     agent = BeliefAgent(problem, estimator, policy, stopping, surprising=0.0)
-    batch = EpisodeBatch(problem.arm, problem.settings, threads=1)
-    found = []
-    for number in range(count):
-        batch.start(0, seed=seed, number=number, options={"fault": "healthy"})
-        state: Any = None
-        sequence: list[tuple[int, ...]] = []
-        for _ in range(length):
-            action, state = agent.predict(batch.observe(0), state)
-            sequence.append(tuple(action.tolist()))
-            batch.step([0], [action])
-        found.append(tuple(sequence))
-    return found
+    rows = evaluate(
+        agent, "", problem.arm, problem.settings, episodes=count, seed=seed, threads=1,
+        options={"fault": "healthy"},
+    )  # fmt: skip
+    taken = [row.actions.split()[:length] for row in rows]
+    return [tuple(tuple(problem.actions.from_code(c).tolist()) for c in own) for own in taken]

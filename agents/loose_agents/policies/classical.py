@@ -1,4 +1,4 @@
-"""The classical method as run today: directions of change, pooled over all poses seen.
+"""Classical-method agents: directions of motion change pooled over poses, at tool and links.
 
 The steps of 4.2.2: shake, find the direction in which motion is not passed on, move one joint,
 shake again, see whether the direction turned, repeat. The direction is that of the change of
@@ -7,9 +7,7 @@ motion against the nominal arm (3.34), and every judgement uses all poses so far
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -29,7 +27,6 @@ from loose_env.diagnosis import (
     ToolFrames,
     fault_locations,
     next_joint,
-    propose_excitation,
     shape_of_motion,
 )
 from loose_env.envs import difficulty_named
@@ -41,9 +38,6 @@ from loose_env.wrappers import record_from
 
 _TRIED = 8
 """Random moves of which the best is taken."""
-
-Levels = Callable[[Array], NDArray[np.intp]]
-"""Levels of all joints, from 1, in a pose."""
 
 
 class SeatSearch:
@@ -71,15 +65,14 @@ class SeatSearch:
         return np.repeat(places[:, None] / frictions, frictions, axis=1)
 
     def next(
-        self, rng: np.random.Generator, pose: Array, levels: Levels, weights: Array
+        self, rng: np.random.Generator, pose: Array, levels: NDArray[np.intp], weights: Array
     ) -> tuple[NDArray[np.intp], float]:
         """Moves (n,) to the pose, of some at random, in which most seats open, and how many do."""
-        actions, n = self.problem.actions, self.problem.arm.n
-        allowed = [np.flatnonzero(row) for row in actions.allowed_moves(pose)]
-        tried = [np.array([rng.choice(own) for own in allowed]) for _ in range(_TRIED)]
-        poses = [pose + actions.steps[np.arange(n), moves] for moves in tried]
+        steps, joints = self.problem.actions.steps, np.arange(self.problem.arm.n)
+        tried = [self.problem.random_moves(pose, rng) for _ in range(_TRIED)]
+        poses = [pose + steps[joints, moves] for moves in tried]
         opened = [
-            float(np.sum(weights * self.shown(there, self.excited(there, levels(there), weights))))
+            float(np.sum(weights * self.shown(there, self.excited(there, levels, weights))))
             for there in poses
         ]
         best = int(np.argmax(opened))
@@ -111,7 +104,7 @@ class SeatSearch:
         return bool(found * better > price)
 
 
-Level = Literal["top", "falling", "proposed"]
+Level = Literal["top", "falling"]
 """Choice of the excitation's level."""
 
 _TURN = np.radians(15.0)
@@ -130,12 +123,9 @@ class ClassicalSettings(Checked):
 
     order: Order = "bisection"
     """Order of the joints: from the base out, from the tool in, or halving."""
-    in_turn: bool = False
-    """True to shake one joint per record, each in its turn; False for all at once."""
     level: Level = "top"
-    """The top level, which opens the most seats; falling to the next lower one while nothing
-    shows, so that seats that only hit their stops are seen; or the one nearest to the level that
-    `loose_env.diagnosis.propose_excitation` proposes for each joint in the pose."""
+    """The top level, which opens the most seats; or falling to the next lower one while nothing
+    shows, so that seats that only hit their stops are seen."""
     duration: int = 2
     """Index of the records' length; the longest by default."""
     significance: Positive = 0.01
@@ -229,7 +219,7 @@ class ClassicalAgent(EpisodeAgent):
         taken, most = records_taken(problem, observation), problem.settings.max_records
         pose = problem.layout.pose_of(observation)
         if taken == 0:  # steps 1 and 2
-            return self._measure(memory, taken, pose, self._stay())
+            return self._measure(memory, pose, self.problem.stay)
         if memory.driven is not None:
             return problem.verdict(self._by_shape(observation, taken - 1, memory))
         self._look(observation, taken - 1, memory)
@@ -238,12 +228,10 @@ class ClassicalAgent(EpisodeAgent):
             if settings.level == "falling":
                 memory.level = 1 + (memory.level - 2) % len(problem.arm.levels)
             seconds = problem.settings.durations[self._duration]
-            moves, opened = self.search.next(
-                memory.rng, pose, partial(self._levels, memory), memory.missed
-            )
+            moves, opened = self.search.next(memory.rng, pose, self._levels(memory), memory.missed)
             if taken >= most or not self.search.pays(memory.missed, opened, seconds):
                 return problem.verdict("healthy")
-            return self._measure(memory, taken, pose, moves)
+            return self._measure(memory, pose, moves)
         memory.level = max(memory.tried)[1]
         left = self._left(memory.pool)
         memory.left = tuple(memory.pool.names[k] for k in left)
@@ -254,20 +242,11 @@ class ClassicalAgent(EpisodeAgent):
             if memory.driven is None:
                 return problem.verdict(memory.pool.names[named])
             memory.moved = None
-            return self._measure(memory, taken, pose, self._stay())
-        moves = self._stay()
+            return self._measure(memory, pose, self.problem.stay)
+        moves = self.problem.stay
         moves[move[0]] = move[1]
         memory.moved = move[0] + 1
-        return self._measure(memory, taken, pose, moves)
-
-    def proposed_levels(self, pose: Array) -> NDArray[np.intp]:
-        """Level of every joint, from 1, nearest by ratio to the one proposed for the pose."""
-        arm = self.problem.arm
-        gap = difficulty_named(self.problem.settings.difficulty).gap
-        found = propose_excitation(arm, pose, gap=float(np.sqrt(gap[0] * gap[1])))
-        wanted = np.log(np.maximum(found.levels, 1e-3 * arm.levels[0]))
-        off = np.abs(wanted[:, None] - np.log(arm.levels))
-        return np.asarray(1 + off.argmin(axis=1), dtype=np.intp)
+        return self._measure(memory, pose, moves)
 
     def _look(self, observation: NDArray[np.float32], slot: int, memory: Search) -> None:
         """Add a record to the pool; an empty slot adds nothing."""
@@ -360,28 +339,20 @@ class ClassicalAgent(EpisodeAgent):
         best = int(np.argmax(np.where(mine, worth, -1.0) if mine.any() else worth))
         return options[best] if most[best] >= _SAME else None
 
-    def _stay(self) -> NDArray[np.intp]:
-        return np.full(self.problem.arm.n, self.problem.settings.stay, dtype=np.intp)
-
     @property
     def _duration(self) -> int:
         return min(self.settings.duration, len(self.problem.settings.durations) - 1)
 
-    def _levels(self, memory: Search, pose: Array) -> NDArray[np.intp]:
-        """Levels of all joints, from 1, in a pose."""
-        if self.settings.level == "proposed":
-            return self.proposed_levels(pose)
+    def _levels(self, memory: Search) -> NDArray[np.intp]:
+        """Levels of all joints, from 1."""
         return np.full(self.problem.arm.n, memory.level, dtype=np.intp)
 
-    def _measure(
-        self, memory: Search, taken: int, pose: Array, moves: NDArray[np.intp]
-    ) -> NDArray[np.int64]:
+    def _measure(self, memory: Search, pose: Array, moves: NDArray[np.intp]) -> NDArray[np.int64]:
         n = self.problem.arm.n
         there = pose + self.problem.actions.steps[np.arange(n), moves]
-        levels = self._levels(memory, there)
-        alone = taken % n if self.settings.in_turn else memory.driven
-        if alone is not None:
-            levels[np.arange(n) != alone] = 0
+        levels = self._levels(memory)
+        if memory.driven is not None:
+            levels[np.arange(n) != memory.driven] = 0
         else:
             known = memory.pool.names
             asked = self.search.spread([float(name in memory.left) for name in known])

@@ -1,4 +1,4 @@
-"""Link finding: the thesis's method to the letter, and by the direction of the transmission change.
+"""Link-finding agents: the thesis's planar method to the letter, and one by spatial directions.
 
 Of the latter all joints are excited at once: the regression of the tool's motion on theirs takes
 them apart, and one record then sees a slide in any direction. Where nothing stands out, the seat
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.base import EpisodeAgent, Problem
+from loose_agents.belief import records_taken
 from loose_env.diagnosis import (
     ChangeModel,
     ChangeSighting,
@@ -45,7 +46,7 @@ from loose_env.diagnosis import (
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation
-from loose_env.io import Checked, Count, Positive, Probability
+from loose_env.io import Checked, Count, Probability
 from loose_env.wrappers import record_from
 
 
@@ -76,8 +77,7 @@ class LinkFindingAgent(EpisodeAgent):
     def act(self, observation: NDArray[np.float32], memory: _Search) -> NDArray[np.int64]:
         """Process the latest record, then move on or decide."""
         problem, settings = self.problem, self.settings
-        spent = problem.layout.physical(observation, "spent")[0]
-        taken = round(float(spent) * problem.settings.max_records)
+        taken = records_taken(problem, observation)
         if taken == 0:
             return self._measure(memory, observation, None)
         seen = self._sighting(observation, taken - 1)
@@ -132,18 +132,11 @@ class LinkFindingAgent(EpisodeAgent):
     ) -> NDArray[np.int64]:
         """Move one joint to the end of its reach, then excite and measure."""
         problem = self.problem
-        n = problem.arm.n
-        moves = np.full(n, problem.settings.stay, dtype=np.intp)
+        moves = problem.stay
         if joint is not None:
-            pose = problem.layout.pose_of(observation)
-            allowed = problem.actions.allowed_moves(pose)[joint - 1]
-            reach = np.abs(np.sin(problem.actions.moves)) * allowed
-            # A retry takes the next best move, so that it does not repeat the first.
-            best = np.argsort(-reach, kind="stable")
-            best = best[reach[best] > 1e-6]
-            if len(best):
-                moves[joint - 1] = best[memory.tries % len(best)]
-        levels = np.zeros(n, dtype=np.intp)
+            reach = _reach(problem, observation, problem.actions.moves)[joint - 1]
+            moves[joint - 1] = _farthest(reach, memory.tries, moves[joint - 1])
+        levels = np.zeros(problem.arm.n, dtype=np.intp)
         levels[self.settings.joint - 1] = self.settings.level
         memory.moved = joint
         return problem.actions.encode(moves=moves, levels=levels)
@@ -164,6 +157,19 @@ class LinkFindingAgent(EpisodeAgent):
         )
 
 
+def _reach(problem: Problem, observation: NDArray[np.float32], steps: Any) -> Any:
+    """Turn of a direction that each move of each joint allows, 0 where it is out of range."""
+    allowed = problem.actions.allowed_moves(problem.layout.pose_of(observation))
+    return np.abs(np.sin(steps)) * allowed
+
+
+def _farthest(reach: NDArray[np.float64], tries: int, stay: int) -> int:
+    """Move of the largest reach; a retry takes the next best one, not to repeat the first."""
+    best = np.argsort(-reach, kind="stable")
+    best = best[reach[best] > 1e-6]
+    return int(best[tries % len(best)]) if len(best) else stay
+
+
 def _axial(products: NDArray[np.float64]) -> float:
     """Angle of a planar direction from its products xx, xy, yy."""
     xx, xy, yy = products
@@ -172,6 +178,18 @@ def _axial(products: NDArray[np.float64]) -> float:
 
 Policy = Literal["images", "turns"]
 
+SURE = 0.95
+"""Probability, of a hypothesis and those confusable with it together, at which it stops."""
+SEEN = 1.8
+"""For turns: change over what errors leave from which a record shows something loose [1]."""
+SCALES = (1.0, 2.0, 4.0)
+"""Factors by which the directions' standard deviations may be too small."""
+CANDIDATES, SHORTLIST = 1024, 12
+"""Moves of all joints that are weighed; the best of these by direction alone, looked at again for
+what gravity holds shut."""
+RULES = LinkFindingSettings()
+"""For turns: the order of the joints, and 4.31's thresholds and retries."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SpaceLinkFindingSettings(Checked):
@@ -179,23 +197,11 @@ class SpaceLinkFindingSettings(Checked):
 
     policy: Policy = "images"
     """Predicted images with all joints moving, or turns of one joint judged by 4.31."""
-    sure: Probability = 0.95
-    """Probability, of a hypothesis and those confusable with it together, at which it stops."""
-    seen: Positive = 1.8
-    """For turns: change over what errors leave from which a record shows something loose [1]."""
     significance: Probability = 0.01
     """For images: probability at which errors alone make the change of all records, below which
     something is loose [1]."""
     healthy_poses: Count = 5
     """Records that show nothing before the verdict healthy."""
-    scales: tuple[float, ...] = (1.0, 2.0, 4.0)
-    """Factors by which the directions' standard deviations may be too small."""
-    candidates: Count = 1024
-    """Moves of all joints that are weighed against each other."""
-    shortlist: Count = 12
-    """The best of these by direction alone, looked at again for what gravity holds shut."""
-    rules: LinkFindingSettings = field(default_factory=LinkFindingSettings)
-    """For turns: the order of the joints, and 4.31's thresholds and retries."""
 
 
 @dataclass
@@ -246,14 +252,14 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         """Process the latest record, then move on or decide."""
         problem, settings = self.problem, self.settings
         most = problem.settings.max_records
-        taken = round(float(problem.layout.physical(observation, "spent")[0]) * most)
+        taken = records_taken(problem, observation)
         if taken == 0:
-            return self._measure(memory, self._stay())
+            return self._measure(memory, self.problem.stay)
         turns = settings.policy == "turns"
         record = record_from(problem.layout, observation, taken - 1)
         if record is not None:
             seen = self._sighting(record)
-            visible = seen.excess >= settings.seen and np.trace(seen.precision) > 0
+            visible = seen.excess >= SEEN and np.trace(seen.precision) > 0
             gained = seen.excess
             if turns:
                 self._judge(memory, seen, visible)
@@ -271,7 +277,9 @@ class SpaceLinkFindingAgent(EpisodeAgent):
                 return self._name("healthy", None)
             # Another level, and gravity from another side.
             memory.level = 1 + (memory.level - 2) % len(problem.arm.levels)
-            return self._measure(memory, self._random_move(observation, memory))
+            return self._measure(
+                memory, problem.random_moves(problem.layout.pose_of(observation), memory.rng)
+            )
         memory.level = max(memory.tried)[1]
         if turns:
             return self._by_turns(observation, memory, taken >= most)
@@ -281,7 +289,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         self, observation: NDArray[np.float32], memory: _DirectionSearch, last: bool
     ) -> NDArray[np.int64]:
         found = self._posterior(memory)
-        if last or found.of(self._alike(found)) >= self.settings.sure:
+        if last or found.of(self._alike(found)) >= SURE:
             return self._name(found.best, found)
         arm, actions = self.problem.arm, self.problem.actions
         pose = self.problem.layout.pose_of(observation)
@@ -291,7 +299,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
             actions.moves,
             joints="all",
             sliding=self.frames.slides,
-            most=self.settings.candidates,
+            most=CANDIDATES,
             rng=memory.rng,
         )
         sd = self._clearest_sd(memory)
@@ -302,32 +310,26 @@ class SpaceLinkFindingAgent(EpisodeAgent):
             where,
             sd=sd,
             level=arm.levels[memory.level - 1],
-            shortlist=self.settings.shortlist,
+            shortlist=SHORTLIST,
         )
         return self._measure(memory, self._moves_to(pose, target))
 
     def _by_turns(
         self, observation: NDArray[np.float32], memory: _DirectionSearch, last: bool
     ) -> NDArray[np.int64]:
-        pose = self.problem.layout.pose_of(observation)
-        latest = memory.sightings[-1]
-        steps = self.problem.actions.steps
-        reach = np.abs(np.sin(steps)) * self.problem.actions.allowed_moves(pose)
+        reach = _reach(self.problem, observation, self.problem.actions.steps)
         joint = memory.search.joint(
             self.frames,
-            latest,
+            memory.sightings[-1],
             moves=self.problem.actions.moves,
-            rules=self.settings.rules,
+            rules=RULES,
             can_move=reach.max(axis=1) > 1e-6,
         )
         if joint is None or last:
             return self._decide_by_turns(memory)
         memory.moved = joint
-        # A retry takes the next best move, so that it does not repeat the first.
-        best = np.argsort(-reach[joint - 1], kind="stable")
-        best = best[reach[joint - 1][best] > 1e-6]
-        moves = self._stay()
-        moves[joint - 1] = best[memory.search.tries % len(best)]
+        moves = self.problem.stay
+        moves[joint - 1] = _farthest(reach[joint - 1], memory.search.tries, moves[joint - 1])
         return self._measure(memory, moves)
 
     def _judge(self, memory: _DirectionSearch, seen: ChangeSighting, visible: bool) -> None:
@@ -340,13 +342,13 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         if np.abs(others).max(initial=0.0) > 1e-6:
             return  # the direction before was seen in another pose
         memory.search = memory.search.after(
-            self.frames, before, seen, joint=joint, rules=self.settings.rules, visible=visible
+            self.frames, before, seen, joint=joint, rules=RULES, visible=visible
         )
 
     def _decide_by_turns(self, memory: _DirectionSearch) -> NDArray[np.int64]:
         """Declare the link, unless one joint's backlash fits every direction better."""
         found = self._posterior(memory)
-        slide = f"structural_looseness@link{memory.search.link(self.settings.rules)}"
+        slide = f"structural_looseness@link{memory.search.link(RULES)}"
         play = [name for name in self.names if name.startswith("backlash")]
         best = max(play, key=lambda name: found.of([name]))
         explained = found.of([best]) > found.of([slide])
@@ -360,9 +362,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         return self.problem.verdict(hypothesis)
 
     def _posterior(self, memory: _DirectionSearch) -> LinkPosterior:
-        return link_posterior(
-            self.frames, memory.sightings, prior=self.prior, scales=self.settings.scales
-        )
+        return link_posterior(self.frames, memory.sightings, prior=self.prior, scales=SCALES)
 
     def _alike(self, found: LinkPosterior) -> tuple[str, ...]:
         """Return the best hypothesis and those indistinguishable from it by any move."""
@@ -376,15 +376,6 @@ class SpaceLinkFindingAgent(EpisodeAgent):
             self.frames.dimension - 1
         )
         return float(1 / np.sqrt(max(precision, (2 / np.pi) ** 2)))
-
-    def _stay(self) -> NDArray[np.intp]:
-        return np.full(self.problem.arm.n, self.problem.settings.stay, dtype=np.intp)
-
-    def _random_move(
-        self, observation: NDArray[np.float32], memory: _DirectionSearch
-    ) -> NDArray[np.intp]:
-        allowed = self.problem.actions.allowed_moves(self.problem.layout.pose_of(observation))
-        return np.array([memory.rng.choice(np.flatnonzero(row)) for row in allowed])
 
     def _moves_to(self, pose: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.intp]:
         """Index of each joint's move that leads nearest to a pose."""

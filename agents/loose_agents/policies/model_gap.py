@@ -15,8 +15,6 @@ from loose_env.errors import UnknownName
 from loose_env.gap import battery
 from loose_env.typing import Array
 
-__all__ = ["GAP_AGENTS", "NAT", "SETUP_S", "GapAgent", "make_gap_agent"]
-
 GAP_AGENTS = ("random", "battery", "brief", "greedy")
 """Names of the agents."""
 STOPPING = {"random": 0.6, "battery": 0.8, "brief": 0.8, "greedy": 0.8, "ppo": 2.0}

@@ -1,1 +1,1 @@
-"""Reinforcement learning: networks, model files, training."""
+"""Reinforcement learning: policy networks, model files, training, agents that play policies."""

@@ -8,7 +8,6 @@ records are unlike all that the posterior was made for.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +17,10 @@ from numpy.typing import NDArray
 
 from loose_agents.base import EpisodeAgent, Problem
 from loose_agents.belief import (
-    Estimator,
-    Situation,
+    BeliefAgent,
     StoppingRule,
+    Tracker,
     best_verdict,
-    feature_size,
-    further_features,
     make_estimator,
     records_measured,
     records_taken,
@@ -32,7 +29,8 @@ from loose_agents.belief import (
 from loose_agents.rl.model_files import (
     TRAINED_ON,
     StoredModel,
-    network_arguments,
+    activation_of,
+    one_line,
     read_model,
 )
 from loose_agents.rl.networks import (
@@ -59,15 +57,6 @@ class PolicyForm:
 
     It chooses moves, levels and a record length by the entries of the environment's action, and
     in place of the verdict whether to stop.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> from loose_env.envs import DiagnosisSettings
-    >>> PolicyForm(Problem.of(planar(2), DiagnosisSettings())).nvec.tolist()
-    [5, 5, 4, 4, 3, 2]
-    >>> PolicyForm(Problem.of(planar(2), DiagnosisSettings(max_excited=1))).nvec.tolist()
-    [5, 5, 7, 3, 2]
     """
 
     def __init__(self, problem: Problem, further: int = 0) -> None:
@@ -153,49 +142,30 @@ class PolicyForm:
         return np.concatenate([measuring, [not last, stop]])
 
 
-@dataclass
-class _Memory:
-    """State of one episode: generator and estimator state."""
-
-    rng: np.random.Generator
-    estimate: Any
-    probabilities: NDArray[np.float64] | None = None
-    """Of the hypotheses, after the latest record (hypotheses,); read by the evaluator."""
-
-
-class LearnedAgent(EpisodeAgent):
+class LearnedAgent(BeliefAgent):
     """Plays a trained policy."""
+
+    estimator: Tracker
 
     def __init__(
         self,
         problem: Problem,
         network: PolicyNetwork,
-        estimator: Estimator | None = None,
+        estimator: Tracker | None = None,
         stopping: StoppingRule | None = None,
         *,
         seed: int = 0,
     ) -> None:
-        super().__init__(problem, seed=seed)
-        self.estimator = make_estimator("posterior", problem) if estimator is None else estimator
-        self.form = PolicyForm(problem, feature_size(self.estimator))
-        self.network, self.stopping = network, stopping
+        made = make_estimator("posterior", problem) if estimator is None else estimator
+        super().__init__(problem, made, None, stopping, seed=seed)
+        self.network, self.form = network, PolicyForm(problem, made.feature_size)
 
     @classmethod
     def load(cls, problem: Problem, folder: str | Path) -> LearnedAgent:
         """Load the weights that `scripts/agents/train.py` wrote."""
         where = Path(folder)
-        described = where / CONFIGURATION
-        if not described.is_file():
-            raise InvalidData(
-                f"no trained policy for arm {problem.arm.name!r} in {where}; train one with "
-                f"scripts/agents/train.py --export {where}"
-            )
-        try:
-            configuration = json.loads(described.read_text(encoding="utf-8"))
-            found, arm = configuration["format"], configuration["arm"]
-        except (ValueError, RecursionError, KeyError, TypeError, OSError) as error:
-            reason = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-            raise InvalidData(f"{described} describes no trained policy: {reason}") from error
+        described = described_run(where)
+        found, arm = described.get("format"), described.get("arm")
         if found != FORMAT:
             raise InvalidData(
                 f"{where} holds a policy of format {found!r:.60}, this version reads {FORMAT!r}; "
@@ -203,41 +173,26 @@ class LearnedAgent(EpisodeAgent):
             )
         if arm != problem.arm.name:
             raise InvalidData(f"{where} was trained for arm {arm!r:.60}, not {problem.arm.name!r}")
-        estimator = make_estimator(configuration.get("estimator", "posterior"), problem)
-        form = PolicyForm(problem, feature_size(estimator))
+        estimator = make_estimator(str(described.get("estimator", "posterior")), problem)
+        form = PolicyForm(problem, estimator.feature_size)
         return cls(problem, load_network(where, form), estimator)
 
-    def begin(self, rng: np.random.Generator) -> Any:
-        """Start from the prior."""
-        return _Memory(rng=rng, estimate=self.estimator.begin())
-
-    def act(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.int64]:
+    def act(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.int64]:
         """Evaluate the policy."""
         problem, form = self.problem, self.form
-        probabilities = self.estimator.follow(observation, memory.estimate)
-        memory.probabilities = probabilities
-        further = further_features(self.estimator, observation, memory.estimate)
-        pose = problem.layout.pose_of(observation)
-        records = records_taken(problem, observation)
+        now = self.situation(observation, memory)
+        further = self.estimator.features(observation, memory.estimate)
         choice = self.network.choose(
-            form.features(observation, probabilities, further),
-            form.mask(pose, records, records_measured(problem, observation)),
-        )
-        situation = Situation(
-            observation=observation,
-            pose=pose,
-            records=records,
-            probabilities=probabilities,
-            memory=memory.estimate,
-            rng=memory.rng,
+            form.features(observation, now.probabilities, further),
+            form.mask(now.pose, now.records, records_measured(problem, observation)),
         )
         if self.stopping is None:
-            done = form.stops(choice, records)
+            done = form.stops(choice, now.records)
         else:
-            done = records > 0 and (
-                records >= problem.settings.max_records or self.stopping.stop(situation)
+            done = now.records > 0 and (
+                now.records >= problem.settings.max_records or self.stopping.stop(now)
             )
-        named = verdict_of(problem, situation) if done else None
+        named = verdict_of(problem, now, self.surprising) if done else None
         return form.measuring(choice) if named is None else problem.verdict(named)
 
 
@@ -282,7 +237,7 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
     if seen is None or seen == layout.size:
         return ModelAgent(problem, _network(stored, problem, problem.actions.nvec), seed=seed)
     estimator = make_estimator(str(beside.get("estimator", "posterior")), problem)
-    form = PolicyForm(problem, feature_size(estimator))
+    form = PolicyForm(problem, estimator.feature_size)
     sees = form.observation_space.shape[0]
     if seen != sees:
         raise InvalidData(
@@ -295,19 +250,13 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
 
 def _network(stored: StoredModel, problem: Problem, nvec: NDArray[np.int64]) -> PolicyNetwork:
     """Actor of a model file."""
-    given = stored.described.get("policy_kwargs")
-    plain = given if isinstance(given, dict) else {}
-    # The set network's own arguments are in the tensors.
-    kept = {k: v for k, v in plain.items() if not k.startswith("features_extractor")}
-    rest = replace(stored, described={**stored.described, "policy_kwargs": kept})
-    activation = network_arguments(rest).get("activation_fn")
     kind = stored.described.get("policy_class")
     module = kind.get("__module__", "") if isinstance(kind, dict) else ""
     try:
         return network_from_tensors(
             stored.parameters["policy"],
             nvec,
-            activation="tanh" if activation is None else activation.__name__.lower(),
+            activation=activation_of(stored),
             masked="maskable" in str(module),
             layout=problem.layout,
         )
@@ -332,11 +281,8 @@ def _require_same_problem(stored: StoredModel, beside: dict[str, Any], problem: 
 
 def _beside(stored: StoredModel) -> dict[str, Any]:
     """Configuration of the run that a model file lies in; empty where there is none."""
-    try:
-        found = json.loads((stored.path.parent / CONFIGURATION).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
+    folder = stored.path.parent
+    return described_run(folder) if (folder / CONFIGURATION).is_file() else {}
 
 
 def described_run(folder: Path) -> dict[str, Any]:
@@ -344,8 +290,11 @@ def described_run(folder: Path) -> dict[str, Any]:
     path = folder / CONFIGURATION
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InvalidData(f"no configuration of a run at {path}") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise InvalidData(
+            f"no trained policy in {folder}: {path.name} cannot be read ({one_line(error)}); "
+            f"scripts/agents/train.py --export {folder} writes one"
+        ) from error
     if not isinstance(found, dict):
         raise InvalidData(f"{path} must hold a JSON object")
     return found

@@ -23,20 +23,14 @@ _GIVEN = ("self", "env", "tensorboard_log", "verbose", "seed", "device", "_init_
 
 
 class LinearSchedule:
-    """Linear schedule from an initial value to zero over the training.
+    """Linear schedule to zero, over the steps or over what runs out first of a budget."""
 
-    Examples
-    --------
-    >>> LinearSchedule(3e-4)(0.5)
-    0.00015
-    """
-
-    def __init__(self, first: float) -> None:
-        self.first = float(first)
+    def __init__(self, first: float, budget: Any = None) -> None:
+        self.first, self.budget = float(first), budget
 
     def __call__(self, left: float) -> float:
-        """Value at a remaining fraction of the training."""
-        return left * self.first
+        """Value at a remaining fraction of the steps."""
+        return self.first * (left if self.budget is None else self.budget.left(left))
 
     def __repr__(self) -> str:
         return f"LinearSchedule({self.first})"
@@ -75,19 +69,12 @@ def value_of(text: str) -> Any:
     """Parse a Python literal or ``dict(...)``; words and paths without brackets are strings.
 
     Nothing is run.
-
-    Examples
-    --------
-    >>> value_of("dict(net_arch=[64, 64])")
-    {'net_arch': [64, 64]}
-    >>> value_of("brake"), value_of("lin_3e-4"), value_of("'brake'"), value_of("-1e-3")
-    ('brake', 'lin_3e-4', 'brake', -0.001)
     """
+    plain = text.strip()
     try:
-        tree = ast.parse(text.strip(), mode="eval").body
-        return tree.id if isinstance(tree, ast.Name) else _value(tree)
+        tree = ast.parse(plain, mode="eval").body
+        return tree.id if isinstance(tree, ast.Name) else ast.literal_eval(_Literals().visit(tree))
     except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError) as error:
-        plain = text.strip()
         if (plain[:1].isalpha() or plain[:1] in set("/.~_")) and not set(plain) & set("()[]{}'\""):
             return plain
         raise InvalidSetting(
@@ -96,45 +83,26 @@ def value_of(text: str) -> Any:
         ) from error
 
 
-def _value(node: ast.expr) -> Any:
-    if isinstance(node, ast.Call):
-        if not isinstance(node.func, ast.Name) or node.func.id != "dict" or node.args:
+class _Literals(ast.NodeTransformer):
+    """Turns ``dict(name=value)`` and ``nn.Tanh`` into literals, and refuses other code."""
+
+    def visit_Call(self, node: ast.Call) -> ast.Dict:
+        self.generic_visit(node)
+        names = [word.arg for word in node.keywords]
+        if ast.unparse(node.func) != "dict" or node.args or None in names:
             raise ValueError("a call other than dict(name=value)")
-        if any(word.arg is None for word in node.keywords):
-            raise ValueError("an unpacked dict")
-        return {word.arg: _value(word.value) for word in node.keywords}
-    if isinstance(node, ast.Dict):
-        if None in node.keys:
-            raise ValueError("an unpacked dict")
-        return {
-            _value(key): _value(value)
-            for key, value in zip(node.keys, node.values, strict=True)
-            if key is not None
-        }
-    if isinstance(node, ast.List):
-        return [_value(part) for part in node.elts]
-    if isinstance(node, ast.Tuple):
-        return tuple(_value(part) for part in node.elts)
-    if (
-        isinstance(node, ast.Attribute)
-        and isinstance(node.value, ast.Name)
-        and node.value.id == "nn"
-        and node.attr in ("Tanh", "ReLU")
-    ):
+        return ast.Dict([ast.Constant(name) for name in names], [w.value for w in node.keywords])
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.Constant:
+        if ast.unparse(node) not in ("nn.Tanh", "nn.ReLU"):
+            raise ValueError("an attribute other than nn.Tanh and nn.ReLU")
         from torch import nn
 
-        return getattr(nn, node.attr)
-    return ast.literal_eval(node)
+        return ast.Constant(getattr(nn, node.attr))
 
 
 def key_values(words: Sequence[str], option: str) -> dict[str, Any]:
-    """Parse ``key:value`` words in the syntax of rl-zoo's command line.
-
-    Examples
-    --------
-    >>> key_values(["n_links:3", 'hold:"servo"'], "--env-kwargs")
-    {'n_links': 3, 'hold': 'servo'}
-    """
+    """Parse ``key:value`` words in the syntax of rl-zoo's command line."""
     found = {}
     for word in words:
         key, colon, value = word.partition(":")

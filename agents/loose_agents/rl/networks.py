@@ -1,4 +1,4 @@
-"""Networks of the policies in torch: the actor at play, its weights, and the set network.
+"""Policy networks in torch: the actor for play, its stored weights, the record-set extractor.
 
 Weights are read without running code: safetensors, or the tensors of a model file.
 """
@@ -16,6 +16,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from torch import nn
 
+from loose_agents.rl.model_files import one_line
 from loose_env.envs import ObservationLayout
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import write_bytes
@@ -147,7 +148,7 @@ def load_network(folder: str | Path, form: _Form) -> PolicyNetwork:
             described = file.metadata() or {}
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
     except SafetensorError as error:
-        raise InvalidData(f"{path} is no safetensors file: {_one_line(error)}") from error
+        raise InvalidData(f"{path} is no safetensors file: {one_line(error)}") from error
     if described.get("format") != FORMAT:
         raise InvalidData(
             f"{path} has the format {described.get('format', 'loose-policy/1')!r}, this version "
@@ -172,24 +173,11 @@ def load_network(folder: str | Path, form: _Form) -> PolicyNetwork:
             tensors, form.nvec, activation=activation, masked=masked == "true"
         )
     except (KeyError, IndexError, ValueError, RuntimeError) as error:
-        raise InvalidData(f"{path} holds no policy of this kind: {_one_line(error)}") from error
-
-
-def _one_line(error: Exception) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        raise InvalidData(f"{path} holds no policy of this kind: {one_line(error)}") from error
 
 
 def record_set_arguments(layout: ObservationLayout) -> dict[str, Any]:
-    """Arguments of the set network for an environment's observation.
-
-    Examples
-    --------
-    >>> import gymnasium, loose_env
-    >>> env = gymnasium.make("loose_env/Vera-v0").unwrapped
-    >>> given = record_set_arguments(env.layout)
-    >>> given["slots"], given["slot_size"], len(given["pairs"])
-    (12, 58, 20)
-    """
+    """Arguments of the set network for an environment's observation."""
     names = [each.name for each in layout.slot_elements]
     twins = [(k, names.index(_NOMINAL + n)) for k, n in enumerate(names) if _NOMINAL + n in names]
     return {"slots": layout.slots, "slot_size": len(names), "pairs": twins}
@@ -203,18 +191,6 @@ class RecordSetExtractor(nn.Module):
     adds up: the log-posterior of a hypothesis is a sum over independent records. An embedding sees
     a record's elements and the differences from their nominal twins, each standardised as
     `standardise` has measured it.
-
-    Examples
-    --------
-    >>> import gymnasium, loose_env
-    >>> from stable_baselines3 import PPO
-    >>> env = gymnasium.make("loose_env/Vera-v0", engine="reduced")
-    >>> kwargs = dict(
-    ...     features_extractor_class=RecordSetExtractor,
-    ...     features_extractor_kwargs=record_set_arguments(env.unwrapped.layout),
-    ... )
-    >>> PPO("MlpPolicy", env, policy_kwargs=kwargs, device="cpu").policy.features_dim
-    72
     """
 
     own: torch.Tensor
@@ -295,5 +271,5 @@ def _extractor_of(
     try:
         extractor.load_state_dict(own)
     except RuntimeError as error:
-        raise ValueError(_one_line(error)) from error
+        raise ValueError(one_line(error)) from error
     return extractor

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import importlib
-import io
 import json
 import os
 import random
@@ -17,9 +16,8 @@ import shutil
 import subprocess
 import sys
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, astuple, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,32 +27,11 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from loose_agents.base import CURVE_SEED, Problem
-from loose_agents.belief import (
-    Estimator,
-    feature_size,
-    make_estimator,
-)
-from loose_agents.evaluation import EpisodeRow, evaluate, make_environments
-from loose_agents.rl.agents import (
-    CONFIGURATION,
-    LearnedAgent,
-    ModelAgent,
-    described_run,
-)
-from loose_agents.rl.hyperparameters import (
-    LinearSchedule,
-    algorithm_named,
-    model_arguments,
-    whole,
-)
-from loose_agents.rl.model_files import (
-    TRAINED_ON,
-    network_arguments,
-    put_parameters,
-    read_model,
-    restore,
-    zipped,
-)
+from loose_agents.belief import Tracker, make_estimator
+from loose_agents.evaluation import evaluate, make_environments
+from loose_agents.rl.agents import CONFIGURATION, LearnedAgent, ModelAgent, described_run
+from loose_agents.rl.hyperparameters import LinearSchedule, algorithm_named, model_arguments, whole
+from loose_agents.rl.model_files import TRAINED_ON, read_model, restore, zipped
 from loose_agents.rl.networks import (
     FORMAT,
     WEIGHTS,
@@ -69,11 +46,11 @@ from loose_agents.rl.training_env import (
     forced_records,
     training_seed,
 )
-from loose_env.envs import DiagnosisVectorEnv
+from loose_env.envs import EpisodeBatch
 from loose_env.envs.sb3 import Sb3VecEnv
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.faults import UNSURE
-from loose_env.io import write_bytes
+from loose_env.io import write_bytes, write_text
 
 ROOT = Path(__file__).resolve().parents[3]
 STOP_BIAS = -1.5
@@ -127,8 +104,6 @@ class Training:
     """Records before which stopping is refused at the start."""
     forced_share: float = 0.0
     """Share of the steps after which it is refused no more."""
-    trained_agent: str = ""
-    """Model file to continue in a new run."""
     device: str = "cpu"
     """Device of torch."""
     threads: int = 1
@@ -165,7 +140,6 @@ class Training:
                 "forced_records": self.forced_records,
                 "forced_share": self.forced_share,
                 "eval_episodes": self.eval_episodes,
-                "trained_agent": self.trained_agent,
             },
             "settings": asdict(problem.settings),
             **more,
@@ -185,11 +159,11 @@ class RunFolder:
     def __init__(self, root: Path) -> None:
         self.root, self.configuration, self.best = root, root / CONFIGURATION, root / "best"
         self.checkpoint, self.best_model = root / "checkpoint.zip", root / "best_model.zip"
-        self.evaluations, self.curve = root / "evaluations.npz", root / "curve.csv"
+        self.curve = root / "curve.csv"
 
     def clear(self) -> None:
         """Remove the files of an earlier run, the checkpoint first."""
-        for path in (self.checkpoint, self.evaluations, self.curve, self.best_model):
+        for path in (self.checkpoint, self.curve, self.best_model):
             path.unlink(missing_ok=True)
         (self.root / WEIGHTS).unlink(missing_ok=True)
         shutil.rmtree(self.best, ignore_errors=True)
@@ -230,14 +204,10 @@ class CurvePoint:
 
 def write_curve(path: Path, points: Sequence[CurvePoint]) -> None:
     """Write the points of a curve as CSV, one a line."""
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, [each.name for each in fields(CurvePoint)], lineterminator="\n")
-    writer.writeheader()
+    lines = [[each.name for each in fields(CurvePoint)]]
     for point in points:
-        writer.writerow(
-            {k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(point).items()}
-        )
-    write_bytes(path, text.getvalue().encode())
+        lines.append([f"{v:.6g}" if isinstance(v, float) else str(v) for v in astuple(point)])
+    write_text(path, "".join(",".join(line) + "\n" for line in lines))
 
 
 def read_curve(path: Path) -> list[CurvePoint]:
@@ -258,15 +228,7 @@ class RunState:
     """State of a run stored in its checkpoint beside the model."""
 
     generators: dict[str, Any] = field(default_factory=dict)
-    """States of the generators of Python, numpy and torch."""
-    steps: list[int] = field(default_factory=list)
-    """When the evaluations took place."""
-    returns: list[list[float]] = field(default_factory=list)
-    """Unshaped returns of their episodes."""
-    lengths: list[list[int]] = field(default_factory=list)
-    """Steps of their episodes."""
-    successes: list[list[bool]] = field(default_factory=list)
-    """Correctness of their verdicts."""
+    """States of the generators of Python, numpy and torch: tensors and plain values."""
     points: list[dict[str, Any]] = field(default_factory=list)
     """Points of the learning curve."""
     best: float = -np.inf
@@ -278,10 +240,11 @@ class RunState:
 
     def remember_generators(self) -> None:
         """Store the states of the global random generators."""
+        kind, keys, *rest = np.random.get_state()
         self.generators = {
             "python": random.getstate(),
-            "numpy": np.random.get_state(),
-            "torch": torch.get_rng_state().numpy().copy(),
+            "numpy": (kind, torch.from_numpy(np.asarray(keys, dtype=np.int64)), *rest),
+            "torch": torch.get_rng_state(),
         }
 
     def restore_generators(self) -> None:
@@ -289,8 +252,9 @@ class RunState:
         if self.generators:
             try:
                 random.setstate(self.generators["python"])
-                np.random.set_state(self.generators["numpy"])
-                torch.set_rng_state(torch.from_numpy(self.generators["torch"]))
+                kind, keys, *rest = self.generators["numpy"]
+                np.random.set_state((kind, keys.numpy().astype(np.uint32), *rest))
+                torch.set_rng_state(self.generators["torch"])
             except (KeyError, TypeError, ValueError, RuntimeError) as error:
                 raise InvalidData(
                     f"the generators of the run cannot be restored ({error}); --restart begins anew"
@@ -330,17 +294,6 @@ class Budget:
         return max(0.0, min(steps_left, 1.0 - self.elapsed / self.seconds))
 
 
-class BudgetSchedule:
-    """Schedule over the budget that runs out first, in place of one over the steps."""
-
-    def __init__(self, schedule: Callable[[float], float], budget: Budget) -> None:
-        self.schedule, self.budget = schedule, budget
-
-    def __call__(self, left: float) -> float:
-        """Value at a remaining fraction of the steps."""
-        return self.schedule(self.budget.left(left))
-
-
 class RunCallback(BaseCallback):
     """Saves checkpoints, evaluates, advances the curriculum and shows progress.
 
@@ -356,15 +309,14 @@ class RunCallback(BaseCallback):
         vec: Any,
         budget: Budget,
         configuration: dict[str, Any],
-        evaluate: Callable[[int], Sequence[EpisodeRow]],
+        batch: EpisodeBatch,
+        estimator: Tracker | None,
         show: Callable[[int, str], None],
     ) -> None:
         super().__init__()
+        self.batch, self.estimator = batch, estimator
         self.run, self.vec, self.budget, self.configuration = run, vec, budget, configuration
-        self.evaluate, self.show, self.folder = evaluate, show, RunFolder(run.folder)
-        self._episodes = 0
-        self._successes: deque[bool] = deque(maxlen=500)
-        self._returns: deque[float] = deque(maxlen=500)
+        self.show, self.folder = show, RunFolder(run.folder)
 
     @property
     def state(self) -> RunState:
@@ -374,7 +326,7 @@ class RunCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         self._saved, self._due = self.model.num_timesteps, self._number()
-        if self.run.last_episodes is not None and not self.state.steps:
+        if self.run.last_episodes is not None and not self.state.points:
             self._evaluate(self.run.eval_episodes)
 
     def _on_rollout_start(self) -> None:
@@ -386,12 +338,11 @@ class RunCallback(BaseCallback):
     def _on_step(self) -> bool:
         # A step is a record or ends the episode with a verdict.
         self.state.records += int(np.count_nonzero(~self.locals["dones"]))
-        for info in self.locals["infos"]:
-            if "is_success" in info:
-                self._episodes += 1
-                self._successes.append(bool(info["is_success"]))
-                self._returns.append(float(info["episode"]["r"]))
         return not self.budget.timed_out()
+
+    def _last_point(self) -> int:
+        """Steps at the last evaluation, -1 before the first."""
+        return int(self.state.points[-1]["steps"]) if self.state.points else -1
 
     def _number(self) -> int:
         """Number of evaluations that are due."""
@@ -405,18 +356,16 @@ class RunCallback(BaseCallback):
         )
         if run.evaluations > 0:
             due, self._due = self._number() > self._due, self._number()
-            if last and (run.last_episodes is not None or self.state.steps[-1:] != [steps]):
+            if last and (run.last_episodes is not None or self._last_point() != steps):
                 self._evaluate(run.last_episodes or run.eval_episodes)
             elif due and not last:
                 self._evaluate(run.eval_episodes)
         if last or steps - self._saved >= max(run.save_freq, 1):
             self.save()
-        if self._successes:
-            self.show(
-                steps,
-                f"{self._episodes} episodes, success {np.mean(self._successes):.3f}, "
-                f"return {np.mean(self._returns):+.3f}",
-            )
+        if self.model.ep_info_buffer:
+            returns = [each["r"] for each in self.model.ep_info_buffer]
+            right = np.mean(self.model.ep_success_buffer)
+            self.show(steps, f"last episodes: success {right:.3f}, return {np.mean(returns):+.3f}")
 
     def save(self) -> None:
         """Write the policy with its configuration, then the checkpoint."""
@@ -424,19 +373,26 @@ class RunCallback(BaseCallback):
         self._write_policy(self.folder.root, {"steps": steps})
         self.state.seconds = self.budget.elapsed
         self.state.remember_generators()
-        write_model(self.folder.checkpoint, self.model)
+        write_bytes(self.folder.checkpoint, zipped(self.model, self.state))
         self._saved = steps
 
     def _evaluate(self, episodes: int) -> None:
-        rows, state, steps = self.evaluate(episodes), self.state, self.model.num_timesteps
-        if state.steps[-1:] == [steps]:  # the last one, of more episodes
-            for kept in (state.steps, state.returns, state.lengths, state.successes, state.points):
-                kept.pop()
-        state.steps.append(steps)
-        state.returns.append([row.reward for row in rows])
-        state.lengths.append([row.records + (not row.truncated) for row in rows])
-        state.successes.append([row.success for row in rows])
-        returns = np.array(state.returns[-1])
+        state, steps, batch = self.state, self.model.num_timesteps, self.batch
+        problem = Problem.of(batch.arm, batch.settings)
+        network = network_of(self.model, problem.layout)
+        agent: Any = (
+            ModelAgent(problem, network)
+            if self.estimator is None
+            else LearnedAgent(problem, network, self.estimator)
+        )
+        rows = evaluate(
+            agent, "policy", problem.arm, problem.settings, episodes=episodes,
+            seed=self.run.eval_seed, width=self.run.eval_width, threads=batch.threads,
+            true_arm=batch.true_arm,
+        )  # fmt: skip
+        if self._last_point() == steps:  # the last one, of more episodes
+            state.points.pop()
+        returns = np.array([row.reward for row in rows])
         point = CurvePoint(
             steps=steps,
             records=state.records,
@@ -444,25 +400,15 @@ class RunCallback(BaseCallback):
             episodes=len(rows),
             mean_return=float(returns.mean()),
             return_error=float(returns.std() / np.sqrt(len(returns))),
-            right=float(np.mean(state.successes[-1])),
+            right=float(np.mean([row.success for row in rows])),
             unsure=float(np.mean([row.verdict == UNSURE for row in rows])),
             records_per_episode=float(np.mean([row.records for row in rows])),
         )
         state.points.append(asdict(point))
         write_curve(self.folder.curve, [CurvePoint(**each) for each in state.points])
-        buffer = io.BytesIO()
-        if len({*map(len, state.returns)}) == 1:  # as the rl-zoo has it: a table
-            np.savez(
-                buffer,
-                timesteps=state.steps,
-                results=state.returns,
-                ep_lengths=state.lengths,
-                successes=state.successes,
-            )
-            write_bytes(self.folder.evaluations, buffer.getvalue())
         found = {
             "mean_reward": point.mean_return,
-            "mean_ep_length": float(np.mean(state.lengths[-1])),
+            "mean_ep_length": float(np.mean([row.records + (not row.truncated) for row in rows])),
             "success_rate": point.right,
         }
         for name, value in found.items():
@@ -479,17 +425,12 @@ class RunCallback(BaseCallback):
             state.best = point.mean_return
             self.folder.best.mkdir(exist_ok=True)
             self._write_policy(self.folder.best, {"steps": steps, **found})
-            write_model(self.folder.best_model, self.model)
+            write_bytes(self.folder.best_model, zipped(self.model, self.state))
 
     def _write_policy(self, folder: Path, trained: dict[str, Any]) -> None:
         if self.run.estimator is not None:
             save_network(network_of(self.model), folder)
         write_json(folder / CONFIGURATION, {**self.configuration, "trained": trained})
-
-
-def write_model(path: Path, model: Any) -> None:
-    """Write a stable-baselines3 model with the run state."""
-    write_bytes(path, zipped(model, model.run_state))
 
 
 def write_json(path: Path, content: object) -> None:
@@ -517,7 +458,7 @@ def train(
     )
     problem = Problem.of(env.arm, env.settings)
     estimator = None if run.estimator is None else make_estimator(run.estimator, problem)
-    further = 0 if estimator is None else feature_size(estimator)
+    further = 0 if estimator is None else estimator.feature_size
     configuration = run.configuration(problem, further_features=further, **described)
     folder = RunFolder(run.folder)
     vec: Any = (
@@ -528,7 +469,7 @@ def train(
     budget = Budget(steps=run.steps, seconds=run.seconds)
     for name in ("learning_rate", "clip_range"):
         if isinstance(given.get(name), LinearSchedule):
-            given[name] = BudgetSchedule(given[name], budget)
+            given[name].budget = budget
     if run.network == "set":
         own = dict(given.get("policy_kwargs") or {})
         own["features_extractor_kwargs"] = {
@@ -545,15 +486,7 @@ def train(
             model = _checkpointed(run, folder, configuration, model_class, vec, given, problem)
             say(f"resumed from {folder.checkpoint} at {model.num_timesteps} steps")
         else:
-            if (
-                run.trained_agent
-                and folder.root.resolve() in Path(run.trained_agent).resolve().parents
-            ):
-                raise InvalidSetting(
-                    f"{run.trained_agent} lies in the folder of the run itself; choose another "
-                    "--log-folder or --seed for the run that continues it"
-                )
-            model = _new_model(run, model_class, vec, given, run.trained_agent, problem)
+            model = _new_model(run, model_class, vec, given, problem)
             model.run_state = RunState()
             folder.clear()  # only now: what was refused has taken nothing away
         setattr(model, TRAINED_ON, problem.fingerprint)
@@ -578,7 +511,8 @@ def train(
             vec,
             budget,
             configuration,
-            lambda episodes: evaluate_model(run, model, problem, estimator, env, episodes),
+            env.batch,
+            estimator,
             show or (lambda steps, words: None),
         )
         model.learn(
@@ -590,34 +524,6 @@ def train(
     finally:
         vec.close()
     return folder
-
-
-def evaluate_model(
-    run: Training,
-    model: Any,
-    problem: Problem,
-    estimator: Estimator | None,
-    env: DiagnosisVectorEnv,
-    episodes: int,
-) -> list[EpisodeRow]:
-    """Play the first held-out episodes with the most probable actions, on the true arm."""
-    network = network_of(model, problem.layout)
-    agent: Any = (
-        ModelAgent(problem, network)
-        if estimator is None
-        else LearnedAgent(problem, network, estimator)
-    )
-    return evaluate(
-        agent,
-        "policy",
-        problem.arm,
-        problem.settings,
-        episodes=episodes,
-        seed=run.eval_seed,
-        width=run.eval_width,
-        threads=env.batch.threads,
-        true_arm=env.batch.true_arm,
-    )
 
 
 def _checkpointed(
@@ -644,10 +550,8 @@ def _checkpointed(
     try:
         stored = read_model(folder.checkpoint, given["device"])
         # Made with the options of the run, which are those of its start: only tensors, counts and
-        # the states of generators come from the file. A run that continued a model has its network.
-        if run.trained_agent:
-            given = given | {"policy_kwargs": network_arguments(stored)}
-        model = _new_model(run, model_class, vec, given, "", problem)
+        # the states of generators come from the file.
+        model = _new_model(run, model_class, vec, given, problem)
         model.run_state = restore(stored, model, RunState)
     except InvalidData as error:
         raise InvalidData(
@@ -657,33 +561,21 @@ def _checkpointed(
 
 
 def _new_model(
-    run: Training,
-    model_class: type[Any],
-    vec: Any,
-    given: dict[str, Any],
-    path: str,
-    problem: Problem,
+    run: Training, model_class: type[Any], vec: Any, given: dict[str, Any], problem: Problem
 ) -> Any:
-    """Make a model, or load the one that is to be continued."""
+    """Make a model; on a posterior it begins with long, strong records and seldom stops."""
     try:
-        if not path:
-            model = model_class(env=vec, **given)
-            if run.estimator is not None:
-                # Start from shaking the most joints at the top level for long, seldom stopping.
-                with torch.no_grad():
-                    bias = model.policy.action_net.bias
-                    bias[torch.as_tensor(problem.actions.strongest_options())] += LEVEL_BIAS
-                    bias[-1] += STOP_BIAS
-            return model
-        # The network stays as it is; what remains are the settings of the algorithm.
-        stored = read_model(path, given["device"])
-        model = model_class(env=vec, **given | {"policy_kwargs": network_arguments(stored)})
-        put_parameters(stored, model)
-        return model
+        model = model_class(env=vec, **given)
     except (AssertionError, TypeError, ValueError, KeyError, RuntimeError) as error:
-        what = f"cannot continue {path}" if path else "hyperparameters refused"
-        reason = " ".join(str(error).split())
-        raise InvalidSetting(f"{what} by {model_class.__name__}: {reason}") from error
+        raise InvalidSetting(
+            f"hyperparameters refused by {model_class.__name__}: {' '.join(str(error).split())}"
+        ) from error
+    if run.estimator is not None:
+        with torch.no_grad():
+            bias = model.policy.action_net.bias
+            bias[torch.as_tensor(problem.actions.strongest_options())] += LEVEL_BIAS
+            bias[-1] += STOP_BIAS
+    return model
 
 
 def _standardise(model: Any, vec: Any, seed: int, max_records: int) -> int:
@@ -702,23 +594,17 @@ def _standardise(model: Any, vec: Any, seed: int, max_records: int) -> int:
 
 
 def git_commit(folder: Path) -> str | None:
-    """Git commit of a folder, with "+" if dirty; None outside a repository."""
-
-    def ask(*words: str) -> str:
-        return subprocess.run(
-            ["git", "-C", str(folder), *words],
-            capture_output=True,
-            text=True,
-            check=True,
-            # It only looks: no lock that would stay behind if it were cut short.
-            env=os.environ | {"GIT_OPTIONAL_LOCKS": "0"},
-        ).stdout.strip()
-
+    """Git commit of a folder, with "+" if dirty; None outside a repository of its own."""
+    # Not that of somebody else around it; and it only looks: no lock stays behind a kill.
+    git = ["git", f"--git-dir={folder / '.git'}", f"--work-tree={folder}"]
+    environment = os.environ | {"GIT_OPTIONAL_LOCKS": "0"}
     try:
-        # The folder may lie in somebody else's repository.
-        if Path(ask("rev-parse", "--show-toplevel")).resolve() != folder.resolve():
-            return None
-        changed = ask("status", "--porcelain", "--untracked-files=no")
-        return ask("rev-parse", "HEAD") + ("+" if changed else "")
+        head, changed = (
+            subprocess.run(
+                [*git, *words.split()], capture_output=True, text=True, check=True, env=environment
+            ).stdout.strip()
+            for words in ("rev-parse HEAD", "status --porcelain --untracked-files=no")
+        )
     except (OSError, subprocess.CalledProcessError):
         return None
+    return head + ("+" if changed else "")

@@ -1,4 +1,4 @@
-"""Training environment of a policy on a posterior: posterior in, compact choices out."""
+"""Vector environment that shows a posterior, for training; its seeds and curriculum."""
 
 from __future__ import annotations
 
@@ -10,14 +10,7 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from loose_agents.base import Problem
-from loose_agents.belief import (
-    Estimator,
-    feature_size,
-    further_features,
-    make_estimator,
-    records_measured,
-    records_taken,
-)
+from loose_agents.belief import Tracker, make_estimator, records_measured, records_taken
 from loose_agents.rl.agents import PolicyForm
 from loose_env.envs import DiagnosisVectorEnv
 from loose_env.envs.sb3 import Sb3VecEnv
@@ -35,11 +28,6 @@ def training_seed(seed: int, steps: int) -> int:
     A run that is resumed so meets faults that it has not met. It is a number of 62 bits, from
     which those of the environments are spawned: they do not meet the small ones that people choose,
     nor those of the evaluation.
-
-    Examples
-    --------
-    >>> training_seed(1, 0) != training_seed(1, 512) != evaluation_seed(1)
-    True
     """
     return _seed(seed, _TRAINING, steps)
 
@@ -60,11 +48,6 @@ def forced_records(done: float, *, first: int = 3, until: float = 0.4) -> int:
     A policy that knows nothing stops early, is mostly wrong, and never sees what a later record
     would have told. So it is made to go on at first: before ``first`` records, then before
     fewer, down to one from the share ``until`` of the training on.
-
-    Examples
-    --------
-    >>> [forced_records(share) for share in (0.0, 0.19, 0.21, 0.4, 1.0)]
-    [3, 3, 2, 1, 1]
     """
     if done >= until:
         return 1
@@ -93,7 +76,7 @@ class TrackedVecEnv(VecEnvWrapper):
         self,
         env: DiagnosisVectorEnv,
         problem: Problem,
-        estimator: Estimator | None = None,
+        estimator: Tracker | None = None,
         *,
         shaping: float = 0.0,
     ) -> None:
@@ -101,7 +84,7 @@ class TrackedVecEnv(VecEnvWrapper):
             raise InvalidSetting(f"the shaping's weight is a number, 0 or more; got {shaping!r}")
         self.problem, self.shaping = problem, shaping
         self.estimator = make_estimator("posterior", problem) if estimator is None else estimator
-        self.form = PolicyForm(problem, feature_size(self.estimator))
+        self.form = PolicyForm(problem, self.estimator.feature_size)
         self.least_records = 1
         """Records before which stopping is refused."""
         self.diagnosis = env
@@ -188,7 +171,7 @@ class TrackedVecEnv(VecEnvWrapper):
         self._probabilities[i] = self.estimator.follow(row, memory)
         self._records[i] = records_taken(self.problem, row)
         self._rows[i] = row
-        further = further_features(self.estimator, row, memory)
+        further = self.estimator.features(row, memory)
         return self.form.features(row, self._probabilities[i], further)
 
     def _potential(self, i: int) -> float:

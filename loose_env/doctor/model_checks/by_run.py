@@ -1,4 +1,4 @@
-"""Runs that are judged together, or each by itself where they contradict each other."""
+"""Grouping of runs for a check: all together, or each alone where they contradict each other."""
 
 from __future__ import annotations
 

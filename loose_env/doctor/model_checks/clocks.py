@@ -1,4 +1,4 @@
-"""Offsets between clocks, and signs, from the phase of two channels of one motion.
+"""Check of clock offsets and signs by the phase delay between two channels of one motion.
 
 Of the coherent lines, each with the weight coherence / (1 - coherence), the inverse variance of its
 phase up to a factor; see `loose_env.statistics.phase_delay`.

@@ -1,4 +1,4 @@
-"""Encoders that wrap round, and positions in encoder ticks."""
+"""Check of encoders that wrap round, and of positions recorded in encoder ticks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recorded torques and motor commands against the torque that the model needs."""
+"""Check of recorded torques and motor commands against the torque that the model needs."""
 
 from __future__ import annotations
 

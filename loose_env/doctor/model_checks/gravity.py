@@ -1,4 +1,4 @@
-"""Accelerometers against gravity in the measured poses: unit, axes, and signs of the joints."""
+"""Check of accelerometers against gravity in the measured poses: unit, axes, signs of joints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Torque that one error of the model explains: the rivals of an alternative reading of a recording.
+"""Torque variance left by the best single model error, rival of an alternative reading.
 
 Each is linear in coefficients c that are bounded, tau = ID(q) + B c, beside friction, rotor inertia
 and an offset of each joint: mass within a link's reach and its own mass, the masses of all links, a

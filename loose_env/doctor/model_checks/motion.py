@@ -1,4 +1,4 @@
-"""Readings and torques that the measured joint positions imply, by the rigid model."""
+"""Motion, sensor readings and torques that joint positions imply by the rigid model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joint positions against limits, noted poses and position commands."""
+"""Check of joint positions against limits, noted poses and position commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Torque that the nominal model needs for a measured motion, beside the torque recorded."""
+"""Inverse-dynamics torque of a measured motion fitted to the recorded torque; variance left."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ratios that a wrong unit or sign leaves between two channels of one quantity."""
+"""Ratio of two signals of one quantity by least squares, and the wrong unit that it means."""
 
 from __future__ import annotations
 

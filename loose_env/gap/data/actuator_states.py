@@ -1,4 +1,4 @@
-"""Activation states of actuators with internal dynamics, from their commands."""
+"""Activations of actuators with internal dynamics by step, from commands, or at steady state."""
 
 from __future__ import annotations
 

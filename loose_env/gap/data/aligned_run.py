@@ -1,4 +1,4 @@
-"""A measured run, aligned with the steps of a simulation."""
+"""Trial: a measured run aligned with simulation steps; Channel: one compared scalar column."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hold-out split into training and held-out runs: whole runs, never rows."""
+"""Hold-out split of runs into training and held-out, by families of motions, never by rows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Initial rest: detects arms at rest at the start, and models that settle there.
+"""Tests of initial rest: whether a measured joint stays at rest, and the model settles there.
 
 An arm at rest under its first command has been so before: springs are in equilibrium. The model is
 therefore settled under that command before a run that begins at rest. An arm set in motion by its

@@ -1,4 +1,4 @@
-"""Runs as they can be compared: corrupt samples set aside, recordings cut at their pauses."""
+"""Runs without corrupt samples, cut into pieces at pauses, with notes on what is left out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The band of a motion: where it ends, and the zero-phase filter that passes it."""
+"""Zero-phase low-pass filter (Band), and the frequency up to which a motion exceeds noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Zero-phase smoothing of measured motion, with its remaining noise.
+"""Smoothed position, speed and acceleration of a run's joints, with their remaining noise.
 
 Position, speed and acceleration pass the same low-pass filter as the torques compared with them,
 forwards and backwards, so that a torque proportional to an acceleration stays so. The band ends

@@ -1,4 +1,4 @@
-"""Advice on experiments: motions and measurements that make effects identifiable."""
+"""Advice in words on motions and sensors that make an effect visible, or tell two apart."""
 
 from __future__ import annotations
 

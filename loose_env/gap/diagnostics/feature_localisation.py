@@ -1,4 +1,4 @@
-"""Localisation of model error in impact-dominated runs, by their features.
+"""Errors and residual tests by channel for impact-dominated runs, from features, not samples.
 
 The trajectories are chaotic; the quantities comparable by channel are the features, the power
 spectrum, and the dependence on the measured motion, with which the simulated rattle is

@@ -1,4 +1,4 @@
-"""Identifiability of effects from the recorded motions, and confusable effects.
+"""Effects that the recorded motions cannot identify or tell apart, and the recording time needed.
 
 Every effect is simulated once at a size that would matter, on top of the identified effects. The
 change of the readings, after projecting out the nominal parameters within their tolerance, is the
@@ -30,7 +30,7 @@ from loose_env.gap.output.evidence_schema import (
 from loose_env.gap.residuals.autocorrelation import independent_rows
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import windowed
-from loose_env.gap.selection.screening.grouping import confusable
+from loose_env.gap.selection.screening.confusable_effects import confusable
 from loose_env.gap.selection.screening.screening import along
 from loose_env.gap.selection.screening.signatures import Signatures
 from loose_env.gap.settings import (

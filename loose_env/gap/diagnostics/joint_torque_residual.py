@@ -1,4 +1,4 @@
-"""Motion, joint loads and residual joint torques of a run."""
+"""Motion, loads and residual torques of a run's joints: measured less inverse dynamics."""
 
 from __future__ import annotations
 

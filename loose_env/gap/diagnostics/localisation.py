@@ -1,4 +1,4 @@
-"""Localisation of model error by channel, run, frequency, motion and load.
+"""Location of model error by channel, run, frequency and dependence; as data and in words.
 
 All functions here are computed from existing residuals. Readings show the error in noise standard
 deviations; in addition the residual torque of each joint gives the driving or braking torque beyond

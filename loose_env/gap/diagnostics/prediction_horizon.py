@@ -22,6 +22,7 @@ from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.residuals.residual_model import BURN_IN, DIVERGED_RESIDUAL
+from loose_env.gap.simulation.applied_torque_terms import STATES, BatchWithTerms, with_terms
 from loose_env.gap.simulation.sensor_timing import (
     PARTS,
     changes_within,
@@ -32,7 +33,6 @@ from loose_env.gap.simulation.sensor_timing import (
 )
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.gap.simulation.time_step import stepped
-from loose_env.gap.simulation.torque_terms import STATES, BatchWithTerms, with_terms
 from loose_env.typing import Array
 
 HORIZONS = (0.1, 0.5, 2.0)

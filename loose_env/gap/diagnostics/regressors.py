@@ -1,4 +1,4 @@
-"""Dependence of a residual on position, speed, load and other regressors."""
+"""Regressors of a residual (position, speed, load ...): bins, and the share each explains."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Residual of the corrected model: its size, location, and torque by joint."""
+"""Residual of the corrected model: its size and location in sentences, its torque by joint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Residual time series, one per run and channel, and their spectra."""
+"""Residual split into time series by run and channel, their spectra and averages in bands."""
 
 from __future__ import annotations
 

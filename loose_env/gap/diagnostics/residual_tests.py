@@ -1,4 +1,4 @@
-"""Whiteness tests of residuals, with trends and dependence on regressors."""
+"""Residual tests by channel: autocorrelation (whiteness), trend, and dependence on regressors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Choice of motions: experiments that tell candidate effects of an arm apart.
+"""Choice of motions on a servoed arm whose records tell candidate effects apart.
 
 Data flow: servo_arm -> motions -> library -> candidates -> sizing -> signatures -> bank ->
 inference -> next_motion.

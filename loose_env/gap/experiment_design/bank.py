@@ -1,4 +1,4 @@
-"""Bank of signatures: the readings of every motion under every candidate, computed once.
+"""Bank of signatures: change of readings by every candidate on every library motion, cached.
 
 For each motion the bank holds the readings of the nominal model, their derivatives by the nominal
 parameters, and their change with each candidate effect at several sizes and with its shape. All are

@@ -1,4 +1,4 @@
-"""Library of motions for an arm, each checked with the nominal model under its servos."""
+"""Libraries of motions for an arm (full, brief, battery), scaled to its limits, simulated."""
 
 from __future__ import annotations
 

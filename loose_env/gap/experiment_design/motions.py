@@ -1,4 +1,4 @@
-"""Motions for experiments: parametrised excitations about a pose, from home and back."""
+"""Motion: parametrised excitation of joints about a pose, as desired positions over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arm on position servos, with the sensors of an experiment, simulated under hypotheses."""
+"""Arm on position servos, read from MJCF, with sensors; simulates motions by hypothesis."""
 
 from __future__ import annotations
 

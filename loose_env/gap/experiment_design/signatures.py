@@ -1,4 +1,4 @@
-"""Signatures of all candidates on one motion, computed once and stored in a file of their own."""
+"""Signatures on one motion: change of its readings by every candidate at every size, stored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sizes at which candidates are linearised: those of given visibilities on a reference."""
+"""Sizes at which candidates are linearised, by visibility in noise units; bank settings."""
 
 from __future__ import annotations
 

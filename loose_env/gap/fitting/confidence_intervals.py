@@ -1,4 +1,4 @@
-"""Confidence intervals by a block bootstrap of the last Gauss-Newton step."""
+"""95 % intervals of fitted parameters by block bootstrap, widened to cover scatter of runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bounded Gauss-Newton fit of a hypothesis' parameters, on batched simulations.
+"""Bounded Gauss-Newton fit of a hypothesis (Fit), with settings, cost and Jacobian by simulation.
 
 Each iteration is two batches: one for the sensitivities, one for several step lengths at once. The
 bounded linear least-squares problem is solved by scipy.
@@ -17,7 +17,7 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import Parameter, free_of
 from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.simulation.torque_terms import has_terms
+from loose_env.gap.simulation.applied_torque_terms import has_terms
 from loose_env.inference import bounded_step
 from loose_env.typing import Array
 

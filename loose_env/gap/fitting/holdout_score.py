@@ -1,4 +1,4 @@
-"""Scores fits on training and held-out runs."""
+"""Scores of fits on training and held-out runs, and improvement (z) of one fit over another."""
 
 from __future__ import annotations
 

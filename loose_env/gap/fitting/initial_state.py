@@ -1,4 +1,4 @@
-"""Initial states of runs, estimated from noisy sensors and fitted as nuisances.
+"""Initial states of runs, estimated from noisy sensors and fitted as nuisance parameters.
 
 A free response, or a run that begins in motion, is simulated from its measured first samples. Their
 errors are fitted with every hypothesis and never reported as an effect. A run depends on its own

@@ -1,4 +1,4 @@
-"""Model structure: unknown parameters of a hypothesis, nuisance parameters and effects."""
+"""Parameter vector of a hypothesis: nuisance parameters with their priors, then its effects."""
 
 from __future__ import annotations
 

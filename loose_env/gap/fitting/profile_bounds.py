@@ -1,4 +1,4 @@
-"""Profile bounds: tightens intervals to exclude values that the runs refute.
+"""Confidence intervals tightened where the runs refute an end at a limit, or zero effect.
 
 The bootstrap of an interval draws steps of a linearised fit. In impact-dominated runs the sum of
 squares is not quadratic, and such an interval may reach a limit that the runs clearly refute, such

@@ -1,4 +1,4 @@
-"""Refits of a fit: fresh sensitivities, convergence, or one effect fewer."""
+"""Refits of a fit: new Jacobian, further iterations, one effect dropped or in another form."""
 
 from __future__ import annotations
 

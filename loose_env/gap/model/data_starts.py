@@ -1,4 +1,4 @@
-"""Starting values that an effect proposes from data, in place of its own.
+"""Hooks by which an effect proposes starting values from residual torques, accelerations, limits.
 
 `loose_env.gap.selection.screening.data_driven_starts` works out what the methods are given. An
 effect that overrides one of them is asked.

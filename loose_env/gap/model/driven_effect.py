@@ -1,4 +1,4 @@
-"""Base class of effects that depend on the drives: on their commands or their torques."""
+"""Base class of effects that depend on commands or drive torques: feedback and dry friction."""
 
 from __future__ import annotations
 

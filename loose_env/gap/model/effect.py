@@ -1,4 +1,4 @@
-"""Base class of effects: one physical effect at one location, with parameters.
+"""Base class Effect: one physical effect at one location, on spec, command, torque or reading.
 
 An effect acts in up to four ways, each a method that a subclass overrides: `Effect.edit` changes
 the MuJoCo spec, `Effect.command` the commands of the actuators, `Effect.torque` adds to the torque
@@ -259,7 +259,7 @@ class Effect(StartsFromData):
         """Python lines that add `torque` to a simulation of the written model; "" if none.
 
         They add to ``torque`` by ``position`` and ``speed``, arrays by joint (joints,) that the
-        lines of `loose_env.gap.output.export_mjcf.correction_code` have defined by then.
+        lines of `loose_env.gap.output.corrected_model.correction_code` have defined by then.
         """
         return ""
 

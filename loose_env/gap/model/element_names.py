@@ -1,4 +1,4 @@
-"""Default names for unnamed elements, since edits and results refer to names."""
+"""Names given to unnamed bodies, sites and actuators of a spec, with notes on unnamed links."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hypothesis: the nominal model with its nuisance parameters and added effects."""
+"""Hypothesis: nominal model plus effects, with values; edits, exports and compiles a spec."""
 
 from __future__ import annotations
 

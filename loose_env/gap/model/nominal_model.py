@@ -1,4 +1,4 @@
-"""The nominal model of a machine, with typical loads and speeds."""
+"""Nominal model of a machine: spec, names, step, typical loads and speeds of its joints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Uncertain parameters of the nominal model, known within a tolerance.
+"""Uncertain parameters of the nominal model (masses, frictions ...), as factors in a tolerance.
 
 They are nuisance parameters: fitted with every hypothesis, within the tolerance, and never reported
 as an effect.

@@ -1,4 +1,4 @@
-"""Bounded parameters of an effect: unit, bounds, scale and prior."""
+"""Bounded scalar parameter (unit, bounds, scale, prior), mapped to a free number and back."""
 
 from __future__ import annotations
 

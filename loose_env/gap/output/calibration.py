@@ -1,4 +1,4 @@
-"""Calibration of an answer on blind recordings: probability of an effect, width of its intervals.
+"""Calibrated probability of an identified effect, and calibrated width of its intervals.
 
 No model is exact to the noise: differences of log-likelihood are thousands of nats, and intervals
 from the noise and the scatter of runs alone miss what the law of an effect leaves out. Both are

@@ -1,4 +1,4 @@
-"""Checkpoints of finished stages, from which an interrupted comparison resumes."""
+"""Checkpoints of finished stages on disk, and the hash of all inputs that names them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Evidence in a result: residuals, residual tests, and identifiability."""
+"""Dataclasses of evidence in result.json: residuals, residual tests, and identifiability."""
 
 from __future__ import annotations
 

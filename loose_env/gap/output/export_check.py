@@ -1,4 +1,4 @@
-"""Check of the exported model in plain MuJoCo against the fit, and its time step.
+"""Exported model simulated in plain MuJoCo and compared with the fit; choice of its time step.
 
 Fits apply delayed commands by their means over steps, and compute readings at their exact times.
 The file uses the delays and filters of MJCF, which act from step to step: a delay shorter than a
@@ -20,7 +20,7 @@ from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.effect import have_stops
 from loose_env.gap.model.hypothesis import Hypothesis, compiled
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.output.export_mjcf import corrected_spec
+from loose_env.gap.output.corrected_model import corrected_spec
 from loose_env.gap.residuals.physical_units import rms
 from loose_env.gap.residuals.residual_model import DIVERGED_RESIDUAL, ResidualModel
 from loose_env.gap.settings import (

@@ -1,4 +1,4 @@
-"""Result of a comparison as dataclasses and ``result.json``.
+"""GapResult and its parts: dataclasses of ``result.json``, with verdict, effects and ranking.
 
 The format of the file is ``loose-gap/1``.
 """

@@ -1,4 +1,4 @@
-"""Autocorrelation of residuals, and the effective number of independent rows.
+"""Lagged products of residuals (autocorrelated part), and effective number of independent rows.
 
 The lagged product of a residual is zero on average for white noise, whatever its size, and near the
 mean square for any model error. It measures the explainable part without an estimate of the noise

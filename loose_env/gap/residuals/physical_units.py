@@ -1,4 +1,4 @@
-"""Residuals in physical units by quantity, and ratios of noise."""
+"""RMS errors in physical units by quantity, also as text; noise ratio of two comparisons."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lines of progress of long computations: what is done of how many, and the time left.
+"""Progress lines of long computations: count of items done, and time left.
 
 Whoever has something to count wraps it in `counted`; whoever computes calls `tick` now and then.
 A line is printed only where nothing has been for a few seconds, so that short runs stay short.

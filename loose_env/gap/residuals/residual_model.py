@@ -1,4 +1,4 @@
-"""Residuals: measured less predicted, in noise standard deviations."""
+"""Residuals of runs in noise standard deviations (ResidualModel); run and channel of each row."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Windows of long runs with the most motion, for cheaper simulations."""
+"""Windows of runs with the most motion, for cheap simulations, and their total length."""
 
 from __future__ import annotations
 

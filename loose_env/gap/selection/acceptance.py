@@ -1,4 +1,4 @@
-"""Acceptance criteria for effects, and pruning of effects that are insignificant."""
+"""Acceptance criteria for hypotheses that add effects; ties; effects at a bound dropped."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from loose_env.gap.model.parameter import free_of, values_of
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.deletion import at_bound, worse_quantity
 from loose_env.gap.selection.negligible import negligible
-from loose_env.gap.selection.screening.grouping import joint_of
+from loose_env.gap.selection.screening.confusable_effects import joint_of
 from loose_env.gap.settings import (
     ACCEPTED_SHARE,
     ACCEPTED_SHARE_OF_NOMINAL,

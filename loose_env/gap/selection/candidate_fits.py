@@ -1,4 +1,4 @@
-"""Candidate fits: the most promising on windows of data, the best on all data."""
+"""Fits of screened candidates, sets and replacements: many on windows, the best on all data."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from loose_env.gap.fitting.holdout_score import ScoredFit, Scorer
 from loose_env.gap.model.effect import have_stops
 from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.selection.screening.grouping import confusable
+from loose_env.gap.selection.screening.confusable_effects import confusable
 from loose_env.gap.selection.screening.screening import ScreenedCandidate
 from loose_env.gap.selection.screening.window_fits import WindowFits
 from loose_env.gap.settings import (

@@ -1,4 +1,4 @@
-"""Serialisation of scored fits as plain values, for checkpoints of a search."""
+"""Scored fits and search steps as plain values in checkpoint files, and restored from them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Deletion test: what is lost without each effect, and whether an answer predicts better than none.
+"""Deletion test of each effect by refit without it; effects at bounds, quantities made worse.
 
 One test for every route to an answer: forward selection, swaps, joint fits, the impact pass. Each
 effect is taken out, the others are refitted, and both models are compared on all runs. The errors

@@ -1,4 +1,4 @@
-"""Forward selection of effects: screening, multi-start fits, held-out validation."""
+"""Forward selection of effects (screen, multi-start fit, held-out check), and nominal fit."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.residuals.windows import screening_seconds, windowed
 from loose_env.gap.selection.acceptance import Acceptance
 from loose_env.gap.selection.candidate_fits import CandidateFits
-from loose_env.gap.selection.revision import SwapStep
 from loose_env.gap.selection.screening.data_driven_starts import proposals
 from loose_env.gap.selection.screening.joint_proposals import JointProblem
 from loose_env.gap.selection.screening.linear_problem import CurrentFit
 from loose_env.gap.selection.screening.screening import ScreenedCandidate, screen
 from loose_env.gap.selection.screening.signatures import Signatures
 from loose_env.gap.selection.screening.window_fits import WindowFits
+from loose_env.gap.selection.swap_step import SwapStep
 from loose_env.gap.settings import (
     ALTERNATIVES,
     CONFIRMED_Z,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.selection.screening.grouping import joint_of
+from loose_env.gap.selection.screening.confusable_effects import joint_of
 from loose_env.gap.settings import (
     FRICTION_LAW,
     MASS_DISTRIBUTION,

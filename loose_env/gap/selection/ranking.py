@@ -1,4 +1,4 @@
-"""Ranking of all fitted hypotheses by BIC, and effects confusable with the result."""
+"""Ranking of all fitted hypotheses by BIC, and rivals that explain held-out runs as well."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from loose_env.gap.output.result import EffectLocation, RankedHypothesis
 from loose_env.gap.residuals.autocorrelation import independent_rows
 from loose_env.gap.residuals.residual_model import ResidualModel, Rows
 from loose_env.gap.selection.forward_selection import Selection
-from loose_env.gap.selection.screening.grouping import joint_of
+from loose_env.gap.selection.screening.confusable_effects import joint_of
 from loose_env.gap.settings import (
     RIVAL_SHARE,
     TIE_Z,

@@ -1,4 +1,4 @@
-"""Effect search with noise reweighted by the residual of impact-dominated parts.
+"""Complete search for effects: forward selection, repeated with noise set to impact residuals.
 
 No contact law matches the machine exactly, so that a part hitting its stops has acceleration
 residuals many times larger than the noise. Other missing effects are small beside them: they would

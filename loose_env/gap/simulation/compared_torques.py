@@ -1,4 +1,4 @@
-"""Measured torques as compared with those of inverse dynamics: filtered, with their noise."""
+"""Measured torques filtered as the motion, masked at reversals, with their noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Driven effects in given states: the commands they let through and the dry frictions they make."""
+"""Driven effects of a hypothesis evaluated: commands that reach actuators, and dry frictions."""
 
 from __future__ import annotations
 

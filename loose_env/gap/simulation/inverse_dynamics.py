@@ -1,4 +1,4 @@
-"""Inverse dynamics torque of a measured motion, compared with measured torque.
+"""Inverse dynamics torques of measured motion under hypotheses, compared with measured torques.
 
 The motion is smoothed (`loose_env.gap.data.smoothing`), and the model of each hypothesis evaluated
 on it: M(q) a + bias - passive forces, for all samples at once on MuJoCo's thread pool. Dry friction
@@ -27,10 +27,10 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.simulation.applied_torque_terms import has_terms, torque_terms
 from loose_env.gap.simulation.compared_torques import ComparedTorques, compared_torques
 from loose_env.gap.simulation.driven_effects import has_friction, load_dependent_friction
 from loose_env.gap.simulation.simulator import _layout
-from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
 from loose_env.gap.simulation.unmeasured_dofs import PrescribedMotionSimulator
 from loose_env.statistics import noise_floor
 from loose_env.typing import Array

@@ -1,4 +1,4 @@
-"""Sensor values at exact times, for commands within a step and sensor delays.
+"""Sensor values at exact times: with commands that change within a step, and sensor delays.
 
 A step is simulated with the mean of a command over it. An accelerometer reads the instantaneous
 value: a servo's acceleration jumps with every command. A delayed one reads the value at an earlier
@@ -18,8 +18,8 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of, is_position_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.simulation.applied_torque_terms import has_terms, torque_terms
 from loose_env.gap.simulation.driven_effects import Driven
-from loose_env.gap.simulation.torque_terms import has_terms, torque_terms
 from loose_env.typing import Array
 
 PARTS = 2

@@ -1,4 +1,4 @@
-"""Simulates measured runs under many hypotheses at once, on MuJoCo's thread pool.
+"""Simulated sensor values of measured runs under many hypotheses at once, on a thread pool.
 
 A hypothesis is a list of effects with their values. Its predictions are sensor values at the
 samples of the run, channel by channel.
@@ -23,6 +23,12 @@ from loose_env.gap.data.initial_rest import SETTLE
 from loose_env.gap.model.effect import Readings
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.simulation.applied_torque_terms import (
+    STATES,
+    BatchWithTerms,
+    has_terms,
+    with_terms,
+)
 from loose_env.gap.simulation.sensor_timing import (
     PARTS,
     changes_within,
@@ -32,7 +38,6 @@ from loose_env.gap.simulation.sensor_timing import (
     show_late_sensors,
 )
 from loose_env.gap.simulation.time_step import stepped
-from loose_env.gap.simulation.torque_terms import STATES, BatchWithTerms, has_terms, with_terms
 from loose_env.typing import Array
 
 _CHUNK = 2_000_000

@@ -1,4 +1,4 @@
-"""Number of steps of a hypothesis: as nominal, more for stiff effects.
+"""Time step and number of steps that a hypothesis needs: as nominal, finer for stiff effects.
 
 The step is chosen for the nominal model, which has no stiff spring and often no friction. A joint
 that comes to rest or a spring that oscillates within a few steps needs finer ones.

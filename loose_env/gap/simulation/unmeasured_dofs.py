@@ -1,4 +1,4 @@
-"""Inverse dynamics of models with unmeasured degrees of freedom.
+"""Inverse dynamics of models with unmeasured degrees of freedom: prescribed joint motion.
 
 A compliant drive or one with backlash has more coordinates than the measured ones. The measured
 joints follow their motion, the others move freely: each measured joint gets a rotor far heavier
@@ -19,7 +19,7 @@ from scipy.interpolate import make_interp_spline
 from loose_env.gap.data.smoothing import SmoothedMotion
 from loose_env.gap.model.hypothesis import Hypothesis, compiled
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.simulation.torque_terms import torque_terms
+from loose_env.gap.simulation.applied_torque_terms import torque_terms
 from loose_env.typing import Array
 
 _HEAVY = 1e5

@@ -1,4 +1,4 @@
-"""`loose gap` as one call, and the error of a model on a recording."""
+"""`loose gap` as one call (explain_gap), and the held-out prediction error of a model."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from loose_env.gap.output.result import GapResult
 from loose_env.gap.residuals.physical_units import rms
 from loose_env.gap.residuals.preparation.prepare import prepare
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.workflow.evidence import diagnose_residuals
 from loose_env.gap.workflow.pipeline import find_gap
+from loose_env.gap.workflow.residual_diagnostics import diagnose_residuals
 from loose_env.gap.workflow.summary import result_of, write_gap
 from loose_env.recording import Recording
 

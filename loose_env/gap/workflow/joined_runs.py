@@ -1,4 +1,4 @@
-"""Several recordings of one machine as one, and the result that came of the first of them."""
+"""Recordings of one machine joined as one, beside the result of the first where there is one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The motion that best separates what a finished search does not tell apart."""
+"""Next motion after a finished search: the one that best separates effects not told apart."""
 
 from __future__ import annotations
 

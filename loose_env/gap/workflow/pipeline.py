@@ -1,4 +1,4 @@
-"""Search for the effects that a model lacks, from a recording to a verdict."""
+"""Search for the effects that a model lacks (find_gap): recording in, verdict with fits out."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ from loose_env.gap.selection.deletion import (
 from loose_env.gap.selection.forward_selection import StepStore
 from loose_env.gap.selection.impacts.impact_pass import impact_pass
 from loose_env.gap.selection.impacts.impact_search import ImpactFit
-from loose_env.gap.selection.revision import drop_insignificant, refit_without
 from loose_env.gap.selection.reweighted_search import search
+from loose_env.gap.selection.swap_step import drop_insignificant, refit_without
 from loose_env.gap.settings import (
     EXPLAINED,
     UNEXPLAINED_Z,

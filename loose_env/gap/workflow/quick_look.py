@@ -1,4 +1,4 @@
-"""Quick look: where a model is wrong and what may be missing, from windows of the runs.
+"""Quick look: location of a model error and ranked candidates, from short windows of the runs.
 
 One step of the search, on windows of some seconds: it ranks and does not decide. Nothing is
 refitted to whole runs, no effect is tested by taking it out again, and there are no intervals.

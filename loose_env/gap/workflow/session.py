@@ -23,8 +23,8 @@ from loose_env.gap.fitting.refit import refit_with_new_jacobian, with_new_jacobi
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.output.corrected_model import correction_code, write_model
 from loose_env.gap.output.export_check import exported
-from loose_env.gap.output.export_mjcf import correction_code, write_model
 from loose_env.gap.output.result import NamedEffect
 from loose_env.gap.residuals.preparation.prepare import GapProblem, prepare
 from loose_env.gap.residuals.windows import screening_seconds, windowed

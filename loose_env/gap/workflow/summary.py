@@ -1,4 +1,4 @@
-"""Result of a search, and the files that it is written to."""
+"""Search result as a GapResult, and its files: model.xml, report and result.json."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from loose_env.gap.output.calibration import (
     stored_calibration,
     with_probability,
 )
-from loose_env.gap.output.evidence_schema import Identifiability
-from loose_env.gap.output.export_mjcf import (
+from loose_env.gap.output.corrected_model import (
     correction_code,
     model_notes,
     unnamed_notes,
     write_model,
 )
+from loose_env.gap.output.evidence_schema import Identifiability
 from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEffect
 from loose_env.gap.residuals.physical_units import errors_by_quantity, rms
 from loose_env.gap.residuals.progress import reported
-from loose_env.gap.workflow.evidence import ResidualDiagnostics, diagnose_residuals
 from loose_env.gap.workflow.next_motion import choose_next, separating
 from loose_env.gap.workflow.pipeline import GapSolution
+from loose_env.gap.workflow.residual_diagnostics import ResidualDiagnostics, diagnose_residuals
 
 NO_MOTION = "no next motion"
 """Beginning of the warning that says why none was written."""

@@ -1,4 +1,4 @@
-"""Check of commands against the motion that follows them, and of torques against the model."""
+"""Commands matched to joints by the motion that follows, torques by those that a model needs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Columns that a model has for each of its joints."""
+"""Columns of a recording that belong to each joint of a model; inverse-dynamics torques."""
 
 from __future__ import annotations
 

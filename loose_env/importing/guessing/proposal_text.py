@@ -1,4 +1,4 @@
-"""A proposal as a mapping file in TOML, with the reason above each line."""
+"""Proposal of a mapping written as a mapping file in TOML, with the reason above each line."""
 
 from __future__ import annotations
 

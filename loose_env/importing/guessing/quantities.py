@@ -1,4 +1,4 @@
-"""Quantities that a stated unit allows a channel to be."""
+"""Quantity of a stated unit, and the roles at a joint that it allows a channel."""
 
 from __future__ import annotations
 

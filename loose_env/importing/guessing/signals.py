@@ -1,4 +1,4 @@
-"""Signals of a log on one time base, and how alike two of them are."""
+"""Signals of a log on one time base, their derivatives, and correlation of two over delays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Channels of files with their signals, read for a proposal."""
+"""Channels of log files read with their signals for a proposal; those that it leaves over."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Unit of a position by its range against the limits of its joint."""
+"""Unit of a position by its range within joint limits, of a velocity by the derivative."""
 
 from __future__ import annotations
 

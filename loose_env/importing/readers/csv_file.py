@@ -1,4 +1,4 @@
-"""Channels of a table that a logger wrote: any names, separators, decimal commas, dates."""
+"""Channels read from a logger's text table: any names, separators, decimal commas, dates."""
 
 from __future__ import annotations
 

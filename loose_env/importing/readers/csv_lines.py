@@ -1,4 +1,4 @@
-"""Lines and cells of a table in text, however its logger writes it."""
+"""Text of a logger's table: opened, split into cells, with the names of its columns."""
 
 from __future__ import annotations
 

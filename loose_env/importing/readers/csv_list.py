@@ -1,4 +1,4 @@
-"""Detected layout of a logger's table: separator, names, units, time."""
+"""Columns of a logger's table listed, with its detected layout: separator, names, units, time."""
 
 from __future__ import annotations
 

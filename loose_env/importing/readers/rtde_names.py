@@ -1,4 +1,4 @@
-"""Names of the columns of Universal Robots' RTDE logs.
+"""Column names of Universal Robots' RTDE logs: vector fields expanded, recipe by width.
 
 A recipe names fields; a field that is a vector becomes one column for each entry, ``actual_q_0``
 to ``actual_q_5``, as the recorder of Universal Robots' own Python library writes them.

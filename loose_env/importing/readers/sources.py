@@ -1,4 +1,4 @@
-"""Files of a mapping's sources, their kinds and channels."""
+"""Source files of a mapping: found for each run, kind told, channels listed and read."""
 
 from __future__ import annotations
 

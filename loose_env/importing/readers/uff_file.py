@@ -1,4 +1,4 @@
-"""Time histories of a vibration recorder's universal file (data set 58), read by ``pyuff``."""
+"""Time histories of a universal file (data set 58), read by ``pyuff`` and listed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dates as loggers write them."""
+"""Dates as loggers write them: format recognised from a column, and read in nanoseconds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Evenly spaced samples whose stamps jitter: the straight line through them, across missing ones.
+"""Jittered time stamps of evenly spaced samples put on a straight line, across missing ones.
 
 A stamp is its sample's number times the step, and an error that comes and goes. A sample that is
 missing moves all stamps behind it by one step for good. Numbers are given first, then the line is

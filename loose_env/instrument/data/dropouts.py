@@ -1,4 +1,4 @@
-"""Dropout detection: runs are cut at recording gaps, never interpolated across."""
+"""Longest unbroken piece of a run: cut at recording gaps, never interpolated across."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nominal pose and excited joints of a run, as recorded or estimated from data."""
+"""Nominal pose and excited joints of a run, or a measured tool force, recorded or estimated."""
 
 from __future__ import annotations
 

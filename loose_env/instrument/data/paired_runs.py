@@ -1,4 +1,4 @@
-"""Runs beside the same run of the healthy arm: same pose, same joint, same signal.
+"""Spectral lines of a run and of the healthy run that repeats it, the latter at equal drive.
 
 What a model gets wrong it gets wrong in both alike. The difference between the two is noise, what
 varies from one session to the next, and the fault.

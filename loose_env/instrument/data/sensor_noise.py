@@ -1,4 +1,4 @@
-"""Sensor noise and usable bandwidth of a run.
+"""Noise variance by sensor and spectral line, mask of usable lines, and quantisation step.
 
 A sensor that is slower than the run's rows, such as an encoder read at 125 Hz beside an
 accelerometer at 1 kHz, is empty above half its own rate. That emptiness is neither its noise nor a

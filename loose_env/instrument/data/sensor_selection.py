@@ -1,4 +1,4 @@
-"""Selection of the sensors of a run that a diagnosis uses."""
+"""Usable sensors and columns of a run, with notes on those left out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fourier coefficients of a run in the excited band, with sensor noise.
+"""Fourier coefficients of a run's commands and readings in the excited band, with sensor noise.
 
 The commands of a real recorder do not repeat after the record, so records are tapered (Hann)
 before they are transformed; what a linear arm answers then holds line by line wherever the taper

@@ -1,4 +1,4 @@
-"""Likelihood of a hypothesis over all runs, marginalised over seat motion.
+"""Likelihood of fault hypotheses over all runs, seat motion marginalised; prior of healthy runs.
 
 At every line of a run the seat's acceleration is an unknown of its own, for gap, friction and stops
 make of it what they like. What is known is its direction, and how strongly a seat that floats would

@@ -1,4 +1,4 @@
-"""Laplace approximation of the evidence of one hypothesis over all runs."""
+"""Maximum a posteriori fit of one hypothesis to all runs, with its Laplace evidence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Probability that a run's excitation opens a seat against gravity and friction."""
+"""Force and static load across closed seats, and the probability that a run opens them."""
 
 from __future__ import annotations
 

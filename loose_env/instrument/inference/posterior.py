@@ -1,4 +1,4 @@
-"""Posterior probabilities of all hypotheses from the spectral lines of all runs."""
+"""Posterior probabilities of all fault hypotheses, from the spectral lines of all runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motion of a seat within a block of spectral lines, marginalised line by line."""
+"""Seats (fault locations), and likelihood of their motion in a block of spectral lines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Variance components of the model error, with sizes learned from the data.
+"""Variance components of the model error by kind and joint, priors, and the step fitting them.
 
 What a model cannot have is an unknown motion at a known location, correlated over channels: of a
 joint beside what its drive makes of it (friction, servo, saturation), a turn between a joint's

@@ -1,4 +1,4 @@
-"""Actuator models of the joints: torque per command, stiffness and damping.
+"""Linear actuator models of joints: torque per command, stiffness, damping; drive of each joint.
 
 An actuator of MuJoCo gives a joint the torque ``gain u + offset - stiffness q - damping q'``: a
 motor has a gain alone, a position servo a stiffness too, and its command is a position. All

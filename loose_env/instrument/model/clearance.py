@@ -1,4 +1,4 @@
-"""Collision checks of poses, between bodies and with the ground.
+"""Collision checks of poses and paths, between bodies and with a ground plane.
 
 Poses that keep the arm above what it stands on, where the model knows no ground.
 """

@@ -1,4 +1,4 @@
-"""Static commands of a pose, and start commands that move an arm there."""
+"""Commands that hold a pose or move an arm there, and the reason why a pose cannot be held."""
 
 from __future__ import annotations
 

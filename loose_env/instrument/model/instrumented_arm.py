@@ -1,4 +1,4 @@
-"""Arm of a recording or a plan: nominal arm, actuators, sensors and collision shapes."""
+"""InstrumentedArm: nominal arm, actuators, sensors and collisions, read for plan or recording."""
 
 from __future__ import annotations
 

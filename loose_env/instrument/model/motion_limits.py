@@ -1,4 +1,4 @@
-"""Limits of speed, acceleration, jerk and torque rate of the joints, with their sources.
+"""Joint limits of speed, acceleration, jerk and torque rate, collected with their sources.
 
 A URDF states them at ``<limit velocity="..." acceleration="..." jerk="...">`` and in the
 ``ros2_control`` tag, as the range of a joint's velocity command. An MJCF states them as the range

@@ -1,4 +1,4 @@
-"""Sensors of a model on its arm: what each reads, and where."""
+"""Usable sensors of a model on its arm: kind, site or joint of each; sites of added probes."""
 
 from __future__ import annotations
 

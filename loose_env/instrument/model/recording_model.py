@@ -1,4 +1,4 @@
-"""Self-contained model for recordings: explicit inertias, no meshes."""
+"""Self-contained MJCF model for recordings: explicit inertias, no meshes, sensors added."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tool accelerometer of a model with several accelerometers."""
+"""Site of the tool accelerometer, all sensed sites, and the body beyond the last link."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Detectability of faults: every seat, in many poses, with every joint excited.
+"""Detectability of every fault: the best record over many poses and excited joints.
 
 A seat can be found along a direction if in some pose gravity lets it move and what that changes
 of the tool's motion stands out of the sensors' noise and the model's errors.

@@ -1,4 +1,4 @@
-"""Excitation in a pose, within the torque and the band of the settings.
+"""Excitation proposed in a pose within torque and band, and its sensitivity to each fault.
 
 How well one record would show each fault: how far seats open, and the smallest gap seen.
 
@@ -151,7 +151,7 @@ def sensitivity(features: SeatFeatures, pose: Array, torque: Array, seconds: flo
     own = whitener(repeated)
     noisy = whitener(np.kron(sensed, np.eye(m)) / samples)
     residual = away @ seats.rest @ away.T
-    by_model = features.whitening(pose, excited, b, residual, x, seconds)
+    by_model = whitener(features.covariance(pose, excited, b, residual, x, seconds))
     opens = np.minimum(1.0, (seats.force / np.maximum(OPENING_FORCE * seats.load, 1e-12)) ** 2)
     return Sensitivity(
         opens=opens,

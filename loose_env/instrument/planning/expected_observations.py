@@ -1,4 +1,4 @@
-"""Expected observation of a record under each hypothesis, before it is taken."""
+"""Expected observation of a record under each fault hypothesis, before it is taken."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The next measurement: the pose and joint whose record is expected to say most.
+"""Choice of the next measurement (pose, joint) by expected information; features of seats.
 
 `next_measurement` serves the plan and the diagnosis alike. What is known is spread over locations,
 directions and frictions; a few dozen imagined faults are drawn from it; and for each candidate the

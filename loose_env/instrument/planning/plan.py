@@ -1,4 +1,4 @@
-"""The next step of a session at the arm: the pose, the joint and the signal to play.
+"""Plan of a session's next step: pose, joint, signal to play, expected observations, warnings.
 
 `plan` takes a model and what is known so far, a `loose_env.instrument.result.Diagnosis` or
 nothing, and says what to measure next and what to expect. Where the diagnosis says already what

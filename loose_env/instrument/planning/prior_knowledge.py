@@ -1,4 +1,4 @@
-"""Prior of the next measurement: the belief over faults from the last diagnosis."""
+"""Prior belief over faults for the next measurement, taken from the last diagnosis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reason for a pose: the expected change by each hypothesis in question, in words.
+"""Reasons for a planned pose in words, and for not taking the one that a diagnosis asks for.
 
 Whether a plan does what a diagnosis asks for next, or chooses for itself.
 

@@ -1,4 +1,4 @@
-"""A diagnosis and its next measurement, and the file ``result.json``."""
+"""Diagnosis and its next measurement as dataclasses, and the file ``result.json``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A fault of an arm, and the direction of a slide."""
+"""Fault of an arm (kind, location), the name of its hypothesis, and the direction of a slide."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One run of a diagnosis: posterior after it, correlation loops, transmission spectra."""
+"""Results by run of a diagnosis: posterior after it, correlation loops, transmission spectra."""
 
 from __future__ import annotations
 

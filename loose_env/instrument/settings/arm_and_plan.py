@@ -1,4 +1,4 @@
-"""Settings of the arm and of the signal that the model file lacks."""
+"""Settings of the arm that the model file lacks, and of the layout of a plan's signal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings as words of a command line, to be typed or pasted."""
+"""Settings and paths formatted as words of a command line; those that are not the defaults."""
 
 from __future__ import annotations
 

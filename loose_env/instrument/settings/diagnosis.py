@@ -1,4 +1,4 @@
-"""Settings of a diagnosis."""
+"""Settings of a diagnosis: prior, model errors, and the next measurement."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Decision thresholds of the instrument, each with its unit and its reason.
+"""Decision thresholds of the instrument as constants, each with its unit and its reason.
 
 Shares and ratios are dimensionless; z-scores are in standard deviations. Values that a user may set
 are fields of the settings beside this file. Constants of numerical methods stand beside their code.

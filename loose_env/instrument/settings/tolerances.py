@@ -1,4 +1,4 @@
-"""Standard deviations of the errors of a nominal model and its sensors."""
+"""Standard deviations of the errors of a nominal model and its sensors, as settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings of the comparison with earlier sessions."""
+"""Settings of the comparison with earlier sessions: false-alarm rate and sensitivity."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Type checks of the values of a settings dataclass."""
+"""Type checks of a settings dataclass, and settings read from a mapping."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Self-starting control charts: pure functions of the values of one series.
+"""Self-starting CUSUM and Shewhart charts of one series, and limits for a false-alarm rate.
 
 Mean and scatter of a healthy machine are not known beforehand; they are estimated from the earlier
 sessions. The standardised difference of a value from the m before it is Student's t with m - 1

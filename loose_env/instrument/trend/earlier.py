@@ -1,4 +1,4 @@
-"""Earlier sessions from the disk: results, session folders, recordings."""
+"""Diagnoses of earlier sessions, read from results, session folders or recordings."""
 
 from __future__ import annotations
 

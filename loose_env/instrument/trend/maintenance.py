@@ -1,4 +1,4 @@
-"""Maintenance records of an arm, as a plain JSON file."""
+"""Maintenance records of an arm from a JSON file, and points in time of ISO 8601 dates."""
 
 from __future__ import annotations
 

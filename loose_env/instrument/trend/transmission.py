@@ -1,4 +1,4 @@
-"""Transmission spectra of the runs, measured and by the most probable hypotheses."""
+"""Transmission spectra from joint to tool, measured and by the most probable hypotheses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Change of an arm since earlier sessions, and the file ``trend.json``."""
+"""Change of an arm since earlier sessions, by control charts, and the file ``trend.json``."""
 
 from __future__ import annotations
 

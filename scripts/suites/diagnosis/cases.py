@@ -1,4 +1,4 @@
-"""Cases of the diagnosis suite: arm, fault and sensors drawn by number, and their runs."""
+"""Cases of the diagnosis suite by number: arm, fault, sensors; their runs, and their rig."""
 
 from __future__ import annotations
 
@@ -10,16 +10,15 @@ from scipy import signal
 from loose_env.excitation import Excitation
 from loose_env.recording import Run
 from loose_env.typing import Array
-from scripts.suites.gap.arms import ARMS
-from scripts.suites.gap.catalogue import kinds
+from scripts.suites.diagnosis.machines import GAPS
+from scripts.suites.gap.arms import ARMS, model_xml
+from scripts.suites.gap.dynamics import SAMPLE, Factors
+from scripts.suites.gap.effects import KINDS as EFFECTS
 from scripts.suites.gap.effects import Effect
 from scripts.suites.gap.machine import Motion, Noise, Signals, TrueArm, add_noise
-from scripts.suites.gap.simulate import SAMPLE, Factors
 
 KINDS = ("healthy", "structural_looseness", "structural_looseness", "backlash")
 """Kinds in turn, by the case's number."""
-GAPS = {"structural_looseness": (3e-5, 4e-4), "backlash": (3e-4, 3e-3)}
-"""Free travel [m, rad], log-uniform."""
 CROSS_AXIS = 0.03
 """Largest leakage of an accelerometer axis into another."""
 
@@ -38,20 +37,20 @@ class Case:
     """True if the recording has runs of the healthy arm."""
 
     @property
-    def name(self) -> str:
-        """Name of the recording; it tells nothing."""
-        return f"case-{self.number:04d}"
+    def fault(self) -> Effect | None:
+        """What is loose."""
+        return self.arm.effects[0] if self.arm.effects else None
 
     @property
-    def kind(self) -> str:
-        """Kind of the fault."""
-        return self.arm.effects[0].kind if self.arm.effects else "healthy"
+    def model_xml(self) -> str:
+        """The user's model."""
+        return model_xml(self.arm.figures)
 
     @property
-    def hypothesis(self) -> str:
-        """As the tool would name it."""
-        effects = self.arm.effects
-        return f"{effects[0].kind}@{effects[0].place.name}" if effects else "healthy"
+    def facts(self) -> dict[str, object]:
+        """What the tables part cases by."""
+        return {"joints": self.arm.figures.joints, "servoed": True, "rate": 1 / SAMPLE,
+                "disturbances": {}}  # fmt: skip
 
     def rng(self, *purpose: int) -> np.random.Generator:
         """Generator for one purpose."""
@@ -67,7 +66,7 @@ def draw(number: int, seed: int) -> Case:
     arm = TrueArm(figures=figures, factors=Factors.draw(figures.joints, rng))
     effects: tuple[Effect, ...] = ()
     if kind != "healthy":
-        sort = kinds()[kind]
+        sort = EFFECTS[kind]
         places = sort.places(figures)
         place = places[int(rng.integers(len(places)))]
         gap = float(np.exp(rng.uniform(*np.log(GAPS[kind]))))
@@ -89,8 +88,6 @@ SHARES = (0.06, 0.2)
 """Rms force of the shaken drive over its limit, log-uniform, of random runs."""
 SECONDS = 4.0
 """Length of random runs [s]."""
-SHOWS = 0.05
-"""Change of the tool's motion by a fault, over the motion, from which it shows."""
 
 
 def motion(
@@ -151,29 +148,29 @@ def random_motion(case: Case, number: int, purpose: int) -> Motion:
     return motion(case, pose, joint, share * link.limit / link.kp, band, SECONDS, rng)
 
 
-def random_runs(case: Case, count: int) -> list[Run]:
-    """Runs of a recording: references first, where the case has them."""
+def random_runs(case: Case, count: int) -> tuple[list[Run], list[float]]:
+    """Runs of a recording, references first where the case has them, and what the fault shows."""
     references = [
         taken(case, random_motion(case, i, 1), f"healthy-{i + 1}", case.rng(2, i), sound=True)
         for i in range(2 if case.reference else 0)
     ]
-    return references + [
-        taken(case, random_motion(case, i, 3), f"run-{i + 1}", case.rng(4, i), sound=False)
-        for i in range(count)
+    played = [random_motion(case, i, 3) for i in range(count)]
+    runs = [
+        taken(case, one, f"run-{i + 1}", case.rng(4, i), sound=False)
+        for i, one in enumerate(played)
     ]
+    return [*references, *runs], shown(case, played)
 
 
-def shown(case: Case, played: list[Motion]) -> float:
-    """Largest change of the tool's motion by the fault in any run, over the motion."""
-    if not case.arm.effects:
-        return 0.0
-    largest = 0.0
-    for one in played:
+def shown(case: Case, played: list[Motion]) -> list[float]:
+    """Change of the tool's motion by the fault, over the motion, in each run."""
+    found = []
+    for one in played if case.fault is not None else ():
         loose, sound = _run(case.arm, one).acceleration, case.arm.without().run(one).acceleration
         moved = sound - sound.mean(axis=0)
         change = loose - sound - (loose - sound).mean(axis=0)
-        largest = max(largest, float(np.sqrt(np.mean(change**2) / np.mean(moved**2))))
-    return largest
+        found.append(float(np.sqrt(np.mean(change**2) / np.mean(moved**2))))
+    return found
 
 
 _KEPT: dict[tuple[int, bytes, bool], tuple[TrueArm, Signals]] = {}

@@ -1,4 +1,4 @@
-"""Months of sessions with simulated machines: false alarms and delay of `loose diagnose --before`.
+"""Months of sessions with simulated machines: false alarms, delay of `loose diagnose --before`.
 
 Each machine is measured once a month in the same poses with the same signals, by the integrator of
 the blind suite. From session to session a healthy one scatters: its servos and dampers drift, its
@@ -13,8 +13,8 @@ Finished sessions are kept; every machine gets its trend page, `DIR/MACHINE/tren
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
+import itertools
 import tempfile
 from collections.abc import Mapping, Sequence
 from datetime import date
@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from loose_env.cli.command import command
 from loose_env.errors import InvalidData
 from loose_env.instrument import (
     DiagnoseSettings,
@@ -36,9 +37,9 @@ from loose_env.recording import Run, read_recording, write_recording
 from loose_env.report import write_trend_page
 from scripts.suites.diagnosis.cases import Case, motion, taken
 from scripts.suites.gap.arms import model_xml, planar3
+from scripts.suites.gap.dynamics import Factors
 from scripts.suites.gap.effects import Effect, Place
 from scripts.suites.gap.machine import Noise, TrueArm
-from scripts.suites.gap.simulate import Factors
 
 SEED = 81_247
 """Of the printed numbers; nothing was developed on it."""
@@ -180,32 +181,39 @@ def _tested(trend: Trend, until: int) -> int:
     return int(np.isfinite(rows[:, :until]).any(axis=0).sum())
 
 
-def main() -> None:
-    """Take the command line."""
-    parser = argparse.ArgumentParser(prog="diagnosis_months", description=__doc__)
-    parser.add_argument("--out", type=Path, required=True, help="folder of finished sessions")
-    parser.add_argument("--machines", type=int, default=6, help="machines of each kind")
-    parser.add_argument("--sessions", type=int, default=24, help="months, one session each")
-    parser.add_argument("--onset", type=int, default=12, help="month from which they wear, from 0")
-    parser.add_argument("--seed", type=int, default=SEED, help="of the draw")
-    parser.add_argument(
-        "--rate", type=float, default=TrendSettings().false_alarm_rate, help="false-alarm rate"
-    )
-    given = parser.parse_args()
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MonthsSettings:
+    """Machines and sessions."""
+
+    out: Path
+    """Folder of finished sessions."""
+    machines: int = 6
+    """Machines of each kind."""
+    sessions: int = 24
+    """Months, one session each."""
+    onset: int = 12
+    """Month from which they wear, from 0."""
+    seed: int = SEED
+    """Seed of the draw."""
+    rate: float = TrendSettings.false_alarm_rate
+    """False-alarm rate."""
+
+
+def run(given: MonthsSettings) -> None:
+    """Diagnose what is missing, write the trend pages and print the table."""
     settings = TrendSettings(false_alarm_rate=given.rate)
     trends: dict[str, list[Trend]] = {kind: [] for kind in KINDS}
-    for number in range(given.machines):
-        for k, kind in enumerate(KINDS):
-            folder = given.out / f"{kind.replace(' ', '-')}-{number:02d}-{given.seed}"
-            case = machine(len(KINDS) * number + k, given.seed)
-            trend = trend_of(case, kind, given.sessions, folder, settings, onset=given.onset)
-            trend.write(folder / "trend.json")
-            page = write_trend_page(folder / "trend.html", trend, recording=folder.name)
-            trends[kind].append(trend)
-            said = ", ".join(str(session + 1) for session in alarms_of(trend)) or "none"
-            print(f"{kind} {number}: alarms in sessions {said}; {page}", flush=True)
+    for number, (k, kind) in itertools.product(range(given.machines), enumerate(KINDS)):
+        folder = given.out / f"{kind.replace(' ', '-')}-{number:02d}-{given.seed}"
+        case = machine(len(KINDS) * number + k, given.seed)
+        trend = trend_of(case, kind, given.sessions, folder, settings, onset=given.onset)
+        trend.write(folder / "trend.json")
+        page = write_trend_page(folder / "trend.html", trend, recording=folder.name)
+        trends[kind].append(trend)
+        said = ", ".join(str(session + 1) for session in alarms_of(trend)) or "none"
+        print(f"{kind} {number}: alarms in sessions {said}; {page}", flush=True)
     print(table(trends, given.onset, settings))
 
 
 if __name__ == "__main__":
-    main()
+    command("months", __doc__, MonthsSettings, run, interrupted="finished sessions are kept")

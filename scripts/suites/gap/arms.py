@@ -1,4 +1,4 @@
-"""Nominal arms in numbers, and as MJCF."""
+"""Nominal arms of the gap suite: parameters of six serial arms, and their MJCF."""
 
 from __future__ import annotations
 
@@ -238,8 +238,8 @@ def joint_names(figures: Figures) -> list[str]:
     return [f"joint{i + 1}" for i in range(figures.joints)]
 
 
-def model_xml(figures: Figures, *, drives: bool = True) -> str:
-    """MJCF of the nominal arm."""
+def model_xml(figures: Figures, *, drives: str = "position") -> str:
+    """MJCF of the nominal arm, with position servos, with motors, or "" for no drives."""
     lines = [
         '<mujoco model="arm">',
         '  <compiler angle="radian" autolimits="true"/>',
@@ -264,8 +264,9 @@ def model_xml(figures: Figures, *, drives: bool = True) -> str:
     if drives:
         lines.append("  <actuator>")
         lines += [
-            f'    <position name="motor{i + 1}" joint="joint{i + 1}" kp="{link.kp:.10g}" '
-            f'kv="{link.kv:.10g}" forcerange="{-link.limit:.10g} {link.limit:.10g}"/>'
+            f'    <{drives} name="motor{i + 1}" joint="joint{i + 1}" '
+            + f'kp="{link.kp:.10g}" kv="{link.kv:.10g}" ' * (drives == "position")
+            + f'forcerange="{-link.limit:.10g} {link.limit:.10g}"/>'
             for i, link in enumerate(figures.links)
         ]
         lines.append("  </actuator>")

@@ -1,4 +1,4 @@
-"""Cases of the suite: drawn by number, sized to be visible, written with a sealed truth."""
+"""Cases of the gap suite by number, effects sized to be visible; recordings, sealed truth."""
 
 from __future__ import annotations
 
@@ -18,14 +18,25 @@ from loose_env.errors import InvalidSetting
 from loose_env.recording import Run, write_recording
 from loose_env.typing import Array
 from scripts.suites.gap.arms import ARMS, MACHINES, Figures, model_xml
-from scripts.suites.gap.catalogue import CATALOGUE, OUTSIDE, kinds
-from scripts.suites.gap.drive_effects import ACCELEROMETER
-from scripts.suites.gap.dynamics import DAMPING, forward, mass_and_bias
+from scripts.suites.gap.dynamics import (
+    DAMPING,
+    FACTORS,
+    SAMPLE,
+    TOLERANCE,
+    Factors,
+    build,
+    forward,
+    mass_and_bias,
+)
 from scripts.suites.gap.effects import (
+    ACCELEROMETER,
+    CATALOGUE,
     FORWARD,
     FREE,
     INVERSE,
+    KINDS,
     MIXED,
+    OUTSIDE,
     RANDOM,
     Effect,
     Kind,
@@ -34,7 +45,6 @@ from scripts.suites.gap.effects import (
     log_uniform,
 )
 from scripts.suites.gap.machine import Motion, Noise, Signals, TrueArm, add_noise, motions, rounded
-from scripts.suites.gap.simulate import FACTORS, SAMPLE, TOLERANCE, Factors, build
 
 
 def numbers_of(words: Iterable[str]) -> list[int]:
@@ -175,7 +185,7 @@ def draw_few(number: int, rng: np.random.Generator, *, even_lengths: bool = Fals
         arm = TrueArm(figures=figures, factors=Factors.draw(figures.joints, rng))
         runs = motions(rng, figures, form=form, runs=RUNS, seconds=seconds)
         noise = Noise.draw(figures, rng)
-        placed = _draw_effects(rng, [kinds()[name] for name in wanted], arm, runs, noise, form)
+        placed = _draw_effects(rng, [KINDS[name] for name in wanted], arm, runs, noise, form)
         if placed is not None:
             break
         if role in _SEVERAL:
@@ -199,7 +209,7 @@ def _several(rng: np.random.Generator, count: int) -> list[str]:
 def _draw_form(rng: np.random.Generator, wanted: list[str]) -> str | None:
     allowed = [FORWARD, INVERSE, FREE, RANDOM]
     for name in wanted:
-        allowed = [form for form in allowed if form in kinds()[name].forms]
+        allowed = [form for form in allowed if form in KINDS[name].forms]
     if not allowed:
         return None
     likely = {FORWARD: 0.7, INVERSE: 0.12, FREE: 0.08, RANDOM: 0.1}
@@ -449,7 +459,7 @@ class Visibility:
 
     def beside(self, effect: Effect, other: Effect) -> float:
         """Score of an effect beyond what a change of another one explains."""
-        columns = self._columns_of(kinds()[other.kind], other.place)
+        columns = self._columns_of(KINDS[other.kind], other.place)
         return self.score(self.excess(self.difference((effect,)), np.stack(columns, axis=1)))
 
     def _rivals(self, kind: Kind, place: Place, drawn: Parameters) -> Array | None:
@@ -460,7 +470,7 @@ class Visibility:
         if key not in self._kept:
             columns = []
             for name in kind.rivals:
-                rival = kinds()[name]
+                rival = KINDS[name]
                 for at in rival.places(self.arm.figures):
                     if place.index in (-1, at.index) or drawn.get("other") == at.index:
                         columns += self._columns_of(rival, at)
@@ -578,7 +588,7 @@ def draw_machine(number: int, rng: np.random.Generator) -> Case:
     while len(effects) < FEWEST:
         effects, sizes = [], []
         for name, index in _wanted(rng, figures.joints, shown)[:MOST]:
-            kind = kinds()[name]
+            kind = KINDS[name]
             places = [p for p in kind.places(figures) if index in (None, p.index)]
             if not places:
                 continue
@@ -604,7 +614,7 @@ def _wanted(rng: np.random.Generator, joints: int, form: str) -> list[tuple[str,
         (str(rng.choice(FRICTIONS)), joint) for joint in range(joints) if rng.random() < FRICTION
     ]
     for name, likely in PARTS:
-        if rng.random() < likely and form in kinds()[name].forms:
+        if rng.random() < likely and form in KINDS[name].forms:
             found.append((name, None))
     return [found[k] for k in rng.permutation(len(found))]
 
@@ -703,7 +713,7 @@ def write_runs(folder: Path, case: Case, runs: list[Run]) -> Path:
     """Write runs of a case with its nominal model as a recording; return its folder."""
     write_recording(
         folder,
-        model_xml=model_xml(case.arm.figures, drives=case.form != FREE),
+        model_xml=model_xml(case.arm.figures, drives="" if case.form == FREE else "position"),
         runs=runs,
         overwrite=True,
     )
@@ -723,7 +733,7 @@ def write_case(case: Case, *, recordings: Path, truth: Path) -> Path:
     return folder
 
 
-def is_written(number: int, name: str, *, recordings: Path, truth: Path) -> bool:
+def is_written(name: str, *, recordings: Path, truth: Path) -> bool:
     """Whether a case is there already, whole."""
     path = truth / f"{name}.json"
     return path.is_file() and (recordings / name / "recording.json").is_file()

@@ -1,4 +1,4 @@
-"""Marks for a result: against the truth, its parameters, and what data cannot tell apart."""
+"""Grade of a `loose gap` result against the truth: effects, parameters, intervals."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from scipy.optimize import minimize
 
 from loose_env.typing import Array
 from scripts.suites.gap.cases import HELD_OUT, SEED, VISIBLE, Case, Visibility, draw_case
-from scripts.suites.gap.catalogue import kinds
-from scripts.suites.gap.effects import RANDOM, Effect, Kind, Parameters, Place
+from scripts.suites.gap.effects import KINDS, RANDOM, Effect, Kind, Parameters, Place
 from scripts.suites.gap.machine import Motion
 
 PARAMETERS: Mapping[str, tuple[str, ...]] = {
@@ -211,8 +210,6 @@ class Grade:
     """Kinds and places all right, none too many; or the verdict where nothing is to be named."""
     found: int
     """How many of the true effects were named."""
-    by_alternative: bool
-    """Whether an effect counted that cannot be told from the true one."""
     ratio: float
     """Smallest size of the effects over the size that is just visible; NaN without effects."""
     parameter_error: tuple[float, ...]
@@ -276,7 +273,6 @@ def grade(
         verdict=verdict,
         right=right,
         found=len(match),
-        by_alternative=any(true[i] != said[j] for i, j in match.items()),
         ratio=min((e["size"]["ratio"] for e in truth["effects"]), default=float("nan")),
         parameter_error=tuple(error for error in errors if np.isfinite(error)),
         covered=tuple(covered),
@@ -290,26 +286,7 @@ def grade(
 
 def failed(truth: Mapping[str, Any]) -> Grade:
     """Marks of a case for which there is no result: nothing is right."""
-    nan = float("nan")
-    return Grade(
-        case=str(truth["case"]),
-        role=str(truth["role"]),
-        form=str(truth["form"]),
-        truth=tuple((str(e["kind"]), str(e["where"])) for e in truth["effects"]),
-        said=(),
-        verdict=FAILED,
-        right=False,
-        found=0,
-        by_alternative=False,
-        ratio=min((e["size"]["ratio"] for e in truth["effects"]), default=nan),
-        parameter_error=(),
-        covered=(),
-        covered_others=(),
-        gap_before=nan,
-        gap_after=nan,
-        seconds=nan,
-        exported=nan,
-    )
+    return grade({"format": "loose-gap/1", "verdict": FAILED}, truth)
 
 
 def _number(value: Any) -> float:
@@ -371,7 +348,7 @@ class Comparison:
 
     def score(self, effect: int, named: Named) -> float:
         """Held-out excess of the best other effect in its own standard deviations."""
-        kind = kinds().get(named[0])
+        kind = KINDS.get(named[0])
         places = [] if kind is None else kind.places(self.case.arm.figures)
         place = next((p for p in places if p.name == named[1]), None)
         if kind is None or place is None:

@@ -1,4 +1,4 @@
-"""A true arm: its motions, its sensors, and running it."""
+"""Motions of a true arm, its simulated runs, and its sensors' readings and noise."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from scipy import signal
 
 from loose_env.typing import Array
 from scripts.suites.gap.arms import GRAVITY, Figures
-from scripts.suites.gap.catalogue import apply_effect
-from scripts.suites.gap.drive_effects import ACCELEROMETER
 from scripts.suites.gap.dynamics import (
     BUMP,
     CROSSLEY,
@@ -21,12 +19,9 @@ from scripts.suites.gap.dynamics import (
     LOADED,
     LOADED_BUMP,
     LOADED_SMOOTH,
+    SAMPLE,
     SMOOTH_SPEED,
     STIFFNESS,
-)
-from scripts.suites.gap.effects import Effect, Readings
-from scripts.suites.gap.simulate import (
-    SAMPLE,
     Factors,
     System,
     Trace,
@@ -35,6 +30,7 @@ from scripts.suites.gap.simulate import (
     mass_matrix,
     simulate,
 )
+from scripts.suites.gap.effects import ACCELEROMETER, Effect, Readings, apply_effect
 
 FADE = 0.6
 """Time over which a motion grows from rest [s]."""

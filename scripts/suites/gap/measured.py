@@ -1,4 +1,4 @@
-"""`loose gap` on measured recordings: what is named, and the held-out error before and after.
+"""Run `loose gap` on measured recordings: effects identified, held-out error before and after.
 
 python -m scripts.suites.gap.measured RECORDING [RECORDING ...] --out FILE.jsonl [--each]
 """
@@ -8,7 +8,8 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,10 @@ from tyro.conf import Positional
 import loose_env
 from loose_env.cli.command import command
 from loose_env.errors import InvalidSetting, LooseEnvError
-from loose_env.gap import GapResult
+from loose_env.io import plain
 from loose_env.recording import read_recording
-from scripts.suites.rows import add, kept
+from scripts.suites.rows import Row, add, kept
 
-Row = dict[str, Any]
 _NAMED = 3
 """Held-out runs that are named; more are counted."""
 QUANTITY = "joint position [rad]"
@@ -31,34 +31,19 @@ QUANTITY = "joint position [rad]"
 def row_of(folder: Path, settings: dict[str, Any]) -> Row:
     """Result of a recording under some `GapSettings`, and the time it took [s]."""
     begun = time.perf_counter()
+    say = partial(print, file=sys.stderr, flush=True)
     try:
-        found = loose_env.explain_gap(folder, ignore_doctor=True, say=_progress, **settings).result
+        found = loose_env.explain_gap(folder, ignore_doctor=True, say=say, **settings).result
     except LooseEnvError as error:
         return {"recording": folder.name, "error": str(error), "held_out": []}
-    seconds = time.perf_counter() - begun
-    return {"recording": folder.name, "seconds": seconds} | _of_result(found)
-
-
-def _progress(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
-
-
-def _of_result(found: GapResult) -> Row:
     return {
+        "recording": folder.name,
+        "seconds": time.perf_counter() - begun,
         "verdict": found.verdict,
         "held_out": list(found.held_out_runs),
         "error": None,
         "rmse": found.gap.by_quantity.get(QUANTITY),
-        "effects": [
-            {
-                "kind": effect.kind,
-                "where": effect.where,
-                "parameters": dict(effect.parameters),
-                "interval_95": {k: list(v) for k, v in effect.interval_95.items()},
-                "units": dict(effect.units),
-            }
-            for effect in found.effects
-        ],
+        "effects": [plain(asdict(effect), digits=17) for effect in found.effects],
         "remaining": list(found.remaining),
     }
 
@@ -117,7 +102,9 @@ def run(given: MeasuredSettings) -> None:
         raise InvalidSetting(f"{given.out} has no rows to make a table of; run some recordings")
     done = {(row["recording"], tuple(row.get("asked", ()))) for row in rows if row["error"] is None}
     for folder in () if given.table else given.recordings:
-        for held in _splits(folder, each=given.each):
+        # every run in turn, or () for those that the names say
+        names = [(run.name,) for run in read_recording(folder).runs] if given.each else [()]
+        for held in names:
             if (folder.name, held) in done:
                 continue
             row = row_of(folder, {"threads": given.threads, "held_out": held}) | {"asked": held}
@@ -126,11 +113,6 @@ def run(given: MeasuredSettings) -> None:
             print(table([row]).splitlines()[-1], flush=True)
     rows.sort(key=lambda row: (row["recording"], row["held_out"]))
     print(table(rows))
-
-
-def _splits(folder: Path, *, each: bool) -> list[tuple[str, ...]]:
-    """Runs to hold out: every one in turn, or () for those that the names say."""
-    return [(run.name,) for run in read_recording(folder).runs] if each else [()]
 
 
 if __name__ == "__main__":

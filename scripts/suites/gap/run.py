@@ -1,4 +1,4 @@
-"""Grade the gap tool on blind recordings: the table of targets and the confusion matrix.
+"""Run and grade `loose gap` or a rival on blind recordings; tables of targets and methods.
 
 Each case is made by an arm that is integrated without MuJoCo, given to the tool as a recording and
 nothing else, and graded against its sealed truth once the result is written. Rows of finished cases
@@ -20,16 +20,18 @@ import shutil
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
 import mujoco
+import numpy as np
 
 import loose_env
 from loose_env.cli.command import command
 from loose_env.errors import InvalidSetting
+from loose_env.evaluation import wilson
 from loose_env.gap import (
     GapSettings,
     GapSolution,
@@ -41,9 +43,11 @@ from loose_env.gap import (
     result_of,
     write_model,
 )
+from loose_env.io import write_text
 from loose_env.recording import read_recording
 from scripts.suites.gap.cases import (
     LAST,
+    ROLES,
     draw_case,
     full_list,
     is_written,
@@ -55,8 +59,7 @@ from scripts.suites.gap.cases import (
     tolerance_of,
     write_case,
 )
-from scripts.suites.gap.grading import Grade, failed, grade, separable_by_data
-from scripts.suites.gap.tables import METHODS, lines_of_cases, markdown, methods_table, text
+from scripts.suites.gap.grading import FAILED, Grade, failed, grade, separable_by_data
 from scripts.suites.rows import Row, check_code, code_hash, kept, run_cases
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -108,11 +111,11 @@ def exported_gap(found: GapSolution, folder: Path) -> tuple[float, float] | None
 def tool_named(name: str) -> Tool:
     """The tool under test, or another method by its name."""
     if name == "sysid":
-        from scripts.suites.gap.rival_sysid import run_sysid
+        from scripts.suites.gap.sysid import run_sysid
 
         return run_sysid
     if name == "stepwise_bic":
-        from scripts.suites.gap.rival_stepwise import run_stepwise_bic
+        from scripts.suites.gap.rivals import run_stepwise_bic
 
         return run_stepwise_bic
     return run_tool
@@ -146,7 +149,7 @@ def run_case(number: int, *, folders: Folders, tool: Tool, code: str = "") -> Ro
     error, stage = "", "making"
     began = time.perf_counter()
     try:
-        if not is_written(number, name, recordings=recordings, truth=truths):
+        if not is_written(name, recordings=recordings, truth=truths):
             write_case(draw_case(number), recordings=recordings, truth=truths)
         spent[stage], stage, began = time.perf_counter() - began, "tool", time.perf_counter()
         shutil.rmtree(folder, ignore_errors=True)  # nothing of an earlier run may be graded
@@ -210,16 +213,157 @@ def line_of(row: Row) -> str:
         size = "" if math.isnan(marks.ratio) else f" ({marks.ratio:.1f} x just visible)"
         parts += [
             "right" if marks.right else "WRONG",
-            f"true {_list(marks.truth)}{size}",
-            f"said {_list(marks.said, marks.verdict)}",
+            f"true {_effects(marks.truth, 'nothing')}{size}",
+            f"said {_effects(marks.said, marks.verdict)}",
             f"residual {marks.gap_before:.2f} to {marks.gap_after:.2f}",
         ]
     times = ", ".join(f"{stage} {spent:.0f} s" for stage, spent in row["times"].items())
     return "  ".join([*parts, f"[{times}]"])
 
 
-def _list(effects: Sequence[tuple[str, str]], otherwise: str = "nothing") -> str:
-    return " + ".join(f"{kind}@{where}" for kind, where in effects) or otherwise
+# ---------------------------------------------------------------------------------- tables
+
+ON_READING = frozenset({"sensor_gain", "sensor_bias", "torque_ripple"})
+"""Kinds that a model file cannot carry; the result has code for them."""
+CLOSE = 0.1
+"""Relative error up to which a parameter counts as close."""
+
+
+def share(hits: int, count: int) -> str:
+    """A share in per cent with Wilson's 95 % interval."""
+    if count == 0:
+        return "no cases"
+    low, high = wilson(hits, count)
+    return f"{hits}/{count} = {100 * hits / count:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def summary(grades: Sequence[Grade]) -> list[tuple[str, str, str]]:
+    """Rows of the table of targets: what, target, measured."""
+    by = {role: [g for g in grades if g.role == role] for role in ROLES}
+    outside, several = by["outside"], by["single"] + by["pair"] + by["triple"]
+    missing = by["single"] + by["pair"] + by["triple"] + by["machine"]
+    whole = [g for g in several if g.found == len(g.truth) > 0]
+    machines = by["machine"]
+    after = [
+        g.gap_after
+        for g in missing
+        if np.isfinite(g.gap_after) and not any(kind in ON_READING for kind, _ in g.truth)
+    ]
+    before = [g.gap_before for g in missing if np.isfinite(g.gap_before)]
+    errors = [error for g in missing for error in g.parameter_error]
+    covered = [held for g in missing for held in g.covered]
+    others = [held for g in missing for held in g.covered_others]
+    exported = [g.exported for g in grades if np.isfinite(g.exported)]
+    found = sum(g.found for g in by["pair"])
+    seconds = [g.seconds for g in grades if np.isfinite(g.seconds)]
+    rows = [
+        ("single effects, kind and location correct", "at least 97 %", _right(by["single"])),
+        ("pairs, both correct", "at least 88 %", _right(by["pair"])),
+        ("effects of pairs found", "at least 95 %", share(found, 2 * len(by["pair"]))),
+        ("triples, all three correct", "at least 70 %", _right(by["triple"])),
+        ("effects of triples found", "at least 90 %", _found(by["triple"])),
+        ("effects of whole machines found", "at least 85 %", _found(machines)),
+        ("effects identified in whole machines that are there", "at least 95 %",
+         share(sum(g.found for g in machines), sum(len(g.said) for g in machines))),
+        ("a further, false effect beside the true ones", "at most 3 %",
+         share(sum(len(g.said) > len(g.truth) for g in whole), len(whole))),
+        ("false alarms with nothing missing", "at most 2 %",
+         share(sum(not g.right for g in by["none"]), len(by["none"]))),
+        ("outside the catalogue, called unexplained", "at least 90 %", _right(outside)),
+        ("held-out RMS residual before, median [noise sd]", "", _median(before)),
+        ("held-out RMS residual after, representable effects, median [noise sd]", "at most 1.25",
+         _median(after)),
+        ("error of parameters, median", "at most 10 %",
+         f"{100 * np.median(errors):.1f} %" if errors else "none"),
+        ("parameters within 10 % of the truth", "",
+         share(sum(error <= CLOSE for error in errors), len(errors))),
+        ("95 % intervals that cover the true value", "92 to 97 %",
+         share(sum(covered), len(covered))),
+        ("the same of further parameters", "92 to 97 %", share(sum(others), len(others))),
+        ("residual of the exported model in plain MuJoCo over the fit's, median and largest", "",
+         f"{np.median(exported):.3f}, {max(exported):.3f} ({len(exported)} cases)"
+         if exported else "none"),
+        ("time of one run on one core, median and largest [s]", "",
+         f"{np.median(seconds):.0f}, {max(seconds):.0f}" if seconds else "none"),
+        ("cases that failed, wrong in all of the above", "0",
+         share(sum(g.verdict == FAILED for g in grades), len(grades))),
+    ]  # fmt: skip
+    return rows
+
+
+def _right(grades: Sequence[Grade]) -> str:
+    return share(sum(g.right for g in grades), len(grades))
+
+
+def _found(grades: Sequence[Grade]) -> str:
+    return share(sum(g.found for g in grades), sum(len(g.truth) for g in grades))
+
+
+def _median(values: Sequence[float]) -> str:
+    return f"{np.median(values):.2f}" if values else "none"
+
+
+def markdown(grades: Sequence[Grade]) -> str:
+    """The table of targets and the marks by size."""
+    parts = ["| | to reach | measured |", "| --- | --- | --- |"]
+    parts += [f"| {' | '.join(row)} |" for row in summary(grades)]
+    parts += ["", "| size over just visible | single effects correct |", "| --- | --- |"]
+    singles = [g for g in grades if g.role == "single"]
+    for low, high in ((0.0, 2.0), (2.0, 5.0), (5.0, 12.0), (12.0, np.inf)):
+        label = f"{low:.0f} to {high:.0f}" if np.isfinite(high) else f"over {low:.0f}"
+        parts.append(f"| {label} | {_right([g for g in singles if low <= g.ratio < high])} |")
+    return "\n".join(parts) + "\n"
+
+
+def lines_of_cases(cases: Sequence[tuple[int, Grade, str]]) -> str:
+    """Truth and result of cases, as markdown."""
+    lines = ["| case | runs | true | over just visible | result | residual |"]
+    lines += ["| ---: | --- | --- | ---: | --- | --- |"]
+    for number, g, error in cases:
+        size = f"{g.ratio:.1f}" if np.isfinite(g.ratio) else ""
+        # a bar in a message would end its cell
+        said = f"failed: {error}".replace("|", "\\|") if error else _effects(g.said, g.verdict)
+        gap = "" if error else f"{g.gap_before:.2f} to {g.gap_after:.2f}"
+        lines.append(
+            f"| {number} | {g.form} | {_effects(g.truth, 'nothing')} | {size} | {said} | {gap} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _effects(effects: Sequence[tuple[str, str]], otherwise: str) -> str:
+    return ", ".join(f"{kind} at {where}" for kind, where in effects) or otherwise
+
+
+METHODS = {
+    "loose_gap": "`loose gap`",
+    "sysid": "`mujoco.sysid`, all parameters free",
+    "stepwise_bic": "stepwise selection, BIC",
+}
+"""Names in the table of methods."""
+
+
+def methods_table(graded: Mapping[str, Mapping[int, Grade]]) -> str:
+    """The table of targets with a column a tool, on the cases that all tools with rows have."""
+    graded = {name: own for name, own in graded.items() if own}
+    numbers = sorted(set.intersection(*(set(own) for own in graded.values())))
+    columns = [summary([own[number] for number in numbers]) for own in graded.values()]
+    lines = [f"{len(numbers)} cases that all methods have run: {_ranges(numbers)}.", ""]
+    lines += [f"| | {' | '.join(METHODS[name] for name in graded)} |"]
+    lines += ["| --- |" + " --- |" * len(graded)]
+    for row in zip(*columns, strict=True):
+        lines.append(f"| {row[0][0]} | {' | '.join(got for _, _, got in row)} |")
+    return "\n".join(lines)
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """Numbers as ranges: 1-3 7."""
+    parts: list[list[int]] = []
+    for number in numbers:
+        if parts and number == parts[-1][-1] + 1:
+            parts[-1].append(number)
+        else:
+            parts.append([number])
+    return " ".join(f"{p[0]}-{p[-1]}" if len(p) > 1 else f"{p[0]}" for p in parts)
 
 
 # ------------------------------------------------------------------------------ the command
@@ -264,9 +408,8 @@ def code_of(tool: str) -> str:
     own = [Path(loose_env.__file__).parent / part for part in ("gap", "recording", "statistics")]
     here = Path(__file__).parent
     if tool != TOOL:
-        own = [here / name for name in ("rival_data.py", f"rival_{tool.split('_')[0]}.py")]
-    suite = ("arms", "dynamics", "simulate", "machine", "effects", "drive_effects", "cases",
-             "grading")  # fmt: skip
+        own = [here / "rivals.py", here / "sysid.py"]
+    suite = ("arms", "dynamics", "machine", "effects", "cases", "grading")
     return code_hash(*own, *(here / f"{name}.py" for name in suite))
 
 
@@ -348,10 +491,8 @@ def run(settings: RunSettings) -> None:
         )
         rows = run_cases(mixed(numbers), work, file, workers=settings.workers, say=line_of)
     rows.sort(key=lambda row: int(row["number"]))
-    print(f"\n{head_of(rows, len(numbers))}\n\n{text([grade_of(row) for row in rows])}")
-    summary = file.with_name("summary.md")
-    summary.write_text(tables(rows, len(numbers)), encoding="utf-8")
-    print(f"tables: {summary}")
+    print(f"\n{tables(rows, len(numbers))}")
+    write_text(file.with_name("summary.md"), tables(rows, len(numbers)))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

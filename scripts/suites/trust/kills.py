@@ -191,14 +191,14 @@ def _compare(out: Path) -> Sequence[str]:
     return (
         *("scripts/agents/compare.py", "--env", "loose_env/Planar-v0", "--out", str(out)),
         *("--arguments", '{"n_links": 2}', "--agents", "random", "posterior/random"),
-        *("--episodes", str(EPISODES), "--shard", "4", "--threads", "1", "--workers", "1"),
+        *("--episodes", str(EPISODES), "--shard", "4", "--workers", "1"),
     )
 
 
-def _try(problems: list[str], file: Path, read: Callable[[], object]) -> None:
+def _try(problems: list[str], file: Path, read: Callable[[Path], object]) -> None:
     if file.exists():
         try:
-            read()
+            read(file)
         except Exception as error:  # whatever it is, the file is not whole
             problems.append(f"{file.name}: {type(error).__name__}: {error}")
 
@@ -209,30 +209,32 @@ def _broken_policies(out: Path) -> list[str]:
 
     found: list[str] = []
     for file in out.rglob("*.json"):
-        _try(found, file, lambda f=file: json.loads(f.read_text()))  # type: ignore[misc]
+        _try(found, file, lambda file: json.loads(file.read_text()))
     for file in out.rglob("*.safetensors"):
-        _try(found, file, lambda f=file: load_file(f))  # type: ignore[misc]
+        _try(found, file, load_file)
         if not file.with_name("configuration.json").exists():
             found.append(f"{file}: no configuration beside it")
     # What is being written has a name that begins with a dot until it is whole.
     for file in (f for f in out.rglob("*.zip") if not f.name.startswith(".")):
-        _try(found, file, lambda f=file: read_model(f))  # type: ignore[misc]
+        _try(found, file, read_model)
         if file.name == "checkpoint.zip" and not found:
             run = read_model(file).run
-            evaluated = dict(run["state"]["items"])["steps"] if run else ["the run is missing"]
+            points = run["state"]["points"] if run else [{"steps": "the run is missing"}]
+            evaluated = [point["steps"] for point in points]
             if sorted(set(evaluated)) != evaluated:
                 found.append(f"evaluations at {evaluated}: one is there twice")
-    for file in out.rglob("evaluations.npz"):
-        _try(found, file, lambda f=file: _evaluations(f))  # type: ignore[misc]
+    for file in out.rglob("curve.csv"):
+        _try(found, file, _evaluations)
     return found
 
 
 def _evaluations(file: Path) -> list[int]:
-    with np.load(file, allow_pickle=False) as stored:
-        steps: list[int] = stored["timesteps"].tolist()
-        if stored["results"].shape != (len(steps), 3) or sorted(set(steps)) != steps:
-            raise ValueError(f"evaluations at {steps} of shape {stored['results'].shape}")
-        return steps
+    from loose_agents.rl.training import read_curve
+
+    steps = [point.steps for point in read_curve(file)]
+    if sorted(set(steps)) != steps:
+        raise ValueError(f"evaluations at {steps}")
+    return steps
 
 
 def _trained(out: Path) -> Any:
@@ -243,7 +245,7 @@ def _trained(out: Path) -> Any:
     run = read_model(checkpoint).run
     assert run is not None
     names = sorted(str(p.relative_to(out)) for p in out.rglob("*") if ".part" not in p.name)
-    return run["counters"], _evaluations(next(out.rglob("evaluations.npz"))), names
+    return run["counters"], _evaluations(next(out.rglob("curve.csv"))), names
 
 
 def _broken_rows(out: Path) -> list[str]:
@@ -251,9 +253,9 @@ def _broken_rows(out: Path) -> list[str]:
 
     found: list[str] = []
     for shard in out.glob("shards/*/shard-*.json"):
-        _try(found, shard, lambda f=shard: json.loads(f.read_bytes())["rows"])  # type: ignore[misc]
+        _try(found, shard, lambda file: json.loads(file.read_bytes())["rows"])
     file = out / "rows.parquet"
-    _try(found, file, lambda: read_rows(file))
+    _try(found, file, read_rows)
     if file.exists() and not found:
         rows, _ = read_rows(file)
         played = {(row["agent"], row["episode"]) for row in rows}
@@ -275,8 +277,8 @@ def _broken_gap(out: Path) -> list[str]:
 
     found = _broken_page(out)
     result, model = out / "result.json", out / "model.xml"
-    _try(found, result, lambda: read_result(result))
-    _try(found, model, lambda: mujoco.MjModel.from_xml_path(str(model)))
+    _try(found, result, read_result)
+    _try(found, model, lambda file: mujoco.MjModel.from_xml_path(str(file)))
     if result.exists() and not model.exists():
         found.append("a result without its model")
     return found
@@ -286,7 +288,7 @@ def _broken_diagnosis(out: Path) -> list[str]:
     from loose_env.instrument import read_diagnosis
 
     found = _broken_page(out)
-    _try(found, out / "result.json", lambda: read_diagnosis(out / "result.json"))
+    _try(found, out / "result.json", read_diagnosis)
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -106,6 +107,7 @@ SPATIAL = """
 ARMS = ("planar", "spatial", "so101")
 
 
+@cache
 def machine_of(name: str) -> NominalModel:
     """A machine by name; the test is skipped where its file is missing."""
     if name == "so101":

@@ -19,16 +19,9 @@ from tests.gap.cases.gap_case import stated
 
 
 def prepared_arm(folder: Path, *, rate: float = 1000.0, first: float = 0.0) -> GapProblem:
-    """Runs that begin at rest under the first command, of an arm with friction of 3 N·m·s/rad.
+    """Runs of an arm with friction of 3 N·m·s/rad that begin at rest under the first command [rad].
 
-    Parameters
-    ----------
-    folder : Path
-        Of the recording.
-    rate : float
-        Samples per second [Hz].
-    first : float
-        The first command of every servo [rad].
+    They have ``rate`` samples per second [Hz].
     """
     spec, inside = mujoco.MjSpec.from_string(PLANAR), ceil(1000.0 / rate)
     spec.option.timestep = 1 / (rate * inside)

@@ -21,7 +21,7 @@ from loose_env.gap.model.effects.friction import (
 from loose_env.gap.model.effects.sensors import SensorDelay, SensorGain
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.output.export_mjcf import write_model
+from loose_env.gap.output.corrected_model import write_model
 from loose_env.gap.output.result import Gap, GapResult, NamedEffect
 
 ARM = """<mujoco model="arm"><option timestep="0.002" integrator="implicitfast"/><worldbody>

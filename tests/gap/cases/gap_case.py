@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import mujoco
@@ -44,11 +44,19 @@ def model_with(suffix: str) -> str:
     )
 
 
-def record(folder: Path, *, runs: int = 3, suffix: str = "", missing: bool = True) -> Recording:
-    """Write a recording of an arm with noise, and with the two effects unless none is missing."""
+def record(
+    folder: Path,
+    *,
+    runs: int = 3,
+    suffix: str = "",
+    missing: bool = True,
+    edit: Callable[[mujoco.MjSpec], None] = lambda spec: None,
+) -> Recording:
+    """Write a recording of an arm with noise, with the two effects if missing, and an edit."""
     xml = model_with(suffix)
     spec = mujoco.MjSpec.from_string(xml)
     spec.joint(f"joint2{suffix}").damping = np.array([0.5 + DAMPING * missing, 0, 0])
+    edit(spec)
     model = spec.compile()
     time = np.arange(COUNT) * STEP
     rng = np.random.default_rng(8)
@@ -77,15 +85,10 @@ def record(folder: Path, *, runs: int = 3, suffix: str = "", missing: bool = Tru
     return write_recording(folder, model_xml=xml, runs=found, file_format="csv")
 
 
-def nominal_structure(machine: NominalModel, *, tolerance: float = 0.03) -> ModelStructure:
-    """The nominal model with its uncertain parameters, without initial states."""
-    nominal = NominalParameters(machine, tolerance=tolerance)
-    return ModelStructure(nuisance=Nuisance(nominal=nominal))
-
-
 def stated(comparison: ResidualModel, effects: Sequence[Effect], values: Sequence[Array]) -> Fit:
     """Effects beside the nominal parameters as they are, stated and not searched for."""
-    structure = nominal_structure(comparison.machine).with_effects(effects)
+    nominal = NominalParameters(comparison.machine, tolerance=0.03)
+    structure = ModelStructure(nuisance=Nuisance(nominal=nominal)).with_effects(effects)
     own = [free_of(e.parameters, v) for e, v in zip(effects, values, strict=True)]
     free = np.concatenate([structure.nominal_start, *own])
     residual = comparison.residuals([structure.hypothesis(free)])[0]

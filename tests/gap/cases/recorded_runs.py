@@ -1,12 +1,11 @@
-"""Runs made up for the comparisons: torques for a motion, and pendulums let go."""
+"""Runs of motion and measured torque, and fits to them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.fitting.gauss_newton import Fit, fit
@@ -18,22 +17,6 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.recording import Run
 from loose_env.statistics import noise_floor
 from loose_env.typing import Array
-
-Friction = Callable[[Array], Array]
-
-PENDULUM = """
-<mujoco>
-  <compiler angle="radian"/>
-  <option timestep="0.0025" integrator="RK4" gravity="0 0 -9.81"/>
-  <worldbody>
-    <body name="rod">
-      <joint name="pivot" type="hinge" axis="0 1 0"/>
-      <inertial pos="0 0 -0.3" mass="0.5" diaginertia="0.01 0.01 0.0005"/>
-    </body>
-  </worldbody>
-  <sensor><jointpos name="encoder" joint="pivot"/></sensor>
-</mujoco>
-"""
 
 
 def measurable(spec: mujoco.MjSpec) -> mujoco.MjSpec:
@@ -84,22 +67,14 @@ def torque_run(
     *,
     rate: float = 500.0,
     duration: float = 8.0,
-    step: float = 1e-4,
     speeds: float | None = 2e-3,
-    noise: float = 0.01,
-    friction: Friction | None = None,
     name: str = "run",
 ) -> Run:
-    """A run of motion and torque: encoders of a step, speeds and torques with noise.
-
-    The torque's noise is a share of each joint's root mean square torque.
-    """
-    time = np.arange(round(rate * duration)) / rate
+    """A run of motion and torque: encoders of steps, speeds and torques with noise."""
+    step, time = 1e-4, np.arange(round(rate * duration)) / rate
     position, speed, acceleration = waves(machine, time, rng)
     torque = needed(truth, position, speed, acceleration)
-    if friction is not None:
-        torque = torque + friction(speed)
-    spread = noise * np.sqrt(np.mean(torque**2, axis=0))
+    spread = 0.01 * np.sqrt(np.mean(torque**2, axis=0))
     slides = np.array([0.1 ** (not machine.turns(j)) for j in machine.joints])
     shaken = position + slides * step * rng.normal(0, 0.5, position.shape)
     sensors = {
@@ -114,51 +89,18 @@ def torque_run(
     return Run(name=name, time=time, sensors=sensors, torques=torques)
 
 
-def pendulum_run(
-    rng: np.random.Generator,
-    *,
-    viscous: float,
-    coulomb: float,
-    drag: float = 0.0,
-    start: tuple[float, float],
-    noise: float = 1e-3,
-    rate: float = 100.0,
-    duration: float = 6.0,
-    name: str = "run",
-) -> Run:
-    """Free decay of `PENDULUM` with a smooth friction law, by scipy, seen by an encoder alone."""
-    inertia, moment = 0.01 + 0.5 * 0.3**2, 0.5 * 9.81 * 0.3
-    time = np.arange(round(rate * duration)) / rate
-
-    def change(_: float, state: Array) -> list[float]:
-        angle, speed = state
-        friction = viscous * speed + coulomb * np.tanh(speed / 0.003) + drag * speed * abs(speed)
-        return [speed, (-moment * np.sin(angle) - friction) / inertia]
-
-    angle = solve_ivp(
-        change, (0, time[-1]), start, t_eval=time, rtol=1e-8, atol=1e-10, method="LSODA"
-    ).y[0]
-    return Run(name=name, time=time, sensors={"encoder": angle + rng.normal(0, noise, len(time))})
-
-
-def compared(machine: NominalModel, runs: Sequence[Run], step: float = 0.0025) -> ResidualModel:
+def compared(machine: NominalModel, runs: Sequence[Run]) -> ResidualModel:
     """Comparison of runs, on one thread."""
     channels = channels_of(list(runs))
-    trials = [align_run(run, machine, channels, step=step) for run in runs]
+    trials = [align_run(run, machine, channels, step=0.0025) for run in runs]
     read = np.array([[noise_floor(c) for c in trial.measured.T] for trial in trials])
     return ResidualModel(machine, trials, channels, np.nanmedian(read, axis=0), threads=1)
 
 
-def fitted(
-    comparison: ResidualModel,
-    effects: Sequence[Effect],
-    *,
-    start: int = 0,
-    tolerance: float = 0.005,
-) -> tuple[Fit, list[Array]]:
+def fitted(comparison: ResidualModel, effects: Sequence[Effect]) -> tuple[Fit, list[Array]]:
     """Fit effects beside the nuisance parameters; values of each of the effects."""
-    nuisance = nuisance_of(comparison, tolerance=tolerance)
+    nuisance = nuisance_of(comparison, tolerance=0.005)
     structure = ModelStructure(nuisance=nuisance, effects=tuple(effects))
-    begin = [free_of(e.parameters, np.array(e.starts[start % len(e.starts)])) for e in effects]
+    begin = [free_of(e.parameters, np.array(e.starts[0])) for e in effects]
     found = fit(comparison, structure, np.concatenate([structure.nominal_start, *begin]))
     return found, list(found.hypothesis.values)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from pathlib import Path
 
 import gymnasium
@@ -41,19 +40,3 @@ def test_the_table_counts_every_element_of_every_environment(env_id: str) -> Non
     assert counted["now"] == len(env.layout.global_elements)
     assert counted["record"] == len(env.layout.slot_elements)
     env.close()
-
-
-def test_no_meaning_is_of_an_element_that_is_gone() -> None:
-    text = elements()
-    for name, meaning in write_docs.MEANINGS.items():
-        assert f"| `{name}` | " in text and f" | {meaning} |" in text
-
-
-def test_the_page_has_what_the_docstring_says_of_actions_and_rewards() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    words = " ".join(text.split())
-    said = inspect.cleandoc(DiagnosisEnv.__doc__ or "")
-    for title in ("Action Space", "Rewards", "Starting State", "Episode End", "Arguments"):
-        assert f"\n### {title}\n" in text
-        body = said.split(f"## {title}\n")[1].split("\n## ")[0]
-        assert " ".join(body.split()) in words

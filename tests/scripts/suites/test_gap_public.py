@@ -13,54 +13,44 @@ import pytest
 
 pytest.importorskip("numba")
 
-import mujoco
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.gap.model.effects.catalogue import CATALOGUE as OF_TOOL
-from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.output.result import EffectLocation, Gap, GapResult, NamedEffect
-from scripts.suites.gap.arms import ARMS, MACHINES, model_xml
-from scripts.suites.gap.cases import SEED, draw_case, name_of, truth_of
-from scripts.suites.gap.catalogue import CATALOGUE, kinds
 from scripts.suites.gap.grading import SAID
-from scripts.suites.gap.public import main
-from scripts.suites.gap.public_scores import (
+from scripts.suites.gap.public import (
     PAGE,
-    leaderboard,
-    mark_case,
-    read_score,
-    score,
-    stored_scores,
-    total,
-)
-from scripts.suites.gap.public_suite import (
     UNPUBLISHED,
     Answer,
     Answered,
-    MakeSettings,
-    answer_of,
+    Made,
     answer_schema,
     catalogue,
     drawn_numbers,
+    leaderboard,
+    main,
     make,
+    mark_case,
     open_truths,
-    places_of,
     read_answer,
+    read_score,
     read_suite,
+    score,
+    stored_scores,
+    total,
 )
 
 pytestmark = pytest.mark.slow
 
 PHRASE = "of the tests"
-SETTINGS = MakeSettings(numbers=(310, 1910), seed_phrase=PHRASE, name="tests")
-PUBLISHED = {"drag": 0.006733232600739404}
-"""Parameters of case 1003 before suites had seeds of their own."""
+
+
+def made(folder: Path, *numbers: str, phrase: str = PHRASE) -> Made:
+    return Made(folder=folder, numbers=numbers or ("310", "1910"), seed_phrase=phrase, name="tests")
 
 
 @pytest.fixture(scope="session")
 def suite_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("suite")
-    make(folder, SETTINGS)
+    make(made(folder))
     return folder
 
 
@@ -100,25 +90,15 @@ def truth(role: str, *effects: tuple[str, str, dict[str, float]]) -> dict[str, A
     }  # fmt: skip
 
 
-def test_the_published_cases_are_what_they_were() -> None:
-    assert [name_of(n) for n in (0, 1003, 2001, 4000, 5001)] == [
-        "case-0308", "case-3655", "case-3907", "case-4599", "case-5160",
-    ]  # fmt: skip
-    case = draw_case(1003)
-    assert truth_of(case) == truth_of(draw_case(1003, seed=SEED))
-    assert case.form == "inverse"
-    assert dict(case.arm.effects[0].parameters) == pytest.approx(PUBLISHED, rel=1e-6)
-
-
-def test_numbers_are_drawn_by_the_seed_from_those_not_published() -> None:
-    one, same, other = (drawn_numbers(24, seed) for seed in (1, 1, 2))
-    assert one == same != other
-    assert len(set(one)) == 24 and all(number % 1000 >= UNPUBLISHED for number in one)
-
-
 def test_making_is_deterministic_and_resumes(suite_folder: Path, tmp_path: Path) -> None:
-    again = make(tmp_path / "again", SETTINGS)
+    again = make(made(tmp_path / "again"))
     assert again == read_suite(suite_folder)
+    told = json.loads((suite_folder / "protocol.json").read_text())
+    for case in told["cases"].values():  # and nothing of the truth
+        assert set(case) == {"tolerance", "sample_rate_hz", "runs", "held_out", "places"}
+    one, same, other = (drawn_numbers(24, seed) for seed in (1, 1, 2))
+    assert one == same != other and len(set(one)) == 24
+    assert all(number % 1000 >= UNPUBLISHED for number in one)
     for pattern in ("recordings/*/*", "sealed/truth/*.json"):
         files = sorted(path.relative_to(suite_folder) for path in suite_folder.glob(pattern))
         assert files
@@ -127,21 +107,13 @@ def test_making_is_deterministic_and_resumes(suite_folder: Path, tmp_path: Path)
     name = next(iter(again.cases))
     before = (tmp_path / "again" / "commitments.json").read_text()
     (tmp_path / "again" / "sealed" / "truth" / f"{name}.json").unlink()  # as if interrupted there
-    make(tmp_path / "again", SETTINGS)
+    make(made(tmp_path / "again"))
     assert (tmp_path / "again" / "commitments.json").read_text() == before
     assert not list((tmp_path / "again").rglob("*.part*"))
     with pytest.raises(InvalidSetting, match="another secret"):
-        make(tmp_path / "again", MakeSettings(numbers=(310, 1910), seed_phrase="other"))
+        make(made(tmp_path / "again", phrase="other"))
     with pytest.raises(InvalidSetting, match="other cases"):
-        make(tmp_path / "again", MakeSettings(numbers=(310,), seed_phrase=PHRASE))
-
-
-def test_what_is_given_to_entrants_tells_no_truth(suite_folder: Path) -> None:
-    told = json.loads((suite_folder / "protocol.json").read_text())
-    secret = json.loads((suite_folder / "sealed" / "secret.json").read_text())
-    assert "numbers" not in told and secret["seed"] not in json.dumps(told)
-    for case in told["cases"].values():
-        assert set(case) == {"tolerance", "sample_rate_hz", "runs", "held_out", "places"}
+        make(made(tmp_path / "again", "310"))
 
 
 def test_a_tampered_truth_fails_its_commitment(suite_folder: Path, tmp_path: Path) -> None:
@@ -164,8 +136,12 @@ def test_a_perfect_answer_scores_one_and_an_empty_one_nothing(
     assert found.brier == 0.0 and found.parameter_error == 0.0
     assert found.coverage.hits == found.coverage.of > 0
     assert found.cpu_seconds == 1.5 and len(found.cases) == 2
-    assert "oracle on tests" in capsys.readouterr().out
+    assert "| oracle | 2/2 | 1.00 |" in capsys.readouterr().out
     none = answers_in(tmp_path / "none", suite_folder, knowing=False)
+    (none / "case-x.json").write_text("{}")
+    with pytest.raises(InvalidData, match="the suite has no case 'case-x'"):
+        score(suite_folder, none)
+    (none / "case-x.json").unlink()
     empty = score(suite_folder, none)
     assert empty.recall == 0.0 and np.isnan(empty.precision) and empty.f1 == 0.0
     assert empty.false_alarms.hits == 0 and empty.false_alarms.of == 1
@@ -220,13 +196,6 @@ def test_malformed_answers_end_with_one_clear_line(
     assert str(file) in line and said in line
 
 
-def test_an_answer_to_no_case_is_refused(suite_folder: Path, tmp_path: Path) -> None:
-    answers = answers_in(tmp_path / "answers", suite_folder, knowing=False)
-    (answers / "case-x.json").write_text("{}")
-    with pytest.raises(InvalidData, match="the suite has no case 'case-x'"):
-        score(suite_folder, answers)
-
-
 def test_metrics_are_those_of_the_page() -> None:
     friction = ("coulomb_friction", "joint2", {"torque": 2.0})
     half = Answered(kind="coulomb_friction", where="joint2", parameters={"torque": 2.2},
@@ -247,47 +216,6 @@ def test_metrics_are_those_of_the_page() -> None:
     assert (found.coverage.hits, found.coverage.of) == (1, 1)
     assert (found.right.hits, found.right.of) == (1, 4)
     assert (found.false_alarms.hits, found.false_alarms.of) == (1, 1)
-
-
-def test_an_effect_that_data_cannot_tell_counts_as_found() -> None:
-    friction = ("coulomb_friction", "joint2", {"torque": 2.0})
-    play = Answer(verdict="named", effects=(Answered(kind="backlash", where="joint2"),))
-    marks = mark_case(play, truth("single", friction), separable=lambda effect, named: False)
-    assert marks.right and marks.found == 1 and marks.parameter_error == ()
-
-
-def test_the_catalogue_has_all_that_truths_and_the_tool_name() -> None:
-    assert list(catalogue()) == list(CATALOGUE)
-    for make_arm in {**ARMS, **MACHINES}.values():
-        figures = make_arm()
-        model = NominalModel(mujoco.MjSpec.from_string(model_xml(figures)))
-        places = places_of(figures, drives=True)
-        for name, kind in catalogue().items():
-            assert kind.scored and set(kind.scored) | set(kind.covered) <= set(kind.parameters)
-            allowed = {place for group in kind.at for place in places[group]}
-            assert {place.name for place in kinds()[name].places(figures)} <= allowed
-            for where in OF_TOOL[name].locations(model):
-                assert where in allowed
-                for variant in OF_TOOL[name].variants_at(model, where):
-                    for parameter in OF_TOOL[name](model, where, variant).parameters:
-                        assert parameter.name in kind.parameters
-                        assert parameter.unit in kind.parameters[parameter.name]
-
-
-def test_a_result_of_the_tool_becomes_an_answer(suite_folder: Path, tmp_path: Path) -> None:
-    effect = NamedEffect(
-        kind="coulomb_friction", where="joint1",
-        parameters={"torque": 1.0}, interval_95={"torque": (0.9, float("nan"))},
-        ambiguous_with=(EffectLocation(kind="stribeck_friction", where="joint1"),),
-    )  # fmt: skip
-    result = GapResult(verdict="named", gap=Gap(before=3.0, after=1.0), effects=(effect,))
-    answer = answer_of(result, cpu_seconds=2.0)
-    suite = read_suite(suite_folder)
-    file = tmp_path / "answer.json"
-    file.write_text(answer.to_json())
-    assert read_answer(file, next(iter(suite.cases.values())), suite.kinds) == answer
-    assert answer.effects[0].probability == pytest.approx(0.475)
-    assert answer.effects[0].interval_95 == {}
 
 
 def test_the_example_of_the_page_is_an_answer(suite_folder: Path, tmp_path: Path) -> None:

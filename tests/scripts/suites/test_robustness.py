@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from scripts.suites.robustness.__main__ import MOST_BYTES, main, run_case, table, tried
-from scripts.suites.robustness.cases import (
+from scripts.suites.robustness import (
     COMMANDS,
+    MOST_BYTES,
     Case,
     case_of,
     cases,
+    main,
     make_run,
-    mjcf_arms,
-    urdf_arms,
+    run_case,
+    tried,
 )
 
 few = settings(
@@ -30,6 +31,7 @@ few = settings(
 )
 
 
+@pytest.mark.slow
 @few
 @given(case=cases(("doctor", "inspect", "plan")))
 def test_commands_on_anything_end_with_a_result_or_one_line(case: Case, tmp_path_factory) -> None:
@@ -49,25 +51,13 @@ def test_spectra_with_few_lines_are_no_traceback(number: int, tmp_path: Path) ->
     assert outcome in ("result", "refused"), words
 
 
-@settings(few, max_examples=10)
-@given(arm=mjcf_arms())
-def test_generated_arms_compile(arm) -> None:
-    mujoco.MjModel.from_xml_string(arm.text)
-
-
-@settings(few, max_examples=10)
-@given(arm=urdf_arms())
-def test_generated_urdf_arms_compile(arm) -> None:
-    mujoco.MjModel.from_xml_string(arm.text)
-
-
 def test_a_number_is_the_same_case_each_time() -> None:
     first, again = (case_of(7, COMMANDS) for _ in range(2))
     assert first == again != case_of(8, COMMANDS)
     recorded = next(c for k in range(9) if (c := case_of(k, ("gap",))).arm.ending == "xml")
     model = mujoco.MjModel.from_xml_string(recorded.arm.text)
     runs = [make_run(model, recorded.runs[0], 0) for _ in range(2)]
-    np.testing.assert_array_equal(runs[0].time, runs[1].time)
+    np.testing.assert_array_equal(runs[0]["time"], runs[1]["time"])
 
 
 def test_a_case_is_measured_in_a_process_of_its_own() -> None:
@@ -75,14 +65,6 @@ def test_a_case_is_measured_in_a_process_of_its_own() -> None:
     assert found["outcome"] in ("result", "refused") and found["seconds"] > 0
     assert 0 < found["peak_mb"] * 1024**2 < MOST_BYTES
     assert tried(case_of(2, ("gap",)), seconds=0.0)["outcome"] == "late"
-
-
-def test_the_table_counts_outcomes_by_command() -> None:
-    rows = [
-        {"command": "gap", "outcome": "result", "seconds": 2.0, "peak_mb": 100.0},
-        {"command": "gap", "outcome": "traceback", "seconds": 1.0, "peak_mb": 200.0},
-    ]
-    assert "| `loose gap` | 2 | 1 | 0 | 1 | 0 | 0 | 0 | 2.0 | 200 |" in table(rows)
 
 
 def test_the_suite_writes_its_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Belief about one machine, updated by the motions that are measured."""
+"""Belief: measured motions of one machine in, posterior over sets of missing effects out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Comparison of the leading sets of effects by exact fits.
+"""Posterior over sets of effects: all screened by signatures, the leading ones fitted exactly.
 
 The bank's signatures alone screen all sets. Those that lead are then fitted exactly, a pair after
 its members alone, and beside an exact fit of a single effect every second one is screened again,

@@ -1,4 +1,4 @@
-"""Fit of a set of effects to all motions, with exact simulations.
+"""Gauss-Newton fit of a set of effects to all motions by simulation, with its Laplace evidence.
 
 Gauss-Newton: the readings are simulated at the current parameters, and their derivatives begin as
 those of the bank and are corrected by every further simulation (Broyden's update, in sizes and

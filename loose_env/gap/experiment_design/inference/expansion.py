@@ -1,4 +1,4 @@
-"""First-order expansions of a hypothesis's readings, and their least squares.
+"""First-order expansions of a hypothesis's readings, and linear least squares of its parameters.
 
 With the mean residual ȳ_k of motion k over n_k repetitions, in noise standard deviations and in the
 K_k directions of the bank, a hypothesis whose readings are known to be y_k at parameters z_k is

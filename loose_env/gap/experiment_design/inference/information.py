@@ -1,4 +1,4 @@
-"""Expected information and value of motions between the hypotheses that are still open."""
+"""Expected information of each motion [nats], its value in reward, and pairwise gains."""
 
 from __future__ import annotations
 

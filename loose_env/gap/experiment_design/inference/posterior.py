@@ -1,4 +1,4 @@
-"""Posterior over sets of missing effects, and the settings of its inference."""
+"""Posterior over sets of missing effects with their estimates, and settings of its inference."""
 
 from __future__ import annotations
 

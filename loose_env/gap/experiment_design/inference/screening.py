@@ -1,4 +1,4 @@
-"""Screening of all single effects and many pairs about one hypothesis, in closed form.
+"""Screening of single effects and pairs by closed-form log posterior, with linear estimates.
 
 The own parameters of the hypothesis are eliminated once (Schur complement); each effect beside it
 then costs the determinant of a matrix of four rows, each pair that of eight.

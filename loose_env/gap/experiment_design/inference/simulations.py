@@ -1,4 +1,4 @@
-"""Simulations for exact fits: how many are left, and those that are made together beforehand."""
+"""Simulated motions for the exact fits of one comparison, cached and limited in number."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from loose_env.gap.experiment_design.inference.local_models import LocalModels
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.simulation.torque_terms import has_terms
+from loose_env.gap.simulation.applied_torque_terms import has_terms
 from loose_env.typing import Array
 
 _Key = tuple[object, ...]

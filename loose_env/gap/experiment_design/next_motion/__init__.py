@@ -1,4 +1,4 @@
-"""The motion that best separates what runs of a real machine do not tell apart.
+"""Choice of the motion that best separates effects that runs of a real machine do not tell apart.
 
 Data flow: settings -> laplace -> open_pairs -> motion_trials -> limits -> expected_gain ->
 choice -> files.

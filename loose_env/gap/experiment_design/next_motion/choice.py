@@ -1,4 +1,4 @@
-"""The motion that best separates what the runs so far do not tell apart."""
+"""Choice of the next motion: the largest expected gain per time over pairs not yet told apart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Expected gain of motions in log evidence between the answer and each of its rivals.
+"""Expected gain of a motion in log evidence between the fitted effects and each of their rivals.
 
 Both are simulated along a motion, each at its fitted values. Parameters of the effects are worked
 out first, those of the nominal model only where a motion is still promising: with fewer parameters

@@ -1,4 +1,4 @@
-"""Files of the next motion: commands as tables, and how it was chosen."""
+"""Files of the next motion: commands as CSV and Parquet, its reasons as JSON; text lines."""
 
 from __future__ import annotations
 

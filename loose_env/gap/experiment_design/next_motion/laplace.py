@@ -1,4 +1,4 @@
-"""Log evidence of a hypothesis, linearised about its fit (Laplace's approximation).
+"""Laplace approximation of a fitted hypothesis, and the gain of a motion in its log evidence.
 
 Nuisance parameters have the priors of the fit, effects a normal one as wide as their bounds. What
 the fit leaves counts as noise, channel by channel, and autocorrelated rows count once.

@@ -1,4 +1,4 @@
-"""Limits of a machine's motions, and the check of a motion with the corrected model."""
+"""Joint limits from settings, model or recording, and the check of a motion against them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Candidate motions as runs that a hypothesis predicts, in the form of the recorded ones."""
+"""Candidate motions played on the corrected model, and as runs in the recording's columns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pairs of hypotheses that the runs so far do not tell apart, each at its fitted values."""
+"""Fitted rivals of identified effects, and the pairs that the runs so far do not tell apart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings of the next motion."""
+"""Settings of the next motion: limits of speed, reach, torque and time; number of rivals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Backlash: clearance between the drive and the link side of a joint."""
+"""Backlash effect: clearance with stops between drive and link side; shared stop parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Catalogue of the effects that a model can lack, with their locations.
+"""Catalogue of effects: register one, read a file of custom ones, list candidates of a machine.
 
 A new effect is a subclass of `loose_env.gap.model.effect.Effect` in a file of its own; `register`
 adds it to the catalogue. Custom effects are read from a Python file.

@@ -1,4 +1,4 @@
-"""Rotor inertia, the same in every pose, torque ripple, and gear eccentricity.
+"""Effects of a drivetrain: rotor inertia, torque ripple (cogging), and gear eccentricity.
 
 Torque ripple is periodic in the joint's angle, from cogging or gear teeth. An eccentric gear makes
 an error of the measured angle once a turn.

@@ -1,4 +1,4 @@
-"""Friction laws: viscous, Coulomb, Stribeck, and quadratic drag.
+"""Friction effects: viscous, Coulomb, asymmetric, Stribeck, and quadratic drag.
 
 Viscous friction is proportional to speed. Coulomb friction is a constant torque against the motion,
 which holds a joint at rest. Stribeck friction is larger near rest than in motion, so that a slow

@@ -1,4 +1,4 @@
-"""Elasticity: compliant drives, a compliant base, and springs across joints.
+"""Effects of elasticity: compliant joint, spring across a joint, and compliant base.
 
 A compliant drive is a spring and a damper between motor side and link side of a joint. Springs
 across a joint are cables, hoses, balancers. A base on rubber feet, or not bolted down, rocks.

@@ -1,4 +1,4 @@
-"""Link flexibility: a hinge with a spring somewhere along the link."""
+"""Link-flexibility effect: a link cut in two parts with a hinge, a spring and a damper."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Link inertia: mass and centre of a link, payload at the tool, base tilt, and carried weight.
+"""Effects of mass and gravity: link mass and centre, payload, base tilt, gravity compensation.
 
 A tilted base changes the direction of gravity. A balancer or the drives carry the weight of links.
 """

@@ -1,4 +1,4 @@
-"""Structural looseness: a link slides on its seat within a clearance.
+"""Structural-looseness effect: a link that slides on its seat within a clearance with stops.
 
 The direction of the slide is estimated from accelerometer residuals at the tool. The response of
 the tool to a slide is known from the model: the tool moves with the link, and the joints, which no

@@ -1,4 +1,4 @@
-"""Actuator configurations of mjlab and of Isaac Lab, as Python text.
+"""Export of actuator configurations for mjlab and for Isaac Lab, as Python text.
 
 Fields are those of ``mjlab.actuator`` 1.6 (``ActuatorCfg``, ``DcMotorActuatorCfg`` and the classes
 ``Builtin...Cfg``) and of ``isaaclab.actuators`` 2.3 (``ActuatorBaseCfg``, ``IdealPDActuatorCfg``,

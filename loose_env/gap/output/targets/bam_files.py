@@ -1,4 +1,4 @@
-"""Servo friction as parameter files of BAM (Better Actuator Models, Rhoban).
+"""Export of servo friction as parameter files of BAM (Better Actuator Models, Rhoban).
 
 A file of BAM has the keys ``model`` ("m1" to "m6") and ``actuator``, and parameters by name:
 ``bam.model.load_model`` of better-actuator-models 1.0 reads it. Its friction is ``friction_base`` +

@@ -1,4 +1,4 @@
-"""Joints and drives of a corrected model, in the terms of actuator configurations.
+"""Joints and drives read from a compiled model: PD gains, effort limit, delay, friction.
 
 A drive with an affine force law, force = k u + b0 + b1 x + b2 v with gear g and damping d, is a PD
 controller at the joint with stiffness -g² b1 and damping g² (d - b2), as MuJoCo documents for

@@ -1,4 +1,4 @@
-"""Export of a result to one of the targets."""
+"""Export of a result to mujoco.sysid, mjlab, Isaac Lab, URDF, BAM or ranges, as files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameters of a corrected MJCF model that the named effects set, with nominal and bounds.
+"""MJCF attributes that identified effects set: value, nominal value and bounds of each.
 
 An effect such as viscous friction adds to one attribute of the model. The nominal value of that
 attribute is its value in the corrected model less the effect; its bounds are the 95 % interval of

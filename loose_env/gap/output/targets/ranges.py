@@ -1,4 +1,4 @@
-"""Ranges for domain randomisation from the 95 % intervals, as JSON for any trainer.
+"""Export of domain-randomisation ranges from the 95 % intervals, as JSON.
 
 The form is ``loose-ranges/1``. Each range has the parameter's effect, location, unit and interval;
 where the parameter is one attribute of MJCF, also that attribute with its absolute range.

@@ -1,4 +1,4 @@
-"""A result with its corrected model, and what an export makes of both.
+"""Input of an export (result, corrected model), its output, and sentences on what it leaves out.
 
 An export carries some kinds of effects; `not_carried` lists all others by name, so that none is
 lost unnoticed.

@@ -1,4 +1,4 @@
-"""Named effects as a ``ParameterDict`` of ``mujoco.sysid``.
+"""Export of identified effects as a ``ParameterDict`` of ``mujoco.sysid``, Python and YAML.
 
 ``parameters.py`` builds the dictionary with a modifier for each parameter that is one attribute of
 MJCF; ``parameters.yaml`` has the same values in the form that ``ParameterDict.load_from_disk``

@@ -1,4 +1,4 @@
-"""Joint friction as ``<dynamics damping= friction=>`` of URDF.
+"""Export of joint friction as ``<dynamics damping= friction=>`` tags of URDF.
 
 The URDF specification defines ``damping`` [N·m·s/rad, N·s/m] and ``friction``, the static friction
 [N·m, N], as attributes of ``<dynamics>`` in a ``<joint>`` (wiki.ros.org/urdf/XML/joint).

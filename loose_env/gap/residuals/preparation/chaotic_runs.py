@@ -1,4 +1,4 @@
-"""Detection of chaotic random-excitation runs, which are compared by features.
+"""Names of chaotic random-excitation runs, which are compared by features, not by samples.
 
 After an impact two simulations diverge within milliseconds. Where slightly stiffer stops or a
 slightly different initial state would change the simulated trajectory entirely, the trajectory

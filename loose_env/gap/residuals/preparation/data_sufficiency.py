@@ -1,4 +1,4 @@
-"""Data sufficiency checks: recordings too short or with too little motion."""
+"""Notes on recordings that are too short or have too little motion to identify effects."""
 
 from __future__ import annotations
 

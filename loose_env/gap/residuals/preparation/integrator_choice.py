@@ -1,4 +1,4 @@
-"""Choice of integrator and time step, so that step error is below sensor noise.
+"""Choice of integrator and time step, so that step error is below sensor noise, with notes.
 
 A semi-implicit integrator is late by half a step, which encoders resolve. A fourth-order
 Runge-Kutta method is accurate enough at the sample interval for most arms. The step error is

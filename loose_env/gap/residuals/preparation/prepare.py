@@ -1,4 +1,4 @@
-"""Preparation of a recording: alignment, hold-out split, windows, step and noise."""
+"""Preparation of a recording (GapProblem): alignment, hold-out split, windows, step, noise."""
 
 from __future__ import annotations
 

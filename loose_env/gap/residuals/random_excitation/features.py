@@ -1,4 +1,4 @@
-"""Features of chaotic random-excitation runs: statistics, not trajectories.
+"""Features of random-excitation runs: means, response to the command, incoherent power; whitened.
 
 After an impact two simulations diverge within milliseconds, so an impact-dominated run is compared
 by reproducible statistics: means, the linear response to the command (gain and phase in bands), and

@@ -1,4 +1,4 @@
-"""Coherent and incoherent parts of readings under a random command."""
+"""Linear response of readings to a random command by segment, and the incoherent remainder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Means, and gain and phase of the response to a random command, by channel."""
+"""Means, and gain and phase of the response to a random command, as features of each channel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Power, covariance and cumulants of the incoherent part of readings."""
+"""Power, covariance and cumulants of the incoherent part of readings, as features of a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Impact pass: search for a part with stops in the unexplained residual.
+"""Impact pass: refits, adds a part with stops by impact power, and drops proxies for it.
 
 The impacts of a part against its stops cannot be identified sample by sample. The effects found so
 far are refitted with each channel weighted by its residual, the part is identified by its impact
@@ -24,7 +24,7 @@ from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.deletion import at_bound, worse_quantity
 from loose_env.gap.selection.impacts.impact_power import ImpactPower
 from loose_env.gap.selection.impacts.impact_search import ImpactFit, find_impacts
-from loose_env.gap.selection.revision import drop_insignificant, refit_without
+from loose_env.gap.selection.swap_step import drop_insignificant, refit_without
 from loose_env.gap.settings import GapSettings
 
 

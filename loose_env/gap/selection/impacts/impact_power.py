@@ -1,4 +1,4 @@
-"""Comparison of impact-dominated runs by the power and timing of their impacts.
+"""Residual model that compares runs by the power of their impacts, in bands and stretches.
 
 When a part slides between stops, two simulations that differ in the last digit of its friction soon
 have impacts at different times, and sample by sample the residual of the correct model exceeds that

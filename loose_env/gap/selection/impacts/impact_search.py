@@ -1,4 +1,4 @@
-"""Identification of a part with stops by its impact power.
+"""Search for a part with stops (backlash, loose link), fitted to the impact power of runs.
 
 The search compares sample by sample, where a loose link with hard impacts has a larger residual
 than no effect at all. Where it ends with an unexplained residual, parts with stops are fitted again

@@ -1,4 +1,4 @@
-"""Starting values from data: residual torques and residual accelerations.
+"""Starting values of effects from data: residual torques and residual accelerations of runs.
 
 The motion of runs with commands is smoothed and put into the inverse dynamics of the model, and the
 result is subtracted from the actuator torque at the measured commands and state; runs with measured
@@ -25,8 +25,8 @@ from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.gap.selection.screening.stiffness_starts import joint_stiffness
+from loose_env.gap.simulation.applied_torque_terms import torque_terms
 from loose_env.gap.simulation.driven_effects import Driven
-from loose_env.gap.simulation.torque_terms import torque_terms
 from loose_env.statistics import resolution_of
 from loose_env.typing import Array
 

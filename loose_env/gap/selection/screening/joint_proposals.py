@@ -1,4 +1,4 @@
-"""Sets of candidates that explain a residual together, from one linearised problem.
+"""Sets of candidates that explain a residual together, from one linearised least-squares problem.
 
 Two effects that mix may each explain little alone, or a third one explain a little of both and rank
 first. The signatures of all candidates and the sensitivities of the current parameters are columns

@@ -1,4 +1,4 @@
-"""Linearised problem of the current fit, and of what is added to it, within all bounds."""
+"""Linearised bounded least squares of the current fit, with signatures of candidates added."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sets of effects in place of an answer: the linearised problem of all candidates at its fit.
+"""Sets of effects that may replace those of a fitted answer, linearised about its fit.
 
 What was named first was chosen for what it explains of all that is missing, at the nominal model.
 Two shifts of a centre of mass may have stood in for a load and an offset, and no single exchange

@@ -1,4 +1,4 @@
-"""Screening: ranks candidates by predicted explained variance; it never decides.
+"""Screening of candidates: ranked by predicted explained variance, one simulation per start.
 
 Every candidate is simulated once from each of its starts, on top of the current fit: with a cheaper
 integrator, but for springs in simulated runs. The resulting change of the residual is its

@@ -1,4 +1,4 @@
-"""Signatures: the change of the residual with an effect at one of its starts."""
+"""Signatures: change of the residual by each candidate effect at each of its starting values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.residuals.progress import counted
 from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.selection.screening.grouping import joint_of
+from loose_env.gap.selection.screening.confusable_effects import joint_of
 from loose_env.gap.simulation.sensor_timing import changes_within
 from loose_env.typing import Array
 

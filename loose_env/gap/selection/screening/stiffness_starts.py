@@ -1,4 +1,4 @@
-"""Stiffness of compliant joints from measured torques, to start fits of torque against motion.
+"""Stiffness of compliant joints from measured torques, as starting values of their fits.
 
 Behind a compliant joint the link is where the joint is read, less the torque behind its rotor over
 the stiffness (Spong, J. Dyn. Syst. Meas. Control 109, 1987, 310, solved for what is measured). What

@@ -1,4 +1,4 @@
-"""Fits of candidates to windows of the runs, in stages: those far behind are left out early.
+"""Fits of candidates to windows of the runs, in stages that drop those far behind.
 
 Such a fit ranks a candidate among others and gives the fit to all data a start; it need not
 converge.

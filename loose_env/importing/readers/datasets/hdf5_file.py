@@ -1,4 +1,4 @@
-"""Demonstrations of an HDF5 file as robomimic writes it: ``data/demo_0/obs/joint_pos``."""
+"""Channels of demonstrations in an HDF5 file as robomimic writes it, read and listed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Episodes of a LeRobot dataset, versions 2.0, 2.1 and 3.0: Parquet tables and ``meta/``."""
+"""Channels of a LeRobot dataset, versions 2.0, 2.1 and 3.0, read by episode and listed."""
 
 from __future__ import annotations
 

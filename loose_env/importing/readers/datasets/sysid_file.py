@@ -1,4 +1,4 @@
-"""Time series and trajectories that ``mujoco.sysid`` saves as ``.npz``."""
+"""Signals of time series that ``mujoco.sysid`` saves as ``.npz``, read and listed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Entries of vectors: ``observation.state[elbow.pos]``, ``obs/joint_pos[2]``, ``action``."""
+"""Channel names of vector entries, split and numbered: ``obs/joint_pos[2]``, ``action``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Paths to numbers in a message: ``position[elbow]``, ``linear_acceleration.x``."""
+"""Paths to numbers in a message, such as ``position[elbow]``; fields and time stamps of one."""
 
 from __future__ import annotations
 

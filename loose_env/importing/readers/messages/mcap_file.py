@@ -1,4 +1,4 @@
-"""Channels of topics: those that a mapping asks for, or a list of all."""
+"""Channels read from the topics of an MCAP file or of any messages, or listed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The records of an MCAP file, one after the other, none larger than a file may ask for.
+"""Messages of an MCAP file one after the other, with limits on the sizes that it declares.
 
 Records are taken apart by the ``mcap`` library. Which bytes it is given is decided here: its own
 reader trusts the sizes that a file declares, and a chunk of a few bytes can declare any.

@@ -1,4 +1,4 @@
-"""Channels of a rosbag2 folder: ``metadata.yaml`` and files of MCAP or SQLite."""
+"""Channels of a rosbag2 folder (MCAP or SQLite files), read and listed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Correlation loops for the report: tool motion against the excited joint."""
+"""Correlation loops of a run for the report: tool motion against the excited joint's motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Free travel of a seat from its motion and the force across it over time.
+"""Free travel of the most likely loose seat, from its motion and the force across it over time.
 
 The fit gives the seat's acceleration at every line of a run. Integrated twice that is the seat's
 path, and the arm's equation of motion gives the force across it, with gravity's static load. Inside

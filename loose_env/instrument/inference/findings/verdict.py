@@ -1,4 +1,4 @@
-"""Verdict of a diagnosis: healthy, faulty, open, or a model that is not the arm's."""
+"""Verdict of a diagnosis (healthy, faulty, open, wrong model), with reasons if unsettled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Warnings that limit the validity of a diagnosis."""
+"""Warnings that limit the validity of a diagnosis: of the runs, of the model, of the fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Elastic coordinates of an arm: gears, links and the base, with uncertain stiffness.
+"""Elastic coordinates of an arm: gears, links and base, with prior medians of their stiffness.
 
 Every real arm is elastic. Each gear turns; each link bends about the two axes across its length, as
 a hinge at a third of it (a beam that is clamped at its root and loaded at its end, by Euler and

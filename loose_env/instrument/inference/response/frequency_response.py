@@ -1,4 +1,4 @@
-"""Frequency response of the uncertain arm to commands and seat motion."""
+"""Frequency response of the uncertain arm to commands and seat motion; spectral leakage."""
 
 from __future__ import annotations
 

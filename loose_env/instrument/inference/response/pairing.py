@@ -1,4 +1,4 @@
-"""Runs beside the same runs of the healthy arm, ready to be evaluated."""
+"""Spectral lines of runs under test, paired with healthy references, leakage predicted."""
 
 from __future__ import annotations
 

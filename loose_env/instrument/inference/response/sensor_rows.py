@@ -1,4 +1,4 @@
-"""Readings per motion of the arm: sensors' places, axes, gains and sampling."""
+"""Sensor matrices of a linear arm: readings per displacement, sensors' own gains, command steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Clock offset of the accelerometers, and delay and bandwidth of the servos.
+"""Clock offset of the accelerometers (estimate, correction), and delay and bandwidth of servos.
 
 Recorders of their own have clocks of their own. The acceleration that the measured motion of the
 joints makes at a site is known from the kinematics alone; the delay at which it agrees best with

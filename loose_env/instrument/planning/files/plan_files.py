@@ -1,4 +1,4 @@
-"""Files of a plan: ``plan.json``, signal, and empty recording.
+"""Files of a plan: ``plan.json``, signal, and empty recording; columns that a run should have.
 
 ``DIR/recording`` is a recording in the making: its model has every actuator and sensor that runs
 can name, its ``recording.json`` lists the runs measured so far and the ones planned now. Put the

@@ -1,4 +1,4 @@
-"""Folder of a plan: its own files, the runs measured so far, and the recording in the making."""
+"""Folder of a plan: names, measured runs, recording to be filled; a plan read back."""
 
 from __future__ import annotations
 

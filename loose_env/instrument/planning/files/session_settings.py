@@ -1,4 +1,4 @@
-"""Settings of a plan, kept for the diagnosis of its runs and for the next plan."""
+"""Settings kept in a plan's folder, for the diagnosis of its runs and for the next plan."""
 
 from __future__ import annotations
 

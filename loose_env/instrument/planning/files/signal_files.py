@@ -1,4 +1,4 @@
-"""Files of signals and of the move to the pose: CSV, Parquet and JointTrajectory."""
+"""Tables of signals and of the move to the pose: CSV, Parquet, JointTrajectory; file names."""
 
 from __future__ import annotations
 

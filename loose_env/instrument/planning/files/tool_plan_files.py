@@ -1,4 +1,4 @@
-"""Files of a plan whose tool is struck or shaken: ``plan.json``, recording, way to the pose."""
+"""Runs and files of a plan whose tool is struck or shaken: ``plan.json`` and recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Band and level that the limits of a controller leave, and the band that detects most in them."""
+"""Band and level of excitation within the limits of a controller, chosen for detectability."""
 
 from __future__ import annotations
 

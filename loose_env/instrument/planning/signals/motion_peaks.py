@@ -1,4 +1,4 @@
-"""Peaks of speed, acceleration, jerk and torque rate of a run, beside their limits."""
+"""Peak speed, acceleration, jerk and torque rate of joints and commands, beside their limits."""
 
 from __future__ import annotations
 

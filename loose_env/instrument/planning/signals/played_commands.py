@@ -1,4 +1,4 @@
-"""Commands by kind: of the model's actuators, torque, position or velocity of the joints."""
+"""Commands that play a noise torque, as actuator, torque, position or velocity columns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signal of a measurement: actuator commands and their predicted response.
+"""Signal of a measurement: actuator commands scaled to limits, and their predicted response.
 
 The noise is periodic in the record: its linear answer is known line by line, so peaks of torque,
 of travel and of the command are known before anything moves, and the signal is scaled down until

@@ -1,4 +1,4 @@
-"""Plan of runs whose tool is struck by a hammer or shaken by a shaker with a force sensor.
+"""Plan of runs whose tool is struck or shaken: pose, directions of force, way to the pose.
 
 A force along u at the tool makes the joints move by x = Z⁻¹ J_xᵀ u, and the closed seat of a link
 transmits Q = M_sx a_x - J_sᵀ u. With the rms force F it opens against its static load W by about

@@ -1,4 +1,4 @@
-"""Move from one pose to another within the limits of the joints, all joints in step."""
+"""Move from one pose to another within joint limits, by a fifth-order polynomial in time."""
 
 from __future__ import annotations
 

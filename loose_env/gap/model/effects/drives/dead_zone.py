@@ -1,4 +1,4 @@
-"""Dead zone of a servo's position error, or of a motor's command."""
+"""Dead-zone effect: a servo's position error or a motor's command without torque if small."""
 
 from __future__ import annotations
 

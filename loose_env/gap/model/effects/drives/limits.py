@@ -1,4 +1,4 @@
-"""Limits of drives: of the torque, and of the voltage with back-EMF."""
+"""Effects that limit a drive: torque saturation, and voltage saturation with back-EMF."""
 
 from __future__ import annotations
 

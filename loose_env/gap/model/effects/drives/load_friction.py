@@ -1,4 +1,4 @@
-"""Friction that grows with the torque through the gear."""
+"""Load-dependent friction effect: dry friction proportional to the drive's torque."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Torque constant: measured torque, or current times a constant, against the true torque."""
+"""Torque-constant effect: factor between a joint's measured torque and the true one."""
 
 from __future__ import annotations
 

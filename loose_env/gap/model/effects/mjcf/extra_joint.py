@@ -1,4 +1,4 @@
-"""Extra joints that an effect adds to a link, behind the link's own."""
+"""Extra joint added to a link of an MJCF spec, its stops and motor-side inertia."""
 
 from __future__ import annotations
 

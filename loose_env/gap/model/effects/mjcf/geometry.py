@@ -1,4 +1,4 @@
-"""Geometry of a machine: plane of motion, reach, and the ends of its links."""
+"""Geometry of a machine: normal of its plane, reach, ends of links, frame about an axis."""
 
 from __future__ import annotations
 

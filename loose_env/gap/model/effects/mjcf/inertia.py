@@ -1,4 +1,4 @@
-"""Explicit mass, centre and inertia of a body of a spec, read and written."""
+"""Explicit mass, centre and inertia of a body of an MJCF spec, read and written."""
 
 from __future__ import annotations
 

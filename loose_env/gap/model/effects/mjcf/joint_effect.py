@@ -1,4 +1,4 @@
-"""Base of effects at a joint: locations, units, and scales of the joint."""
+"""Base class JointEffect; unit of a joint's angle, unused element names, least-squares rate."""
 
 from __future__ import annotations
 

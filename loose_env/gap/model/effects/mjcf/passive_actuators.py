@@ -1,4 +1,4 @@
-"""Passive actuators without input: torques that MuJoCo has as actuators only."""
+"""Passive actuators in an MJCF spec: cogging, constant torque, damper; stiff dry friction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Columns of sensors in the recording, with their units and typical sizes."""
+"""Columns of sensors in a recording, their units, and the smallest change that matters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Splits a body by moving its children to another one, to insert a joint."""
+"""Split of a body in an MJCF spec: its children, sites and geoms moved to a new body."""
 
 from __future__ import annotations
 

@@ -1,0 +1,821 @@
+"""Layouts of action and observation spaces: coding, name, unit and bounds of each entry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from loose_env.arms import Arm, held_inertia
+from loose_env.diagnosis import LinkReadings, Prediction, RecordStatistics, link_axes
+from loose_env.envs.settings import DiagnosisSettings
+from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
+from loose_env.typing import Array
+
+
+def checked_indices(name: str, given: Any, choices: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return indices (n,) of choices, each a whole number from 0 to below its choices (n,)."""
+    try:
+        found = np.asarray(given)
+    except ValueError:  # rows of different length
+        found = np.array(None)
+    whole = found.dtype.kind in "iu" or (
+        found.dtype.kind == "f" and bool(np.all(found == np.round(found)))
+    )
+    inside = found.shape == choices.shape and whole and np.all((found >= 0) & (found < choices))
+    if not inside:
+        most = (choices - 1).tolist()
+        if len(set(most)) == 1:
+            most = most[:1]
+        raise InvalidAction(
+            f"{name}: {len(choices)} whole numbers from 0 to {most if len(most) > 1 else most[0]}, "
+            f"got {found.tolist()!r:.80}"
+        )
+    return found.astype(np.intp)
+
+
+class JointPose:
+    """Two numbers for every joint, each from -1 to 1.
+
+    A hinge is its sine and its cosine. A slide is its position within its range, -1 at the low
+    end and 1 at the high end, and a zero.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
+        self.slides = np.flatnonzero(arm.sliding)
+        """Joints that slide."""
+        limits = np.array([(0.0, 0.0) if r is None else r for r in arm.joint_ranges])
+        self.middle = limits.mean(axis=1)
+        """Middle of each joint's range; 0 for one that turns without end [rad or m] (n,)."""
+        self.width = limits[:, 1] - limits[:, 0]
+        """Width of each joint's range; 0 for one that turns without end [rad or m] (n,)."""
+        for j in self.slides:
+            if not self.width[j] > 0:
+                raise InvalidSetting(
+                    f"joint {arm.joints[j]!r} of arm {arm.name!r} slides and has the range "
+                    f"{arm.joint_ranges[j]}; its moves and its place in an observation are "
+                    "shares of a range: give (low, high) in metres"
+                )
+
+    @property
+    def elements(self) -> Iterator[tuple[str, str]]:
+        """Name and unit of every number, in the order of the observation."""
+        for part, of_slide, unit in (
+            ("sin_pose", "position", "of range"),
+            ("cos_pose", "unused", "1"),
+        ):
+            for joint, slides in zip(self.arm.joints, self.arm.sliding, strict=True):
+                yield (f"{part}.{joint}_{of_slide}", unit) if slides else (f"{part}.{joint}", "1")
+
+    def numbers(self, pose: Array) -> tuple[Array, Array]:
+        """Turn poses [rad or m] (..., n) into their first and their second numbers (..., n)."""
+        first, second, k = np.sin(pose), np.cos(pose), self.slides
+        if len(k):
+            first[..., k] = 2 * (pose[..., k] - self.middle[k]) / self.width[k]
+            second[..., k] = 0.0
+        return first, second
+
+    def pose(self, first: Array, second: Array) -> Array:
+        """Turn numbers (..., n) back into poses (..., n) [rad or m].
+
+        A hinge may be off by whole turns: it is given as near the middle of its range as can be.
+        """
+        found = np.arctan2(first, second)
+        found = found + 2 * np.pi * np.round((self.middle - found) / (2 * np.pi))
+        k = self.slides
+        found[..., k] = self.middle[k] + 0.5 * self.width[k] * first[..., k]
+        return np.asarray(found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Action:
+    """A decoded action."""
+
+    moves: NDArray[np.intp]
+    """Index into the moves, one for each joint (n,)."""
+    levels: NDArray[np.intp]
+    """Excitation level of each joint, 0 for off (n,)."""
+    duration: float
+    """Record length [s]."""
+    verdict: int
+    """0 to go on, k to name the k-th hypothesis and end, the last choice to end unsure."""
+
+
+class ActionLayout:
+    """Layout of the `MultiDiscrete` action, and the choices that are allowed.
+
+    Moves have an entry for each joint, and so has the excitation. Where the settings allow fewer
+    joints at once (`max_moved`, `max_excited`), there is an entry for each of those allowed
+    instead: 0 for none, then every joint with every move (or level) that it can have, base first.
+    So a mask can say of every choice whether it is allowed. Of two entries for one joint the first
+    move counts, and the higher level.
+
+    Parameters
+    ----------
+    arm : Arm
+        The arm.
+    settings : DiagnosisSettings
+        Settings of the environment.
+    hypotheses : int
+        Number of hypotheses.
+
+    Raises
+    ------
+    InvalidSetting
+        If a joint slides without limits, or more joints than the arm has may move or be excited.
+    """
+
+    def __init__(self, arm: Arm, settings: DiagnosisSettings, hypotheses: int) -> None:
+        self.arm, self.settings, self.hypotheses = arm, settings, hypotheses
+        n = arm.n
+        for name in ("max_moved", "max_excited"):
+            most = getattr(settings, name)
+            if most is not None and most > n:
+                raise InvalidSetting(
+                    f"{name} is 1 to {n} on arm {arm.name!r}, its number of joints, got {most}; "
+                    "leave it out for no limit"
+                )
+        self.stay = settings.stay
+        self.moves = np.radians(settings.moves)
+        """Relative moves of a hinge [rad] (moves,)."""
+        shown = JointPose(arm)
+        share = np.where(arm.sliding, shown.width / np.pi, 1.0)
+        self.steps = share[:, None] * self.moves
+        """Change of each joint by each move [rad, m where it slides] (n, moves)."""
+        endless = (-np.inf, np.inf)
+        limits = np.array([endless if r is None else r for r in arm.joint_ranges], dtype=float)
+        self._low, self._high = limits[:, :1] - 1e-9, limits[:, 1:] + 1e-9
+        self._others = np.delete(np.arange(len(settings.moves)), self.stay)
+        self._few_moved = settings.max_moved is not None and settings.max_moved < n
+        self._few_excited = settings.max_excited is not None and settings.max_excited < n
+        self.most_moved = min(settings.max_moved or n, n)
+        """Joints that may move before a record, and entries for them."""
+        self.most_excited = min(settings.max_excited or n, n)
+        """Joints that may be excited in a record, and entries for them."""
+        move_choices = 1 + n * len(self._others) if self._few_moved else len(settings.moves)
+        level_choices = 1 + (n if self._few_excited else 1) * len(arm.levels)
+        self.nvec = np.array(
+            [move_choices] * self.most_moved
+            + [level_choices] * self.most_excited
+            + [len(settings.durations), 2 + hypotheses]
+        )
+
+    @property
+    def unsure(self) -> int:
+        """The verdict entry's choice that names nothing, its last one."""
+        return 1 + self.hypotheses
+
+    @property
+    def space(self) -> spaces.MultiDiscrete:
+        """The action space."""
+        return spaces.MultiDiscrete(self.nvec)
+
+    def decode(self, action: Any) -> Action:
+        """Check an action and take it apart.
+
+        A record without excitation shows nothing: where every joint is off, the last one is
+        excited at its top level. A mask could not forbid it, for it has a place for each choice
+        and none for a combination of choices.
+
+        Raises
+        ------
+        InvalidAction
+            If it is not one whole number in range for every entry.
+
+        Examples
+        --------
+        >>> from loose_env.arms import planar
+        >>> layout = ActionLayout(planar(3), DiagnosisSettings(max_excited=1), hypotheses=7)
+        >>> layout.nvec.tolist()
+        [5, 5, 5, 10, 3, 9]
+        >>> layout.decode([2, 2, 2, 5, 0, 0]).levels.tolist()
+        [0, 2, 0]
+        """
+        form = (
+            f"an action ({self.most_moved} for moves, {self.most_excited} for levels of "
+            f"{self.arm.n} joints, a record length, a verdict)"
+        )
+        whole_numbers = checked_indices(form, action, self.nvec)
+        levels = self._levels_of(whole_numbers[self.excitation])
+        if not levels.any():
+            levels[-1] = len(self.arm.levels)
+        return Action(
+            moves=self._moves_of(whole_numbers[: self.most_moved]),
+            levels=levels,
+            duration=self.settings.durations[int(whole_numbers[-2])],
+            verdict=int(whole_numbers[-1]),
+        )
+
+    @property
+    def excitation(self) -> slice:
+        """Entries of the excitation."""
+        return slice(self.most_moved, self.most_moved + self.most_excited)
+
+    def code(self, action: Any) -> str:
+        """Write an action as its number among all actions, in base 36.
+
+        Raises
+        ------
+        InvalidAction
+            As `decode` does.
+
+        Examples
+        --------
+        >>> from loose_env.arms import planar
+        >>> layout = ActionLayout(planar(2), DiagnosisSettings(), hypotheses=5)
+        >>> layout.code([2, 2, 0, 3, 2, 0])
+        '365'
+        >>> layout.from_code("365").tolist()
+        [2, 2, 0, 3, 2, 0]
+        """
+        self.decode(action)
+        number = 0
+        for entry, choices in zip(np.asarray(action).tolist(), self.nvec.tolist(), strict=True):
+            number = number * choices + int(entry)
+        return str(np.base_repr(number, 36)).lower()
+
+    def from_code(self, code: str) -> NDArray[np.int64]:
+        """Read an action that `code` wrote.
+
+        Raises
+        ------
+        InvalidAction
+            If it stands for no action.
+        """
+        try:
+            number = int(code, 36)
+        except ValueError:
+            number = -1
+        entries = []
+        for choices in self.nvec[::-1].tolist():
+            number, entry = divmod(number, choices)
+            entries.append(entry)
+        if number != 0:
+            raise InvalidAction(
+                f"{code!r:.40} is not the number of an action, in base 36: there are "
+                f"{math.prod(self.nvec.tolist())} actions"
+            )
+        return np.array(entries[::-1], dtype=np.int64)
+
+    def _moves_of(self, entries: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Move of each joint (n,)."""
+        if not self._few_moved:
+            return entries
+        moves = np.full(self.arm.n, self.stay, dtype=np.intp)
+        for entry in entries[entries > 0]:
+            joint, k = divmod(int(entry) - 1, len(self._others))
+            if moves[joint] == self.stay:
+                moves[joint] = self._others[k]
+        return moves
+
+    def _levels_of(self, entries: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Level of each joint (n,)."""
+        if not self._few_excited:
+            return entries
+        levels = np.zeros(self.arm.n, dtype=np.intp)
+        for entry in entries[entries > 0]:
+            joint, k = divmod(int(entry) - 1, len(self.arm.levels))
+            levels[joint] = max(levels[joint], k + 1)
+        return levels
+
+    def encode(
+        self,
+        *,
+        moves: NDArray[np.intp] | None = None,
+        levels: NDArray[np.intp] | None = None,
+        duration: int | None = None,
+        verdict: int = 0,
+    ) -> NDArray[np.int64]:
+        """Build an action; by default stay, no levels, the longest record, go on.
+
+        Of more joints than may move or be excited at once, the first ones from the base move, and
+        those of the highest levels are excited.
+
+        Parameters
+        ----------
+        moves : ndarray (n,), optional
+            Index of each joint's move.
+        levels : ndarray (n,), optional
+            Level of each joint, 0 for none.
+        duration : int, optional
+            Index of the duration.
+        verdict : int
+            0 to go on, else 1 and the index of the verdict.
+
+        Raises
+        ------
+        InvalidAction
+            If one of them is of another shape, or no index there.
+        """
+        settings, n, stay = self.settings, self.arm.n, self.stay
+        longest = int(np.argmax(settings.durations))
+        moved, excited = np.full(n, stay), np.zeros(n, dtype=np.intp)
+        if moves is not None:
+            moved = checked_indices("moves", moves, np.full(n, len(settings.moves)))
+        if levels is not None:
+            excited = checked_indices("levels", levels, np.full(n, len(self.arm.levels) + 1))
+        given = [longest if duration is None else duration, verdict]
+        ends = checked_indices("duration and verdict", given, self.nvec[-2:])
+        action = np.zeros(len(self.nvec), dtype=np.int64)
+        if self._few_moved:
+            chosen = np.flatnonzero(moved != stay)[: self.most_moved]
+            place = np.searchsorted(self._others, moved[chosen])
+            action[: len(chosen)] = 1 + chosen * len(self._others) + place
+        else:
+            action[: self.most_moved] = moved
+        entries = action[self.excitation]
+        if self._few_excited:
+            best = np.argsort(-excited, kind="stable")[: self.most_excited]
+            chosen = np.sort(best[excited[best] > 0])
+            entries[: len(chosen)] = chosen * len(self.arm.levels) + excited[chosen]
+        else:
+            entries[:] = excited
+        action[-2:] = ends
+        return action
+
+    def strongest_options(self) -> NDArray[np.intp]:
+        """Places, among all options one after the other, of top levels and longest record (K,)."""
+        first = np.cumsum(self.nvec) - self.nvec
+        top = len(self.arm.levels) * np.arange(1, (self.arm.n if self._few_excited else 1) + 1)
+        levels = (first[self.excitation][:, None] + top).ravel()
+        return np.append(levels, first[-2] + int(np.argmax(self.settings.durations)))
+
+    def allowed_moves(self, pose: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return the moves that keep each joint within its range (n, moves)."""
+        target = pose[:, None] + self.steps
+        allowed = (target >= self._low) & (target <= self._high)
+        allowed[:, self.stay] = True
+        return np.asarray(allowed)
+
+    def few_moves(self, moves: NDArray[np.intp], rng: np.random.Generator) -> NDArray[np.intp]:
+        """Let only as many joints move as may at once, drawn anew in each row of moves (K, n).
+
+        From ``rng`` nothing is taken where all of them may.
+        """
+        if not self._few_moved:
+            return moves
+        rank = np.argsort(np.argsort(rng.random(moves.shape), axis=-1), axis=-1)
+        return np.where(rank < self.most_moved, moves, self.stay)
+
+    def allows_unsure(self, records: int, measured: int) -> bool:
+        """Return whether "unsure" may be said after so many records, so many of them measured."""
+        settings = self.settings
+        enough = measured >= settings.unsure_after or records >= settings.max_records
+        return measured > 0 and enough
+
+    def mask(self, pose: NDArray[np.float64], records: int, measured: int) -> NDArray[np.bool_]:
+        """Allowed choices of all entries, one after the other, as MaskablePPO takes them.
+
+        Parameters
+        ----------
+        pose : ndarray (n,)
+            Where the arm is [rad, m where a joint slides].
+        records, measured : int
+            Records taken, and those among them that show something.
+        """
+        verdicts = self.hypotheses + 1
+        last = records >= self.settings.max_records
+        mask = np.ones(int(self.nvec.sum()), dtype=bool)
+        moves = int(self.nvec[: self.most_moved].sum())
+        allowed = self.allowed_moves(pose)
+        if self._few_moved:
+            entry = np.concatenate([[True], allowed[:, self._others].ravel()])
+            mask[:moves] = np.tile(entry, self.most_moved)
+        else:
+            mask[:moves] = allowed.ravel()
+        if self._few_excited:
+            mask[moves] = False  # a record without excitation shows nothing
+        mask[-verdicts - 1] = not last
+        mask[-verdicts:-1] = last or measured > 0
+        mask[-1] = self.allows_unsure(records, measured)
+        return mask
+
+
+Scaling = Literal["linear", "log10", "asinh"]
+_AXES = "xyz"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Element:
+    """One number of the observation."""
+
+    name: str
+    """Name; elements of record k start with ``record<k>.``."""
+    unit: str
+    """Unit before scaling; 1 for a pure number."""
+    scaling: Scaling
+    """Linear: value / scale. log10: log10(value / scale). asinh: asinh(value / scale)."""
+    scale: float
+    """Scale, in the element's unit."""
+    low: float
+    """Lower bound after scaling; smaller values are clipped to it."""
+    high: float
+    """Upper bound after scaling."""
+
+
+def global_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
+    """Elements of the pose and of what has been spent."""
+
+    def linear(name: str, unit: str, scale: float, low: float, high: float) -> Element:
+        return Element(name=name, unit=unit, scaling="linear", scale=scale, low=low, high=high)
+
+    for name, unit in JointPose(arm).elements:
+        yield linear(f"now.{name}", unit, 1.0, -1.0, 1.0)
+    yield linear("spent.records", "1", 1.0, 0.0, 1.0)
+    longest = settings.max_records * max(settings.durations)
+    yield linear("spent.seconds", "s", longest, 0.0, 1.0)
+    most = settings.max_records * arm.n * len(arm.levels)
+    yield linear("spent.levels", "1", float(most), 0.0, 1.0)
+    yield linear("left.records", "1", 1.0, 0.0, 1.0)
+
+
+def slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
+    """Elements of one record; those of accelerometers on links come last, where there are any."""
+    axes = [_AXES[a] for a in arm.axes]
+    pairs = [(a, b) for i, a in enumerate(axes) for b in axes[i + 1 :]]
+    products = [(a, b) for i, a in enumerate(axes) for b in axes[i:]]
+    joints = list(zip(arm.joints, arm.sliding, strict=True))
+    top = arm.levels[-1]
+
+    def linear(name: str, unit: str, scale: float, low: float, high: float) -> Element:
+        return Element(name=name, unit=unit, scaling="linear", scale=scale, low=low, high=high)
+
+    def asinh(name: str, unit: str, scale: float) -> Element:
+        return Element(name=name, unit=unit, scaling="asinh", scale=scale, low=-6.0, high=6.0)
+
+    def log(name: str, unit: str, scale: float) -> Element:
+        return Element(name=name, unit=unit, scaling="log10", scale=scale, low=-4.0, high=4.0)
+
+    inertias = held_inertia(arm.spec, arm.joints)
+
+    def second_order(prefix: str) -> Iterator[Element]:
+        for kind in ("transmission", "transmission_by_instrument"):
+            for joint, slides in joints:
+                unit, scale = ("1", 0.25) if slides else ("m", 0.25 * arm.reach)
+                for axis in axes:
+                    yield asinh(f"{prefix}{kind}.{joint}_{axis}", unit, scale)
+        for joint, slides in joints:
+            unit, scale = ("m/s²", top) if slides else ("rad/s²", top / arm.reach)
+            yield log(f"{prefix}joint_rms.{joint}", unit, scale)
+
+    def inertia(prefix: str) -> Iterator[Element]:
+        for (joint, slides), carried in zip(joints, inertias, strict=True):
+            # A bending mode can make the apparent inertia negative (joint 1 of VERA).
+            # Bounds of 200 scales hold twice what the joint carries, on heavy arms too.
+            unit, least = ("kg", 1.0) if slides else ("kg·m²", 0.1)
+            yield asinh(f"{prefix}inertia.{joint}", unit, max(least, round(carried / 100, 3)))
+
+    def tool(prefix: str) -> Iterator[Element]:
+        for axis in axes:
+            yield log(f"{prefix}tool_rms.{axis}", "m/s²", top)
+        for a, b in pairs:
+            yield linear(f"{prefix}tool_correlation.{a}{b}", "1", 1.0, -1.0, 1.0)
+        for a, b in products:
+            yield linear(f"{prefix}lowest_direction.{a}{b}", "1", 1.0, -1.0, 1.0)
+        yield linear(f"{prefix}coherence.lowest", "1", 1.0, 0.0, 1.0)
+        yield linear(f"{prefix}correlation.maximum", "1", 1.0, 0.0, 1.0)
+
+    yield linear("valid", "1", 1.0, 0.0, 1.0)
+    for name, unit in JointPose(arm).elements:
+        yield linear(name, unit, 1.0, -1.0, 1.0)
+    for joint in arm.joints:
+        yield linear(f"level.{joint}", "1", float(len(arm.levels)), 0.0, 1.0)
+    for joint in arm.joints:
+        yield linear(f"torque.{joint}", "of limit", 1.0, 0.0, 1.0)
+    for joint in arm.joints:
+        yield linear(f"level_share.{joint}", "1", 1.0, 0.0, 1.0)
+    yield linear("duration", "s", max(settings.durations), 0.0, 1.0)
+    yield from second_order("")
+    yield from inertia("")
+    yield from tool("")
+    for axis in axes:
+        yield asinh(f"skewness.{axis}", "1", 1.0)
+    for axis in axes:
+        yield asinh(f"kurtosis.{axis}", "1", 1.0)
+    yield asinh("lowest_skewness", "1", 1.0)
+    yield asinh("lowest_kurtosis", "1", 1.0)
+    yield from second_order("nominal_")
+    yield from inertia("nominal_")
+    yield from tool("nominal_")
+    choice = settings.sensors.on_links
+    if choice is None:
+        return
+    measured = [(link, axis) for link in choice.on(arm) for axis in link_axes(arm, choice)]
+    for prefix in ("", "nominal_"):
+        for link, axis in measured:
+            for joint, slides in joints:
+                unit, scale = ("1", 0.25) if slides else ("m", 0.25 * arm.reach)
+                group = f"{prefix}link_transmission_by_instrument"
+                yield asinh(f"{group}.link{link}_{axis}_{joint}", unit, scale)
+    for link, axis in measured:
+        yield log(f"link_rms.link{link}_{axis}", "m/s²", top)
+
+
+@dataclass(kw_only=True, eq=False)
+class RecordLayout:
+    """Layout of a flat observation: global elements, then slots of equal layout."""
+
+    global_elements: tuple[Element, ...]
+    """Elements of the pose and of what has been spent."""
+    slot_elements: tuple[Element, ...]
+    """Elements of one record."""
+    slots: int
+    """Number of records that are shown."""
+
+    @property
+    def size(self) -> int:
+        """Number of elements of an observation."""
+        return len(self.global_elements) + self.slots * len(self.slot_elements)
+
+    @property
+    def space(self) -> spaces.Box:
+        """The observation space: flat, float32, finite; an empty slot is zero."""
+        first, each = self.global_elements, self.slot_elements
+        low = [e.low for e in first] + [min(e.low, 0.0) for e in each] * self.slots
+        high = [e.high for e in first] + [max(e.high, 0.0) for e in each] * self.slots
+        bounds = np.array([low, high], dtype=np.float32)
+        return spaces.Box(bounds[0], bounds[1], dtype=np.float32)
+
+    def split(
+        self, observation: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Global elements (globals,) and records (slots, slot size) of an observation (size,)."""
+        count = len(self.global_elements)
+        return observation[:count], observation[count:].reshape(self.slots, -1)
+
+
+class ObservationLayout(RecordLayout):
+    """Layout and scaling of the flat observation.
+
+    Global elements come first, then ``max_records`` slots of equal layout. A slot that has
+    not been measured is zero throughout.
+
+    Parameters
+    ----------
+    arm : Arm
+        The nominal arm.
+    settings : DiagnosisSettings
+        Settings of the environment.
+
+    Examples
+    --------
+    >>> from loose_env.arms import vera
+    >>> layout = ObservationLayout(vera(), DiagnosisSettings())
+    >>> layout.elements[0].name, layout.elements[0].unit
+    ('now.sin_pose.joint1', '1')
+    """
+
+    def __init__(self, arm: Arm, settings: DiagnosisSettings) -> None:
+        super().__init__(
+            global_elements=tuple(global_elements(arm, settings)),
+            slot_elements=tuple(slot_elements(arm, settings)),
+            slots=settings.max_records,
+        )
+        self.arm, self.settings = arm, settings
+        self._joint_pose = JointPose(arm)
+        self._global_scaling = _Scaling(self.global_elements)
+        self._slot_scaling = _Scaling(self.slot_elements)
+        self._slot_index = _spans(self.slot_elements)
+        self._global_index = _spans(self.global_elements)
+
+    @property
+    def elements(self) -> tuple[Element, ...]:
+        """All elements in the order of the observation."""
+        slots = (
+            Element(
+                name=f"record{k}.{e.name}",
+                unit=e.unit,
+                scaling=e.scaling,
+                scale=e.scale,
+                low=e.low,
+                high=e.high,
+            )
+            for k in range(1, self.slots + 1)
+            for e in self.slot_elements
+        )
+        return (*self.global_elements, *slots)
+
+    def globals_of(
+        self, pose: Array, records: int, seconds: float, levels: int
+    ) -> NDArray[np.float32]:
+        """Scale the global elements."""
+        most = self.settings.max_records
+        spent = [records / most, seconds, levels, (most - records) / most]
+        values = np.concatenate([*self._joint_pose.numbers(pose), spent])
+        return self._global_scaling.forward(values)
+
+    def slots_for(
+        self,
+        levels: NDArray[np.intp],
+        share: Array,
+        record: RecordStatistics,
+        nominal: Prediction,
+        *,
+        links: LinkReadings | None = None,
+        nominal_links: Array | None = None,
+    ) -> NDArray[np.float32]:
+        """Scale the elements of B records (B, slot size).
+
+        From their levels (B, n), the shares of these that torque limits allow (B, n), statistics
+        and the same as predicted of the nominal arm; where accelerometers stand on links, also
+        what these measured and would show on the nominal arm (B, L, a, n).
+        """
+        count, n = levels.shape
+        joints = np.nonzero(record.torque > 0)[1].reshape(count, -1)
+
+        def spread(values: Array) -> Array:
+            """Values of the excited joints among those of all (B, ..., n)."""
+            wide = np.zeros((*values.shape[:-1], n))
+            at = joints.reshape(count, *[1] * (values.ndim - 2), -1)
+            np.put_along_axis(wide, np.broadcast_to(at, values.shape), values, axis=-1)
+            return wide
+
+        def numbers(*values: ArrayLike) -> Array:
+            return np.column_stack(values)
+
+        nominal_rms = np.sqrt(np.diagonal(nominal.joint, axis1=-2, axis2=-1))
+        values = [
+            np.ones((count, 1)),
+            *self._joint_pose.numbers(record.pose),
+            levels,
+            record.torque / np.array(self.arm.torque_limits),
+            share,
+            numbers(record.duration),
+            record.transmission.mT,
+            record.transmission_by_instrument.mT,
+            record.joint_rms,
+            record.inertia,
+            *_covariance_numbers(record.tool_covariance),
+            _axial_numbers(record.lowest_direction),
+            numbers(record.lowest_coherence, record.maximum_correlation),
+            record.skewness,
+            record.kurtosis,
+            numbers(record.lowest_skewness, record.lowest_kurtosis),
+            spread(nominal.transmission).mT,
+            spread(nominal.transmission_by_instrument).mT,
+            spread(nominal_rms),
+            spread(nominal.inertia),
+            *_covariance_numbers(nominal.tool),
+            _axial_numbers(nominal.lowest_direction),
+            numbers(nominal.lowest_coherence, nominal.maximum_correlation),
+        ]
+        if links is not None and nominal_links is not None:
+            values += [links.transmission_by_instrument, nominal_links, links.rms]
+        rows = [np.reshape(each, (count, -1)) for each in values]
+        return self._slot_scaling.forward(np.concatenate(rows, axis=1))
+
+    def __iter__(self) -> Iterator[Element]:
+        return iter(self.elements)
+
+    def table(self) -> str:
+        """One line for each element of the globals and of one slot, for people to read."""
+        rows = [("name", "unit", "scaling", "scale", "bounds")]
+        for prefix, elements in (("", self.global_elements), ("record<k>.", self.slot_elements)):
+            rows += [
+                (prefix + e.name, e.unit, e.scaling, f"{e.scale:g}", f"[{e.low:g}, {e.high:g}]")
+                for e in elements
+            ]
+        widths = [max(len(r[c]) for r in rows) for c in range(5)]
+        return "\n".join(
+            "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
+            for row in rows
+        )
+
+    def slots_of(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """View the slots of observations (..., size) as (..., slots, slot size)."""
+        start = len(self.global_elements)
+        tail = observation[..., start:]
+        return tail.reshape(*observation.shape[:-1], self.slots, len(self.slot_elements))
+
+    def pose_of(self, observation: NDArray[np.float32]) -> Array:
+        """Pose in which an arm is now [rad, m where a joint slides].
+
+        A hinge is found up to whole turns: of the angles in its range, the one nearest the
+        range's middle.
+
+        Parameters
+        ----------
+        observation : ndarray (..., size)
+            Observations.
+
+        Returns
+        -------
+        ndarray (..., n)
+        """
+        parts = (self.physical(observation, f"now.{part}_pose") for part in ("sin", "cos"))
+        return self._joint_pose.pose(*parts)
+
+    def record_poses_of(self, observation: NDArray[np.float32]) -> Array:
+        """Poses of all records, as `pose_of`; an empty slot's means nothing (..., slots, n)."""
+        parts = (self.physical(observation, f"{part}_pose") for part in ("sin", "cos"))
+        return self._joint_pose.pose(*parts)
+
+    def groups_of(self, slot: NDArray[np.float32]) -> dict[str, Array]:
+        """All groups of one measured slot (slot size,) in their own units, and its ``pose``.
+
+        The names are those that `physical` takes.
+        """
+        values = self._slot_scaling.backward(slot, slice(None))
+        groups = {name: values[span] for name, span in self._slot_index.items()}
+        groups["pose"] = self._joint_pose.pose(groups["sin_pose"], groups["cos_pose"])
+        return groups
+
+    def physical(self, observation: NDArray[np.float32], name: str) -> Array:
+        """Value of a group of elements in its own unit.
+
+        Parameters
+        ----------
+        observation : ndarray (..., size)
+            Observations.
+        name : str
+            A global group such as ``"now.sin_pose"``, or a slot group such as
+            ``"transmission"``: the element's name without its last part.
+
+        Returns
+        -------
+        ndarray (..., elements) or (..., slots, elements)
+            Values in the elements' unit, clipped where the observation is.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such group.
+        """
+        if name in self._global_index:
+            span = self._global_index[name]
+            return self._global_scaling.backward(observation[..., span], span)
+        if name in self._slot_index:
+            span = self._slot_index[name]
+            slots = self.slots_of(observation)[..., span]
+            values = self._slot_scaling.backward(slots, span)
+            # An empty slot is zero, not the value that scaling takes to zero.
+            empty = self.slots_of(observation)[..., 0] < 0.5
+            values[empty] = 0.0
+            return values
+        known = [*self._global_index, *self._slot_index]
+        raise UnknownName(f"the observation has no group {name!r}; groups are {known}")
+
+
+class _Scaling:
+    """Scaling of a run of elements, both ways."""
+
+    def __init__(self, elements: tuple[Element, ...]) -> None:
+        kinds = np.array([e.scaling for e in elements])
+        self.log, self.asinh = kinds == "log10", kinds == "asinh"
+        self.scale = np.array([e.scale for e in elements])
+        self.low = np.array([e.low for e in elements])
+        self.high = np.array([e.high for e in elements])
+
+    def forward(self, values: Array) -> NDArray[np.float32]:
+        """Scale values (..., elements)."""
+        y = values / self.scale
+        y[..., self.asinh] = np.arcsinh(y[..., self.asinh])
+        # Zero stands for "not excited" and goes to the lower bound.
+        with np.errstate(divide="ignore"):
+            y[..., self.log] = np.log10(np.maximum(y[..., self.log], 0.0))
+        return np.asarray(np.clip(y, self.low, self.high), dtype=np.float32)
+
+    def backward(self, scaled: NDArray[np.float32], span: slice) -> Array:
+        y = scaled.astype(float)
+        log, asinh = self.log[span], self.asinh[span]
+        y[..., asinh] = np.sinh(y[..., asinh])
+        at_bottom = y[..., log] <= self.low[span][log]
+        y[..., log] = np.where(at_bottom, 0.0, 10.0 ** y[..., log])
+        return np.asarray(y * self.scale[span])
+
+
+def _covariance_numbers(covariance: Array) -> tuple[Array, Array]:
+    """Rms along the axes (B, d), and the correlations of the pairs of axes."""
+    rms = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    outer = np.maximum(rms[..., :, None] * rms[..., None, :], 1e-30)
+    return rms, (covariance / outer)[..., *_pairs(rms.shape[-1], 1)]
+
+
+def _axial_numbers(direction: Array) -> Array:
+    """Directions (B, d) without sign as numbers without a jump: products of their components."""
+    products = direction[..., :, None] * direction[..., None, :]
+    return np.asarray(products[..., *_pairs(direction.shape[-1], 0)])
+
+
+@lru_cache
+def _pairs(count: int, above: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of the upper triangle, asked for in every record."""
+    return np.triu_indices(count, above)
+
+
+def _spans(elements: tuple[Element, ...]) -> dict[str, slice]:
+    """Span of each group of elements: those that share all but the last part of their name."""
+    spans: dict[str, slice] = {}
+    for k, element in enumerate(elements):
+        group, _, last = element.name.rpartition(".")
+        name = group or last
+        start = spans[name].start if name in spans else k
+        spans[name] = slice(start, k + 1)
+    return spans

@@ -1,0 +1,274 @@
+"""Export of the corrected model: MJCF with notes, and Python code for what MJCF cannot express.
+
+The file loads in any MuJoCo without this package. It lists the identified effects, and those it has
+besides. Where the residual is too large for the accepted effects to be the explanation, none is
+reported as identified; the corrected model has them nevertheless, and its errors are stated with
+it.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from loose_env.arms import files_of
+from loose_env.errors import InvalidData
+from loose_env.gap.model.driven_effect import DrivenEffect
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import NominalModel, set_step
+from loose_env.gap.output.result import NamedEffect
+from loose_env.gap.simulation.time_step import step_with
+from loose_env.io import written_beside
+from loose_env.recording import ModelColumns
+from loose_env.typing import Array
+
+
+def corrected_spec(
+    machine: NominalModel,
+    hypothesis: Hypothesis,
+    *,
+    step: float | None = None,
+) -> mujoco.MjSpec:
+    """Build the nominal model with all effects that MJCF can express.
+
+    The time step is the one these effects need. Keyframes keep the positions of the model's own
+    joints; coordinates added by an effect are zero.
+    """
+    spec = machine.spec.copy()
+    if step is not None:
+        set_step(spec, step)
+    elif machine.step > 0:
+        set_step(spec, step_with(machine, hypothesis.effects))
+    if machine.integrator is not None:
+        spec.option.integrator = machine.integrator
+    hypothesis.export(spec)
+    _keep_keyframes(spec, machine)
+    return spec
+
+
+def _keep_keyframes(spec: mujoco.MjSpec, machine: NominalModel) -> None:
+    """Rebuild keyframes: MuJoCo appends values at the end, whichever joint was added."""
+    nominal = machine.model
+    if not nominal.nkey:
+        return
+    for key in spec.keys:  # of nominal length, they would not fit
+        key.qpos, key.qvel, key.act = [], [], []
+    model = spec.copy().compile()
+    places = [int(model.joint(name).qposadr[0]) for name in machine.joints]
+    dofs = [int(model.joint(name).dofadr[0]) for name in machine.joints]
+    for k, key in enumerate(spec.keys):
+        position, speed = model.qpos0.copy(), np.zeros(model.nv)
+        position[places], speed[dofs] = nominal.key_qpos[k], nominal.key_qvel[k]
+        key.qpos, key.qvel = position, speed
+        if model.na:
+            key.act = _states_of_actuators(model, nominal, k)
+
+
+def _states_of_actuators(model: mujoco.MjModel, nominal: mujoco.MjModel, key: int) -> Array:
+    """Activations (na,) of a keyframe; its command for a filter that was added."""
+    state = np.zeros(model.na)
+    for number in range(nominal.nu):  # actuators keep their order
+        at, before = model.actuator_actadr[number], nominal.actuator_actadr[number]
+        count = model.actuator_actnum[number]
+        if before >= 0:
+            state[at : at + count] = nominal.key_act[key, before : before + count]
+        elif at >= 0:
+            state[at : at + count] = nominal.key_ctrl[key, number]
+    return state
+
+
+def correction_code(hypothesis: Hypothesis) -> str:
+    """Python lines that apply effects which MJCF cannot express; "" if none.
+
+    Terms on the torque are added before each step, and changes of readings after it. The lines work
+    on ``model`` and ``data`` of MuJoCo. A torque is held over a step, and therefore evaluated at
+    its middle: half a step early for an accelerometer.
+    """
+    pairs = hypothesis.pairs
+    terms = [line for effect, own in pairs if (line := effect.torque_code(own))]
+    readings = [line for effect, own in pairs if (line := effect.code(own))]
+    driven = [(e, own) for e, own in pairs if isinstance(e, DrivenEffect)]
+    feedback = [line for effect, own in driven if (line := effect.feedback_code(own))]
+    frictions = [line for effect, own in driven if (line := effect.friction_code(own))]
+    if not (terms or feedback or frictions):
+        return "\n".join(readings)
+    machine = pairs[0][0].machine
+    lines = [
+        "# before every mj_step",
+        "import mujoco",
+        "import numpy as np",
+        f"joints = [model.joint(name) for name in [{', '.join(map(repr, machine.joints))}]]",
+        "dofs = [int(joint.dofadr[0]) for joint in joints]",
+        "speed, torque = data.qvel[dofs], np.zeros(len(joints))",
+        "position = data.qpos[[int(joint.qposadr[0]) for joint in joints]]",
+        "position = position + 0.5 * model.opt.timestep * speed",
+        *terms,
+        "data.qfrc_applied[dofs] = torque",
+    ]
+    if feedback:
+        lines += [
+            f"command = data.ctrl[:{len(machine.actuators)}]  # as commanded, set anew each step",
+            *feedback,
+        ]
+    if frictions:
+        spec = machine.fresh()
+        hypothesis.edit(spec)
+        own = [spec.joint(name).frictionloss for name in machine.joints]
+        lines += [
+            "mujoco.mj_forward(model, data)",
+            f"drive, friction = data.qfrc_actuator[dofs], np.array({own})",
+            "load = -data.qfrc_bias[dofs]",
+            *frictions,
+            "model.dof_frictionloss[dofs] = friction",
+        ]
+    return "\n".join((*lines, *(("# after every mj_step", *readings) if readings else ())))
+
+
+def write_model(
+    path: Path,
+    machine: NominalModel,
+    hypothesis: Hypothesis,
+    *,
+    step: float | None = None,
+    source: Path | None = None,
+    notes: Sequence[str] = (),
+) -> list[Path]:
+    """Write the corrected model, with the meshes and textures it needs beside it.
+
+    Parameters
+    ----------
+    path : Path
+        Path of the model file.
+    machine, hypothesis, step
+        As in `corrected_spec`.
+    source : Path, optional
+        File of the nominal model; files it refers to are copied.
+    notes : sequence of str
+        Lines that stand at the head of the file.
+
+    Returns
+    -------
+    list of Path
+        The files written, the model first.
+
+    Raises
+    ------
+    InvalidData
+        If the model does not compile from the file, or a column of the recording would no longer
+        name anything in it.
+    """
+    text = corrected_spec(machine, hypothesis, step=step)
+    try:
+        text.compile()
+        xml = text.to_xml()
+    except Exception as error:  # MuJoCo raises ValueError and mujoco.FatalError alike
+        raise InvalidData(f"the corrected model does not compile: {error}") from error
+    if notes:
+        said = "\n".join(f"  {_comment(note)}" for note in notes)
+        xml = f"<!--\n{said}\n-->\n{xml}"
+    copied = [] if source is None else _copy_assets(source.resolve(), path.parent, xml)
+
+    def write(beside: Path) -> None:
+        beside.write_text(xml, encoding="utf-8")
+        try:
+            model = mujoco.MjModel.from_xml_path(str(beside))
+        except ValueError as error:
+            raise InvalidData(f"the corrected model does not compile: {error}") from error
+        _check_columns(machine.model, model)
+
+    return [written_beside(path, write), *copied]
+
+
+def _comment(note: str) -> str:
+    """Escape a line for a comment of an XML file."""
+    return " ".join(note.split()).replace("--", "−−")
+
+
+def _copy_assets(source: Path, folder: Path, xml: str) -> list[Path]:
+    """Copy files a model refers to; includes only if the new model still has them."""
+    copied = []
+    for file in sorted(files_of(source) - {source}):
+        if file.suffix.lower() in (".xml", ".mjcf") and file.name not in xml:
+            continue
+        target = folder / file.relative_to(source.parent)
+        if target == file:
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, target)
+        copied.append(target)
+    return copied
+
+
+def _check_columns(nominal: mujoco.MjModel, model: mujoco.MjModel) -> None:
+    """Raise if a column would refer to nothing, or to another element."""
+    before, after = ModelColumns.of(nominal).known, ModelColumns.of(model).known
+    lost = [column for column, meaning in before.items() if after.get(column) != meaning]
+    if lost:
+        raise InvalidData(
+            f"the corrected model has no {lost[0]!r} any more: an effect has changed its name"
+        )
+
+
+Added = tuple[Effect, Array]
+"""An effect with its values."""
+
+
+def unnamed_notes(added: Sequence[Added]) -> list[str]:
+    """Describe effects in the corrected model that are not identified; "" without any."""
+    if not added:
+        return []
+    listed = "; ".join(_added_words(effect, values) for effect, values in added)
+    return [
+        f"the corrected model contains effects that are not identified: {listed}. They reduce the "
+        "residual on the held-out runs, but too much remains for them to be the explanation; "
+        "model.xml, the code and the error after correction include them"
+    ]
+
+
+def model_notes(
+    named: Sequence[NamedEffect], unnamed: Sequence[Added], factors: Mapping[str, float]
+) -> list[str]:
+    """Format notes for the head of ``model.xml``: all changes to the nominal model."""
+    notes = ["Corrected by loose gap."]
+    if named:
+        notes.append("Added to the nominal model:")
+        notes += [
+            _words(each.kind, each.where, each.parameters, each.units, each.in_model)
+            for each in named
+        ]
+    if unnamed:
+        notes.append(
+            "Added to the nominal model, but not identified (the residual falls, but too much "
+            "remains for them to be the explanation):"
+        )
+        notes += [_added_words(effect, values) for effect, values in unnamed]
+    if not named and not unnamed:
+        notes.append("No effect was added to the nominal model.")
+    if factors:
+        off = max(abs(value - 1) for value in factors.values())
+        notes.append(
+            f"Nominal parameters fitted within the tolerance, changed by {100 * off:.1f} % at most"
+        )
+    return notes
+
+
+def _added_words(effect: Effect, values: Array) -> str:
+    """Format an added effect with its values."""
+    parameters = {p.name: float(v) for p, v in zip(effect.parameters, values, strict=True)}
+    units = {p.name: p.unit for p in effect.parameters}
+    return _words(effect.kind, effect.where, parameters, units, effect.in_model)
+
+
+def _words(
+    kind: str, where: str, values: Mapping[str, float], units: Mapping[str, str], in_model: bool
+) -> str:
+    numbers = ", ".join(
+        f"{name} {value:.4g} {units.get(name, '')}".rstrip() for name, value in values.items()
+    )
+    place = "" if in_model else " (not in model.xml: see result.json, code)"
+    return f"{kind} at {where}: {numbers}{place}"

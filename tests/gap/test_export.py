@@ -1,0 +1,235 @@
+"""The corrected model's file keeps names and does what was fitted, or says that it does not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.errors import InvalidData
+from loose_env.gap import Effect, Hypothesis, exported, write_model
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
+from loose_env.gap.model.effects.drives.actuators import ActuatorLag, CommandDelay
+from loose_env.gap.model.effects.friction import CoulombFriction, ViscousFriction
+from loose_env.gap.model.effects.joint_elasticity import JointCompliance
+from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.nominal_parameters import NominalParameters
+from loose_env.gap.output.corrected_model import correction_code
+from loose_env.gap.output.export_check import Exported
+from loose_env.gap.residuals.preparation.prepare import GapProblem
+from loose_env.recording import ModelColumns
+from tests.gap.cases.effect_arms import PLANAR, SPATIAL, machine_of
+from tests.gap.cases.exported_case import judged_with, prepared_arm
+
+RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
+ARMS = {"planar": PLANAR, "spatial": SPATIAL}
+
+
+def stepped(arm: str) -> NominalModel:
+    """A machine with another step and integrator than its file has, as a comparison chooses."""
+    return NominalModel(mujoco.MjSpec.from_string(ARMS[arm]), step=0.0005, integrator=RK4)
+
+
+def added(effect: Effect, values: Sequence[float]) -> Hypothesis:
+    """The nominal model and an effect."""
+    return Hypothesis().with_effects([(effect, np.array(values))])
+
+
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("kind", CATALOGUE)
+def test_the_file_compiles_and_keeps_its_names_step_and_integrator(
+    arm: str, kind: str, tmp_path: Path
+) -> None:
+    machine = stepped(arm)
+    if not (found := candidates(machine, [kind])):
+        assert kind == "base_compliance" and arm == "planar"  # its base turns as its first joint
+        return
+    effect = found[-1]
+    corrected = added(effect, effect.starts[0])
+    written = write_model(tmp_path / "model.xml", machine, corrected)
+    assert written == [tmp_path / "model.xml"] and list(tmp_path.iterdir()) == written
+    model = mujoco.MjModel.from_xml_path(str(written[0]))
+    before, after = ModelColumns.of(machine.model).known, ModelColumns.of(model).known
+    assert all(after[column] == meaning for column, meaning in before.items())
+    assert model.opt.timestep == 0.0005 and model.opt.integrator == RK4
+    assert effect.in_model or effect.where in correction_code(corrected)
+
+
+def test_nominal_parameters_and_several_effects_stand_in_one_file(tmp_path: Path) -> None:
+    machine = stepped("planar")
+    nominal = NominalParameters(machine, tolerance=0.03)
+    figures = np.linspace(0.98, 1.02, len(nominal.parameters))
+    wet = ViscousFriction(machine, "joint1"), np.array([1.5])
+    others = JointCompliance(machine, "joint2"), CoulombFriction(machine, "joint3")
+    corrected = Hypothesis(nominal=nominal, factors=figures).with_effects(
+        [wet, *((e, np.array(e.starts[0])) for e in others)]
+    )
+    file = write_model(tmp_path / "model.xml", machine, corrected)[0]
+    model = mujoco.MjModel.from_xml_path(str(file))
+    spec = machine.fresh()
+    nominal.edit(spec, figures)
+    for effect, own in corrected.pairs:
+        effect.edit(spec, own)
+    expected = spec.compile()
+    assert np.allclose(model.body_mass, expected.body_mass, rtol=1e-5)
+    assert np.allclose(model.dof_damping, expected.dof_damping, rtol=1e-5)
+    assert np.allclose(model.actuator_gainprm, expected.actuator_gainprm, rtol=1e-5)
+    assert not np.allclose(model.body_mass[1], machine.model.body_mass[1], rtol=1e-3)
+    assert model.nv == machine.model.nv + 1 and model.dof_frictionloss.any()
+
+
+def test_what_readings_need_stands_in_the_code_and_runs() -> None:
+    machine = machine_of("planar")
+    gain, bias = SensorGain(machine, "encoder1"), SensorBias(machine, "shake")
+    given = (ViscousFriction(machine, "joint1"), [1.0]), (gain, [1.25]), (bias, [0.5, 0.0, -0.5])
+    lines = correction_code(Hypothesis().with_effects([(e, np.array(v)) for e, v in given]))
+    data = mujoco.MjData(machine.model)
+    data.sensor("encoder1").data[:] = 2.0
+    exec(lines, {"data": data})  # as a user would
+    assert data.sensor("encoder1").data[0] == 2.5
+    assert np.array_equal(data.sensor("shake").data, [0.5, 0.0, -0.5])
+
+
+def test_keyframes_keep_the_states_of_joints_and_actuators(tmp_path: Path) -> None:
+    two = PLANAR.replace('<position name="servo2"', '<position name="servo2" timeconst="0.05"')
+    key = 'name="home" qpos="0.1 0.2 0.3" qvel="1 2 3" ctrl="0.1 0.2 0.3" act="0.7"'
+    xml = two.replace("</mujoco>", f"<keyframe><key {key}/></keyframe></mujoco>")
+    machine = NominalModel(mujoco.MjSpec.from_string(xml))
+    effects = JointCompliance(machine, "joint1"), CATALOGUE["actuator_lag"](machine, "servo1")
+    pairs = [(effect, np.array(effect.starts[0])) for effect in effects]
+    file = write_model(tmp_path / "model.xml", machine, Hypothesis().with_effects(pairs))[0]
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    for joint, position, speed in (("joint1", 0.1, 1), ("joint2", 0.2, 2), ("joint3", 0.3, 3)):
+        assert data.joint(joint).qpos[0] == pytest.approx(position)
+        assert data.joint(joint).qvel[0] == pytest.approx(speed)
+    new = next(n for k in range(model.njnt) if (n := model.joint(k).name) not in machine.joints)
+    assert data.joint(new).qpos[0] == 0.0
+    # servo1's filter, which is new, begins at its command; servo2's keeps its state
+    assert model.key_act[0] == pytest.approx([0.1, 0.7])
+
+
+def test_meshes_and_files_that_are_included_are_taken_along(tmp_path: Path) -> None:
+    home, out = tmp_path / "arm", tmp_path / "out"
+    (home / "meshes").mkdir(parents=True)
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    home.joinpath("meshes", "corner.obj").write_text(corners)
+    home.joinpath("motors.xml").write_text(
+        '<mujocoinclude><actuator><motor name="m" joint="turn"/></actuator></mujocoinclude>'
+    )
+    file = home / "arm.xml"
+    file.write_text(
+        '<mujoco><compiler meshdir="meshes"/><asset><mesh name="c" file="corner.obj"/></asset>'
+        '<worldbody><body name="link"><joint name="turn"/><geom type="mesh" mesh="c"/></body>'
+        '</worldbody><include file="motors.xml"/></mujoco>'
+    )
+    machine = NominalModel(mujoco.MjSpec.from_file(str(file)))
+    effect = ViscousFriction(machine, "turn")
+    written = write_model(
+        out / "model.xml", machine, added(effect, [2.0]), source=file, notes=["a -- b"]
+    )
+    assert [p.relative_to(out).as_posix() for p in written] == ["model.xml", "meshes/corner.obj"]
+    for path in (home / "meshes" / "corner.obj", home / "motors.xml", file):
+        path.unlink()
+    model = mujoco.MjModel.from_xml_path(str(out / "model.xml"))
+    assert model.dof_damping[0] == 2.0 and model.nmesh == 1 and model.actuator("m").id == 0
+
+
+def test_an_effect_that_changes_a_name_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
+    class Renaming(ViscousFriction):
+        kind = "renaming"
+
+        def edit(self, spec: mujoco.MjSpec, values: np.ndarray) -> None:
+            spec.sensor("encoder1").name = "other"
+
+    machine = machine_of("planar")
+    with pytest.raises(InvalidData, match=r"sensor\.encoder1"):
+        write_model(tmp_path / "model.xml", machine, added(Renaming(machine, "joint1"), [1.0]))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory: pytest.TempPathFactory) -> GapProblem:
+    return prepared_arm(tmp_path_factory.mktemp("exported") / "r")
+
+
+def export_of(problem: GapProblem, effect: Effect, values: list[float]) -> Exported:
+    best = judged_with(problem, effect, values)
+    return exported(problem.held_out_whole, best.fitted.hypothesis.of_model, best.held_out_residual)
+
+
+def test_what_acts_slowly_or_a_file_cannot_carry_needs_no_finer_step(problem: GapProblem) -> None:
+    found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
+    assert found.parts == 1 and not found.matters and found.notes() == []
+    assert found.left == pytest.approx(found.fitted, rel=1e-3) and found.fitted < 1.1
+    found = export_of(problem, SensorGain(problem.machine, "encoder1"), [1.1])
+    assert found == Exported() and np.isnan(found.left) and found.notes() == []
+
+
+def export_as_fitted(problem: GapProblem, effect: Effect, value: float) -> Exported:
+    """Held against a fit that is right: the readings are its own, and it leaves nothing."""
+    held = problem.held_out_whole
+    hypothesis = judged_with(problem, effect, [value]).fitted.hypothesis.of_model
+    (shown,) = held.predict([hypothesis])
+    measured = [trial.measured.copy() for trial in held.trials]
+    try:
+        for trial, values in zip(held.trials, shown, strict=True):
+            trial.measured[:] = values
+        return exported(held, hypothesis, np.zeros(len(held)))
+    finally:
+        for trial, values in zip(held.trials, measured, strict=True):
+            trial.measured[:] = values
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "late"),
+    [
+        (ActuatorLag, "servo2", 0.0002),
+        (ActuatorLag, "servo2", 0.0011),
+        (CommandDelay, "all", 0.0004),
+    ],
+)
+def test_what_is_shorter_than_a_step_is_written_with_a_finer_one(
+    kind: type[Effect], where: str, late: float, problem: GapProblem
+) -> None:
+    found = export_as_fitted(problem, kind(problem.machine, where), late)
+    assert not found.matters and found.apart < 0.3
+    assert found.parts > 1 or late > problem.machine.step
+    if found.parts > 1:
+        assert found.step == pytest.approx(problem.machine.step / found.parts)
+        assert "has a time step of" in found.notes()[0]
+
+
+@pytest.mark.parametrize("rate", [60.0, 300.0])
+def test_samples_need_not_fall_on_steps_of_the_model(rate: float, tmp_path: Path) -> None:
+    problem = prepared_arm(tmp_path / "r", rate=rate)
+    found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
+    assert found.parts == 1 and not found.notes()
+    assert found.apart < 1e-3 and found.left == pytest.approx(found.fitted, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "late"),
+    [(CommandDelay, "all", 0.1), (ActuatorLag, "servo2", 0.15)],
+)
+def test_what_comes_late_begins_with_the_first_command(
+    kind: type[Effect], where: str, late: float, tmp_path: Path
+) -> None:
+    problem = prepared_arm(tmp_path / "r", first=0.5)
+    found = export_as_fitted(problem, kind(problem.machine, where), late)
+    assert found.parts == 1 and found.apart < 0.1 and not found.notes()
+
+
+def test_a_file_that_lacks_what_was_fitted_is_found_out(
+    problem: GapProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ViscousFriction, "export", lambda *_: None)
+    found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
+    assert found.matters and found.parts == 1 and found.left > 3 * found.fitted
+    (words,) = found.notes()
+    assert found.channel in words and "deviates from the fit" in words

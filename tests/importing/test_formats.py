@@ -1,0 +1,304 @@
+"""Mappings guessed from signals: joints, units and signs; and each format imported by them."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.cli.main import main
+from loose_env.importing import describe_sources, proposal_text, propose
+from loose_env.recording import Recording, read_recording
+from tests.importing.arm_log import (
+    ARM,
+    JOINTS,
+    Motion,
+    moved,
+    write_bag,
+    write_lerobot,
+    write_robomimic,
+    write_rtde,
+    write_sysid,
+)
+
+MODEL = mujoco.MjModel.from_xml_string(ARM)
+COMMANDS = ("pan", "lift", "bend")
+ALL = {f"sensor.{n}_pos" for n in JOINTS} | {f"ctrl.{n}" for n in COMMANDS}
+RATES = {f"sensor.{n}_vel" for n in JOINTS}
+
+
+@pytest.fixture
+def motion() -> Motion:
+    return moved()
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """A folder with ``arm.xml``."""
+    tmp_path.joinpath("arm.xml").write_text(ARM)
+    return tmp_path
+
+
+# ------------------------------------------------------------------------- formats
+
+
+def guessed(home: Path, files: Sequence[Path], *options: str) -> dict:
+    """Columns of the mapping that --guess writes."""
+    told = ["import", "--guess", *map(str, files), "--model", str(home / "arm.xml")]
+    assert main([*told, "--mapping", str(home / "map.toml"), *options]) == 0
+    return tomllib.loads((home / "map.toml").read_text())["columns"]
+
+
+def imported(home: Path, files: Sequence[Path]) -> Recording:
+    told = ["import", *map(str, files), "--mapping", str(home / "map.toml")]
+    assert main([*told, "--out", str(home / "out")]) == 0
+    return read_recording(home / "out")
+
+
+def check(recording: Recording, motion: Motion, *, digits: float = 1e-6) -> None:
+    """The known motion, in SI units, under the model's names."""
+    for run in recording.runs:
+        assert len(run.time) == len(motion.time)
+        for i, (joint, command) in enumerate(zip(JOINTS, COMMANDS, strict=True)):
+            read = run.sensors[f"{joint}_pos"]
+            np.testing.assert_allclose(read, motion.position[:, i], atol=digits)
+            np.testing.assert_allclose(run.controls[command], motion.command[:, i], atol=digits)
+
+
+WRITERS: dict[str, Callable[[Path, Motion], list[Path]]] = {
+    "rtde": lambda home, m: [write_rtde(home / "log.csv", m)],
+    "rtde without header": lambda home, m: [write_rtde(home / "log.csv", m, header=False)],
+    "rtde with commas": lambda home, m: [write_rtde(home / "log.csv", m, separator=",")],
+    "rosbag2 sqlite3": lambda home, m: [write_bag(home / "bag", m)],
+    "rosbag2 sqlite3 packed": lambda home, m: [write_bag(home / "bag", m, packed=True)],
+    "rosbag2 before Iron": lambda home, m: [write_bag(home / "bag", m, definitions=False)],
+    "rosbag2 mcap": lambda home, m: [write_bag(home / "bag", m, storage="mcap")],
+    "robomimic": lambda home, m: [write_robomimic(home / "demos.hdf5", m)],
+    "sysid": lambda home, m: list(write_sysid(home, m)),
+    "a single db3 file": lambda home, m: list(write_bag(home / "bag", m).glob("*.db3")),
+}
+
+
+@pytest.mark.parametrize("kind", list(WRITERS))
+def test_a_guessed_mapping_imports_the_known_motion(home: Path, motion: Motion, kind: str) -> None:
+    files = WRITERS[kind](home, motion)
+    columns = guessed(home, files)
+    assert set(columns) - {f"torque.{n}" for n in JOINTS} == ALL | RATES
+    check(imported(home, files), motion)
+    text = describe_sources([str(file) for file in files])
+    assert "sensor.?" in text and tomllib.loads(text)
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_episodes_of_lerobot_become_runs(home: Path, motion: Motion, version: str) -> None:
+    files = [write_lerobot(home / "set", motion, version=version)]
+    columns = guessed(home, files)
+    assert set(columns) == ALL
+    assert {each["unit"] for each in columns.values()} == {"deg"}
+    recording = imported(home, files)
+    names = [Path(run.name).stem for run in recording.runs]
+    assert names == ["set-episode_000000", "set-episode_000001"]
+    check(recording, motion, digits=1e-5)  # float32 degrees
+
+
+def test_chosen_episodes_alone_are_imported(home: Path, motion: Motion) -> None:
+    files = [write_lerobot(home / "set", motion, episodes=4)]
+    guessed(home, files)
+    text = (home / "map.toml").read_text()
+    (home / "map.toml").write_text(text.replace('episodes = "all"', 'episodes = "1, 3"'))
+    names = [Path(run.name).stem for run in imported(home, files).runs]
+    assert names == ["set-episode_000001", "set-episode_000003"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["rtde", "rosbag2 sqlite3"])
+def test_the_gap_of_an_imported_log_names_the_friction_of_the_elbow(home: Path, kind: str) -> None:
+    (log,) = map(str, WRITERS[kind](home, moved(friction=2.0)))
+    model, mapping = str(home / "arm.xml"), home / "map.toml"
+    told = ["import", "--guess", log, "--model", model, "--mapping", str(mapping)]
+    assert main(told) == 0
+    # By the commands alone, and one log cut into the two runs that a fit and its check need.
+    lines = mapping.read_text().splitlines()
+    text = "\n".join(line for line in lines if not line.startswith('"torque.'))
+    first, second = "\nstart = 0.0\nstop = 3.9\n", "\nfile = 'b'\nstart = 4.0\nstop = 7.9\n"
+    mapping.write_text(f"{text}{first}[[runs]]{second}")
+    assert main(["import", log, "--mapping", str(mapping), "--out", str(home / "out")]) == 0
+    told = ["gap", str(home / "out"), "--out", str(home / "gap")]
+    told += ["--kinds", "viscous_friction", "--most-effects", "1", "--threads", "1"]
+    assert main(told) == 0
+    result = json.loads((home / "gap" / "result.json").read_text())
+    (effect,) = result["effects"]
+    assert (effect["kind"], effect["where"]) == ("viscous_friction", "elbow")
+    assert result["gap"]["after"] < 0.2 * result["gap"]["before"]
+
+
+# ------------------------------------------------------------------------- guesses
+
+
+def table(path: Path, *columns: np.ndarray) -> str:
+    np.savetxt(path, np.hstack([np.reshape(c, (len(c), -1)) for c in columns]), delimiter=",",
+               fmt="%.10g")  # fmt: skip
+    return str(path)
+
+
+def lines(source: str, rate_hz: float | None = None) -> dict[str, tuple[str, str, int]]:
+    """Channel, unit and sign of each column that is proposed."""
+    return {
+        each.column: (each.candidate.key.channel, each.scaling.unit, each.sign)
+        for each in propose([source], MODEL, rate_hz).columns
+        if not each.open
+    }
+
+
+def test_degrees_reversed_and_shuffled_columns_of_a_nameless_table(
+    home: Path, motion: Motion
+) -> None:
+    order = [2, 0, 1]
+    command = np.degrees(motion.command * [1, -1, 1])[:, order]
+    source = table(home / "log.csv", 1e3 * motion.time, np.degrees(motion.position),
+                   -np.degrees(motion.velocity), command)  # fmt: skip
+    found = lines(source)
+    for i, (joint, command) in enumerate(zip(JOINTS, COMMANDS, strict=True)):
+        assert found[f"sensor.{joint}_pos"] == (str(2 + i), "deg", 1)
+        assert found[f"sensor.{joint}_vel"] == (str(5 + i), "deg/s", -1)
+        assert found[f"ctrl.{command}"] == (str(8 + order.index(i)), "deg", [1, -1, 1][i])
+
+
+def test_a_table_without_times_needs_a_rate(
+    home: Path, motion: Motion, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = table(home / "log.csv", motion.position, motion.velocity)
+    told = ["import", "--guess", source, "--model", str(home / "arm.xml")]
+    told += ["--mapping", str(home / "map.toml")]
+    assert main(told) == 1
+    assert "give the sampling rate by --rate-hz" in capsys.readouterr().err
+    assert not (home / "map.toml").exists()
+    assert main([*told, "--rate-hz", "125"]) == 0
+    whole = tomllib.loads((home / "map.toml").read_text())
+    assert whole["sources"]["log"]["time"] == {"rate_hz": 125}
+
+
+def test_a_mapping_is_replaced_only_when_asked(
+    home: Path, motion: Motion, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = str(write_rtde(home / "log.csv", motion))
+    (home / "map.toml").write_text("mine")
+    told = ["import", "--guess", source, "--model", str(home / "arm.xml")]
+    told += ["--mapping", str(home / "map.toml")]
+    assert main(told) == 1
+    assert "--overwrite replaces it" in capsys.readouterr().err
+    assert (home / "map.toml").read_text() == "mine"
+    assert main([*told, "--overwrite"]) == 0
+    assert capsys.readouterr().out.strip() == (home / "map.toml").read_text().strip()
+
+
+def test_currents_are_left_open_with_a_factor(home: Path, motion: Motion) -> None:
+    found = propose([str(write_rtde(home / "log.csv", motion))], MODEL).columns
+    open_ones = [each for each in found if each.open]
+    assert [each.column for each in open_ones] == [f"torque.{joint}" for joint in JOINTS]
+    for each in open_ones:
+        assert "torque constant" in each.reason
+        assert each.scaling.scale == pytest.approx(12, rel=0.35)
+
+
+def test_normalised_states_are_scaled_to_the_limits(home: Path, motion: Motion) -> None:
+    narrow = mujoco.MjModel.from_xml_string(ARM.replace('range="-1.6 1.6"', 'range="-1.2 1.2"'))
+    half = narrow.jnt_range[:, 1]
+    state = 100 * motion.position / half
+    assert np.ptp(state[:, 2]) > 1.1 * 2 * np.degrees(half[2])  # the elbow's are no degrees
+    folder = write_lerobot(home / "set", motion, state=state, action=100 * motion.command / half)
+    found = {each.column: each for each in propose([str(folder)], narrow).columns}
+    for i, (joint, command) in enumerate(zip(JOINTS, COMMANDS, strict=True)):
+        for column in (f"sensor.{joint}_pos", f"ctrl.{command}"):
+            assert found[column].scaling.scale == pytest.approx(half[i] / 100)
+            assert found[column].scaling.unit == "rad"
+    assert "normalised to -100..100 of the limits" in found["sensor.elbow_pos"].reason
+    proposal = propose([str(write_lerobot(home / "degrees", motion))], MODEL)
+    assert "values normalised to -100..100 would look alike" in proposal.columns[0].reason
+
+
+def test_joints_without_a_sensor_are_noted_with_the_line_to_add(home: Path, motion: Motion) -> None:
+    bare = mujoco.MjModel.from_xml_string(
+        ARM.replace('<jointpos name="elbow_pos" joint="elbow"/>', "")
+    )
+    proposal = propose([str(write_rtde(home / "log.csv", motion))], bare)
+    assert any('<jointpos name="elbow_position" joint="elbow"/>' in note for note in proposal.notes)
+
+
+WITH_TOOL = mujoco.MjModel.from_xml_string(
+    ARM.replace('<inertial pos=".1 0 0"', '<site name="tool"/><inertial pos=".1 0 0"').replace(
+        "</sensor>", '<accelerometer name="tip" site="tool"/></sensor>'
+    )
+)
+
+
+def written(path: Path, columns: dict[str, np.ndarray]) -> str:
+    table, header = np.stack(list(columns.values()), axis=1), ",".join(columns)
+    np.savetxt(path, table, delimiter=",", fmt="%.10g", header=header, comments="")
+    return str(path)
+
+
+def logged(path: Path, motion: Motion, *, time: str = "Zeit") -> str:
+    """Table of a logger with units in its names, times in milliseconds, and vibration."""
+    vibration = np.gradient(np.gradient(motion.position, axis=0), axis=0)
+    columns = {time: 1e3 * motion.time}
+    columns |= {f"Achse {'ABC'[i]} [deg]": np.degrees(motion.position[:, i]) for i in range(3)}
+    columns |= {f"Soll {'ABC'[i]} [deg]": np.degrees(motion.command[:, i]) for i in range(3)}
+    columns |= {f"a{'xyz'[i]} [g]": vibration[:, i] for i in range(3)}
+    columns["Druck [V]"] = motion.position[:, 1] ** 2
+    return written(path, columns)
+
+
+def test_channels_have_the_quantity_of_their_stated_units(home: Path, motion: Motion) -> None:
+    proposal = propose([logged(home / "log.csv", motion)], WITH_TOOL)
+    found = {each.column: each for each in proposal.columns if not each.open}
+    units = {column: each.scaling.unit for column, each in found.items()}
+    assert {f"sensor.tip.{axis}": "g" for axis in "xyz"}.items() <= units.items()
+    for i, joint in enumerate(JOINTS):
+        assert found[f"sensor.{joint}_pos"].candidate.key.channel == f"Achse {'ABC'[i]} [deg]"
+    assert not any("[g]" in e.candidate.key.channel for e in proposal.columns if e.open)
+    assert [channel.key.channel for _, channel in proposal.unassigned] == ["Druck [V]"]
+    text = proposal_text(proposal, "arm.xml")
+    assert '# "sensor.?" = { channel = "Druck [V]", unit = "V" }' in text.splitlines()
+
+
+@pytest.mark.parametrize("name", ["Zeit", "counter"])
+def test_times_without_a_unit_get_it_from_their_steps(
+    home: Path, motion: Motion, name: str
+) -> None:
+    proposal = propose([logged(home / "log.csv", motion, time=name)], WITH_TOOL)
+    (line,) = (each for each in proposal.logs["log"].lines if each.startswith("time"))
+    assert f'column = "{name}", unit = "ms" }}  # ' in line
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mrad", 1e3), ("arcmin", 60 * 180 / np.pi)])
+def test_a_stated_unit_of_the_quantity_stays(
+    home: Path, motion: Motion, unit: str, factor: float
+) -> None:
+    columns = {f"{j}_pos [{unit}]": factor * motion.position[:, i] for i, j in enumerate(JOINTS)}
+    found = lines(written(home / "log.csv", {"time": motion.time, **columns}))
+    assert [found[f"sensor.{joint}_pos"][1] for joint in JOINTS] == [unit] * 3
+
+
+def test_a_position_with_the_unit_of_another_quantity_is_left(home: Path, motion: Motion) -> None:
+    units = ("rad", "g", "rad")
+    columns = {f"{JOINTS[i]}_pos [{units[i]}]": motion.position[:, i] for i in range(3)}
+    proposal = propose([written(home / "log.csv", {"time": motion.time, **columns})], MODEL)
+    assert "sensor.shoulder_lift_pos" not in {e.column for e in proposal.columns if not e.open}
+    assert [c.key.channel for _, c in proposal.unassigned] == ["shoulder_lift_pos [g]"]
+
+
+def test_a_word_that_one_joint_alone_has_names_it(home: Path, motion: Motion) -> None:
+    headers = {2: "Elbow", 0: "Pan", 1: "Lift"}
+    columns = {"t [s]": motion.time}
+    columns |= {f"{n} Pos [deg]": np.degrees(motion.position[:, i]) for i, n in headers.items()}
+    columns |= {f"Cmd {n} [deg]": np.degrees(motion.command[:, i]) for i, n in headers.items()}
+    found = lines(written(home / "log.csv", columns))
+    for i, command in enumerate(COMMANDS):
+        assert found[f"sensor.{JOINTS[i]}_pos"] == (f"{headers[i]} Pos [deg]", "deg", 1)
+        assert found[f"ctrl.{command}"] == (f"Cmd {headers[i]} [deg]", "deg", 1)
