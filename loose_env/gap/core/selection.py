@@ -173,6 +173,11 @@ class Selection:
                 guard = shrunk[k] * weight * power
                 normal[np.ix_(part.at, part.at)] += (part.growth.T * guard) @ part.growth
                 slope[part.at] += guard @ part.growth
+                # noise that grows with the operator is in the columns: least squares would
+                # attenuate their coefficients (errors in variables)
+                more = np.maximum(part.growth @ found[part.at], 0.0)
+                noisy = weight * evidence.channels[k].count * ~shrunk[k] * (1 + more) * (more > 0)
+                slope[part.at] += noisy @ part.growth
             scale = 1 / np.sqrt(np.diag(normal))
             found = np.linalg.solve(normal * np.outer(scale, scale), slope * scale) * scale
             left = self._powers(parts, numbers, found)
@@ -210,7 +215,9 @@ class Selection:
             )
             turn = channel.turn / (2 * np.pi)
             now = noise(evidence.balance, channel.joint, turn, operator, floor=False)
-            found.append(np.maximum(power, 0.0) * np.maximum(self.usual[k] / now, 1.0) ** 2)
+            ratio = (now / self.usual[k]) ** 2
+            more = power - channel.count * np.maximum(ratio - 1.0, 0.0)
+            found.append(np.maximum(more, 0.0) / np.minimum(ratio, 1.0))
         return found
 
     # ---- many sets at fixed weights
@@ -220,7 +227,7 @@ class Selection:
         evidence = self.evidence
         normal = np.diag(evidence.precision)
         slope = evidence.precision * evidence.centre
-        growths, guards = [], []
+        growths, guards, noises = [], [], []
         for k, channel in enumerate(evidence.channels):
             weight = self.weights(k, powers[k])
             at = channel.columns
@@ -230,7 +237,8 @@ class Selection:
             growth[:, at] = channel.growth
             growths.append(growth)
             guards.append(weight * powers[k])
-        return _Form(normal, slope, np.concatenate(growths), np.concatenate(guards))
+            noises.append(weight * channel.count)
+        return _Form(normal, slope, *map(np.concatenate, (growths, guards, noises)))
 
     def predicted(self, form: _Form, terms: Sequence[Term]) -> float:
         """Total of a set at fixed weights; infinite where a coefficient is out of bounds."""
@@ -239,11 +247,12 @@ class Selection:
         try:
             half, values, determinant = _solved(normal, slope)
             growth = form.growth[:, at]
-            shrunk = growth @ values < 0
-            if np.any(shrunk):
-                guard = form.guard * shrunk
+            moved = growth @ values
+            if np.any(moved):
+                guard = form.guard * (moved < 0)
+                more = guard + form.noise * np.where(moved > 0, 1 + moved, 0.0)
                 half, values, determinant = _solved(
-                    normal + (growth.T * guard) @ growth, slope + guard @ growth
+                    normal + (growth.T * guard) @ growth, slope + more @ growth
                 )
         except np.linalg.LinAlgError:
             return np.inf
@@ -501,6 +510,7 @@ class _Form:
     slope: Array
     growth: Array
     guard: Array
+    noise: Array
 
 
 def _solved(normal: Array, slope: Array) -> tuple[Array, Array, float]:
