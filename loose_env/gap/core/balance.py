@@ -8,11 +8,14 @@ rest is a reaction, but the friction loss times the direction of sliding.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
+from scipy.optimize import minimize
 
 from loose_env.gap.core.motion import Motion
 from loose_env.gap.core.readings import Readings
@@ -29,6 +32,15 @@ _POSES = 24
 """States at which the mean operator is read."""
 _NUDGE = 1e-4
 """Displacement of numerical derivatives [rad, m]."""
+
+_MODEL = 1e-4
+"""Error of any torque, as a share of the typical one: rounding, integration."""
+_SPRINGS, _DAMPINGS = 90, (0.02, 0.06, 0.2)
+"""Stiffnesses and damping ratios that are tried for an added spring."""
+_STIFFEST = 4.0
+"""Highest frequency of such a mode over the end of the band: beyond, it only gives way."""
+_RESONANCES = 3
+"""Springs that are started from."""
 
 _SIZES = (
     *("nq", "nv", "nu", "na", "nbody", "njnt", "nsite", "ntendon", "nC", "ngeom", "neq"),
@@ -148,7 +160,7 @@ class Balance:
         operator = np.zeros_like(self.operator)
         if given is not self.given and model is not None and model.nv == self.needed.shape[1]:
             operator = self._operator(model) - self.operator
-        elif model is not None and model.nv > self.needed.shape[1]:
+        elif model is not None and model.nv > self.needed.shape[1] and (self.forms == "free").all():
             # what a hidden joint leaves of the forces that the motion takes
             ratio = np.sum(needed * self.needed, axis=0) / np.sum(self.needed**2, axis=0)
             operator[0] = (ratio - 1)[:, None] * self.operator[0]
@@ -272,48 +284,165 @@ class Balance:
         The joint's own motion is the response of its mean inertia, damping and stiffness to the
         force that the measured motion puts on it, run by run in the frequency domain.
         """
-        seen = self._dofs(model)
-        hidden = int(np.setdiff1d(np.arange(model.nv), seen)[0])
-
-        def states(x: Array, rate: Array, second: Array) -> tuple[Array, Array, Array]:
-            whole = []
-            for own, measured in (
-                (x, self.position), (rate, self.speed), (second, self.acceleration)
-            ):  # fmt: skip
-                values = np.zeros((len(measured), model.nv))
-                values[:, seen], values[:, hidden] = measured, own
-                whole.append(values)
-            return whole[0], whole[1], whole[2]
-
-        zero, one = np.zeros(len(self.position)), np.ones(len(self.position))
-        force = self._forces(model, commands, states(zero, zero, zero))[0][:, hidden].copy()
-
-        poses = np.linspace(0, len(zero) - 1, _POSES).astype(int)
-
-        def slope(x: Array, rate: Array, second: Array, size: float) -> float:
-            q, v, a = (part[poses] for part in states(x, rate, second))
-            changed = self._forces(model, commands[poses], (q, v, a))[0][:, hidden]
-            return float(np.mean(changed - force[poses]) / size)
-
-        stiffness = slope(_NUDGE * one, zero, zero, _NUDGE)
-        damping = slope(zero, _NUDGE * one, zero, _NUDGE)
-        inertia = slope(zero, zero, one, 1.0)
+        hidden = self._hidden(model, commands)
         parts = []
-        for own in self.motion.split(force):
-            mirrored = np.concatenate([own, own[::-1]])
-            turn = 2 * np.pi * np.fft.rfftfreq(len(mirrored), self.motion.step)
-            moved = -np.fft.rfft(mirrored) / (
+        for turn, force in self._spectra(hidden.force[:, None]):
+            inertia, damping, stiffness = hidden.own
+            moved = -force[:, 0] / (
                 stiffness + 1j * turn * damping - inertia * turn**2 + 1e-12 * abs(stiffness)
             )
-            parts.append(
-                [
-                    np.fft.irfft((1j * turn) ** k * moved, len(mirrored))[: len(own)]
-                    for k in (0, 1, 2)
-                ]
-            )
-        x, rate, second = (np.concatenate([p[k] for p in parts]) for k in range(3))
-        needed, given = self._forces(model, commands, states(x, rate, second))
-        return needed[:, seen].copy(), given[:, seen].copy()
+            parts.append([np.fft.irfft((1j * turn) ** k * moved) for k in (0, 1, 2)])
+        sizes = [len(run.position) for run in self.motion.runs]
+        moved_ = [
+            np.concatenate([p[k][:size] for p, size in zip(parts, sizes, strict=True)])
+            for k in range(3)
+        ]
+        needed, given = self._forces(model, commands, hidden.states(*moved_))
+        return needed[:, hidden.seen].copy(), given[:, hidden.seen].copy()
+
+    def _hidden(self, model: mujoco.MjModel, commands: Array) -> _Hidden:
+        """Force on the one more joint of a model, and how its own motion changes all forces."""
+        seen = self._dofs(model)
+        number = int(np.setdiff1d(np.arange(model.nv), seen)[0])
+        states = partial(_states, (self.position, self.speed, self.acceleration), seen, number)
+        zero, one = np.zeros(len(self.position)), np.ones(len(self.position))
+        base = self._forces(model, commands, states(zero, zero, zero))[0].copy()
+        poses = np.linspace(0, len(zero) - 1, _POSES).astype(int)
+        moved = ((zero, zero, one, 1.0), (zero, _NUDGE * one, zero, _NUDGE),
+                 (_NUDGE * one, zero, zero, _NUDGE))  # fmt: skip
+        changes = []
+        for x, rate, second, size in moved:
+            q, v, a = (part[poses] for part in states(x, rate, second))
+            changed = self._forces(model, commands[poses], (q, v, a))[0]
+            changes.append(np.mean(changed - base[poses], axis=0) / size)
+        every = np.stack(changes)
+        return _Hidden(
+            number=number, seen=seen, states=states, force=base[:, number],
+            own=every[:, number], coupled=every[:, seen],
+        )  # fmt: skip
+
+    def _spectra(self, values: Array) -> Iterator[tuple[Array, Array]]:
+        """Frequencies [rad/s] and spectra (F, K) of each run, mirrored, so that it has no ends."""
+        for own in self.motion.split(values):
+            mirrored = np.concatenate([own, own[::-1]])
+            turn = 2 * np.pi * np.fft.rfftfreq(len(mirrored), self.motion.step)
+            yield turn, np.fft.rfft(mirrored, axis=0)
+
+    def resonances(self, effect: Effect) -> list[tuple[float, ...]]:
+        """Starts of an added spring whose ringing leaves least of the residual.
+
+        All stiffnesses and dampings are tried by the joint's linear response: a lightly damped
+        spring agrees with a measurement only within some per cent of its true frequency.
+        """
+        first = np.array(effect.starts[0])
+        spec = self.machine.fresh()
+        effect.edit(spec, first)
+        model = compiled(spec)
+        if model.nv != self.needed.shape[1] + 1:
+            return []
+        hidden = self._hidden(model, self.commands)
+        inertia, damping, stiffness = hidden.own
+        damping -= model.dof_damping[hidden.number]
+        stiffness -= first[0]
+        own, joints = effect.parameters[0], self.needed.shape[1]
+        top = 2 * np.pi * self.motion.band
+        high = min(own.high, inertia * (_STIFFEST * top) ** 2)
+        grid = np.geomspace(own.low, max(high, 2 * own.low), _SPRINGS)
+        turns, forces, left, noises = [], [], [], []
+        wide = np.column_stack([hidden.force, self.residual[:, :joints]])
+        for turn, spectrum in self._spectra(wide):
+            kept = turn <= top
+            turns.append(turn[kept])
+            forces.append(spectrum[kept, 0])
+            left.append(spectrum[kept, 1:])
+            size = np.sqrt(len(turn))
+            noises.append([size * self.noise(j, turn[kept] / (2 * np.pi)) for j in range(joints)])
+        turn, force = np.concatenate(turns), np.concatenate(forces)
+        scale = 1 / np.concatenate(noises, axis=1).T
+        channels = self.seen.mean(axis=0) > 0.5
+        rest = (np.concatenate(left) * scale)[:, channels]
+        powers = np.stack([turn**0, 1j * turn, -(turn**2)])
+        reaction = np.einsum("pf,pj->fj", powers, hidden.coupled[::-1])[:, channels]
+        reaction = reaction * scale[:, channels] * force[:, None]
+
+        def cost(spring: float, ratio: float) -> float:
+            rate = damping + 2 * ratio * np.sqrt(spring * abs(inertia))
+            answer = -1 / (stiffness + spring + 1j * turn * rate - inertia * turn**2)
+            off = rest - reaction * answer[:, None]
+            return float(np.sum(np.log(np.mean(np.abs(off) ** 2, axis=0) + 1.0)))
+
+        costs = np.array([[cost(k, z) for z in _DAMPINGS] for k in grid])
+        best = costs.min(axis=1)
+        order = [k for k in np.argsort(best) if best[k] <= best[max(k - 3, 0) : k + 4].min()]
+        found = []
+        for k in order[:_RESONANCES]:
+            first_guess = np.log([grid[k], _DAMPINGS[int(np.argmin(costs[k]))]])
+            solved = minimize(lambda x: cost(*np.exp(x)), first_guess, method="Nelder-Mead",
+                              options={"maxfev": 60, "xatol": 0.01, "fatol": 0.01})  # fmt: skip
+            values = [*np.exp(solved.x), *effect.starts[0][2:]]
+            pairs = zip(effect.parameters, values, strict=True)
+            found.append(tuple(p.clipped(float(v)) for p, v in pairs))
+        return found
+
+    def noise(
+        self,
+        joint: int,
+        frequency: Array,
+        operator: Array | None = None,
+        *,
+        floor: bool = True,
+    ) -> Array:
+        """Standard deviation of a channel's balance by the sensors' noise (F,).
+
+        What the operator makes of the noise of positions and speeds, beside that of the torque;
+        with a floor of rounding, which a balance that shrinks would shrink as well.
+        """
+        joints = len(self.machine.joints)
+        if joint >= joints:
+            return self.readings.noise(joint - joints, frequency)
+        own = self.operator if operator is None else operator
+        turn = 2 * np.pi * frequency
+        position, speed, torque = self.motion.noise
+        known = 1 / position**2 + (turn[:, None] / speed) ** 2
+        # not the difference of stiffness and inertia, which vanishes where a pendulum swings
+        gain = own[2, joint] ** 2 + (own[0, joint] * turn[:, None] ** 2) ** 2
+        gain = gain + (own[1, joint] * turn[:, None]) ** 2
+        total = np.sum(gain / known, axis=1) + 1e-300
+        if floor:
+            total = total + (_MODEL * self.machine.load_scales[joint]) ** 2
+        if np.isfinite(torque[joint]):
+            total = total + torque[joint] ** 2
+        return np.asarray(np.sqrt(total))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Hidden:
+    """One more joint than the machine has."""
+
+    number: int
+    """Its degree of freedom."""
+    seen: Array
+    """Degrees of freedom of the machine's joints (joints,)."""
+    states: Callable[[Array, Array, Array], tuple[Array, Array, Array]]
+    """States of all joints for a motion of its own."""
+    force: Array
+    """Force on it while it rests (T,)."""
+    own: Array
+    """Its mean inertia, damping and stiffness (3,)."""
+    coupled: Array
+    """Change of the other joints' forces by its acceleration, speed and position (3, joints)."""
+
+
+def _states(
+    measured: tuple[Array, Array, Array], seen: Array, number: int, *moved: Array
+) -> tuple[Array, Array, Array]:
+    """Positions, speeds and accelerations of all joints, one of which moves as given."""
+    whole = []
+    for own, known in zip(moved, measured, strict=True):
+        values = np.zeros((len(known), known.shape[1] + 1))
+        values[:, seen], values[:, number] = known, own
+        whole.append(values)
+    return whole[0], whole[1], whole[2]
 
 
 def scaled(balance: Balance) -> NominalModel:

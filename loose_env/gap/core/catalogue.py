@@ -168,6 +168,8 @@ def shapes(balance: Balance, effect: Effect) -> list[tuple[tuple[tuple[float, ..
 
 def _starts(balance: Balance, effect: Effect) -> Sequence[tuple[float, ...]]:
     """Starts of an effect, those from the data where it proposes any."""
+    if effect.adds_motion:
+        return (*effect.starts, *balance.resonances(effect))
     if effect.part == "joint" and type(effect).propose is not Effect.propose:
         joint = balance.machine.joint_number(effect.where)
         rows = np.flatnonzero(balance.seen[:, joint])
@@ -187,7 +189,7 @@ def _starts(balance: Balance, effect: Effect) -> Sequence[tuple[float, ...]]:
 def _dense(effect: Effect, starts: Sequence[tuple[float, ...]]) -> list[tuple[float, ...]]:
     """Insert sizes between the starts of an effect that differ in a positive first parameter."""
     alike = len({s[1:] for s in starts}) == 1 and all(s[0] > 0 for s in starts)
-    if not starts or not alike or not (effect.adds_motion or len(effect.parameters) == 1):
+    if not starts or not alike or len(effect.parameters) != 1:
         return list(starts)
     sizes = sorted({s[0] for s in starts})
     if effect.is_time_shift:  # down to what a fraction of a sample does

@@ -30,8 +30,6 @@ _REST = 0.01
 """Speed over the typical one below which a joint is at rest, or four times its noise."""
 _REST_S = 0.12
 """Shortest rest [s]."""
-_MODEL = 1e-4
-"""Error of any torque, as a share of the typical one: rounding, integration."""
 _FELT = 0.05
 """Squared noise standard deviations of a standard deviation of tolerance below which it is not
 felt."""
@@ -253,7 +251,7 @@ def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
         window = _taper(rows.stop - rows.start, len(motion.runs[run].position)) * weight[run][rows]
         values = motion.split(stacked)[run][rows]
         frequency = np.fft.rfftfreq(len(window), motion.step)
-        scale = 1 / np.sqrt((window**2).sum() / 2 + 1e-12) / noise(balance, joint, frequency)
+        scale = 1 / np.sqrt((window**2).sum() / 2 + 1e-12) / balance.noise(joint, frequency)
         scale[0] /= np.sqrt(2)
         spectrum = np.fft.rfft(values * window[:, None], axis=0) * scale[:, None]
         for band in range(BANDS):
@@ -302,37 +300,6 @@ def _edges(balance: Balance) -> Array:
     return np.concatenate([[0.0], np.geomspace(low, 1.02 * top, BANDS)])
 
 
-def noise(
-    balance: Balance,
-    joint: int,
-    frequency: Array,
-    operator: Array | None = None,
-    *,
-    floor: bool = True,
-) -> Array:
-    """Standard deviation of a channel's balance by the sensors' noise (F,).
-
-    What the operator makes of the noise of positions and speeds, beside that of the torque; with
-    a floor of rounding, which a balance that shrinks would shrink as well.
-    """
-    joints = len(balance.machine.joints)
-    if joint >= joints:
-        return balance.readings.noise(joint - joints, frequency)
-    own = balance.operator if operator is None else operator
-    turn = 2 * np.pi * frequency
-    position, speed, torque = balance.motion.noise
-    known = 1 / position**2 + (turn[:, None] / speed) ** 2
-    # not the difference of stiffness and inertia, which vanishes where a pendulum swings
-    gain = own[2, joint] ** 2 + (own[0, joint] * turn[:, None] ** 2) ** 2
-    gain = gain + (own[1, joint] * turn[:, None]) ** 2
-    total = np.sum(gain / known, axis=1) + 1e-300
-    if floor:
-        total = total + (_MODEL * balance.machine.load_scales[joint]) ** 2
-    if np.isfinite(torque[joint]):
-        total = total + torque[joint] ** 2
-    return np.asarray(np.sqrt(total))
-
-
 def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Array:
     """Relative change of a channel's noise with each column's coefficient (C, K)."""
     if joint >= len(balance.machine.joints):
@@ -343,7 +310,7 @@ def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Arra
     for order, power in ((0, 2), (1, 1), (2, 0)):
         weight = balance.operator[order, joint] * turn[:, None] ** (2 * power) / known
         moved += operators[:, order, joint] @ weight.T
-    return np.asarray((moved / noise(balance, joint, turn / (2 * np.pi), floor=False) ** 2).T)
+    return np.asarray((moved / balance.noise(joint, turn / (2 * np.pi), floor=False) ** 2).T)
 
 
 def _quiet(balance: Balance, joint: int) -> Array:

@@ -20,7 +20,7 @@ from scipy.linalg import solve_triangular
 
 from loose_env.gap.core.balance import USUAL
 from loose_env.gap.core.catalogue import Term, terms_of
-from loose_env.gap.core.evidence import Channel, Evidence, append, noise
+from loose_env.gap.core.evidence import Channel, Evidence, append
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.inference import log_determinant
 from loose_env.typing import Array
@@ -80,7 +80,7 @@ class Selection:
             np.ones(len(c.count), bool) for c in evidence.channels
         ]
         self.usual = [
-            noise(evidence.balance, c.joint, c.turn / (2 * np.pi), floor=False)
+            evidence.balance.noise(c.joint, c.turn / (2 * np.pi), floor=False)
             for c in evidence.channels
         ]
         self.values = [_values(c, 0.0) for c in evidence.channels]
@@ -214,7 +214,7 @@ class Selection:
                 channel.power - 2 * part.slope @ own + np.einsum("cij,i,j->c", part.gram, own, own)
             )
             turn = channel.turn / (2 * np.pi)
-            now = noise(evidence.balance, channel.joint, turn, operator, floor=False)
+            now = evidence.balance.noise(channel.joint, turn, operator, floor=False)
             ratio = (now / self.usual[k]) ** 2
             more = power - channel.count * np.maximum(ratio - 1.0, 0.0)
             found.append(np.maximum(more, 0.0) / np.minimum(ratio, 1.0))
