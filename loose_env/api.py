@@ -116,7 +116,7 @@ class GapReport(_Report[GapResult]):
     """Effects that a model lacks, shown as a headline and tables of parameters and residual."""
 
     solution: GapSolution
-    """The finished search, from which `write` makes the corrected model."""
+    """The finished comparison, from which `write` makes model and report."""
 
     @property
     def headline(self) -> str:
@@ -152,7 +152,7 @@ class GapReport(_Report[GapResult]):
         """
         place = _target(folder, self.recording)
         page = partial(report.write_gap_report, say=say)
-        return gap.write_gap(place, self.solution, report=page, say=say)[1]
+        return gap.write_gap(place, self.solution, report=page, say=say)
 
     def __repr__(self) -> str:
         """Headline, parameters, residual and warnings."""
@@ -274,14 +274,13 @@ def explain_gap(
     >>> loose_env.explain_gap("recordings/arm", tolerence=0.05)
     Traceback (most recent call last):
         ...
-    loose_env.errors.UnknownName: there is no setting 'tolerence'; did you mean 'tolerance'? ...
+    loose_env.errors.UnknownName: there is no setting 'tolerence'; did you mean 'tolerances'? ...
     """
     chosen = GapSettings(**_checked(GapSettings, settings))
     read = _recording(recording, model)
     preflight = _check_first(read, ignore_doctor, say)
-    solution = replace(gap.find_gap(read, chosen, say=say), preflight=preflight)
-    result = gap.result_of(solution, gap.diagnose_residuals(solution, say=say))
-    return GapReport(result=result, solution=solution, recording=read)
+    solution = gap.solve_gap(read, chosen, preflight=preflight, say=say)
+    return GapReport(result=solution.result, solution=solution, recording=read)
 
 
 def _check_first(recording: Recording, ignore_errors: bool, say: Say) -> tuple[Finding, ...]:

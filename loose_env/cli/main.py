@@ -41,9 +41,6 @@ _MODULES = {
 }
 """Subcommand -> module with its options, a class of its name."""
 
-_GOES_ON = frozenset({"gap"})
-"""Subcommands that keep finished stages."""
-
 _M_MMAP_THRESHOLD = -3
 """Number of this option of glibc's mallopt."""
 _BLOCK_BYTES = 256 * 1024
@@ -141,11 +138,10 @@ def _run(words: Sequence[str]) -> int:
     from loose_env.errors import LooseEnvError
 
     _return_freed_memory()
-    goes_on = "goes on from there" if words[0] in _GOES_ON else "begins anew"
     try:
         with errors_in_one_line(
             f"loose {words[0]}",
-            interrupted=f"the same command {goes_on}",
+            interrupted="the same command begins anew",
             errors=(LooseEnvError, OSError),
             verbose="--verbose" in words,
         ):

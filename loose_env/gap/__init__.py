@@ -1,32 +1,12 @@
 """Model error: find, identify and correct the physical effects that a simulation lacks.
 
-Data flow: model -> data -> settings -> simulation -> residuals -> fitting ->
-output -> selection -> diagnostics -> experiment_design -> workflow.
+Data flow: model -> data -> simulation -> core -> output -> explain, session; experiment_design is
+beside the core, for `Gap-v0`.
 """
 
-from loose_env.gap.diagnostics.experiment_advice import (
-    how_to_see,
-    how_to_separate,
-)
-from loose_env.gap.diagnostics.feature_localisation import (
-    FeatureChannel,
-)
-from loose_env.gap.diagnostics.joint_torque_residual import (
-    JointMotion,
-)
-from loose_env.gap.diagnostics.localisation import (
-    main_band,
-    strongest,
-)
-from loose_env.gap.diagnostics.regressors import (
-    binned,
-)
-from loose_env.gap.diagnostics.residual_spectra import (
-    Series,
-    in_bands,
-    series_of,
-    spectrum,
-)
+from loose_env.gap.core.find import Answer, find_gap
+from loose_env.gap.core.residual import Response
+from loose_env.gap.core.tolerances import Tolerances
 from loose_env.gap.experiment_design import (
     BankSettings,
     Belief,
@@ -54,58 +34,33 @@ from loose_env.gap.experiment_design import (
     scaled_to_fit,
     signature_bank,
 )
-from loose_env.gap.experiment_design.next_motion import (
-    NEXT_MOTION,
-    NOTHING,
-    NextMotionSettings,
-    NextMotionSummary,
-    PairGain,
-    next_motion_lines,
-    read_next_motion,
+from loose_env.gap.explain import (
+    GapSolution,
+    check_gap,
+    explain_gap,
+    pulled_words,
+    solve_gap,
+    write_gap,
 )
-from loose_env.gap.model.effect import (
-    Effect,
-)
-from loose_env.gap.model.effects.catalogue import (
-    read_effects,
-    register,
-)
-from loose_env.gap.model.hypothesis import (
-    Hypothesis,
-)
-from loose_env.gap.model.parameter import (
-    Parameter,
-)
-from loose_env.gap.output.calibration import (
-    PROBABILITY_FEATURES,
-    GapCalibration,
-    interval_score,
-    probability_features,
-    stored_calibration,
-)
-from loose_env.gap.output.checkpoints import (
-    Stages,
-    key_of,
-)
-from loose_env.gap.output.corrected_model import (
-    write_model,
-)
-from loose_env.gap.output.evidence_schema import (
-    Dependence,
-    Identifiability,
-)
-from loose_env.gap.output.export_check import (
-    compared,
-    exported,
-    resting_runs,
-)
+from loose_env.gap.joined_runs import join_recordings, note_source, read_source
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import read_effects, register
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.parameter import Parameter
+from loose_env.gap.output.advice import how_to_see, how_to_separate
+from loose_env.gap.output.corrected_model import write_model
 from loose_env.gap.output.result import (
-    DeletionTest,
+    ChannelVerdict,
     EffectLocation,
     Gap,
     GapResult,
+    Identifiability,
+    JointExcitation,
     NamedEffect,
-    RankedHypothesis,
+    RankedSet,
+    ResidualTest,
+    TolerancePull,
+    VisibleEffect,
     read_result,
 )
 from loose_env.gap.output.targets.export import (
@@ -114,54 +69,23 @@ from loose_env.gap.output.targets.export import (
     export_result,
     write_export,
 )
-from loose_env.gap.output.targets.source import (
-    Export,
-)
-from loose_env.gap.residuals.physical_units import (
-    quantity_notes,
-)
-from loose_env.gap.settings import (
-    ACCEPTED_Z,
-    NOISE_RMS,
-    GapSettings,
-)
-from loose_env.gap.workflow.explain import explain_gap, prediction_error
-from loose_env.gap.workflow.joined_runs import (
-    Source,
-    join_recordings,
-    note_source,
-    read_source,
-)
-from loose_env.gap.workflow.pipeline import (
-    GapSolution,
-    find_gap,
-)
-from loose_env.gap.workflow.quick_look import QuickCandidate, QuickLook, quick_look
-from loose_env.gap.workflow.residual_diagnostics import ResidualDiagnostics, diagnose_residuals
-from loose_env.gap.workflow.session import GapSession
-from loose_env.gap.workflow.summary import NO_MOTION, result_of, write_gap
+from loose_env.gap.output.targets.source import Export
+from loose_env.gap.session import GapSession
+from loose_env.gap.settings import GapSettings
 
 __all__ = [
-    "ACCEPTED_Z",
-    "NEXT_MOTION",
-    "NOISE_RMS",
-    "NOTHING",
-    "NO_MOTION",
-    "PROBABILITY_FEATURES",
     "TARGETS",
+    "Answer",
     "BankSettings",
     "Belief",
     "BeliefSettings",
-    "DeletionTest",
-    "Dependence",
+    "ChannelVerdict",
     "Effect",
     "EffectEstimate",
     "EffectLocation",
     "Export",
     "ExportSettings",
-    "FeatureChannel",
     "Gap",
-    "GapCalibration",
     "GapResult",
     "GapSession",
     "GapSettings",
@@ -169,70 +93,49 @@ __all__ = [
     "Hypothesis",
     "HypothesisSet",
     "Identifiability",
-    "JointMotion",
+    "JointExcitation",
     "LocalModels",
     "Motion",
     "MotionCheck",
     "MotionSignatures",
     "NamedEffect",
-    "NextMotionSettings",
-    "NextMotionSummary",
     "Outlook",
-    "PairGain",
     "Parameter",
     "Posterior",
-    "QuickCandidate",
-    "QuickLook",
-    "RankedHypothesis",
+    "RankedSet",
     "Ray",
-    "ResidualDiagnostics",
+    "ResidualTest",
+    "Response",
     "Sensing",
-    "Series",
     "ServoArm",
     "SignatureBank",
-    "Source",
-    "Stages",
+    "TolerancePull",
+    "Tolerances",
+    "VisibleEffect",
     "battery",
-    "binned",
     "brief_library",
+    "check_gap",
     "check_motion",
-    "compared",
-    "diagnose_residuals",
     "explain_gap",
     "export_result",
-    "exported",
     "find_gap",
     "how_to_see",
     "how_to_separate",
-    "in_bands",
-    "interval_score",
     "join_recordings",
-    "key_of",
-    "main_band",
     "motion_library",
-    "next_motion_lines",
     "note_source",
     "outlook",
     "pair_gains",
-    "prediction_error",
-    "probability_features",
-    "quantity_notes",
-    "quick_look",
+    "pulled_words",
     "rays_of",
     "read_effects",
-    "read_next_motion",
     "read_result",
     "read_servo_arm",
     "read_source",
     "register",
-    "resting_runs",
-    "result_of",
     "scaled_to_fit",
-    "series_of",
     "signature_bank",
-    "spectrum",
-    "stored_calibration",
-    "strongest",
+    "solve_gap",
     "write_export",
     "write_gap",
     "write_model",

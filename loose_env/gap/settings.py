@@ -6,13 +6,14 @@ time; residuals are in noise standard deviations of their channel.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from math import inf
 from numbers import Real
 
 import numpy as np
 
 from loose_env.errors import InvalidSetting
+from loose_env.gap.core.tolerances import Tolerances
 
 # Preparation
 CHAOTIC_SHARE = 0.3
@@ -181,8 +182,7 @@ SIMPLER_DEPENDENCE = 0.85
 """Share of the strongest dependence from which a simpler one is reported instead."""
 
 # Bounds of the settings
-_MOST_EFFECTS, _MOST_THREADS, _SEEDS = 30, 10_000, 2**63
-"""Bounds of settings: most effects and threads, and above all seeds."""
+_MOST_THREADS = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,63 +191,42 @@ class GapSettings:
 
     Examples
     --------
-    >>> GapSettings(search_seconds=0)
+    >>> GapSettings(threads=-1)
     Traceback (most recent call last):
     ...
-    loose_env.errors.InvalidSetting: search_seconds is a time above 0 s, got 0
+    loose_env.errors.InvalidSetting: threads is a whole number, 0 to 10000, got -1
     """
 
-    tolerance: float = 0.03
-    """Relative error within which nominal masses, inertias, dampings and gains are known [1]."""
-    most_effects: int = 18
-    """Largest number of effects that are identified."""
     kinds: tuple[str, ...] = ()
     """Kinds of effect that are considered, such as coulomb_friction; by default the whole
     catalogue."""
-    held_share: float = 0.25
-    """Share of the runs held out from all fits [1], in whole families of motions: runs whose names
-    begin with the same word."""
     held_out: tuple[str, ...] = ()
-    """Runs that are held out instead: their files, or the beginning of their names."""
-    search_seconds: float = 90.0
-    """Data that the search fits to, all runs together [s]; of longer recordings a window of every
-    run."""
-    fit_seconds: float = 240.0
-    """Data of the final fits, all runs together [s]."""
-    held_seconds: float = 60.0
-    """Held-out data that the search is scored on [s]; the final score is of whole runs."""
-    seed: int = 1
-    """Seed of the bootstrap of the intervals."""
+    """Runs kept out of everything and predicted at the end: their files, or the beginning of their
+    names. By default every run is held out once, in turn."""
+    simulate: bool = True
+    """Whether full simulation decides among the leading sets of effects, where there are
+    commands; without it the force balance alone decides, in a fraction of the time."""
     threads: int = 0
     """Threads of the simulation; 0 for all processors."""
+    tolerances: Tolerances = field(default_factory=Tolerances)
+    """Standard deviations of what the nominal model states."""
 
     def __post_init__(self) -> None:
         """Check the values."""
-        for name, most in (("tolerance", 0.5), ("held_share", 1.0)):
-            value = getattr(self, name)
-            if not (_is_number(value) and 0 < value < most):
-                raise InvalidSetting(f"{name} is a share above 0 and below {most:g}, got {value!r}")
-        for name in ("search_seconds", "fit_seconds", "held_seconds"):
-            value = getattr(self, name)
-            if not (_is_number(value) and value > 0):
-                raise InvalidSetting(f"{name} is a time above 0 s, got {value!r}")
-        for name, least, most in (
-            ("most_effects", 1, _MOST_EFFECTS),
-            ("seed", 0, _SEEDS - 1),
-            ("threads", 0, _MOST_THREADS),
-        ):
-            value = getattr(self, name)
-            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-            if not (whole and least <= value <= most):
-                upper = f"to {most}" if most < _SEEDS - 1 else "or more, below 2**63"
-                raise InvalidSetting(
-                    f"{name} is a whole number, {least} {upper}, got {value!r:.60}"
-                )
+        whole = isinstance(self.threads, int | np.integer) and not isinstance(self.threads, bool)
+        if not (whole and 0 <= self.threads <= _MOST_THREADS):
+            raise InvalidSetting(
+                f"threads is a whole number, 0 to {_MOST_THREADS}, got {self.threads!r:.60}"
+            )
         for name in ("kinds", "held_out"):
             value = getattr(self, name)
             listed = isinstance(value, tuple | list)
             if not (listed and all(isinstance(each, str) for each in value)):
                 raise InvalidSetting(f"{name} is a tuple of words, got {value!r:.60}")
+        for each in fields(self.tolerances):
+            value = getattr(self.tolerances, each.name)
+            if not (_is_number(value) and 0 < value < inf):
+                raise InvalidSetting(f"tolerance {each.name} is a number above 0, got {value!r}")
 
 
 def _is_number(value: object) -> bool:

@@ -19,10 +19,10 @@ from loose_env.report.diagnosis import (
 )
 from loose_env.report.figures import AGENTS, WIDTH, new_figure, quiet_axes
 from loose_env.report.gap import (
+    check_text,
     gap_headline,
     gap_html,
     gap_text,
-    quick_text,
     render_gap_page,
     write_gap_report,
 )
@@ -61,6 +61,7 @@ __all__ = [
     "FigureCard",
     "Section",
     "Table",
+    "check_text",
     "comparison_text",
     "diagnosis_headline",
     "diagnosis_html",
@@ -72,7 +73,6 @@ __all__ = [
     "new_figure",
     "paragraphs",
     "plan_commands",
-    "quick_text",
     "quiet_axes",
     "render_gap_page",
     "render_page",

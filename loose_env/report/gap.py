@@ -1,48 +1,36 @@
-"""Report of `loose gap` as text, HTML and page: headline, next steps, parameters, residuals."""
+"""Report of `loose gap` as text, HTML and page: what is missing, joint by joint, and how sure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from math import log1p
+from collections.abc import Callable, Sequence
+from datetime import date
+from math import isfinite, log1p
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 
 from loose_env.errors import MissingExtra
 from loose_env.gap import (
-    ACCEPTED_Z,
-    NOISE_RMS,
-    Dependence,
+    ChannelVerdict,
     EffectLocation,
-    FeatureChannel,
     GapResult,
     GapSolution,
     Identifiability,
-    JointMotion,
     NamedEffect,
-    QuickLook,
-    RankedHypothesis,
-    ResidualDiagnostics,
-    Series,
+    VisibleEffect,
     how_to_see,
     how_to_separate,
-    in_bands,
-    main_band,
-    quantity_notes,
-    series_of,
-    spectrum,
-    strongest,
+    pulled_words,
 )
-from loose_env.io import begun, duration_words, write_text
-from loose_env.recording import joint_sensors
+from loose_env.gap.core.evidence import stretches_of, weight_of
+from loose_env.gap.core.residual import band_of, correlation, whitened
+from loose_env.io import begun, write_text
 from loose_env.report.gap_figures import (
     channel_bars,
-    horizon_curves,
+    correlation_figure,
+    matrix_figure,
     overlay_figure,
-    residual_panels,
-    spectrum_curves,
+    response_figure,
 )
 from loose_env.report.page import (
     Brief,
@@ -58,35 +46,18 @@ from loose_env.report.page import (
 from loose_env.report.words import (
     RIVALS,
     Located,
-    deletion_words,
     effect_words,
     kind_words,
     rivals_words,
     together,
 )
-from loose_env.typing import Array
+from loose_env.version import __version__
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-_ZERO = frozenset(
-    {
-        "amplitude", "damping", "delay", "drag", "gap", "inertia", "mass", "offset",
-        "time_constant", "torque", "backward", "cosine", "forward", "share", "sine", "width",
-    }
-)  # fmt: skip
-_VECTORS = frozenset({"link_com", "sensor_misalignment", "sensor_bias", "base_tilt"})
-"""Parameters that are zero where the effect is absent, and effects of which all components are."""
-_ONE = frozenset({"factor", "gain", "static_ratio"})
 _HEADLINE = 36  # letters of the effects in the headline
-_ROWS, _PARAMETERS, _BARS = 12, 16, 24  # rows of a table, of that of parameters; channels drawn
-_MOVED = 1e-3  # deviation of a factor from 1 from which it is listed
-_SPECTRA, _JOINTS = 4, 8  # channels with a spectrum, and joints with an overlay
-_SECONDS, _SAMPLES = 2.0, 400  # time of an overlay [s], and its samples
-_PANELS = ("position", "velocity", "load")
-_UNITS = {"N·m": ("rad", "rad/s", "N·m"), "N": ("m", "m/s", "N")}
+_ROWS, _BARS, _FIGURES = 12, 24, 4  # rows of a table, channels drawn, figures of one sort
+_SECONDS, _SAMPLES = 4.0, 500  # time of an overlay [s], and its samples
 _EFFECTS = ["missing effect", "probability", "parameter", "value", "95 % interval", "unit"]
-_QUICK = ["may be missing", "parameter", "value", "unit", "explains", "z", "residual left"]
+_CHANNELS = ["joint or reading", "verdict", "effects", "before", "after"]
 
 
 # Headline, text
@@ -101,14 +72,21 @@ def gap_headline(result: GapResult) -> str:
     >>> gap_headline(GapResult(verdict="no_gap", gap=Gap(before=1.0, after=1.0)))
     'No model error: the model explains the measurement.'
     """
+    left = [each.channel for each in result.channels if each.verdict == "unexplained"]
     if result.verdict == "no_gap":
         return "No model error: the model explains the measurement."
-    if result.verdict == "unexplained":  # nothing is named then
-        likely = _unsure(result)
-        if likely is None:
-            return "An effect is missing that is not in the catalogue."
-        return f"An effect is missing, perhaps {_short(likely.places)}."
-    return f"The model lacks {_short(result.effects)}{', and a further effect' * _open(result)}."
+    if result.verdict == "unexplained":
+        if left:
+            return f"Nothing tried explains {_channel_words(left)}."
+        return "The recording cannot tell which effect is missing."
+    rest = f"; {_channel_words(left)} {'is' if len(left) == 1 else 'are'} unexplained"
+    return f"The model lacks {_short(result.effects)}{rest * bool(left)}."
+
+
+def _channel_words(names: Sequence[str]) -> str:
+    """Names of joints and readings, or their number where they are many."""
+    shown = [name.removeprefix("sensor.") for name in names]
+    return named_list(shown) if len(shown) < 4 else f"{len(shown)} joints and readings"
 
 
 def _short(effects: Sequence[Located]) -> str:
@@ -118,35 +96,13 @@ def _short(effects: Sequence[Located]) -> str:
     return next(fits, f"{len(effects)} effects")
 
 
-def _open(result: GapResult) -> bool:
-    """True if a large residual remains after the identified effects."""
-    return bool(result.remaining) and result.gap.after > NOISE_RMS and _by_impacts(result) is None
-
-
-def _by_impacts(result: GapResult) -> NamedEffect | None:
-    """A part with stops, identified by its impact power."""
-    return next((e for e in result.effects if e.impact_power_explained is not None), None)
-
-
-def _unsure(result: GapResult) -> RankedHypothesis | None:
-    """Insignificant hypothesis that explains an unexplained residual; None if there is none."""
-    if result.verdict != "unexplained" or result.gap.before <= NOISE_RMS:
-        return None
-    first = (r for r in result.ranking if r.step == 1 and r.improvement_z < ACCEPTED_Z)
-    return next((r for r in first if r.held_out <= NOISE_RMS), None)
-
-
 def summary_words(result: GapResult) -> list[str]:
     """Effects with their locations, and the residual before and after, below the headline."""
-    found, likely = [], _unsure(result)
-    if result.effects:
-        found.append(f"{begun(together(result.effects))}.")
-    elif likely is not None:
-        found.append(f"It may be {together(likely.places)}; that is not significant in these runs.")
+    found = [f"{begun(together(result.effects))}."] if result.effects else []
     after = "" if result.verdict == "no_gap" else f", {result.gap.after:.2f} after correction"
     found.append(
-        f"Residual on held-out runs: {result.gap.before:.2f} noise standard deviations{after} "
-        "(sensor noise alone: 1)."
+        f"Force that is missing on held-out data: {result.gap.before:.2f} noise standard "
+        f"deviations{after} (sensor noise alone: 1)."
     )
     return found
 
@@ -159,31 +115,42 @@ def _brief(result: GapResult, *, warnings: bool) -> Brief:
         ("corrected model", gap.after),
         ("sensor noise alone", gap.noise_floor),
     ]
-    top = log1p(max(NOISE_RMS, *(value for _, value in sizes)))
+    top = log1p(max(2.0, *(value for _, value in sizes)))
     residual = [[name, log1p(value) / top, f"{value:.2f}"] for name, value in sizes]
-    heads = ["residual on held-out runs", "logarithmic", "noise standard deviations"]
-    where = result.location_words if result.verdict == "unexplained" else ()
+    heads = ["residual on held-out data", "logarithmic", "noise standard deviations"]
+    quantities = [
+        f"{name}: {before:.3g} {unit} before, {after:.3g} {unit} after"
+        for key, (before, after) in gap.by_quantity.items()
+        for name, unit in [key.rstrip("]").split(" [")]
+    ]
+    channels = [
+        [c.channel, c.verdict, _located(c.effects), f"{c.before:.2f}", f"{c.after:.2f}"]
+        for c in result.channels
+    ]
     return Brief(
         headline=gap_headline(result),
         parts=[
-            ("Location of the residual", "  ", where),
             ("", "  ", [[*_EFFECTS, "confusable with"], *effects] if effects else []),
             ("", "  ", [heads, *residual]),
-            ("In physical units", "  ", quantity_notes(gap.by_quantity)),
-            ("Remaining", "remaining: ", result.remaining if result.verdict == "named" else ()),
+            ("", "  ", [_CHANNELS, *channels] if channels else []),
+            ("In physical units", "  ", quantities),
+            ("Pulled out of their tolerances", "pulled: ", pulled_words(result)[:RIVALS]),
             *(graded_parts(result.graded_warnings) if warnings else []),
         ],
     )
 
 
+def _located(effects: Sequence[EffectLocation]) -> str:
+    """Effects with locations in identifiers, the first few."""
+    shown = [f"{e.kind} at {e.where}" for e in effects[:3]]
+    return ", ".join([*shown, *(["others"] if len(effects) > 3 else [])])
+
+
 def _effect_rows(effect: NamedEffect) -> list[list[str]]:
     """Rows of an effect's parameters; the first names the effect."""
     likely = "" if effect.probability is None else f"{100 * effect.probability:.0f} %"
-    name, others, rows = (
-        effect_words(effect.kind, effect.where),
-        ", ".join(rivals_words(effect)),
-        [],
-    )
+    name, rows = effect_words(effect.kind, effect.where), []
+    others = ", ".join(rivals_words(effect))
     for parameter, value in effect.parameters.items():
         ends = effect.interval_95.get(parameter)
         between = "" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}"
@@ -208,7 +175,7 @@ def gap_text(result: GapResult, *, warnings: bool = True) -> str:
     >>> from loose_env.gap import Gap
     >>> print(gap_text(GapResult(verdict="no_gap", gap=Gap(before=1.04, after=1.04))))
     No model error: the model explains the measurement.
-      residual on held-out runs  noise standard deviations
+      residual on held-out data  noise standard deviations
       nominal model              1.04
       corrected model            1.04
       sensor noise alone         1.00
@@ -221,59 +188,67 @@ def gap_html(result: GapResult) -> str:
     return _brief(result, warnings=True).html()
 
 
-def quick_text(look: QuickLook) -> str:
-    """Result of `loose gap --quick` in a few lines of text.
+def check_text(found: Identifiability) -> str:
+    """What a recording could show, as `loose gap --check` prints it.
 
     Examples
     --------
-    >>> print(quick_text(QuickLook(before=1.02)))
-    Residual on held-out windows: 1.02 noise standard deviations; it is white.
-    A quick look ranks and does not decide: run the command without --quick.
+    >>> print(check_text(Identifiability()))
+    No joint moves enough to be compared.
     """
-    rows = [_QUICK]
-    for each in look.candidates:
-        shares = [f"{100 * each.explained:.0f} %", f"{each.held_out_z:.1f}", f"{each.held_out:.2f}"]
-        for k, effect in enumerate(each.effects):
-            name = f"{'and ' * (k > 0)}{effect_words(effect.kind, effect.where)}"
-            for parameter, value in each.parameters[k].items():
-                words, unit = parameter.replace("_", " "), each.units[k][parameter]
-                rows.append([name, words, f"{value:.4g}", unit, *shares])
-                name, shares = "", ["", "", ""]
-    size = f"Residual on held-out windows: {look.before:.2f} noise standard deviations"
-    lines = [f"{size}." if look.candidates else f"{size}; it is white."]
-    table = aligned(rows) if look.candidates else []
-    lines += [f"  {words}" for words in (*look.location_words, *table)]
-    lines.append("A quick look ranks and does not decide: run the command without --quick.")
-    return "\n".join(lines)
+    if not any(joint.used > 0 for joint in found.joints):
+        return "No joint moves enough to be compared."
+    rows = [["joint", "travel", "speed", "acceleration", "unit", "compared"]]
+    rows += [
+        [j.joint, f"{j.travel:.3g}", f"{j.speed:.3g}", f"{j.acceleration:.3g}", j.unit,
+         f"{100 * j.used:.0f} %"]
+        for j in found.joints
+    ]  # fmt: skip
+    seen = [["would show", "from", "not told from"]]
+    seen += [[_name(e), _size(e), _rival_words(e)] for e in found.effects if e.visible]
+    unseen = [["would not show", "below", "better"]]
+    unseen += [[_name(e), _size(e), how_to_see(e.kind)] for e in found.effects if not e.visible]
+    parts = [aligned(part) for part in (rows, seen, unseen) if len(part) > 1]
+    return "\n\n".join("\n".join(part) for part in parts)
+
+
+def _name(effect: VisibleEffect) -> str:
+    return f"{effect.kind} at {effect.where}"
+
+
+def _size(effect: VisibleEffect) -> str:
+    """Smallest visible parameters with their units."""
+    sizes = effect.smallest.items()
+    return ", ".join(f"{k} {v:.3g} {effect.units.get(k, '')}".rstrip() for k, v in sizes)
+
+
+def _rival_words(effect: VisibleEffect) -> str:
+    other = effect.confusable_with
+    return "" if other is None else f"{other.kind} at {other.where}"
 
 
 # Page
 
 
 def write_gap_report(
-    folder: Path,
-    solution: GapSolution,
-    evidence: ResidualDiagnostics,
-    result: GapResult,
-    *,
-    say: Callable[[str], None] = lambda _: None,
+    folder: Path, solution: GapSolution, *, say: Callable[[str], None] = lambda _: None
 ) -> Path | None:
     """Write ``report.html``; None where it cannot be drawn or written.
 
-    A search may have taken hours, and its model and result are worth more than the page: whatever
-    it fails by is said, not raised, and an earlier page does not stay.
+    Whatever the page fails by is said, not raised: model and result are worth more. An earlier
+    page does not stay.
 
     Parameters
     ----------
     folder : Path
         Where it goes.
-    solution, evidence, result
+    solution : GapSolution
         As of `loose_env.gap.write_gap`, whose ``report`` this is.
     say : callable
         Receives the reason why there is no page.
     """
     try:
-        return write_text(folder / "report.html", render_gap_page(solution, evidence, result))
+        return write_text(folder / "report.html", render_gap_page(solution))
     except MissingExtra as error:
         say(f"no report.html: {error}")
     except Exception as error:  # whatever a page fails by, model and result do not need it
@@ -282,51 +257,51 @@ def write_gap_report(
     return None
 
 
-def render_gap_page(solution: GapSolution, evidence: ResidualDiagnostics, result: GapResult) -> str:
-    """Return the page of a model-error analysis.
+def render_gap_page(solution: GapSolution) -> str:
+    """Return the page of a comparison.
 
     Parameters
     ----------
-    solution, evidence, result
-        As of `loose_env.gap.write_gap`.
+    solution : GapSolution
+        The finished comparison.
 
     Raises
     ------
     MissingExtra
         If jinja2 or matplotlib is not installed.
     """
-    before = by_channel(solution, solution.base.held_out_residual)
-    after = by_channel(solution, solution.best.held_out_residual)
+    result = solution.result
     settings = ", ".join(f"{k} {v}" for k, v in result.settings.items() if not isinstance(v, dict))
+    tolerances = ", ".join(f"{k} {v:g}" for k, v in result.settings.get("tolerances", {}).items())
+    held = ", ".join(result.held_out_runs) or "every run, or every other stretch, once in turn"
     return render_page(
         gap_headline(result),
         [
+            _effects_section(result),
+            _channels_section(result),
             Section(heading="What to do next", points=gap_steps(result), code=result.code),
-            parameters_section(result),
-            overlay_section(solution, before, after),
-            Section(answers=_answers(result)),
             warnings_section(result.graded_warnings),
-            _residual_section(evidence, result),
-            _spectra_section(evidence, result, before, after),
-            _motion_section(solution, evidence, before, after),
-            _location_section(evidence),
+            _overlay_section(solution),
+            _residual_section(solution),
+            _response_section(solution),
+            _correlation_section(solution),
             _ranking_section(result),
-            _remaining_section(result),
             _identifiability_section(result.identifiability),
         ],
-        kicker=[solution.problem.recording, "model error"],
+        kicker=[solution.answer.recording.folder.name, "model error"],
         text=summary_words(result),
         notes=[
-            f"Held-out runs: {', '.join(result.held_out_runs)}. All numbers stand in result.json.",
-            *([f"Settings: {settings}."] if settings else []),
+            f"Held out: {held}. All numbers stand in result.json.",
+            f"Settings: {settings}. Tolerances: {tolerances}.",
+            f"{date.today().isoformat()}, loose-env {__version__}, {solution.seconds:.1f} s.",
         ],
     )
 
 
 def gap_steps(result: GapResult) -> list[str]:
     """Recommended next steps."""
-    steps, likely = [], _unsure(result)
-    if result.verdict == "named":
+    steps = []
+    if result.effects:
         steps.append(
             "Simulate with model.xml. It is a plain MJCF file, and the recording's columns are "
             "valid in it."
@@ -341,504 +316,284 @@ def gap_steps(result: GapResult) -> list[str]:
             advice = how_to_separate(effect.kind, effect.where, other.kind, other.where)
             names = [effect_words(each.kind, each.where) for each in (effect, other)]
             steps.append(f"To separate {' from '.join(names)}: {advice[0].lower()}{advice[1:]}")
-    if likely is not None:
-        steps.append(
-            f"Record more of these motions, or longer ones: {together(likely.places)} reduces the "
-            f"residual from {result.gap.before:.2f} to {likely.held_out:.2f}, but with a z-score "
-            f"of only {likely.improvement_z:.1f}."
-        )
-    if result.verdict == "unexplained":
-        steps += [f"Look here: {words}" for words in result.location_words]
-    elif _open(result):
-        steps += [f"Look here for the missing effect: {words}" for words in result.remaining[1:]]
-    if result.verdict == "unexplained" or _open(result):
+    for each in result.channels:
+        if each.verdict in ("cannot tell", "unexplained") and each.advice:
+            steps.append(f"{each.channel}, {each.verdict}: {each.advice}")
+    if any(each.verdict == "unexplained" for each in result.channels):
         steps.append(
             "If you know the effect, add it: it is one small class in one file, and is fitted like "
             "those of the catalogue."
+        )
+    if result.pulled:
+        steps.append(
+            f"Check these figures of the model, which the data contradict: "
+            f"{'; '.join(pulled_words(result)[:RIVALS])}"
         )
     if result.verdict == "no_gap":
         steps.append(
             "To look closer, record motions that strain what you suspect: slow and fast, with "
             "reversals, over the whole range, with and without load."
         )
-    drifts = [t.channel for t in result.residual_tests if t.trend_z >= 4 and abs(t.trend) > 0.5]
-    if drifts:
-        steps.append(
-            f"{named_list([*drifts[:3], *(['others'] if len(drifts) > 3 else [])])} drift within a "
-            "run: something warms up or creeps. Record a long run at constant motion."
-        )
-    return steps
+    return [step if step.endswith(".") else f"{step}." for step in steps]
 
 
-def _answers(result: GapResult) -> dict[str, Sequence[str]]:
-    """Findings, each under its heading."""
-    named = [
-        f"{effect_words(e.kind, e.where)}: {e.kind} at {e.where}, {deletion_words(e)}"
-        for e in result.effects
-    ]
-    doubtful = [
-        f"{effect_words(e.kind, e.where)}: {deletion_words(e)}; too little to tell it from a "
-        "stand-in for something else"
-        for e in result.doubtful
-    ]
-    found: dict[str, Sequence[str]] = {
-        "Missing effects": [each.rstrip(", ") for each in named],
-        "Reduce the error, not identified": doubtful,
-        "Location of the residual": result.location_words if result.verdict != "no_gap" else (),
-        "Size of the model error": size_words(result),
-        "Remaining residual": result.remaining if result.verdict == "named" else (),
-        "Confusable effects": mistaken_words(result),
-    }
-    return {heading: words for heading, words in found.items() if words}
-
-
-def size_words(result: GapResult) -> list[str]:
-    """Size of the model error, before and after correction."""
-    gap, count = result.gap, len(result.held_out_runs)
-    said = (
-        f"Residual of the nominal model on {'one run' if count == 1 else f'{count} runs'} held out "
-        f"from all fits: {gap.before:.2f} noise standard deviations (sensor noise alone: 1)"
-    )
-    if result.verdict == "no_gap":
-        return [f"{said}, explained by its tolerance and the noise."]
-    left = "Most of it remains."
-    if gap.after <= NOISE_RMS:
-        left = "The residual is down to the noise."
-    elif (impact_fit := _by_impacts(result)) is not None:
-        left = (
-            "The times of impacts are not reproducible; of their power the corrected model "
-            f"explains {100 * (impact_fit.impact_power_explained or 0.0):.0f} %."
-        )
-    elif gap.after < 0.7 * gap.before:
-        left = "It is reduced, not eliminated: see the remaining residual."
-    units = [f"{begun(words)}." for words in quantity_notes(gap.by_quantity)]
-    return [f"{said}; of the corrected model: {gap.after:.2f}. {left}", *units]
-
-
-def mistaken_words(result: GapResult) -> list[str]:
-    """Confusable effects of each identified one."""
-    said, impact_fit = [], _by_impacts(result)
-    groups: dict[tuple[int, tuple[EffectLocation, ...]], list[NamedEffect]] = {}
-    for effect in result.effects:
-        if not effect.ambiguous_with and effect is not impact_fit:
-            own = EffectLocation(kind=effect.kind, where=effect.where)
-            first = next((r for r in result.ranking if own in r.places), None)
-            groups.setdefault((first.step, first.places) if first else (0, ()), []).append(effect)
-    for (step, fitted), effects in groups.items():
-        words = together(effects)
-        others = sum(row.step == step and row.places != fitted for row in result.ranking)
-        if not others:
-            said.append(f"No other hypothesis was fitted to whole runs in place of {words}.")
-            continue
-        rivals = (
-            "the one other hypothesis that was fitted to whole runs does not explain"
-            if others == 1
-            else f"none of the {others} other hypotheses that were fitted to whole runs explains"
-        )
-        said.append(f"In place of {words}, {rivals} the held-out runs as well.")
-        if len(fitted) > 1:
-            said.append(
-                "These were fitted jointly; another effect at one of the locations, with the "
-                "others unchanged, was not tried."
-            )
-    if impact_fit is not None and not impact_fit.ambiguous_with:
-        words = effect_words(impact_fit.kind, impact_fit.where)
-        said.append(f"No play at another location explains the impact power as well as {words}.")
-    said += [
-        f"The held-out runs do not separate {effect_words(e.kind, e.where)} from "
-        f"{' or from '.join(rivals_words(e))}."
-        for e in result.effects
-        if e.ambiguous_with
-    ]
-    return said
-
-
-def parameters_section(result: GapResult) -> Section:
-    """The one table of parameters: those of the effects, then the nominal ones."""
-    rows = [
-        _parameter(
-            f"{effect_words(effect.kind, effect.where)}: {name.replace('_', ' ')}",
-            _absent(effect.kind, name),
-            value,
-            effect.interval_95.get(name),
-            effect.units.get(name, "") or "1",
-        )
-        for effect in result.effects
-        for name, value in effect.parameters.items()
-    ]
-    moved = sorted(result.nominal_parameters.items(), key=lambda item: -abs(item[1] - 1))
-    kept = [item for item in moved if abs(item[1] - 1) >= _MOVED][: max(_PARAMETERS - len(rows), 4)]
-    rows += [_parameter(name, "1", value, None, "factor") for name, value in kept]
+def _effects_section(result: GapResult) -> Section:
+    """Parameters of named and of doubtful effects."""
+    tables = []
+    for title, effects in (("", result.effects), ("Not sure enough to be named", result.doubtful)):
+        heads = [*(head.capitalize() for head in _EFFECTS), "Confusable with"]
+        rows = [
+            dict(zip(heads, row, strict=True)) for each in effects for row in _effect_rows(each)
+        ]
+        tables.append(Table(title=title, rows=rows))
     note = (
-        "Nominal: value in the recording's model, or with which the effect is absent. Factors are "
-        "of nominal parameters, fitted within their tolerance and never reported as an effect; "
-        "model.xml carries them."
+        "Probability: that the machine has the effect, or one that is confusable with it, among "
+        "the sets of effects that were compared. Intervals: as uncertain as the fit, or as the "
+        "stretches of the recording disagree."
     )
-    if len(kept) < len(moved):
-        note += f" The other {len(moved) - len(kept)} are closer to 1: see result.json."
-    return Section(heading="Parameters", tables=[Table(rows=rows, note=note)] if rows else [])
+    tables = [table for table in tables if table.rows]
+    if tables:
+        tables[-1] = Table(title=tables[-1].title, rows=tables[-1].rows, note=note)
+    return Section(heading="What the model lacks", tables=tables)
 
 
-def _parameter(
-    name: str, nominal: str, found: float, ends: tuple[float, float] | None, unit: str
-) -> dict[str, str]:
-    return {
-        "Parameter": begun(name) if " " in name else name,
-        "Nominal": nominal,
-        "Found": f"{found:.4g}",
-        "95 % interval": "–" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}",
-        "Unit": unit,
-    }
+def _channels_section(result: GapResult) -> Section:
+    """One line for each joint and reading."""
+
+    def words(each: ChannelVerdict) -> dict[str, str]:
+        sides = [f"{v:.2f}" if isfinite(v) else "-" for v in (each.before, each.after)]
+        return {
+            "Joint or reading": each.channel.removeprefix("sensor."),
+            "Verdict": each.verdict,
+            "Effects": together(each.effects, plain=False) or "-",
+            "Before": sides[0],
+            "After": sides[1],
+            "Advice": begun(each.advice) or "-",
+        }
+
+    note = (
+        "Before, after: residual of the nominal model within its tolerances, and of the corrected "
+        "one, on held-out data in noise standard deviations. Not needed: no further effect is. "
+        "Cannot tell: one of these effects, and the motion that would tell which. Unexplained: "
+        "much is left by everything that was tried."
+    )
+    tables = [Table(rows=[words(each) for each in result.channels], note=note)]
+    pulled = [
+        {"Tolerance": each.name, "Standard deviations": f"{each.deviations:+.1f}"}
+        for each in result.pulled[:_ROWS]
+    ]
+    tables.append(Table(title="Pulled out of their tolerances", rows=pulled))
+    return Section(heading="Joint by joint", tables=[table for table in tables if table.rows])
 
 
-def _absent(kind: str, name: str) -> str:
-    """Value of a parameter where the effect is absent; a dash where it only shapes the effect."""
-    if name in _ONE:
-        return "1"
-    if name == "stiffness":
-        return "0" if kind == "joint_spring" else "rigid"
-    return "0" if name in _ZERO or kind in _VECTORS else "–"
+def _overlay_section(solution: GapSolution) -> Section:
+    """Measured against model where most is left, joint by joint."""
+    evidence = solution.answer.selection.evidence
+    balance = evidence.balance
+    joints, readings = len(balance.machine.joints), balance.motion.stacked("readings")
+    starts = np.cumsum([0, *(len(run.position) for run in balance.motion.runs)])
+    most = int(_SECONDS / balance.motion.step)
+    order = sorted(
+        evidence.channels,
+        key=lambda c: -solution.result.gap.by_channel[balance.channels[c.joint]][0],
+    )
+    cards = []
+    for channel in order[:_FIGURES]:
+        k, weight = channel.joint, weight_of(balance, channel.joint)
+        worst, rows = 0.0, slice(0, 0)
+        for run, piece in stretches_of(balance):
+            for first in range(piece.start, max(piece.stop - most // 2, piece.start + 1), most):
+                own = slice(starts[run] + first, starts[run] + min(first + most, piece.stop))
+                size = float(np.mean(weight[own] * solution.before[own, k] ** 2))
+                if size >= worst:
+                    worst, rows, name = size, own, balance.motion.runs[run].name
+        measured = balance.drive[rows, k] if k < joints else readings[rows, k - joints]
+        time = (np.arange(rows.start, rows.stop) - rows.start) * balance.motion.step
+        thin = slice(None, None, max(1, len(time) // _SAMPLES))
+        figure = overlay_figure(
+            time[thin], measured[thin], (measured - solution.before[rows, k])[thin],
+            (measured - solution.after[rows, k])[thin], channel=balance.channels[k],
+            unit=_unit(solution, k),
+        )  # fmt: skip
+        cards.append(
+            FigureCard(
+                title=f"{balance.channels[k].removeprefix('sensor.')} in {name}",
+                image=figure,
+                caption="Given: force of the drive, as measured or as the model's drive makes it "
+                "of commands and motion, none in a free swing. The models: force that the measured "
+                "motion takes in each. Of a reading: as read, and as foretold. Below, the "
+                "difference.",
+            )
+        )
+    intro = "The stretch in which the nominal model misses most, predicted from the other runs."
+    return Section(heading="Measured against model", intro=[intro], cards=cards)
 
 
-BySeries = Mapping[str, Sequence[Series]]
+def _unit(solution: GapSolution, channel: int) -> str:
+    """Unit of a channel's balance."""
+    machine = solution.answer.selection.evidence.balance.machine
+    if channel >= len(machine.joints):
+        return "as recorded"
+    return "N·m" if machine.turns(machine.joints[channel]) else "N"
 
 
-def by_channel(solution: GapSolution, residual: Array) -> dict[str, list[Series]]:
-    """Series of a residual on the held-out runs, those of each channel together."""
-    held = solution.problem.held_out_whole
-    found: dict[str, list[Series]] = {}
-    for series in series_of(residual, held.rows, held.trials, held.channels):
-        found.setdefault(series.channel, []).append(series)
-    return found
-
-
-def overlay_section(solution: GapSolution, before: BySeries, after: BySeries) -> Section:
-    """Measured, nominal and corrected readings of the joints over time."""
-    machine = solution.problem.machine
-    sensors = joint_sensors(machine.model)
-    chosen: dict[str, tuple[Series, Series]] = {}
-    for joint in machine.joints:
-        if joint in sensors:
-            read = (*sensors[joint].position, *sensors[joint].velocity)
-            pairs = [
-                (one, other)
-                for channel in (f"torque.{joint}", *(f"sensor.{name}" for name in read))
-                for one, other in zip(before.get(channel, ()), after.get(channel, ()), strict=False)
-                if one.trial == other.trial and len(one.time) == len(other.time) > 8
-            ]
-            if pairs:
-                chosen[joint] = max(pairs, key=lambda pair: pair[0].rms)
-    worst = sorted(chosen, key=lambda joint: -chosen[joint][0].rms)[:_JOINTS]
+def _residual_section(solution: GapSolution) -> Section:
+    """Residuals by channel, and their correlation in time and with the motion."""
+    result, evidence = solution.result, solution.answer.selection.evidence
+    balance = evidence.balance
+    pairs = sorted(result.gap.by_channel.items(), key=lambda item: -item[1][0])[:_BARS]
     cards = [
         FigureCard(
-            title=joint,
-            image=_overlay(solution, one, other, joint),
-            caption=f"{one.channel} of {one.run}, held out from all fits. Residual {one.rms:.2f} "
-            f"before and {other.rms:.2f} after correction, in noise standard deviations.",
+            title="Channel by channel",
+            image=channel_bars(dict(pairs)),
+            caption="Root mean square on held-out data over the noise: 1 is noise alone.",
         )
-        for joint, (one, other) in chosen.items()
-        if joint in worst
     ]
-    intro = f"Up to {_SECONDS:g} s about the largest residual of the nominal model."
-    return Section(heading="Measured, nominal and corrected", intro=[intro], cards=cards)
-
-
-def _overlay(solution: GapSolution, one: Series, other: Series, joint: str) -> Figure:
-    held, model = solution.problem.held_out_whole, solution.problem.machine.model
-    column = next(c for c, each in enumerate(held.channels) if each.name == one.channel)
-    scale = float(held.scales[one.trial, column])
-    measured: Array = held.trials[one.trial].measured[one.sample, column]
-    width = min(25, len(one.residual))
-    smooth = np.convolve(np.abs(one.residual), np.ones(width) / width, mode="same")
-    centre = float(one.time[int(np.argmax(smooth))])
-    start = min(max(centre - _SECONDS / 2, one.time[0]), max(one.time[-1] - _SECONDS, one.time[0]))
-    inside = np.flatnonzero((one.time >= start) & (one.time <= start + _SECONDS))
-    few = inside[np.unique(np.linspace(0, len(inside) - 1, _SAMPLES).astype(int))]
-    slides = model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE
-    unit = (
-        ("N" if slides else "N·m")
-        if one.channel.startswith("torque.")
-        else "m"
-        if slides
-        else "rad"
-    )
-    if one.channel.removeprefix("sensor.") in joint_sensors(model)[joint].velocity:
-        unit += "/s"
-    models = (measured[few], *((measured - m.residual * scale)[few] for m in (one, other)))
-    return overlay_figure(one.time[few], *models, channel=one.channel, unit=unit)
-
-
-def _residual_section(evidence: ResidualDiagnostics, result: GapResult) -> Section:
-    """Residual by channel and by horizon, side by side."""
-    pairs = sorted(result.gap.by_channel.items(), key=lambda item: -item[1][0])
-    cards = []
-    if pairs:
-        more = f" The {_BARS} largest of {len(pairs)} channels." if len(pairs) > _BARS else ""
+    for channel in sorted(evidence.channels, key=lambda c: -_left(solution, c.joint))[:_FIGURES]:
+        k = channel.joint
+        series, interval = whitened(balance, solution.after[:, k], k)
+        motion = [k] if k < len(balance.machine.joints) else range(len(balance.machine.joints))
+        fastest = max(motion, key=lambda j: float(np.std(balance.speed[:, j])))
+        speed, _ = whitened(balance, balance.speed[:, fastest], k)
+        name = balance.machine.joints[fastest]
+        figure = correlation_figure(
+            interval, correlation(series, series), correlation(series, speed), band_of(series), name
+        )
         cards.append(
             FigureCard(
-                title="Channel by channel",
-                image=channel_bars(dict(pairs[:_BARS])),
-                caption="Residual of each channel over its noise floor, before and after, on a "
-                f"logarithmic scale; the dashed line is the noise floor.{more}",
+                title=f"Correlation of the residual of {balance.channels[k]}",
+                image=figure,
+                caption=f"With itself, and with the speed of {name}, both whitened by the noise. "
+                "Within the grey band (95 %) there is nothing left to model.",
             )
         )
-    if pairs and evidence.before:
-        cards.append(
-            FigureCard(
-                title="Prediction error by horizon",
-                image=horizon_curves(
-                    [e.horizon for e in evidence.before],
-                    [e.rms for e in evidence.before],
-                    [e.rms for e in evidence.after],
-                ),
-                caption="The simulation was restarted from the measured state "
-                f"{evidence.before[0].starts} times and run open loop: root mean square error of "
-                "all channels over their noise floors.",
-            )
-        )
-    intro = (
-        "On the held-out runs: the nominal model, fitted within its tolerance, and the corrected "
-        "one. 1 is sensor noise alone."
-    )
-    return Section(heading="Residual before and after correction", intro=[intro], cards=cards)
-
-
-def _spectra_section(
-    evidence: ResidualDiagnostics, result: GapResult, before: BySeries, after: BySeries
-) -> Section:
-    """Spectra of the channels that disagree most."""
-    first, then = (
-        _spectra(before, evidence.features_before), _spectra(after, evidence.features_after)
-    )  # fmt: skip
-    worst = sorted(result.gap.by_channel, key=lambda c: -result.gap.by_channel[c][0])[:_SPECTRA]
-    cards = []
-    for channel in worst:
-        if channel in first and channel in then and len(first[channel][0]) > 1:
-            said = f"Spectrum of what {channel} shows beyond the model, over that of its noise"
-            if channel not in before:
-                said = (
-                    f"By how much the power of {channel} differs from the simulated power, over "
-                    "that of its noise: impacts make the trajectories chaotic"
-                )
-            image = spectrum_curves(first[channel], then[channel])
-            caption = f"{said}. The dashed line is the noise floor."
-            cards.append(FigureCard(title=channel, image=image, caption=caption))
-    intro = "Spectra of the residual on the held-out runs, of the channels with the largest one."
-    return Section(heading="Spectra before and after", intro=[intro], cards=cards)
-
-
-def _spectra(
-    series: BySeries, features: Sequence[FeatureChannel]
-) -> dict[str, tuple[Array, Array]]:
-    """Spectrum of every channel's residual; of runs without trajectory if of no other."""
-    own: dict[str, list[FeatureChannel]] = {}
-    for each in features:
-        if len(each.power):
-            own.setdefault(each.gap.channel, []).append(each)
-    found = {}
-    for channel, runs in own.items():
-        frequency = min((s.frequency for s in runs), key=len)
-        power = np.mean([np.interp(frequency, s.frequency, s.power) for s in runs], axis=0)
-        found[channel] = in_bands(frequency, power)
-    return found | {channel: spectrum(many) for channel, many in series.items()}
-
-
-def _motion_section(
-    solution: GapSolution, evidence: ResidualDiagnostics, before: BySeries, after: BySeries
-) -> Section:
-    """Residual against position, velocity and load, as torque where the motion allows it."""
-    machine = solution.problem.machine
-    named = [e.where for e in solution.effects if e.where in machine.joints]
-    if not named:  # the joint with the largest torque unexplained
-        gaps = [g for g in evidence.location.joints if np.isfinite(g.residual / g.noise)]
-        worst = max(gaps, key=lambda g: g.residual / max(g.noise, 1e-12), default=None)
-        named = [worst.joint] if worst is not None else []
-    cards = [
-        _torque_card(evidence.held_out_motions, joint, machine.joints.index(joint))
-        for joint in list(dict.fromkeys(named))[:2]
+    rows = [
+        {
+            "Joint or reading": test.channel.removeprefix("sensor."),
+            "RMS / noise": f"{test.rms:.2f}",
+            "Largest autocorrelation": f"{test.largest_autocorrelation:.2f}",
+            "White below": f"{test.whiteness_95:.2f}",
+            "Correlation time": "white" if test.white else f"{test.correlation_time:.2g} s",
+        }
+        for test in sorted(result.residual_tests, key=lambda t: -t.rms)
     ]
-    cards.append(_reading_card(solution, evidence, before, after))
-    intro = (
-        "What an effect looks like: friction steps where the motion turns round, a spring goes by "
-        "position, a wrong mass by load. Dots are samples of the held-out runs, lines are means."
+    quantities = [
+        {"Error": key, "Nominal": f"{before:.3g}", "Corrected": f"{after:.3g}"}
+        for key, (before, after) in result.gap.by_quantity.items()
+    ]
+    note = (
+        "Torque and force: what is missing along the measured motion. Readings: simulations of one "
+        "second from the measured state, between those that were fitted to or in the runs that "
+        "were kept out, by the nominal model and by model.xml."
     )
     return Section(
-        heading="Residual against motion and load",
-        intro=[intro],
-        cards=[card for card in cards if card is not None],
+        heading="Residual before and after",
+        tables=[
+            Table(title="In physical units", rows=quantities, note=note),
+            Table(title="Residual of the corrected model", rows=rows),
+        ],
+        cards=cards,
     )
 
 
-def _torque_card(motions: Sequence[JointMotion], joint: str, number: int) -> FigureCard | None:
-    missing = np.concatenate([m.residual_torque[:, number] for m in motions])
-    if not np.isfinite(missing).any():
-        return None
-    unit = motions[0].units[number]
-    panels = {
-        f"{name} of {joint} [{own}]": np.concatenate([m.regressor(name, number) for m in motions])
-        for name, own in zip(_PANELS, _UNITS[unit], strict=True)
-    }
-    floor = float(np.nanmean([float(m.residual_noise[number]) for m in motions]))
-    return FigureCard(
-        title=f"{'Torque' if unit == 'N·m' else 'Force'} at {joint} not explained by the model",
-        image=residual_panels(panels, missing, None, floor=floor, label=f"[{unit}]"),
-        caption=f"What was applied at {joint} beyond what the nominal model, fitted within its "
-        "tolerance, needs for the measured motion: friction shows as what grows with the "
-        "velocity. The grey band is what noise makes of it.",
-    )
+def _left(solution: GapSolution, channel: int) -> float:
+    """Residual of a channel after the correction."""
+    names = solution.answer.selection.evidence.balance.channels
+    return solution.result.gap.by_channel[names[channel]][1]
 
 
-def _reading_card(
-    solution: GapSolution, evidence: ResidualDiagnostics, before: BySeries, after: BySeries
-) -> FigureCard | None:
-    """Residual of the worst channel, before and after."""
-    if not before:
-        return None
-    joined = {name: np.concatenate([s.residual for s in many]) for name, many in before.items()}
-    channel = max(joined, key=lambda name: float(np.mean(joined[name] ** 2)))
-    depends = [
-        each
-        for gap in evidence.location.channels
-        if gap.channel == channel and (each := strongest(gap.dependences)) is not None
+def _response_section(solution: GapSolution) -> Section:
+    """Frequency responses of servoed joints."""
+    cards = [
+        FigureCard(
+            title=f"{each.joint} over its command",
+            image=response_figure(each.frequency, each.gains),
+            caption="Cross spectrum over the power of the command, averaged over overlapping "
+            "segments, where the command has at least a hundredth of its largest power.",
+        )
+        for each in solution.responses[:_FIGURES]
     ]
-    joints, motions = solution.problem.machine.joints, evidence.held_out_motions
-    joint = joints.index(max(depends, key=lambda d: d.share).joint) if depends else 0
-    panels = {
-        f"{name} of {joints[joint]} [{unit}]": np.concatenate(
-            [motions[s.trial].at(name, joint, s.time) for s in before[channel]]
-        )
-        for name, unit in zip(_PANELS, _UNITS[motions[0].units[joint]], strict=True)
-    }
-    panels = {name: values for name, values in panels.items() if np.isfinite(values).any()}
-    if not panels:
-        return None
-    left = np.concatenate([s.residual for s in after[channel]])
-    label = "in noise standard deviations"
-    return FigureCard(
-        title=f"Residual of {channel}",
-        image=residual_panels(panels, joined[channel], left, floor=1.0, label=label),
-        caption=f"What {channel} shows beyond the model, before and after. The grey band is the "
-        "noise floor.",
+    return Section(heading="Frequency response", cards=cards)
+
+
+def _correlation_section(solution: GapSolution) -> Section:
+    """Correlations of the coefficients of the effects."""
+    fit, evidence = solution.answer.decision.fit, solution.answer.selection.evidence
+    place = {k: i for i, k in enumerate(fit.numbers)}
+    names, at = [], []
+    for term in fit.terms:
+        own = evidence.columns_of(term)
+        for number, k in enumerate(own, start=1):
+            names.append(f"{term.effect.kind} {term.effect.where}{f' {number}' * (len(own) > 1)}")
+            at.append(place[k])
+    if len(at) < 2:
+        return Section()
+    covariance = np.linalg.inv(fit.normal)[np.ix_(at, at)]
+    scale = 1 / np.sqrt(np.diag(covariance))
+    card = FigureCard(
+        title="Correlation of the parameters",
+        image=matrix_figure(names, covariance * np.outer(scale, scale)),
+        caption="Posterior correlation of the effects' sizes beside all tolerances: near 1 or −1, "
+        "only their sum or difference is known.",
     )
-
-
-def _depends(found: Dependence | None) -> str:
-    if found is None:
-        return "none significant"
-    return f"{found.regressor} of {found.joint}, {100 * found.share:.0f} %"
-
-
-def _location_section(evidence: ResidualDiagnostics) -> Section:
-    """Location of the residual by channel, over all runs."""
-    own: dict[str, list[Any]] = {}
-    for gap in evidence.location.channels:
-        own.setdefault(gap.channel, []).append(gap)
-    rows = []
-    for channel, gaps in sorted(own.items(), key=lambda item: -max(g.rms for g in item[1])):
-        worst, low = max(gaps, key=lambda g: g.rms), min(f"{g.rms:.2f}" for g in gaps)
-        band, high = main_band(worst), f"{worst.rms:.2f}"
-        rows.append(
-            {
-                "Channel": channel,
-                "RMS / noise": high if low == high else f"{low} to {high}",
-                "Worst run": worst.run,
-                "Mean": f"{worst.offset:.2f}",
-                "Most between": f"{band.low:g} and {band.high:g} Hz" if band else "noise alone",
-                "Depends on": _depends(strongest(worst.dependences)),
-            }
-        )
-    note = (
-        "Nominal model, fitted within its tolerance, on all runs. RMS / noise: residual over the "
-        "noise floor, from the best run to the worst. Mean: constant part, in noise standard "
-        "deviations. Depends on: share of the residual's power in the worst run that is a function "
-        "of that quantity."
-    )
-    return Section(heading="Residual by channel", tables=[Table(rows=rows, note=note)])
+    return Section(heading="Parameters beside each other", cards=[card])
 
 
 def _ranking_section(result: GapResult) -> Section:
-    """Hypotheses that were fitted to whole runs, by step."""
-    tables = []
+    """Sets of effects that were compared."""
+    rows = [
+        {
+            "Effects": together(each.effects, plain=False) or "none",
+            "Behind": f"{each.behind:.1f}",
+            "Probability": f"{100 * each.probability:.1f} %",
+            "In simulation": "-" if each.simulated is None else f"{each.simulated:.1f}",
+        }
+        for each in result.ranking[:_ROWS]
+    ]
     note = (
-        "Held-out residual: over the noise floor. Improvement: z-score over the step before on the "
-        "held-out runs. BIC: with the effective sample size, against the step before; negative "
-        "pays for the parameters."
+        "Behind: minus twice the log posterior probability above the best set's; 10 is very strong "
+        "evidence. In simulation: the same by exact fits of the leading sets, which decide."
     )
-    steps = sorted({r.step for r in result.ranking})
-    for step in steps:
-        rows = [
-            {
-                "Effect": together(r.places, plain=False),
-                "Held-out residual": f"{r.held_out:.3f}",
-                "Improvement": f"{r.improvement_z:.2f}",
-                "BIC": f"{r.bic:.0f}",
-            }
-            for r in result.ranking
-            if r.step == step
-        ]
-        title = "" if step == 1 else f"Effect number {step}, beside those before"
-        tables.append(Table(title=title, rows=rows[:_ROWS], note=note if step == steps[-1] else ""))
-    return Section(heading="Candidate fits", tables=tables)
-
-
-def _remaining_section(result: GapResult) -> Section:
-    rows = []
-    for left in sorted(result.residual_tests, key=lambda t: -t.rms):
-        time = "white" if left.white else duration_words(left.correlation_time)
-        features = np.isnan(left.autocorrelation)
-        rows.append(
-            {
-                "Channel": left.channel,
-                "RMS / noise": f"{left.rms:.2f}",
-                "Autocorrelation": "by features" if features else f"{left.autocorrelation:.2f}",
-                "Correlation time": "by features"
-                if np.isnan(left.largest_autocorrelation)
-                else time,
-                "Depends on": _depends(strongest(left.dependences)),
-                "Drift": f"{left.trend:.2f}" if left.trend_z >= 3 else "none significant",
-            }
-        )
-    note = (
-        "The corrected model on the held-out runs. Autocorrelation: of neighbouring samples, 0 for "
-        "noise. Drift: from the beginning of a run to its end, in noise standard deviations. By "
-        "features: of chaotic runs with impacts, over what a right model scatters by, without an "
-        "order in time."
-    )
-    return Section(heading="Remaining residual", tables=[Table(rows=rows, note=note)])
+    return Section(heading="Sets of effects compared", tables=[Table(rows=rows, note=note)])
 
 
 def _identifiability_section(found: Identifiability) -> Section:
-    """Effects that these motions do not show or separate; empty where there is none."""
-
-    def more(seconds: float | None) -> str:
-        return "no help" if seconds is None else duration_words(seconds)
-
-    unseen = [
+    """What these motions could show, and what to record for the rest."""
+    joints = [
         {
-            "Effect": f"{each.kind} at {each.where}",
-            "At a size of": ", ".join(f"{k} {v:.3g}" for k, v in each.parameters.items()),
-            "z": f"{each.z:.1f}",
-            "More of the same": more(each.additional_s),
-            "Better": how_to_see(each.kind),
+            "Joint": each.joint,
+            "Travel": f"{each.travel:.3g} {each.unit}",
+            "Speed": f"{each.speed:.3g} {each.unit}/s",
+            "Acceleration": f"{each.acceleration:.3g} {each.unit}/s²",
+            "Compared": f"{100 * each.used:.0f} %",
         }
-        for each in sorted(found.unidentifiable, key=lambda e: -e.z)
+        for each in found.joints
+    ]
+    unseen = [
+        {"Effect": _name(e), "Visible from": _size(e), "Record": begun(how_to_see(e.kind))}
+        for e in found.effects
+        if not e.visible
     ]
     alike = [
         {
-            "Effect": f"{pair.kind} at {pair.where}",
-            "Confusable with": f"{pair.other_kind} at {pair.other_where}",
-            "z": f"{pair.z:.1f}",
-            "More of the same": more(pair.additional_s),
-            "Better": how_to_separate(pair.kind, pair.where, pair.other_kind, pair.other_where),
+            "Effect": _name(e),
+            "Not told from": f"{e.confusable_with.kind} at {e.confusable_with.where}",
+            "Record": how_to_separate(
+                e.kind, e.where, e.confusable_with.kind, e.confusable_with.where
+            ),
         }
-        for pair in found.confusable
+        for e in found.effects
+        if e.confusable_with is not None
     ]
-    tables = []
-    for title, rows in (("Not identifiable", unseen), ("Confusable", alike)):
+    tables = [Table(title="Excitation", rows=joints)]
+    for title, rows in (("Not visible at a usual size", unseen), ("Confusable", alike)):
         rest = f"{_ROWS} of {len(rows)}; all stand in result.json." if len(rows) > _ROWS else ""
         tables.append(Table(title=title, rows=rows[:_ROWS], note=rest))
     intro = (
-        "Every effect at a size that matters, simulated on the training runs: its signature beyond "
-        "the tolerance of the nominal parameters, as a z-score; 5 is needed."
+        "Asked of the motion alone, before any effect was selected: the size from which each "
+        "effect pays for its prior probability, beside all tolerances. Speed and acceleration: "
+        "95th percentile. Compared: share of the time neither at rest nor knocked."
     )
-    return Section(heading="Identifiability from these motions", intro=[intro], tables=tables)
+    return Section(
+        heading="What to record next", intro=[intro], tables=[t for t in tables if t.rows]
+    )

@@ -1,4 +1,4 @@
-"""Figures of a model-error analysis: residuals of the nominal and of the corrected model."""
+"""Figures of a model-error analysis: nominal and corrected model beside the measurement."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
-from loose_env.gap import binned
 from loose_env.report.figures import DASHED, labels, legend, panels, plain, plain_log_ticks
 from loose_env.typing import Array
 
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
 BEFORE, AFTER = TRUTH, MEASURED
 """Colours of the nominal and of the corrected model."""
-_DOTS, _NAMES = 300, 26  # dots of a panel, letters of a channel's name
+_NAMES = 26  # letters of a channel's name
 
 
 def channel_bars(pairs: Mapping[str, tuple[float, float]]) -> Figure:
@@ -48,9 +47,9 @@ def channel_bars(pairs: Mapping[str, tuple[float, float]]) -> Figure:
 def overlay_figure(
     time: Array, measured: Array, nominal: Array, corrected: Array, *, channel: str, unit: str
 ) -> Figure:
-    """Measured, nominal and corrected readings (N,) over time, and the residual of each model."""
+    """Measured, nominal and corrected force (N,) over time, and the residual of each model."""
     figure, (top, low) = panels(2, 1.8)
-    top.plot(time, measured, ".", color=MUTED, markersize=3.2, label="measured")
+    top.plot(time, measured, ".", color=MUTED, markersize=3.2, label="given")
     for values, label, colour, line in (
         (nominal, "nominal model", BEFORE, DASHED),
         (corrected, "corrected model", AFTER, "-"),
@@ -62,87 +61,62 @@ def overlay_figure(
         axes.set_xlim(time[0], time[-1])
     low.ticklabel_format(axis="y", scilimits=(-2, 3), useMathText=True)
     top.tick_params(labelbottom=False)
-    labels(top, above=f"{plain(channel, 50)} [{unit}]")
-    labels(low, x="time [s]", above=f"measured less predicted [{unit}]")
+    labels(top, above=f"{channel} [{unit}]")
+    labels(low, x="time [s]", above=f"given less model [{unit}]")
     low.title.set_position((0.12, 1.0))
     legend(figure, top)
     return figure
 
 
-def spectrum_curves(before: tuple[Array, Array], after: tuple[Array, Array]) -> Figure:
-    """Spectrum of one channel's residual before and after, with the noise floor."""
-    figure, (axes,) = panels(1, 2.8, grid="both")
-    axes.plot(*before, color=BEFORE, linewidth=1.6, label="before")
-    axes.plot(*after, color=AFTER, linewidth=2.0, label="after")
-    _floor(axes, "y")
-    axes.set(xscale="log", yscale="log")
-    axes.set_ylim(bottom=min(0.3, axes.get_ylim()[0]))
-    plain_log_ticks(axes, "x")
-    labels(axes, x="frequency [Hz]", above="power over that of the noise")
-    legend(figure, axes)
+def correlation_figure(interval: float, own: Array, other: Array, band: float, name: str) -> Figure:
+    """Autocorrelation and cross-correlation of a residual by lag, with a 95 % band."""
+    figure, axes = panels(2, 1.5)
+    for each, values, words in zip(
+        axes, (own, other), ("with itself", f"with the speed of {name}"), strict=True
+    ):
+        lag = np.arange(len(values)) * interval
+        each.axhspan(-band, band, color=FAINT, alpha=0.6, linewidth=0)
+        each.vlines(lag, 0, values, color=AFTER, linewidth=1.6)
+        each.set_xlim(-0.5 * interval, lag[-1] + 0.5 * interval)
+        reach = max(1.2 * float(np.max(np.abs(values[1:]), initial=0.0)), 2.5 * band)
+        each.set_ylim(-min(reach, 1.05), min(reach, 1.05))
+        labels(each, above=words)
+    labels(axes[-1], x="lag [s]")
     return figure
 
 
-def horizon_curves(
-    horizons: Sequence[float], before: Sequence[float], after: Sequence[float]
-) -> Figure:
-    """Error of open-loop predictions by their horizon [s]."""
-    figure, (axes,) = panels(1, 2.6)
-    for values, colour, name, lift in ((before, BEFORE, "before", 7), (after, AFTER, "after", -14)):
-        axes.plot(horizons, values, "o-", color=colour, linewidth=2, markersize=6, label=name)
-        for x, y in zip(horizons, values, strict=True):
-            look: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 9}
-            axes.annotate(f"{y:.2f}", (x, y), xytext=(0, lift), color=INK, **look)
-    _floor(axes, "y")
-    axes.set(xscale="log", yscale="log")
-    every = [*before, *after, 1.0]
-    axes.set(xlim=(horizons[0] / 1.6, horizons[-1] * 1.6), ylim=(0.6 * min(every), 2 * max(every)))
-    plain_log_ticks(axes, "y")
-    axes.set_xticks(list(horizons), [f"{h:g} s" for h in horizons])
-    axes.set_xticks([], minor=True)
-    labels(axes, x="how long the simulation runs on its own", above="error over the noise floor")
-    legend(figure, axes)
+def response_figure(frequency: Array, gains: Mapping[str, Array]) -> Figure:
+    """Gain and phase of a frequency response, measured and of both models."""
+    figure, (top, low) = panels(2, 1.7, grid="both")
+    looks: dict[str, dict[str, Any]] = {
+        "measured": {"color": INK, "marker": ".", "linestyle": "", "markersize": 4},
+        "nominal": {"color": BEFORE, "linestyle": DASHED, "linewidth": 1.4},
+        "corrected": {"color": AFTER, "linestyle": "-", "linewidth": 1.6},
+    }
+    for name, values in gains.items():
+        top.plot(frequency, np.abs(values), label=name, **looks[name])
+        low.plot(frequency, np.degrees(np.unwrap(np.angle(values))), **looks[name])
+    for axes in (top, low):
+        axes.set_xscale("log")
+        plain_log_ticks(axes, "x")
+    labels(top, above="gain")
+    labels(low, x="frequency [Hz]", above="phase [°]")
+    legend(figure, top)
     return figure
 
 
-def residual_panels(
-    regressors: Mapping[str, Array],
-    before: Array,
-    after: Array | None,
-    *,
-    floor: float,
-    label: str,
-) -> Figure:
-    """A residual against several regressors: samples, means, noise floor."""
-    figure, many = panels(len(regressors), 1.95)
-    both = before if after is None else np.concatenate([before, after])
-    finite = np.abs(both[np.isfinite(both)])
-    reach = max(1.15 * float(np.quantile(finite, 0.995)) if len(finite) else 1.0, 2.5 * floor)
-    for axes, (name, values) in zip(many, regressors.items(), strict=True):
-        axes.axhspan(-floor, floor, color=FAINT, alpha=0.45, linewidth=0, label="noise")
-        good = np.flatnonzero(np.isfinite(values) & np.isfinite(before))
-        few = (
-            good[np.unique(np.linspace(0, len(good) - 1, _DOTS).astype(int))] if len(good) else good
-        )
-        axes.plot(values[few], before[few], ".", color=BEFORE, alpha=0.35, markersize=3)
-        _means(axes, values, before, BEFORE, "before")
-        if after is not None:
-            _means(axes, values, after, AFTER, "after")
-        axes.set_ylim(-reach, reach)
-        labels(axes, x=name)
-    labels(many[0], above=label)
-    legend(figure, many[0])
+def matrix_figure(names: Sequence[str], values: Array) -> Figure:
+    """Correlation matrix (K, K), each value in its cell."""
+    figure, (axes,) = panels(1, min(0.34 * len(names) + 0.8, 7.0), grid=None)
+    axes.imshow(np.abs(values), cmap="Blues", vmin=0, vmax=1.6, aspect="auto")
+    if len(names) <= 12:
+        for i, row in enumerate(values):
+            for k, value in enumerate(row):
+                axes.text(k, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color=INK)
+    axes.set_yticks(range(len(names)), [plain(name, _NAMES) for name in names])
+    axes.set_xticks(range(len(names)), [str(k + 1) for k in range(len(names))])
+    axes.tick_params(axis="y", labelcolor=INK)
     return figure
-
-
-def _means(axes: Axes, values: Array, residual: Array, colour: str, name: str) -> None:
-    """Draw the mean of a residual in bins of a regressor."""
-    good = np.isfinite(values) & np.isfinite(residual)
-    x, y = values[good], residual[good]
-    if len(x) >= 10:
-        groups, centres = binned(x, bins=16)
-        means = np.array([y[groups == b].mean() for b in range(len(centres))])
-        axes.plot(centres, means, "o-", color=colour, markersize=3.5, linewidth=1.7, label=name)
 
 
 def _floor(axes: Axes, which: Literal["x", "y"]) -> None:

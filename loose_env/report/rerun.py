@@ -1,4 +1,4 @@
-"""File of the Rerun viewer: measured, nominal and corrected motion of the held-out runs.
+"""File of the Rerun viewer: measured, nominal and corrected motion of the simulated runs.
 
 Runs follow one another on one time axis. Entities: ``/channels/CHANNEL/measured`` (and ``nominal``,
 ``corrected``) are scalars in the unit of the recording; ``/arm/measured`` (and so on) are the
@@ -8,18 +8,19 @@ stands at its reference position; where a model predicts no position, it follows
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
-from loose_env.errors import MissingExtra
-from loose_env.gap import GapSolution, Series
+from loose_env.errors import InvalidData, MissingExtra
+from loose_env.gap import GapSolution
+from loose_env.gap.core.residual import Played
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.io import written_beside
 from loose_env.recording import joint_sensors
-from loose_env.report.gap import by_channel
 from loose_env.typing import Array
 
 if TYPE_CHECKING:
@@ -54,33 +55,37 @@ def require_rerun() -> Any:
 
 
 def write_rerun(path: str | Path, solution: GapSolution) -> Path:
-    """Write the held-out runs of a comparison as a file of Rerun (``.rrd``).
+    """Write the simulated runs of a comparison as a file of Rerun (``.rrd``).
 
     Parameters
     ----------
     path : str or Path
         The file; replaced if it exists.
     solution : GapSolution
-        The finished search.
+        The finished comparison.
 
     Raises
     ------
     MissingExtra
         If ``rerun-sdk`` is not installed.
+    InvalidData
+        If no run is driven by commands, so that none was simulated.
     """
     rerun = require_rerun()
-    models = {
-        "nominal": by_channel(solution, solution.base.held_out_residual),
-        "corrected": by_channel(solution, solution.best.held_out_residual),
-    }
-    lengths = [float(t.time[-1]) + _PAUSE for t in solution.problem.held_out_whole.trials]
-    starts = np.cumsum([0.0, *lengths[:-1]])
+    shown = solution.played
+    if shown is None:
+        raise InvalidData(
+            "no run of the recording is driven by commands, so that there is no simulated motion "
+            "for --rerun; leave it out"
+        )
+    machine = solution.answer.selection.evidence.balance.machine
+    starts = np.cumsum([0.0, *(float(t.time[-1]) + _PAUSE for t in shown.trials[:-1])])
 
     def write(beside: Path) -> None:
         with rerun.RecordingStream("loose gap", send_properties=False) as stream:
             stream.save(beside)
-            worst = _log_channels(rerun, stream, solution, models, starts)
-            _log_arms(rerun, stream, solution, models, starts)
+            worst = _log_channels(rerun, stream, shown, starts)
+            _log_arms(rerun, stream, machine, shown, starts)
             stream.send_blueprint(_layout(worst))
             stream.flush()
             stream.disconnect()
@@ -88,61 +93,47 @@ def write_rerun(path: str | Path, solution: GapSolution) -> Path:
     return written_beside(Path(path), write)
 
 
-Models = dict[str, dict[str, list[Series]]]
-"""Kind of model -> channel -> residual of each held-out run."""
+def _sides(shown: Played) -> dict[str, Sequence[Array]]:
+    """Kind of motion -> readings of each run (T, C)."""
+    measured = [trial.measured for trial in shown.trials]
+    return {"measured": measured, "nominal": shown.nominal, "corrected": shown.corrected}
 
 
-def _log_channels(
-    rerun: Any, stream: RecordingStream, solution: GapSolution, models: Models, starts: Array
-) -> list[str]:
+def _log_channels(rerun: Any, stream: RecordingStream, shown: Played, starts: Array) -> list[str]:
     """Log every channel; return the entities of those with the largest residual."""
-    held, residuals = solution.problem.held_out_whole, {}
-    for c, channel in enumerate(held.channels):
+    residuals = {}
+    for c, channel in enumerate(shown.channels):
         entity = f"/channels/{rerun.escape_entity_path_part(channel.name)}"
-        parts = []
-        for start, trial in zip(starts, held.trials, strict=True):
-            read = np.flatnonzero(np.isfinite(trial.measured[:, c]))
-            parts.append(("measured", start + trial.time[read], trial.measured[read, c]))
-        for kind, by_name in models.items():
-            for one in by_name.get(channel.name, ()):
-                times = starts[one.trial] + one.time
-                parts.append((kind, times, _predicted(solution, one, c)))
-        for kind, times, values in parts:
-            if len(times):
-                stream.send_columns(
-                    f"{entity}/{kind}",
-                    indexes=[rerun.TimeColumn("time", duration=times)],
-                    columns=rerun.Scalars.columns(scalars=values),
-                )
-        for kind, colour in _COLOURS.items():
-            look = rerun.SeriesLines(colors=[colour], names=[kind])
+        off = np.concatenate([t.measured[:, c] - n[:, c] for t, n in zip(
+            shown.trials, shown.nominal, strict=True)])  # fmt: skip
+        spread = np.nanstd(np.concatenate([t.measured[:, c] for t in shown.trials]))
+        residuals[entity] = float(np.nanmean(off**2)) / max(float(spread) ** 2, 1e-300)
+        for kind, many in _sides(shown).items():
+            for start, trial, values in zip(starts, shown.trials, many, strict=True):
+                read = np.flatnonzero(np.isfinite(values[:, c]) & np.isfinite(trial.measured[:, c]))
+                if len(read):
+                    stream.send_columns(
+                        f"{entity}/{kind}",
+                        indexes=[rerun.TimeColumn("time", duration=start + trial.time[read])],
+                        columns=rerun.Scalars.columns(scalars=values[read, c]),
+                    )
+            look = rerun.SeriesLines(colors=[_COLOURS[kind]], names=[kind])
             stream.log(f"{entity}/{kind}", look, static=True)
-        nominal = [one.rms for one in models["nominal"].get(channel.name, ())]
-        if nominal:
-            residuals[entity] = max(nominal)
     return sorted(residuals, key=lambda entity: -residuals[entity])[:_VIEWS]
 
 
-def _predicted(solution: GapSolution, one: Series, channel: int) -> Array:
-    """Predicted readings of a channel at the samples of its residual (N,)."""
-    held = solution.problem.held_out_whole
-    measured = held.trials[one.trial].measured[one.sample, channel]
-    return np.asarray(measured - one.residual * held.scales[one.trial, channel])
-
-
 def _log_arms(
-    rerun: Any, stream: RecordingStream, solution: GapSolution, models: Models, starts: Array
+    rerun: Any, stream: RecordingStream, machine: NominalModel, shown: Played, starts: Array
 ) -> None:
     """Log the arm's bodies at measured, nominal and corrected joint positions."""
     stream.log("/arm", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    machine = solution.problem.machine
     model, data = machine.model, mujoco.MjData(machine.model)
     names = {b: rerun.escape_entity_path_part(model.body(b).name) for b in range(1, model.nbody)}
     for kind in _COLOURS:
         for body, name in names.items():
             _log_shapes(rerun, stream, f"/arm/{kind}/{name}", model, body, kind)
     addresses = [int(model.joint(name).qposadr[0]) for name in machine.joints]
-    for kind, time, position in _motions(solution, models, starts):
+    for kind, time, position in _motions(machine, shown, starts):
         place = np.zeros((len(time), model.nbody, 3))
         turn = np.zeros((len(time), model.nbody, 4))
         for k, row in enumerate(position):
@@ -160,38 +151,24 @@ def _log_arms(
 
 
 def _motions(
-    solution: GapSolution, models: Models, starts: Array
+    machine: NominalModel, shown: Played, starts: Array
 ) -> Iterator[tuple[str, Array, Array]]:
-    """Kind of motion, times (T,) and joint positions (T, joints) of each held-out run."""
-    machine, held = solution.problem.machine, solution.problem.held_out_whole
-    sensors = joint_sensors(machine.model)
-    columns = {channel.name: c for c, channel in enumerate(held.channels)}
-    for t, trial in enumerate(held.trials):
-        length = float(trial.time[-1])
-        grid = np.linspace(0.0, length, max(2, int(length * _FRAMES) + 1))
-        base = np.tile(machine.model.qpos0, (len(grid), 1))
-        for j, joint in enumerate(machine.joints):
-            values = trial.motion.get(joint)
-            if values is not None and np.isfinite(values).any():
-                good = np.isfinite(values)
-                base[:, j] = np.interp(grid, trial.time[good], values[good])
-        yield "measured", starts[t] + grid, base
-        for kind, by_name in models.items():
-            position = base.copy()
-            read = [
-                (j, one)
-                for j, joint in enumerate(machine.joints)
-                if joint in sensors
-                for name in sensors[joint].position
-                for one in by_name.get(f"sensor.{name}", ())
-                if one.trial == t
-            ]
-            for j, one in read:
-                values = _predicted(solution, one, columns[one.channel])
-                shown = np.interp(grid, one.time, values, left=np.nan, right=np.nan)
-                position[:, j] = np.where(np.isnan(shown), position[:, j], shown)
-            if read:
-                yield kind, starts[t] + grid, position
+    """Kind of motion, times (T,) and joint positions (T, joints) of each run."""
+    sensors, columns = joint_sensors(machine.model), [c.column for c in shown.channels]
+    read = [
+        next((columns.index(f"sensor.{n}") for n in sensors[joint].position
+              if f"sensor.{n}" in columns), None)
+        for joint in machine.joints
+    ]  # fmt: skip
+    for kind, many in _sides(shown).items():
+        for start, trial, values in zip(starts, shown.trials, many, strict=True):
+            length = float(trial.time[-1])
+            grid = np.linspace(0.0, length, max(2, int(length * _FRAMES) + 1))
+            position = np.tile(machine.model.qpos0, (len(grid), 1))
+            for j, column in enumerate(read):
+                if column is not None and (good := np.isfinite(values[:, column])).any():
+                    position[:, j] = np.interp(grid, trial.time[good], values[good, column])
+            yield kind, start + grid, position
 
 
 def _log_shapes(

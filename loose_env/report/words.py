@@ -46,6 +46,8 @@ _PLAIN = {
     "base_compliance": "a compliant base",
     "gear_eccentricity": "an eccentric gear",
     "sensor_quantisation": "a coarse sensor",
+    "torque_offset": "a constant torque",
+    "friction_behind_slack": "dry friction behind slack",
 }
 _PLACES = {
     ("payload", "tool"): " at the tool",
@@ -177,16 +179,3 @@ def rivals_words(effect: NamedEffect) -> list[str]:
     named = [effect_words(o.kind, o.where) for o in effect.ambiguous_with]
     more = len(named) - RIVALS
     return named if more < 2 else [*named[:RIVALS], f"{more} others, listed in result.json"]
-
-
-def deletion_words(effect: NamedEffect) -> str:
-    """Probability of an effect and what is lost without it; "" where neither is known."""
-    found = [] if effect.probability is None else [f"probability {effect.probability:.2f}"]
-    test = effect.deletion
-    if test is not None:
-        words = f"explains {100 * max(0.0, test.share_without):.0f} % of the residual without it"
-        if test.share_in_channel > test.share_without + 0.05:
-            words += f", {100 * test.share_in_channel:.0f} % in one channel"
-        runs = f"z {test.held_out_z:.1f} on held-out runs, {test.training_z:.1f} on fitted ones"
-        found.append(f"{words} ({runs})")
-    return "; ".join(found)

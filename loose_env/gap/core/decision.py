@@ -157,7 +157,7 @@ def pruned(selection: Selection, fit: SetFit) -> SetFit:
     return fit
 
 
-def _folds(selection: Selection) -> list[list[list[NDArray[np.bool_]]]]:
+def folds_of(selection: Selection) -> list[list[list[NDArray[np.bool_]]]]:
     """Held-out cells, scheme by scheme and fold by fold: whole runs, and alternate stretches."""
     channels = selection.evidence.channels
     schemes = []
@@ -190,7 +190,7 @@ def _held_out(
 def _gains(selection: Selection, terms: Set, powers: Sequence[Array]) -> tuple[Array, Array]:
     """Rise of twice the held-out log likelihood with each member, by runs and by stretches."""
     found = []
-    for folds in _folds(selection):
+    for folds in folds_of(selection):
         whole = _held_out(selection, terms, powers, folds)
         without = [
             _held_out(selection, tuple(t for t in terms if t is not term), powers, folds)
@@ -261,7 +261,7 @@ def _verdicts(
 ) -> Iterable[JointVerdict]:
     """One verdict for each joint that the evidence has a channel of."""
     machine = selection.evidence.balance.machine
-    after = _residuals(selection, fit)
+    after = held_out_rms(selection, fit)
     for k, channel in enumerate(selection.evidence.channels):
         joint = selection.evidence.balance.channels[channel.joint]
         places = {joint.removeprefix("sensor.").split(".")[0]}
@@ -289,11 +289,11 @@ def _verdicts(
         )  # fmt: skip
 
 
-def _residuals(selection: Selection, fit: SetFit) -> Array:
+def held_out_rms(selection: Selection, fit: SetFit) -> Array:
     """Residual of each channel on held-out data, run by run if there are several."""
     channels = selection.evidence.channels
     total, count = np.zeros(len(channels)), np.zeros(len(channels))
-    for held in _folds(selection)[0]:
+    for held in folds_of(selection)[0]:
         own = selection.on([~h for h in held]).fit(fit.terms, fit.powers, 3)
         for k, (channel, power) in enumerate(zip(channels, own.powers, strict=True)):
             total[k] += power[held[k]].sum()

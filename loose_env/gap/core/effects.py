@@ -1,10 +1,12 @@
 """Effects that real logs ask for beyond the old catalogue.
 
-They join `loose_env.gap.model.effects.catalogue` when the new core takes over.
+They are beside `loose_env.gap.model.effects.catalogue`, for they have no simulation of their own.
 """
 
 from __future__ import annotations
 
+from collections import ChainMap
+from collections.abc import Mapping
 from typing import ClassVar
 
 import mujoco
@@ -123,8 +125,7 @@ def behind_slack(position: Array, slack: float, elastic: float) -> Array:
     return found
 
 
-EFFECTS: dict[str, type[Effect]] = {
-    **CATALOGUE,
-    **{effect.kind: effect for effect in (TorqueOffset, FrictionBehindSlack)},
-}
-"""Identifier -> class, of all effects."""
+EFFECTS: Mapping[str, type[Effect]] = ChainMap(
+    {effect.kind: effect for effect in (TorqueOffset, FrictionBehindSlack)}, CATALOGUE
+)
+"""Identifier -> class, of all effects, those that users register included."""

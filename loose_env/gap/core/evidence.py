@@ -223,7 +223,7 @@ def _channel(
     """Whiten one joint's balance."""
     felt = [k for k, change in enumerate(wide) if k < free or np.any(change[:, joint])]
     found = _rows(balance, joint, [wide[k] for k in felt])
-    weight = _quiet(balance, joint)
+    weight = weight_of(balance, joint)
     return Channel(
         joint=joint,
         columns=np.array(felt),
@@ -243,11 +243,11 @@ def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
     """Whitened rows of some columns and, last, of the residual."""
     motion = balance.motion
     stacked = np.stack([*(c[:, joint] for c in wide), balance.residual[:, joint]], axis=1)
-    weight = motion.split(_quiet(balance, joint))
+    weight = motion.split(weight_of(balance, joint))
     parts, cells, keys = [], [], {}
     counts: dict[tuple[int, int], float] = {}
     edges = _edges(balance)
-    for piece, (run, rows) in enumerate(_stretches(balance)):
+    for piece, (run, rows) in enumerate(stretches_of(balance)):
         window = _taper(rows.stop - rows.start, len(motion.runs[run].position)) * weight[run][rows]
         values = motion.split(stacked)[run][rows]
         frequency = np.fft.rfftfreq(len(window), motion.step)
@@ -263,7 +263,7 @@ def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
             cells.append(np.full(2 * int(own.sum()), cell))
             counts[band, piece] = 2.0 * own.sum() - (own[0] and frequency[0] == 0)
     stretch = np.array([piece for _, piece in keys])
-    runs = np.array([run for run, _ in _stretches(balance)])
+    runs = np.array([run for run, _ in stretches_of(balance)])
     centres = 2 * np.pi * np.sqrt(np.maximum(edges[:-1], edges[1] / 2) * edges[1:])
     return _Rows(
         whitened=np.concatenate(parts),
@@ -275,7 +275,7 @@ def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
     )
 
 
-def _stretches(balance: Balance) -> list[tuple[int, slice]]:
+def stretches_of(balance: Balance) -> list[tuple[int, slice]]:
     """Stretches of all runs: run and samples."""
     found, runs = [], balance.motion.runs
     each = max(1, round(STRETCHES / len(runs)))
@@ -294,7 +294,7 @@ def _taper(count: int, whole: int) -> Array:
 
 
 def _edges(balance: Balance) -> Array:
-    longest = max(rows.stop - rows.start for _, rows in _stretches(balance))
+    longest = max(rows.stop - rows.start for _, rows in stretches_of(balance))
     top = balance.motion.band
     low = min(3 / (longest * balance.motion.step), top / 4)
     return np.concatenate([[0.0], np.geomspace(low, 1.02 * top, BANDS)])
@@ -313,7 +313,7 @@ def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Arra
     return np.asarray((moved / balance.noise(joint, turn / (2 * np.pi), floor=False) ** 2).T)
 
 
-def _quiet(balance: Balance, joint: int) -> Array:
+def weight_of(balance: Balance, joint: int) -> Array:
     """Weight of each sample (T,): none at rest, and none in knocks.
 
     At rest dry friction takes any value within its bound, so a balance says nothing. Knocks are

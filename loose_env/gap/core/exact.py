@@ -90,7 +90,9 @@ class _Known(Effect):
 class Exact:
     """Windows of the runs with commands, or free, for exact fits."""
 
-    def __init__(self, recording: Recording, balance: Balance) -> None:
+    def __init__(
+        self, recording: Recording, balance: Balance, *, threads: int = 1, between: bool = False
+    ) -> None:
         self.balance, machine = balance, balance.machine
         pieces, _ = measured_runs(recording.runs, machine.model)
         runs = [run for each in pieces for run in each if run.comparison != "inverse"]
@@ -100,8 +102,8 @@ class Exact:
             [[noise_floor(column) for column in trial.measured.T] for trial in trials]
         )
         self.noise = np.nanmedian(floors, axis=0)
-        windows = [w for trial in trials for w in _windows(trial, balance, len(trials))]
-        self.simulator = Simulator(machine, windows, self.channels, threads=1)
+        windows = [w for t in trials for w in _windows(t, balance, len(trials), between=between)]
+        self.simulator = Simulator(machine, windows, self.channels, threads=threads)
 
     def fit(self, selection: Selection, fit: SetFit) -> ExactFit:
         """Fit the effects of a set in simulation."""
@@ -198,11 +200,16 @@ def _pulls(selection: Selection, fit: SetFit) -> list[tuple[Nuisance, float]]:
     return [(n, float(x)) for n, x in zip(evidence.nuisances, pulls, strict=True)]
 
 
-def _windows(trial: Trial, balance: Balance, trials: int) -> list[Trial]:
-    """Windows of a run, evenly spread, each from the smoothed state at its beginning."""
+def _windows(trial: Trial, balance: Balance, trials: int, *, between: bool) -> list[Trial]:
+    """Windows of a run, evenly spread, each from the smoothed state at its beginning.
+
+    Those between start halfway from one of them to the next.
+    """
     length = float(trial.time[-1])
     count = int(np.clip(_MOST_S / WINDOW_S / trials, 1, max(length // WINDOW_S, 1)))
     starts = np.linspace(0.02 * length, max(0.98 * length - WINDOW_S, 0.0), count)
+    if between and count > 1:
+        starts = 0.5 * (starts[1:] + starts[:-1])
     run = next(r for r in balance.motion.runs if r.name == trial.name)
     found = []
     for start in starts:

@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 from loose_env.arms import quiet
+from loose_env.errors import InvalidData, UnknownName
 from loose_env.gap.core.balance import Balance, scaled
 from loose_env.gap.core.catalogue import catalogue
 from loose_env.gap.core.decision import Decision, decide, pruned
+from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import Exact, ExactFit, leading
 from loose_env.gap.core.motion import smooth
 from loose_env.gap.core.selection import Selection
-from loose_env.gap.core.tolerances import Tolerances, nuisances
+from loose_env.gap.core.tolerances import nuisances
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.settings import GapSettings
 from loose_env.recording import Recording
 
+Say = Callable[[str], None]
 
-@dataclass(frozen=True, kw_only=True)
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Answer:
     """What a model lacks."""
 
+    recording: Recording
+    """The runs that were analysed."""
+    held_out: Recording | None
+    """The runs that were kept out."""
+    settings: GapSettings
+    """Settings of the comparison."""
     selection: Selection
     """Evidence and fits of sets of effects."""
     decision: Decision
@@ -30,10 +42,7 @@ class Answer:
 
 
 def find_gap(
-    recording: Recording,
-    tolerances: Tolerances | None = None,
-    *,
-    simulate: bool = True,
+    recording: Recording, settings: GapSettings | None = None, *, say: Say = lambda _: None
 ) -> Answer:
     """Find which force was missing along the motion that was measured.
 
@@ -41,34 +50,77 @@ def find_gap(
     ----------
     recording : Recording
         Measured runs and the nominal model.
-    tolerances : Tolerances, optional
-        What the nominal model is known to.
-    simulate : bool
-        Whether full simulation decides among the leading sets, where there are commands.
+    settings : GapSettings, optional
+        Settings of the comparison.
+    say : callable
+        Receives progress messages, line by line.
 
     Raises
     ------
     InvalidData
-        If the position of a joint was not read.
+        If the position of a joint was not read, or no joint moves.
     """
+    settings = settings or GapSettings()
+    used, held_out = _split(recording, settings)
     with quiet():
-        machine = NominalModel(recording.spec())
-        motion = smooth(recording, machine)
-        balance = Balance(scaled(Balance(machine, motion)), motion)
-        evidence = whiten(
-            balance, catalogue(balance), nuisances(balance, tolerances or Tolerances())
-        )
-        selection = Selection(evidence)
+        selection = evidence_of(used, settings, say)
+        say("selection of effects")
         best = pruned(selection, selection.best())
         fits: tuple[ExactFit, ...] = ()
-        if simulate and not balance.released.any():
-            exact = Exact(recording, balance)
+        if settings.simulate and not selection.evidence.balance.released.any():
+            exact = Exact(used, selection.evidence.balance, threads=settings.threads)
             sets = [pruned(selection, own) for own in leading(selection, best)]
             unlike = {frozenset(t.name for t in own.terms): own for own in reversed(sets)}
-            fits = tuple(
-                sorted(
-                    (exact.fit(selection, own) for own in unlike.values()), key=lambda f: f.total
-                )
-            )
+            say(f"exact fits: {len(unlike)} sets of effects in full simulation")
+            found = [exact.fit(selection, own) for own in unlike.values()]
+            fits = tuple(sorted(found, key=lambda f: f.total))
             best = fits[0].fit
-        return Answer(selection=selection, decision=decide(selection, best, fits[:1]), exact=fits)
+        say("decision on held-out data")
+        decision = decide(selection, best, fits[:1])
+    return Answer(
+        recording=used, held_out=held_out, settings=settings, selection=selection,
+        decision=decision, exact=fits,
+    )  # fmt: skip
+
+
+def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Selection:
+    """Evidence of a recording for all effects of the catalogue, before any is selected."""
+    unknown = [kind for kind in settings.kinds if kind not in EFFECTS]
+    if unknown:
+        raise UnknownName(f"unknown effect {unknown[0]!r}; the catalogue has {list(EFFECTS)}")
+    machine = NominalModel(recording.spec())
+    say(f"motion of {len(recording.runs)} run{'s' * (len(recording.runs) > 1)}")
+    motion = smooth(recording, machine)
+    say(f"force balance up to {motion.band:.3g} Hz")
+    balance = Balance(scaled(Balance(machine, motion)), motion)
+    terms = catalogue(balance, settings.kinds or None)
+    tolerances = nuisances(balance, settings.tolerances)
+    places = len({term.name for term in terms})
+    say(f"evidence: {places} effects in {len(terms)} shapes, {len(tolerances)} tolerances")
+    evidence = whiten(balance, terms, tolerances)
+    if not evidence.channels:
+        raise InvalidData(
+            "no joint moves by more than its noise, so that no force can be missing along the "
+            "motion; record runs in which the joints move"
+        )
+    return Selection(evidence)
+
+
+def _split(recording: Recording, settings: GapSettings) -> tuple[Recording, Recording | None]:
+    """Runs to analyse, and those that a user holds out."""
+    names = [run.name for run in recording.runs]
+    held: set[str] = set()
+    for given in settings.held_out:
+        own = {name for name in names if given and name.startswith(given)}
+        if not own:
+            raise InvalidData(
+                f"no run to hold out is called {given!r} or begins so; there are {', '.join(names)}"
+            )
+        held |= own
+    if len(held) == len(names):
+        raise InvalidData("all runs are held out, and none is left to fit to; hold out fewer")
+    parts = [
+        replace(recording, runs=tuple(r for r in recording.runs if (r.name in held) == out))
+        for out in (False, True)
+    ]
+    return parts[0], parts[1] if held else None

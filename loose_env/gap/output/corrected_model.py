@@ -1,9 +1,6 @@
 """Export of the corrected model: MJCF with notes, and Python code for what MJCF cannot express.
 
-The file loads in any MuJoCo without this package. It lists the identified effects, and those it has
-besides. Where the residual is too large for the accepted effects to be the explanation, none is
-reported as identified; the corrected model has them nevertheless, and its errors are stated with
-it.
+The file loads in any MuJoCo without this package, and lists at its head what was added.
 """
 
 from __future__ import annotations
@@ -18,7 +15,6 @@ import numpy as np
 from loose_env.arms import files_of
 from loose_env.errors import InvalidData
 from loose_env.gap.model.driven_effect import DrivenEffect
-from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, set_step
 from loose_env.gap.output.result import NamedEffect
@@ -214,25 +210,7 @@ def _check_columns(nominal: mujoco.MjModel, model: mujoco.MjModel) -> None:
         )
 
 
-Added = tuple[Effect, Array]
-"""An effect with its values."""
-
-
-def unnamed_notes(added: Sequence[Added]) -> list[str]:
-    """Describe effects in the corrected model that are not identified; "" without any."""
-    if not added:
-        return []
-    listed = "; ".join(_added_words(effect, values) for effect, values in added)
-    return [
-        f"the corrected model contains effects that are not identified: {listed}. They reduce the "
-        "residual on the held-out runs, but too much remains for them to be the explanation; "
-        "model.xml, the code and the error after correction include them"
-    ]
-
-
-def model_notes(
-    named: Sequence[NamedEffect], unnamed: Sequence[Added], factors: Mapping[str, float]
-) -> list[str]:
+def model_notes(named: Sequence[NamedEffect], pulled: Sequence[str]) -> list[str]:
     """Format notes for the head of ``model.xml``: all changes to the nominal model."""
     notes = ["Corrected by loose gap."]
     if named:
@@ -241,27 +219,12 @@ def model_notes(
             _words(each.kind, each.where, each.parameters, each.units, each.in_model)
             for each in named
         ]
-    if unnamed:
-        notes.append(
-            "Added to the nominal model, but not identified (the residual falls, but too much "
-            "remains for them to be the explanation):"
-        )
-        notes += [_added_words(effect, values) for effect, values in unnamed]
-    if not named and not unnamed:
+    else:
         notes.append("No effect was added to the nominal model.")
-    if factors:
-        off = max(abs(value - 1) for value in factors.values())
-        notes.append(
-            f"Nominal parameters fitted within the tolerance, changed by {100 * off:.1f} % at most"
-        )
+    if pulled:
+        notes.append("Not changed, though the data pull them out of their tolerances:")
+        notes += pulled
     return notes
-
-
-def _added_words(effect: Effect, values: Array) -> str:
-    """Format an added effect with its values."""
-    parameters = {p.name: float(v) for p, v in zip(effect.parameters, values, strict=True)}
-    units = {p.name: p.unit for p in effect.parameters}
-    return _words(effect.kind, effect.where, parameters, units, effect.in_model)
 
 
 def _words(

@@ -1,4 +1,4 @@
-"""GapResult and its parts: dataclasses of ``result.json``, with verdict, effects and ranking.
+"""Result file of `loose gap`: verdict, effects with intervals, residuals, and identifiability.
 
 The format of the file is ``loose-gap/1``.
 """
@@ -12,13 +12,14 @@ from typing import Any, Literal, get_args
 
 from loose_env.doctor import Finding, graded_findings
 from loose_env.errors import InvalidData
-from loose_env.gap.output.evidence_schema import Identifiability, Location, ResidualTest
 from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
 
 FORMAT = "loose-gap/1"
-UNIT = "RMS over held-out runs, in noise standard deviations"
+UNIT = "RMS over held-out data, in noise standard deviations"
 Verdict = Literal["named", "no_gap", "unexplained"]
 """What a comparison came to."""
+ChannelWord = Literal["named", "not needed", "cannot tell", "unexplained"]
+"""What it came to at one joint or reading."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,23 +30,6 @@ class EffectLocation:
     """Identifier of the catalogue."""
     where: str
     """The model's own name of the joint, body, actuator or sensor; "tool", "base" or "all"."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DeletionTest:
-    """What is lost without an effect, the others refitted."""
-
-    held_out_z: float
-    """Improvement (z) with it on held-out runs, over blocks of time."""
-    training_z: float
-    """The same on the training runs."""
-    share_of_error: float
-    """What it explains over the explainable error of the nominal model."""
-    share_without: float
-    """Share of the error without it that it explains."""
-    share_in_channel: float
-    """The same in the channel in which it explains most, among those in which the error without it
-    is clearly autocorrelated."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,68 +45,150 @@ class NamedEffect:
     interval_95: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Ends of their 95 % intervals."""
     ambiguous_with: tuple[EffectLocation, ...] = ()
-    """Effects that the held-out data cannot distinguish from it."""
+    """Effects that explain the data nearly as well in its place."""
     units: Mapping[str, str] = field(default_factory=dict)
     """Unit of each parameter, "" for a ratio."""
     variant: str = ""
     """Variant of the effect, "" for the default."""
     in_model: bool = True
-    """Whether ``model.xml`` carries it; if not, ``code`` of the result applies it."""
-    impact_power_explained: float | None = None
-    """For a part identified by its impact power: the share of that power explained on held-out
-    runs."""
-    deletion: DeletionTest | None = None
-    """Deletion test; None for a part identified by its impact power, and what is beside it."""
+    """Whether ``model.xml`` carries it; if not, ``code`` of the result applies it where it can."""
     probability: float | None = None
-    """Probability that the machine has it, calibrated on blind recordings; None if not judged."""
-    rival_probability: float | None = None
-    """The same of each effect of `ambiguous_with`."""
+    """Probability that the machine has it, or one of `ambiguous_with` in its place."""
+    z: float | None = None
+    """Largest coefficient over its standard deviation."""
+    held_out_gain: Mapping[str, float] = field(default_factory=dict)
+    """Rise of twice the log likelihood of held-out data with it: by "run" and by "stretch"."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class RankedHypothesis:
-    """A hypothesis that was fitted."""
+class RankedSet:
+    """A set of effects that was fitted."""
 
-    kind: str
-    """Kind of the effect added in this step; of the first, where there were several."""
-    where: str
-    """Location of the effect."""
-    held_out: float
-    """Root mean square on held-out runs, in noise standard deviations."""
-    bic: float
-    """Bayesian information criterion relative to the hypothesis without it, with the effective
-    number of independent rows; negative where the effect is worth its parameters."""
-    step: int = 1
-    """1 for the first effect, 2 for one beside the first, ..."""
-    improvement_z: float = 0.0
-    """Improvement (z) over the step before, on held-out runs."""
-    together_with: tuple[EffectLocation, ...] = ()
-    """Further effects of the same hypothesis: one kind at several locations at once."""
-
-    @property
-    def places(self) -> tuple[EffectLocation, ...]:
-        """All effects that it adds."""
-        return (EffectLocation(kind=self.kind, where=self.where), *self.together_with)
+    effects: tuple[EffectLocation, ...]
+    """The effects; none for the nominal model."""
+    behind: float
+    """Minus twice its log posterior probability above the best set's."""
+    probability: float
+    """Probability among the sets that were visited."""
+    simulated: float | None = None
+    """Minus twice the log posterior in full simulation above the best simulated set's."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """Residual on the held-out runs, before and after the correction."""
+    """Residual on held-out data, before and after the correction."""
 
     before: float
-    """Residual of the nominal model, fitted within its tolerance."""
+    """Residual of the nominal model, fitted within its tolerances."""
     after: float
     """Residual of the corrected model."""
     by_channel: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Channel -> before and after."""
-    by_horizon_s: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Horizon in seconds, such as "0.5" -> open-loop prediction error."""
+    """Joint (its force balance) or reading -> before and after."""
     by_quantity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Quantity and unit, such as "joint position [rad]" -> error in that unit, before and after."""
+    """Quantity and unit, such as "joint position [rad]" -> error in that unit of simulations of
+    one second from the measured state, by the nominal model and by ``model.xml``."""
     noise_floor: float = 1.0
     """Residual level of sensor noise alone."""
     unit: str = UNIT
     """Unit of all of these but `by_quantity`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelVerdict:
+    """What is said of one joint or reading."""
+
+    channel: str
+    """Joint, or reading with its axis."""
+    verdict: ChannelWord
+    """ "named"; "not needed": at the noise without a further effect; "cannot tell": one of several
+    effects; "unexplained": much is left by all that was tried."""
+    effects: tuple[EffectLocation, ...] = ()
+    """Effects named there, or that cannot be told apart."""
+    before: float
+    """Residual of the nominal model on held-out data [noise standard deviations]."""
+    after: float
+    """Residual of the corrected model there."""
+    advice: str = ""
+    """Motion or measurement that would tell, or where most is left."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TolerancePull:
+    """A tolerance that the data pull by more than two standard deviations."""
+
+    name: str
+    """What the model states, such as "mass of link2"."""
+    deviations: float
+    """Pull in standard deviations of the tolerance."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualTest:
+    """Whiteness of one channel's residual on held-out data."""
+
+    channel: str
+    """Joint, or reading with its axis."""
+    rms: float
+    """Root mean square over the noise; 1: noise alone."""
+    autocorrelation: float
+    """Autocorrelation at the first lag, half a period of the band's end; 0 for white noise."""
+    whiteness_95: float
+    """95 % bound of the largest autocorrelation of white noise."""
+    largest_autocorrelation: float
+    """Largest autocorrelation over all lags tested."""
+    correlation_time: float
+    """Correlation time of the residual [s]; that of one lag for white noise."""
+
+    @property
+    def white(self) -> bool:
+        """Return whether the autocorrelation is that of white noise."""
+        return self.largest_autocorrelation <= self.whiteness_95
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointExcitation:
+    """How much a recording moves one joint."""
+
+    joint: str
+    """Name of the joint."""
+    unit: str
+    """Unit of its position: "rad" or "m"."""
+    travel: float
+    """Range of its positions."""
+    speed: float
+    """95th percentile of its speed [unit/s]."""
+    acceleration: float
+    """95th percentile of its acceleration [unit/s²]."""
+    used: float
+    """Share of the time that is compared: not at rest, not knocked; 0 for a joint that stands."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisibleEffect:
+    """The smallest size of an effect that a recording shows."""
+
+    kind: str
+    """Identifier of the catalogue."""
+    where: str
+    """Location of the effect."""
+    smallest: Mapping[str, float]
+    """Smallest visible change of each parameter, beyond the tolerances."""
+    units: Mapping[str, str]
+    """Unit of each parameter."""
+    visible: bool
+    """Whether that is below the size that is usual."""
+    confusable_with: EffectLocation | None = None
+    """Effect beside which it would not be visible at its usual size."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identifiability:
+    """What a recording could show, before anything is selected."""
+
+    joints: tuple[JointExcitation, ...] = ()
+    """Excitation of each joint."""
+    effects: tuple[VisibleEffect, ...] = ()
+    """Every effect at every location that the motion reaches."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,34 +200,25 @@ class GapResult:
     gap: Gap
     """Residual before and after."""
     effects: tuple[NamedEffect, ...] = ()
-    """Effects that the model lacks, in the order of identification."""
+    """Effects that the model lacks."""
     doubtful: tuple[NamedEffect, ...] = ()
-    """Effects that reduce the error and did not pass all tests; ``model`` carries them."""
+    """Effects that reduce the error and did not pass all tests; ``model`` lacks them."""
+    channels: tuple[ChannelVerdict, ...] = ()
+    """Verdict of every joint and reading."""
+    pulled: tuple[TolerancePull, ...] = ()
+    """Tolerances of the model that the data pull by more than two standard deviations."""
     held_out_runs: tuple[str, ...] = ()
-    """Files of the held-out runs."""
-    ranking: tuple[RankedHypothesis, ...] = ()
-    """All fitted hypotheses, the best first in every step."""
+    """Files of the runs that were kept out; empty where every run was held out once, in turn."""
+    ranking: tuple[RankedSet, ...] = ()
+    """Best sets of effects that were fitted, the best first."""
     model: str | None = "model.xml"
     """The corrected model, beside the file."""
     code: str = ""
     """Python lines that apply effects which MJCF cannot express; "" if none."""
-    nominal_parameters: Mapping[str, float] = field(default_factory=dict)
-    """Factors on nominal parameters, within the tolerance, that ``model`` carries too."""
-    location: Location = field(default_factory=Location)
-    """Location of the model error, before any correction."""
-    location_words: tuple[str, ...] = ()
-    """The same in sentences; of the remaining residual where the verdict is "unexplained"."""
-    remaining: tuple[str, ...] = ()
-    """Remaining residual and its location, in sentences; empty where it is noise."""
-    remaining_location: Location = field(default_factory=Location)
-    """Location of the residual of the corrected model, on all runs."""
     residual_tests: tuple[ResidualTest, ...] = ()
-    """Residual tests on the held-out runs."""
-    interval_factors: Mapping[str, float] = field(default_factory=dict)
-    """Factors on the half widths of intervals, for what the laws of effects leave out: "size" of
-    parameters that size an effect, "shape" of those that shape it. Parts with stops have none."""
+    """Residual tests on held-out data."""
     identifiability: Identifiability = field(default_factory=Identifiability)
-    """Effects that the recorded motions could not show, or distinguish."""
+    """What the recorded motions could show."""
     warnings: tuple[str, ...] = ()
     """Cautions for the reader."""
     preflight: tuple[Finding, ...] = ()

@@ -1,36 +1,25 @@
-"""Recordings of one machine joined as one, beside the result of the first where there is one."""
+"""Recordings of one machine joined as one, those of earlier outputs included."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from loose_env.errors import InvalidData
-from loose_env.gap.data.holdout_split import split_runs
-from loose_env.gap.output.result import GapResult, read_result
+from loose_env.gap.output.result import read_result
 from loose_env.io import json_text, whole_of, write_text
 from loose_env.recording import Recording, Run, read_recording, write_recording
 
 _NOTE = "source.json"
-"""File in the folder of checkpoints that says which recording a result is of."""
+"""File in the folder of an output that says which recording a result is of."""
 _FORMAT = "loose-gap-source/1"
 _JOINED = "recording"
 """Folder there with the runs of several recordings."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Source:
-    """A recording to compare, and what is known from it already."""
-
-    recording: Recording
-    """Its runs."""
-    result: GapResult | None = None
-    """The result, where the source is the output of an earlier comparison."""
-
-
-def read_source(path: Path, kept: str, *, model: Path | None = None) -> Source:
-    """Read a recording, or the recording and result of the output of an earlier comparison.
+def read_source(path: Path, kept: str, *, model: Path | None = None) -> Recording:
+    """Read a recording, or that of the output of an earlier comparison.
 
     Parameters
     ----------
@@ -50,8 +39,8 @@ def read_source(path: Path, kept: str, *, model: Path | None = None) -> Source:
     if not (path / "result.json").is_file() or (path / "recording.json").exists():
         if path.is_file() and path.suffix == ".xml":
             raise InvalidData(f"{path} is a model and no recording; give it as --model {path}")
-        return Source(recording=read_recording(path, model=model))
-    result = read_result(path)
+        return read_recording(path, model=model)
+    read_result(path)
     if not note.is_file():
         raise InvalidData(
             f"{path} holds a result and does not say of which recording (it is of an earlier "
@@ -70,7 +59,7 @@ def read_source(path: Path, kept: str, *, model: Path | None = None) -> Source:
     own = whole.get("model")
     if model is None and isinstance(own, str):
         model = Path(own)
-    return Source(recording=read_recording(place, model=model), result=result)
+    return read_recording(place, model=model)
 
 
 def note_source(kept: Path, recording: Recording, model: Path | None) -> None:
@@ -83,68 +72,41 @@ def note_source(kept: Path, recording: Recording, model: Path | None) -> None:
     write_text(kept / _NOTE, json_text(whole))
 
 
-def join_recordings(
-    kept: Path, sources: Sequence[Source], *, share: float, held_out: Sequence[str] = ()
-) -> tuple[Recording, tuple[str, ...]]:
+def join_recordings(kept: Path, recordings: Sequence[Recording]) -> Recording:
     """Write the runs of several recordings of one machine as one.
 
     Parameters
     ----------
     kept : Path
-        Folder of checkpoints; the recording is written in it.
-    sources : sequence of Source
+        Folder in which the recording is written.
+    recordings : sequence of Recording
         The recordings, the one that came first before the others.
-    share : float
-        Share of the runs of the first that is held out.
-    held_out : sequence of str
-        Runs that are held out in place of those, by their names or the beginnings of them.
 
     Returns
     -------
     Recording
-        All runs, with the model of the first recording.
-    tuple of str
-        Names of the runs held out: of the first recording those of its result, of each further one
-        its last run, where it has two or more.
+        All runs, with the model of the first recording; the names of further ones begin with
+        ``next2``, ``next3``, and so on.
 
     Raises
     ------
     InvalidData
         If the models of two recordings differ.
     """
-    first = sources[0].recording
+    first = recordings[0]
     text = first.spec().to_xml()
     runs: list[Run] = [replace(run, name=_stem(run.name)) for run in first.runs]
-    taken = list(held_out) or list(_held_of(sources[0], share))
-    for number, source in enumerate(sources[1:], start=2):
-        own = source.recording
+    for number, own in enumerate(recordings[1:], start=2):
         if own.spec().to_xml() != text:
             raise InvalidData(
                 f"the models of {first.folder} and {own.folder} differ; several recordings are "
                 "compared with one model: give it as --model"
             )
         stem = _free(f"next{number}", {run.name for run in runs})
-        added = [replace(run, name=f"{stem}-{_stem(run.name)}") for run in own.runs]
-        runs += added
-        if not held_out and len(added) > 1:
-            taken.append(added[-1].name)
-    joined = write_recording(
+        runs += [replace(run, name=f"{stem}-{_stem(run.name)}") for run in own.runs]
+    return write_recording(
         kept / _JOINED, model_xml=first.model_path, runs=runs, overwrite=(kept / _JOINED).exists()
     )
-    names = [run.name for run in joined.runs]
-    return joined, tuple(n for n in names if any(n == t or _stem(n) == t for t in taken)) or (
-        tuple(held_out)
-    )
-
-
-def _held_of(source: Source, share: float) -> tuple[str, ...]:
-    """Runs of the first recording that are held out, without the endings of their files."""
-    if source.result is not None:
-        return tuple(_stem(name) for name in source.result.held_out_runs)
-    names = [run.name for run in source.recording.runs]
-    if len(names) < 2:
-        return ()
-    return tuple(_stem(names[k]) for k in split_runs(names, share=share)[1])
 
 
 def _stem(name: str) -> str:

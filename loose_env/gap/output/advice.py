@@ -2,55 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from loose_env.gap.output.evidence_schema import Identifiability, UnidentifiableEffect
-from loose_env.io import duration_words
-
-_LISTED = 3
-"""Effects, and pairs, that are told of one by one."""
-
-
-def identifiability_notes(
-    found: Identifiability, separating: Callable[[str, str], str | None] = lambda *_: None
-) -> list[str]:
-    """Report effects that cannot be seen or distinguished, and experiments that help."""
-    said, by_kind = [], dict[str, list[UnidentifiableEffect]]()
-    for each in found.unidentifiable:
-        by_kind.setdefault(each.kind, []).append(each)
-    for kind, many in list(by_kind.items())[:_LISTED]:
-        places = ", ".join(each.where for each in many[:_LISTED])
-        places += " and elsewhere" if len(many) > _LISTED else ""
-        size = ", ".join(f"{k} {v:.2g}" for k, v in many[0].parameters.items())
-        motion = separating("nothing", f"{kind} at {many[0].where}")
-        advice = motion or f"{_missing(many[0].additional_s)}{how_to_see(kind)}"
-        said.append(f"these motions would not show {kind} at {places} (such as {size}); {advice}")
-    for pair in found.confusable[:_LISTED]:
-        one, other = f"{pair.kind} at {pair.where}", f"{pair.other_kind} at {pair.other_where}"
-        if motion := separating(one, other):
-            said.append(f"these motions do not tell {one} from {other}; {motion}")
-            continue
-        advice = how_to_separate(pair.kind, pair.where, pair.other_kind, pair.other_where)
-        said.append(
-            f"these motions do not tell {pair.kind} at {pair.where} from {pair.other_kind} at "
-            f"{pair.other_where}; {_missing(pair.additional_s)}{advice[0].lower()}{advice[1:]}"
-        )
-    further = [
-        f"kinds of effect not shown ({len(by_kind) - _LISTED})" * (len(by_kind) > _LISTED),
-        f"confusable pairs ({len(found.confusable) - _LISTED})" * (len(found.confusable) > _LISTED),
-    ]
-    if any(further):
-        listed = " and ".join(filter(None, further))
-        said.append(f"further {listed} in these motions are listed under identifiability")
-    return said
-
-
-def _missing(seconds: float | None) -> str:
-    if seconds is None:
-        return "more of the same will not help: "
-    return f"record about {duration_words(seconds)} more of them, or better: "
-
-
 _PAIRS = {
     (
         "command_delay",

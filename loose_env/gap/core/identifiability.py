@@ -1,0 +1,156 @@
+"""What a recording could show: excitation of joints, and the smallest visible size of effects.
+
+Both are queries on the Gram matrices of the evidence, before any effect is selected. An effect is
+visible at the size at which its rise of the log likelihood pays for its prior probability, with
+all tolerances fitted beside it, and beside any other effect near it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from loose_env.gap.core.balance import USUAL
+from loose_env.gap.core.catalogue import Term
+from loose_env.gap.core.selection import Selection, neighbours
+from loose_env.gap.output.result import (
+    EffectLocation,
+    Identifiability,
+    JointExcitation,
+    VisibleEffect,
+)
+from loose_env.typing import Array
+
+
+def identifiability(selection: Selection) -> Identifiability:
+    """Ask what the recording could show of every joint and every effect.
+
+    Parameters
+    ----------
+    selection : Selection
+        Evidence of the recording.
+    """
+    return Identifiability(joints=_joints(selection), effects=_effects(selection))
+
+
+def _joints(selection: Selection) -> tuple[JointExcitation, ...]:
+    """How much each joint moves."""
+    balance = selection.evidence.balance
+    used = {channel.joint: 1 - channel.blanked for channel in selection.evidence.channels}
+    return tuple(
+        JointExcitation(
+            joint=joint,
+            unit="rad" if balance.machine.turns(joint) else "m",
+            travel=float(np.ptp(balance.position[:, k])),
+            speed=float(np.percentile(np.abs(balance.speed[:, k]), 95)),
+            acceleration=float(np.percentile(np.abs(balance.acceleration[:, k]), 95)),
+            used=float(used.get(k, 0.0)),
+        )
+        for k, joint in enumerate(balance.machine.joints)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """One shape of an effect with the precision of its coefficients beyond the tolerances."""
+
+    term: Term
+    at: list[int]
+    precision: Array
+    needed: float
+    """Number of standard deviations at which it pays for its prior."""
+
+    def smallest(self, precision: Array) -> Array:
+        """Smallest visible coefficients at some precision."""
+        inverse = np.linalg.pinv(precision, hermitian=True)
+        seen = np.diag(precision) > 1e-9 * max(float(np.trace(precision)), 1e-300)
+        return np.where(seen, self.needed * np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.inf)
+
+    def share(self, precision: Array) -> float:
+        """Smallest visible coefficient over the usual one, of the axis that shows best."""
+        return float(np.min(self.smallest(precision) / self.usual))
+
+    @property
+    def usual(self) -> Array:
+        """Usual sizes of the coefficients: prior standard deviations, or one of a law."""
+        return np.array([1.0 if self.term.law else column.spread for column in self.term.columns])
+
+
+def _effects(selection: Selection) -> tuple[VisibleEffect, ...]:
+    """Every effect that the catalogue has for this recording."""
+    evidence, kept = selection.evidence, selection.evidence.tolerances
+    form = selection.whole(selection.rich)
+    data = form.normal - np.diag(evidence.precision)  # without the priors of the effects
+    inverse = np.linalg.inv(data[:kept, :kept] + np.eye(kept))
+    beyond = data - data[:, :kept] @ inverse @ data[:kept]
+    groups: dict[tuple[str, str], list[_Shown]] = {}
+    for term in evidence.terms:
+        if term.contact in ("", USUAL):
+            at = list(evidence.columns_of(term))
+            precision = beyond[np.ix_(at, at)]
+            gain = np.log1p(np.max(np.diag(precision) / evidence.precision[at]))
+            needed = float(np.sqrt(selection.prior((term,)) + max(gain, 0.0)))
+            groups.setdefault(term.name, []).append(_Shown(term, at, precision, needed))
+    chosen = {name: _best(shapes, [s.precision for s in shapes]) for name, shapes in groups.items()}
+    found = []
+    for name, shapes in groups.items():
+        shown = chosen[name]
+        visible = shown.share(shown.precision) <= 1
+        near = neighbours(evidence.balance.machine, name[1])
+        rivals = [o for n, o in chosen.items() if n != name and n[1] in near]
+        rival = _rival(shapes, rivals, beyond, evidence.precision) if visible else None
+        found.append(
+            VisibleEffect(
+                kind=name[0], where=name[1], smallest=_sizes(shown),
+                units={p.name: p.unit for p in shown.term.effect.parameters},
+                visible=visible, confusable_with=rival,
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def _best(shapes: Sequence[_Shown], precisions: Sequence[Array]) -> _Shown:
+    """Smallest visible shape of a law, or the shape that shows best."""
+    shares = [s.share(p) for s, p in zip(shapes, precisions, strict=True)]
+    seen = [k for k, share in enumerate(shares) if share <= 1]
+    if shapes[0].term.law and seen:
+        return shapes[max(seen, key=lambda k: shares[k])]
+    return shapes[int(np.argmin(shares))]
+
+
+def _rival(
+    shapes: Sequence[_Shown], rivals: Sequence[_Shown], beyond: Array, prior: Array
+) -> EffectLocation | None:
+    """Effect beside which no shape is visible any more; that which hides most."""
+    worst, most = None, 1.0
+    for other in rivals:
+        inverse = np.linalg.inv(other.precision + np.diag(prior[other.at]))
+        shares = []
+        for shape in shapes:
+            cross = beyond[np.ix_(shape.at, other.at)]
+            shares.append(shape.share(shape.precision - cross @ inverse @ cross.T))
+        if min(shares) > most:
+            most, worst = min(shares), other.term
+    return worst and EffectLocation(kind=worst.name[0], where=worst.name[1])
+
+
+def _sizes(shown: _Shown) -> dict[str, float]:
+    """Smallest visible value of each parameter, the others as without the effect."""
+    effect, term = shown.term.effect, shown.term
+    names = [p.name for p in effect.parameters]
+    if term.law:
+        return dict(zip(names, term.axes[0], strict=True))
+    nothing = term.values(np.zeros(len(term.axes)))
+    found: dict[str, float] = {}
+    for k, size in enumerate(shown.smallest(shown.precision)):
+        if not np.isfinite(size):
+            continue
+        values = term.values(size * np.eye(len(term.axes))[k])
+        changed = [j for j, v in enumerate(values) if v != nothing[j]]
+        if effect.proportional is not None:
+            changed = [effect.proportional]
+        if changed:
+            found.setdefault(names[changed[0]], float(values[changed[0]]))
+    return found

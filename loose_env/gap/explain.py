@@ -1,0 +1,422 @@
+"""`loose gap` as one call: recording in, result and files out."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from loose_env.arms import quiet
+from loose_env.doctor import Finding as Preflight
+from loose_env.gap.core.decision import Finding, JointVerdict, held_out_rms
+from loose_env.gap.core.find import Answer, evidence_of, find_gap
+from loose_env.gap.core.identifiability import identifiability
+from loose_env.gap.core.residual import (
+    Played,
+    Response,
+    force_errors,
+    left_by,
+    played,
+    residual_tests,
+    responses,
+    simulated_errors,
+)
+from loose_env.gap.core.selection import neighbours
+from loose_env.gap.data.measured_runs import measured_runs
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.output.advice import how_to_see, how_to_separate
+from loose_env.gap.output.corrected_model import correction_code, model_notes, write_model
+from loose_env.gap.output.result import (
+    ChannelVerdict,
+    EffectLocation,
+    Gap,
+    GapResult,
+    Identifiability,
+    NamedEffect,
+    RankedSet,
+    TolerancePull,
+    Verdict,
+)
+from loose_env.gap.settings import GapSettings
+from loose_env.gap.simulation.time_step import step_with
+from loose_env.recording import Recording
+from loose_env.typing import Array
+
+Say = Callable[[str], None]
+PULLED = 2.0
+"""Standard deviations from which the pull of a tolerance is told: 1 in 20 by chance."""
+_RANKED = 20
+"""Sets of effects that a result lists."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GapSolution:
+    """A finished comparison, with what its report draws."""
+
+    answer: Answer
+    """Evidence, decision and exact fits."""
+    corrected: Hypothesis
+    """The named effects at their values, as ``model.xml`` has them."""
+    before: Array
+    """Held-out residual of the nominal model, within its tolerances (T, channels)."""
+    after: Array
+    """The same with all effects of the answer (T, channels)."""
+    played: Played | None
+    """Runs simulated by both models; None of torque logs and free swings."""
+    responses: tuple[Response, ...]
+    """Frequency responses of servoed joints."""
+    result: GapResult
+    """Content of ``result.json``."""
+    seconds: float
+    """Time that it took [s]."""
+
+
+Report = Callable[[Path, GapSolution], Path | None]
+"""Writes a report into a folder; returns its file, or None where it cannot be made."""
+
+
+def explain_gap(
+    recording: Recording,
+    settings: GapSettings | None = None,
+    *,
+    folder: str | Path | None = None,
+    say: Say = lambda _: None,
+) -> GapResult:
+    """Identify effects that a model lacks, and the reduction of the residual.
+
+    Parameters
+    ----------
+    recording : Recording
+        Measured runs and the nominal model.
+    settings : GapSettings, optional
+        Settings of the comparison.
+    folder : str or Path, optional
+        Gets ``model.xml``, the corrected model with the files it needs, and ``result.json``; made
+        where there is none. By default nothing is written.
+    say : callable
+        Receives progress messages, line by line.
+
+    Returns
+    -------
+    GapResult
+        Content of ``result.json``. `loose_env.explain_gap` also shows it, as text and in notebooks.
+
+    Raises
+    ------
+    InvalidData
+        If the position of a joint was not read, no joint moves, or the corrected model does not
+        compile.
+
+    Examples
+    --------
+    Some seconds, on a recording of one's own:
+
+    >>> from loose_env.recording import read_recording
+    >>> result = explain_gap(read_recording("recordings/arm"))  # doctest: +SKIP
+    >>> result.verdict, [(effect.kind, effect.where) for effect in result.effects]
+    ... # doctest: +SKIP
+    ('named', [('coulomb_friction', 'joint2')])
+    """
+    solution = solve_gap(recording, settings, say=say)
+    if folder is not None:
+        write_gap(folder, solution, say=say)
+    return solution.result
+
+
+def solve_gap(
+    recording: Recording,
+    settings: GapSettings | None = None,
+    *,
+    preflight: Sequence[Preflight] = (),
+    say: Say = lambda _: None,
+) -> GapSolution:
+    """Compare a recording with its model, with all that result and report need.
+
+    Parameters
+    ----------
+    recording, settings, say
+        As of `explain_gap`.
+    preflight : sequence of Finding
+        What `loose_env.doctor` found in the recording.
+
+    Raises
+    ------
+    InvalidData
+        If the position of a joint was not read, or no joint moves.
+    """
+    begun = time.monotonic()
+    answer = find_gap(recording, settings, say=say)
+    say("residuals on held-out data")
+    with quiet():
+        selection, fit = answer.selection, answer.decision.fit
+        named = [f for f in answer.decision.findings if f.named]
+        corrected = Hypothesis(
+            effects=tuple(f.term.effect for f in named), values=tuple(f.values for f in named)
+        )
+        nominal = selection.solve(())
+        before, after = left_by(selection, nominal), left_by(selection, fit)
+        gap = Gap(
+            before=_pooled(answer, held_out_rms(selection, nominal)),
+            after=_pooled(answer, held_out_rms(selection, fit)),
+            by_channel=_by_channel(answer),
+            by_quantity=force_errors(answer, before, after) | simulated_errors(answer, corrected),
+        )
+        result = GapResult(
+            verdict=_verdict(answer),
+            gap=gap,
+            effects=tuple(map(_effect, named)),
+            doubtful=tuple(_effect(f) for f in answer.decision.findings if not f.named),
+            channels=_channels(answer, gap),
+            pulled=_pulled(answer),
+            held_out_runs=tuple(r.name for r in answer.held_out.runs) if answer.held_out else (),
+            ranking=_ranking(answer),
+            code=correction_code(corrected),
+            residual_tests=residual_tests(selection, after),
+            identifiability=identifiability(selection),
+            warnings=_warnings(answer, recording),
+            preflight=tuple(preflight),
+            settings=asdict(answer.settings),
+        )
+        shown = played(answer, corrected)
+        balance = selection.evidence.balance
+        found = () if shown is None else responses(balance.machine, shown, balance.motion.band)
+    return GapSolution(
+        answer=answer, corrected=corrected, before=before, after=after, played=shown,
+        responses=found,
+        result=result, seconds=time.monotonic() - begun,
+    )  # fmt: skip
+
+
+def check_gap(
+    recording: Recording, settings: GapSettings | None = None, *, say: Say = lambda _: None
+) -> Identifiability:
+    """Ask what a recording could show, without selecting any effect.
+
+    Parameters
+    ----------
+    recording, settings, say
+        As of `explain_gap`.
+
+    Raises
+    ------
+    InvalidData
+        If the position of a joint was not read, or no joint moves.
+    """
+    with quiet():
+        return identifiability(evidence_of(recording, settings or GapSettings(), say))
+
+
+def write_gap(
+    folder: str | Path,
+    solution: GapSolution,
+    *,
+    report: Report = lambda *_: None,
+    say: Say = lambda _: None,
+) -> list[Path]:
+    """Write ``model.xml``, the files it needs, a report and ``result.json``, the result last.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Where they go; made where there is none.
+    solution : GapSolution
+        The finished comparison.
+    report : callable
+        Writes the report (`loose_env.report.write_gap_report`); none by default.
+    say : callable
+        Receives progress messages, line by line.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    InvalidData
+        If the corrected model does not compile.
+    """
+    place, result = Path(folder), solution.result
+    machine = solution.answer.selection.evidence.balance.machine
+    # An earlier result must not stand beside a later model if this run is cut short.
+    place.joinpath("result.json").unlink(missing_ok=True)
+    say("writing model, result and report")
+    models = write_model(
+        place / "model.xml",
+        machine,
+        solution.corrected,
+        step=step_with(machine, solution.corrected.effects),
+        source=solution.answer.recording.model_path,
+        notes=model_notes(result.effects, pulled_words(result)),
+    )
+    page = report(place, solution)
+    file = result.write(place / "result.json")
+    return [*models, *([] if page is None else [page]), file]
+
+
+def pulled_words(result: GapResult) -> list[str]:
+    """Sentences on the tolerances that the data pull."""
+    return [
+        f"{each.name}: {abs(each.deviations):.1f} standard deviations "
+        f"{'above' if each.deviations > 0 else 'below'} the nominal value"
+        for each in result.pulled
+    ]
+
+
+def _verdict(answer: Answer) -> Verdict:
+    if any(finding.named for finding in answer.decision.findings):
+        return "named"
+    words = {joint.verdict for joint in answer.decision.joints}
+    return "no_gap" if words <= {"not needed"} else "unexplained"
+
+
+def _pooled(answer: Answer, by_channel: Array) -> float:
+    """Root mean square over the values of all channels."""
+    counts = np.array([c.count.sum() for c in answer.selection.evidence.channels])
+    return float(np.sqrt(np.sum(counts * by_channel**2) / counts.sum()))
+
+
+def _by_channel(answer: Answer) -> dict[str, tuple[float, float]]:
+    """Held-out residual of each channel, before and after."""
+    selection, names = answer.selection, answer.selection.evidence.balance.channels
+    sides = [held_out_rms(selection, f) for f in (selection.solve(()), answer.decision.fit)]
+    return {
+        names[channel.joint]: (float(before), float(after))
+        for channel, before, after in zip(selection.evidence.channels, *sides, strict=True)
+    }
+
+
+def _effect(found: Finding) -> NamedEffect:
+    """An effect of the answer in the form of a result."""
+    effect, names = found.term.effect, [p.name for p in found.term.effect.parameters]
+    ends = zip(found.low.tolist(), found.high.tolist(), strict=True)
+    return NamedEffect(
+        kind=effect.kind,
+        where=effect.where,
+        parameters=dict(zip(names, found.values.tolist(), strict=True)),
+        interval_95=dict(zip(names, ends, strict=True)),
+        ambiguous_with=tuple(EffectLocation(kind=k, where=w) for k, w in found.confusable),
+        units={p.name: p.unit for p in effect.parameters},
+        variant=effect.variant,
+        in_model=effect.in_model,
+        probability=found.probability,
+        z=found.z,
+        held_out_gain={"run": found.by_run, "stretch": found.by_stretch},
+    )
+
+
+def _channels(answer: Answer, gap: Gap) -> tuple[ChannelVerdict, ...]:
+    """Verdict of every joint and reading; joints that stand still cannot tell."""
+    decision, evidence = answer.decision, answer.selection.evidence
+    machine = evidence.balance.machine
+    known = [f.term.name for f in decision.findings] + [(k, w) for _, k, w in decision.rivals]
+    found = []
+    for number, own in enumerate(decision.joints):
+        near = neighbours(machine, own.joint.removeprefix("sensor.").split(".")[0])
+        effects = [n for n in known if n[0] in own.effects and n[1] in near]
+        before, after = gap.by_channel[own.joint]
+        found.append(
+            ChannelVerdict(
+                channel=own.joint,
+                verdict=own.verdict,
+                effects=tuple(EffectLocation(kind=k, where=w) for k, w in dict.fromkeys(effects)),
+                before=before,
+                after=after,
+                advice=_advice(answer, number, own, effects),
+            )
+        )
+    named = {each.channel for each in found}
+    standing = [joint for joint in machine.joints if joint not in named]
+    found += [
+        ChannelVerdict(
+            channel=joint, verdict="cannot tell", before=float("nan"), after=float("nan"),
+            advice="it hardly moves, or its torque was not read: record runs in which it moves",
+        )
+        for joint in standing
+    ]  # fmt: skip
+    return tuple(found)
+
+
+def _advice(
+    answer: Answer, number: int, own: JointVerdict, effects: Sequence[tuple[str, str]]
+) -> str:
+    """Motion that would tell, or where most is left."""
+    if own.verdict == "cannot tell":
+        if len(effects) > 1:
+            return how_to_separate(*effects[0], *effects[1])
+        return how_to_see(effects[0][0]) if effects else "record more of its motion"
+    if own.verdict != "unexplained":
+        return ""
+    channel = answer.selection.evidence.channels[number]
+    runs = answer.selection.evidence.balance.motion.runs
+    excess = answer.decision.fit.powers[number] - channel.count
+    by_run: dict[str, float] = defaultdict(float)
+    by_band: dict[float, float] = defaultdict(float)
+    for run, turn, each in zip(channel.run, channel.turn, excess, strict=True):
+        by_run[runs[run].name] += float(each)
+        by_band[float(turn) / (2 * np.pi)] += float(each)
+    share = 1 - (own.after / max(own.before, 1e-300)) ** 2
+    where = f"most is left in {max(by_run, key=lambda name: by_run[name])}, around "
+    loudest = max(by_band, key=lambda frequency: by_band[frequency])
+    return f"{100 * max(share, 0.0):.0f} % explained; {where}{loudest:.2g} Hz"
+
+
+def _pulled(answer: Answer) -> tuple[TolerancePull, ...]:
+    """Tolerances pulled by more than two standard deviations, the most first."""
+    evidence = answer.selection.evidence
+    pulls = evidence.mixed @ answer.decision.fit.values[: evidence.tolerances]
+    found = [
+        TolerancePull(name=nuisance.name, deviations=float(pull))
+        for nuisance, pull in zip(evidence.nuisances, pulls, strict=True)
+        if abs(pull) > PULLED
+    ]
+    return tuple(sorted(found, key=lambda each: -abs(each.deviations)))
+
+
+def _ranking(answer: Answer) -> tuple[RankedSet, ...]:
+    """Best sets of effects that were visited, each set of kinds and locations once."""
+    simulated = {frozenset(t.name for t in e.fit.terms): e.total for e in answer.exact}
+    totals: dict[frozenset[tuple[str, str]], float] = {}
+    for fit in (*answer.selection.fits.values(), answer.decision.fit):
+        names = frozenset(term.name for term in fit.terms)
+        if fit.allowed:
+            totals[names] = min(fit.total, totals.get(names, np.inf))
+    least, quickest = min(totals.values()), min(simulated.values(), default=0.0)
+    weights = {names: float(np.exp(-0.5 * (total - least))) for names, total in totals.items()}
+    whole = sum(weights.values())
+    return tuple(
+        RankedSet(
+            effects=tuple(EffectLocation(kind=k, where=w) for k, w in sorted(names)),
+            behind=totals[names] - least,
+            probability=weights[names] / whole,
+            simulated=simulated[names] - quickest if names in simulated else None,
+        )
+        for names in sorted(totals, key=lambda names: totals[names])[:_RANKED]
+    )
+
+
+def _warnings(answer: Answer, recording: Recording) -> tuple[str, ...]:
+    """Cautions: samples left out, one run alone, effects that no file carries."""
+    machine = answer.selection.evidence.balance.machine
+    found = [*measured_runs(recording.runs, machine.model)[1]]
+    if len(answer.selection.evidence.balance.motion.runs) == 1:
+        found.append(
+            "one run alone: alternate stretches of it are held out, so that what every stretch of "
+            "it has in common is not tested; record a second run with another motion"
+        )
+    for each in answer.decision.findings:
+        effect = each.term.effect
+        if each.named and not (effect.in_model or correction_code(_alone(each))):
+            found.append(
+                f"{effect.kind} at {effect.where} is named, and no file applies it: neither MJCF "
+                "nor a line of code has means for it"
+            )
+    return tuple(found)
+
+
+def _alone(found: Finding) -> Hypothesis:
+    return Hypothesis(effects=(found.term.effect,), values=(found.values,))

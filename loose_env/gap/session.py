@@ -1,0 +1,265 @@
+"""Interactive comparison: try built-in or own effects one at a time, and add them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from loose_env.arms import quiet
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.gap.core.catalogue import Term, shapes, shows, terms_of
+from loose_env.gap.core.decision import Finding, decide, held_out_rms
+from loose_env.gap.core.effects import EFFECTS
+from loose_env.gap.core.evidence import append
+from loose_env.gap.core.find import evidence_of
+from loose_env.gap.core.selection import SetFit
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.output.corrected_model import correction_code, write_model
+from loose_env.gap.settings import GapSettings
+from loose_env.gap.simulation.time_step import step_with
+from loose_env.recording import Recording
+from loose_env.typing import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TriedEffect:
+    """One effect, fitted beside those that were added."""
+
+    finding: Finding
+    """The effect with values, intervals and what held-out data say of it."""
+    before: float
+    """Held-out residual without it [noise standard deviations]."""
+    after: float
+    """The same with it."""
+    fit: SetFit = field(repr=False)
+    """The fitted set."""
+
+    @property
+    def effect(self) -> Effect:
+        """The effect."""
+        return self.finding.term.effect
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Fitted parameter values."""
+        names = [p.name for p in self.effect.parameters]
+        return dict(zip(names, self.finding.values.tolist(), strict=True))
+
+    @property
+    def accepted(self) -> bool:
+        """Whether a comparison would name it: probable, no interval across zero, held-out gain."""
+        return self.finding.named
+
+    def _rows(self) -> list[tuple[str, str]]:
+        """What a reader sees: names and values."""
+        ends = zip(self.finding.low, self.finding.high, strict=True)
+        found = [
+            (p.name, f"{v:.4g} ({a:.4g} to {b:.4g}) {p.unit}".rstrip())
+            for p, v, (a, b) in zip(self.effect.parameters, self.finding.values, ends, strict=True)
+        ]
+        found.append(("residual on held-out data", f"{self.before:.2f} before, {self.after:.2f}"))
+        gains = f"{self.finding.by_run:.0f} by run, {self.finding.by_stretch:.0f} by stretch"
+        found.append(("rise of twice the held-out log likelihood", gains))
+        return [*found, ("accepted", "yes" if self.accepted else "no")]
+
+    def __str__(self) -> str:
+        """Format as one line."""
+        return f"{self.effect!r}: " + "; ".join(f"{name} {value}" for name, value in self._rows())
+
+    def _repr_html_(self) -> str:
+        """Return a short table, as notebooks show it."""
+        lines = [f"<tr><th>{escape(repr(self.effect))}</th><th></th></tr>"]
+        lines += [f"<tr><td>{escape(a)}</td><td>{escape(b)}</td></tr>" for a, b in self._rows()]
+        return f"<table>{''.join(lines)}</table>"
+
+
+class GapSession:
+    """The comparison of a recording with its model, step by step.
+
+    Parameters
+    ----------
+    recording : Recording
+        Measured runs and the nominal model.
+    settings : GapSettings, optional
+        Settings of the comparison.
+    say : callable
+        Receives progress messages, line by line.
+
+    Raises
+    ------
+    InvalidData
+        If the position of a joint was not read, or no joint moves.
+
+    Examples
+    --------
+    >>> from loose_env.recording import read_recording
+    >>> session = GapSession(read_recording("recordings/arm"))  # doctest: +SKIP
+    >>> tried = session.try_effect("coulomb_friction", "joint2")  # doctest: +SKIP
+    >>> session.add(tried)  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        settings: GapSettings | None = None,
+        *,
+        say: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.recording, self.say = recording, say
+        with quiet():
+            self.selection = evidence_of(recording, settings or GapSettings(), say)
+            self.fit = self.selection.solve(())
+        self.tried: tuple[TriedEffect, ...] = ()
+        """Effects that were added."""
+
+    @property
+    def held_out(self) -> float:
+        """Residual on held-out data with what was added [noise standard deviations]."""
+        return self._rms(self.fit)
+
+    @property
+    def added(self) -> tuple[Effect, ...]:
+        """Effects that were added."""
+        return tuple(each.effect for each in self.tried)
+
+    def try_effect(
+        self, effect: Effect | type[Effect] | str, where: str | None = None
+    ) -> TriedEffect:
+        """Fit one effect, in its best shape, beside those that were added.
+
+        Parameters
+        ----------
+        effect : Effect, class of an effect, or str
+            The effect, or its identifier in the catalogue.
+        where : str, optional
+            Its location, unless it has one.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such effect, or it cannot be there.
+        InvalidSetting
+            If a location is missing, or the recording does not show the effect at all.
+        """
+        terms = [term for each in self._forms(effect, where) for term in self._terms(each)]
+        if not terms:
+            raise InvalidSetting(
+                f"these motions do not show {effect!r}; record a motion in which it acts"
+            )
+        with quiet():
+            fits = [self.selection.solve((*self.fit.terms, term)) for term in terms]
+            best = min(fits, key=lambda f: (not f.allowed, f.total))
+            finding = decide(self.selection, best).findings[-1]
+            return TriedEffect(
+                finding=finding, before=self.held_out, after=self._rms(best), fit=best
+            )
+
+    def add(self, tried: TriedEffect) -> None:
+        """Add an effect that was tried.
+
+        Raises
+        ------
+        InvalidSetting
+            If another effect was added since it was tried.
+        """
+        if tried.fit.terms[:-1] != self.fit.terms:
+            raise InvalidSetting(
+                f"{tried.effect!r} was tried before {self.added[-1]!r} was added; try it again"
+            )
+        self.fit, self.tried = tried.fit, (*self.tried, tried)
+        self.say(f"{tried.effect!r} added: {tried.after:.2f} on held-out data")
+
+    def residual_force(self, joint: str) -> Array:
+        """Force that the nominal model lacks at a joint along the motion [N·m, N] (T,).
+
+        `motion` has position, speed and acceleration at the same samples.
+
+        Raises
+        ------
+        UnknownName
+            If the model has no such joint.
+        """
+        balance = self.selection.evidence.balance
+        if joint not in balance.machine.joints:
+            raise UnknownName(
+                f"the model has no joint {joint!r}; it has {', '.join(balance.machine.joints)}"
+            )
+        return np.asarray(balance.residual[:, balance.machine.joint_number(joint)])
+
+    def motion(self, joint: str) -> tuple[Array, Array, Array]:
+        """Position, speed and acceleration of a joint, all runs one after the other (T,) each."""
+        balance = self.selection.evidence.balance
+        k = balance.machine.joint_number(joint)
+        return balance.position[:, k], balance.speed[:, k], balance.acceleration[:, k]
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """The effects that were added, at their values in the last fit."""
+        place = {k: i for i, k in enumerate(self.fit.numbers)}
+        columns = self.selection.evidence.columns_of
+        values = [t.values(self.fit.values[[place[k] for k in columns(t)]]) for t in self.fit.terms]
+        return Hypothesis(effects=self.added, values=tuple(values))
+
+    @property
+    def code(self) -> str:
+        """Python lines that apply effects which MJCF cannot express; "" if none."""
+        return correction_code(self.hypothesis)
+
+    def write_model(self, path: str | Path) -> list[Path]:
+        """Write the model with the added effects, and the files it needs beside it.
+
+        Raises
+        ------
+        InvalidData
+            If it does not compile.
+        """
+        machine = self.selection.evidence.balance.machine
+        step = step_with(machine, self.added)
+        return write_model(
+            Path(path), machine, self.hypothesis, step=step, source=self.recording.model_path
+        )
+
+    def _rms(self, fit: SetFit) -> float:
+        counts = np.array([c.count.sum() for c in self.selection.evidence.channels])
+        own = held_out_rms(self.selection, fit)
+        return float(np.sqrt(np.sum(counts * own**2) / counts.sum()))
+
+    def _terms(self, effect: Effect) -> list[Term]:
+        """Terms of one effect: those of the evidence, else new ones."""
+        evidence = self.selection.evidence
+        known = [t for t in evidence.terms if t.name == (effect.kind, effect.where)]
+        known = [t for t in known if type(t.effect) is type(effect)]
+        if known or not shows(evidence.balance, effect):
+            return known
+        found = [
+            term
+            for axes, law in shapes(evidence.balance, effect)
+            for term in terms_of(evidence.balance, effect, axes, law)
+        ]
+        for term in found:
+            append(evidence, term)
+        for name in ("_places", "_shapes"):  # counted anew with what was added
+            self.selection.__dict__.pop(name, None)
+        return found
+
+    def _forms(self, effect: Effect | type[Effect] | str, where: str | None) -> list[Effect]:
+        """Instances of an effect at a location, in every variant."""
+        machine = self.selection.evidence.balance.machine
+        if isinstance(effect, Effect):
+            if where is not None:
+                raise InvalidSetting(f"{effect!r} has a location already; leave out {where!r}")
+            return [effect]
+        if isinstance(effect, str):
+            if effect not in EFFECTS:
+                raise UnknownName(f"unknown effect {effect!r}; the catalogue has {list(EFFECTS)}")
+            effect = EFFECTS[effect]
+        if where is None:
+            locations = list(effect.locations(machine))
+            raise InvalidSetting(f"{effect.kind} needs a location, one of {locations}")
+        effect(machine, where)  # raises for other locations
+        return [effect(machine, where, v) for v in effect.variants_at(machine, where)]
