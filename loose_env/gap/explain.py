@@ -153,7 +153,8 @@ def solve_gap(
     say("residuals on held-out data")
     with quiet():
         selection, fit = answer.selection, answer.decision.fit
-        named = [f for f in answer.decision.findings if f.named]
+        findings = sorted(answer.decision.findings, key=lambda f: f.term.name)
+        named = [f for f in findings if f.named]
         corrected = Hypothesis(
             effects=tuple(f.term.effect for f in named), values=tuple(f.values for f in named)
         )
@@ -169,7 +170,7 @@ def solve_gap(
             verdict=_verdict(answer),
             gap=gap,
             effects=tuple(map(_effect, named)),
-            doubtful=tuple(_effect(f) for f in answer.decision.findings if not f.named),
+            doubtful=tuple(_effect(f) for f in findings if not f.named),
             channels=_channels(answer, gap),
             pulled=_pulled(answer),
             held_out_runs=tuple(r.name for r in answer.held_out.runs) if answer.held_out else (),

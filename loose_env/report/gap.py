@@ -53,8 +53,9 @@ from loose_env.report.words import (
 )
 from loose_env.version import __version__
 
-_HEADLINE = 36  # letters of the effects in the headline
-_ROWS, _BARS, _FIGURES = 12, 24, 4  # rows of a table, channels drawn, figures of one sort
+_HEADLINE = 60  # letters of the effects in the headline
+_ROWS, _BARS = 12, 24  # rows of a table, channels drawn
+_FIGURES, _CORRELATIONS = 4, 3  # figures of one sort
 _SECONDS, _SAMPLES = 4.0, 500  # time of an overlay [s], and its samples
 _EFFECTS = ["missing effect", "probability", "parameter", "value", "95 % interval", "unit"]
 _CHANNELS = ["joint or reading", "verdict", "effects", "before", "after"]
@@ -419,13 +420,15 @@ def _overlay_section(solution: GapSolution) -> Section:
             FigureCard(
                 title=f"{balance.channels[k].removeprefix('sensor.')} in {name}",
                 image=figure,
-                caption="Given: force of the drive, as measured or as the model's drive makes it "
-                "of commands and motion, none in a free swing. The models: force that the measured "
-                "motion takes in each. Of a reading: as read, and as foretold. Below, the "
-                "difference.",
+                caption=f"{balance.channels[k]}: given, and by both models; below, the difference.",
             )
         )
-    intro = "The stretch in which the nominal model misses most, predicted from the other runs."
+    intro = (
+        "The stretch in which the nominal model misses most, predicted from other data. Of a "
+        "joint, given is the force of its drive, as measured, or as the model's drive makes it of "
+        "commands and motion; a model shows the force that the measured motion takes in it. Of a "
+        "reading, given is what was read, and a model shows what the motion foretells."
+    )
     return Section(heading="Measured against model", intro=[intro], cards=cards)
 
 
@@ -449,7 +452,8 @@ def _residual_section(solution: GapSolution) -> Section:
             caption="Root mean square on held-out data over the noise: 1 is noise alone.",
         )
     ]
-    for channel in sorted(evidence.channels, key=lambda c: -_left(solution, c.joint))[:_FIGURES]:
+    worst = sorted(evidence.channels, key=lambda c: -_left(solution, c.joint))
+    for channel in worst[:_CORRELATIONS]:
         k = channel.joint
         series, interval = whitened(balance, solution.after[:, k], k)
         motion = [k] if k < len(balance.machine.joints) else range(len(balance.machine.joints))

@@ -3,7 +3,7 @@
 Runs follow one another on one time axis. Entities: ``/channels/CHANNEL/measured`` (and ``nominal``,
 ``corrected``) are scalars in the unit of the recording; ``/arm/measured`` (and so on) are the
 model's bodies at the joint positions measured and predicted. A joint without a position sensor
-stands at its reference position; where a model predicts no position, it follows the measurement.
+stands at its reference position.
 """
 
 from __future__ import annotations

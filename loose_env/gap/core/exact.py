@@ -72,6 +72,7 @@ class _Known(Effect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Apply each by its number of standard deviations."""
+        spec.compiler.balanceinertia = True  # an inertia pulled alone may be that of no body
         for nuisance, deviations in self._pulls:
             if nuisance.edit is not None:
                 nuisance.edit(spec, deviations)

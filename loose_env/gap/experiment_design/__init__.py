@@ -1,7 +1,7 @@
 """Choice of motions on a servoed arm whose records tell candidate effects apart.
 
 Data flow: servo_arm -> motions -> library -> candidates -> sizing -> signatures -> bank ->
-inference -> next_motion.
+inference.
 """
 
 from loose_env.gap.experiment_design.bank import SignatureBank, signature_bank
