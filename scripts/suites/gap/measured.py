@@ -44,7 +44,7 @@ def row_of(folder: Path, settings: dict[str, Any]) -> Row:
         "error": None,
         "rmse": found.gap.by_quantity.get(QUANTITY),
         "effects": [plain(asdict(effect), digits=17) for effect in found.effects],
-        "remaining": list(found.remaining),
+        "unexplained": [c.channel for c in found.channels if c.verdict == "unexplained"],
     }
 
 

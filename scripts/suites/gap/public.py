@@ -30,7 +30,7 @@ from tyro.conf import Positional
 from loose_env.cli.command import Actions, commands
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.evaluation import expected_calibration_error
-from loose_env.gap import GapResult, GapSettings, find_gap, result_of
+from loose_env.gap import GapResult, GapSettings, explain_gap
 from loose_env.io import (
     Count,
     json_text,
@@ -67,6 +67,7 @@ from scripts.suites.gap.grading import (
     parameter_error,
     separable_by_data,
 )
+from scripts.suites.gap.run import stated
 
 ANSWER, SCORE = "gap-answer/1", "gap-score/1"
 """Formats of an answer and of ``score.json``."""
@@ -571,8 +572,8 @@ class Asked:
 
 def _answer(given: Asked) -> None:
     began = time.process_time()
-    settings = GapSettings(threads=1, tolerance=given.tolerance)
-    result = result_of(find_gap(read_recording(given.recording), settings))
+    settings = GapSettings(threads=1, tolerances=stated(given.tolerance))
+    result = explain_gap(read_recording(given.recording), settings)
     answer = answer_of(result, cpu_seconds=round(time.process_time() - began, 1))
     file = given.out
     if file.suffix != ".json":
