@@ -8,6 +8,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from loose_env.gap.output.export_check import Exported
+from loose_env.gap.residuals.preparation.prepare import GapProblem
+from tests.gap.cases.exported_case import judged_with, prepared_arm
 
 from loose_env.errors import InvalidData
 from loose_env.gap import Effect, Hypothesis, exported, write_model
@@ -19,11 +22,8 @@ from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.output.corrected_model import correction_code
-from loose_env.gap.output.export_check import Exported
-from loose_env.gap.residuals.preparation.prepare import GapProblem
 from loose_env.recording import ModelColumns
 from tests.gap.cases.effect_arms import PLANAR, SPATIAL, machine_of
-from tests.gap.cases.exported_case import judged_with, prepared_arm
 
 RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 ARMS = {"planar": PLANAR, "spatial": SPATIAL}

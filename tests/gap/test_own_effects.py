@@ -10,6 +10,8 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 import pytest
+from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
+from loose_env.gap.workflow.session import TriedEffect
 
 from loose_env.cli import gap
 from loose_env.cli.main import main
@@ -32,9 +34,7 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.corrected_model import correction_code
-from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
-from loose_env.gap.workflow.session import TriedEffect
 from loose_env.recording import Recording, Run, write_recording
 from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR, machine_of

@@ -10,6 +10,15 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from loose_env.gap.output.calibration import widened_interval, with_probability
+from loose_env.gap.output.evidence_schema import (
+    Band,
+    ChannelResidual,
+    JointResidual,
+    Location,
+    ResidualTest,
+)
+from loose_env.gap.workflow import summary
 
 from loose_env.errors import InvalidData
 from loose_env.gap import (
@@ -32,16 +41,7 @@ from loose_env.gap import (
     result_of,
     write_gap,
 )
-from loose_env.gap.output.calibration import widened_interval, with_probability
-from loose_env.gap.output.evidence_schema import (
-    Band,
-    ChannelResidual,
-    JointResidual,
-    Location,
-    ResidualTest,
-)
 from loose_env.gap.output.result import UNIT
-from loose_env.gap.workflow import summary
 from loose_env.recording import Recording
 from tests.gap.cases.gap_case import DAMPING, GAIN, record, solution_for
 

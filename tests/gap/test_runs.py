@@ -8,11 +8,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from loose_env.gap.data.holdout_split import split_runs
 
 from loose_env.errors import InvalidData
 from loose_env.gap import GapSettings, find_gap
 from loose_env.gap.data.aligned_run import Trial, align_run, channels_of
-from loose_env.gap.data.holdout_split import split_runs
 from loose_env.gap.data.measured_runs import measured_runs, pieces_of
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Run, read_recording, write_recording

@@ -15,12 +15,13 @@ import pytest
 
 pytest.importorskip("numba")
 
+from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
+
 from loose_env.gap import Hypothesis
 from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_of
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.corrected_model import corrected_spec, correction_code
-from loose_env.gap.simulation.inverse_dynamics import InverseDynamics
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Run
 from loose_env.typing import Array

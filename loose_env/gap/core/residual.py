@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from scipy.signal import csd, welch
+from scipy.signal.windows import tukey
 
 from loose_env.arms import quiet
 from loose_env.gap.core.balance import Balance
@@ -28,6 +29,8 @@ from loose_env.typing import Array
 
 LAGS = 50
 """Lags of correlations that are looked at."""
+_TAPER = 0.3
+"""Share of a run that is faded, at both ends together, before its spectrum is divided."""
 _PLAYED_S = 60.0
 """Length of runs that are simulated for frequency responses, about: cost [s]."""
 _SEGMENTS = 8
@@ -84,6 +87,8 @@ def whitened(balance: Balance, values: Array, channel: int) -> tuple[list[Array]
     interval = motion.step
     for own in motion.split(values * weight):
         count = len(own)
+        window = tukey(count, _TAPER)
+        own = own * window / np.sqrt(np.mean(window**2))
         frequency = np.fft.rfftfreq(count, motion.step)
         spectrum = np.fft.rfft(own) / balance.noise(channel, frequency)
         kept = max(int(np.sum(frequency <= motion.band)), 4)

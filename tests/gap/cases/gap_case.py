@@ -1,47 +1,66 @@
-"""A small finished comparison, made without a search: an arm that lacks viscous friction."""
+"""Recordings of a small arm, and of one that lacks what its model has not."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from loose_env.gap.data.aligned_run import align_run, channels_of
-from loose_env.gap.fitting.gauss_newton import Fit
-from loose_env.gap.fitting.holdout_score import Scorer
-from loose_env.gap.fitting.model_structure import ModelStructure, Nuisance
-from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.friction import ViscousFriction
-from loose_env.gap.model.effects.sensors import SensorGain
-from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.model.nominal_parameters import NominalParameters
-from loose_env.gap.model.parameter import free_of
-from loose_env.gap.output.result import EffectLocation, NamedEffect, RankedHypothesis
-from loose_env.gap.residuals.preparation.prepare import GapProblem
-from loose_env.gap.residuals.residual_model import ResidualModel
-from loose_env.gap.settings import GapSettings
-from loose_env.gap.workflow.pipeline import GapSolution
+from loose_env.gap import GapSettings, GapSolution, solve_gap
 from loose_env.recording import Recording, Run, write_recording
-from loose_env.statistics import noise_floor
 from loose_env.typing import Array
-from tests.gap.cases.effect_arms import PLANAR
 
-DAMPING, GAIN = 3.0, 1.25
-"""What the recorded arm has beyond its model: at joint2 [N·m·s/rad], and of the sensor rate3."""
-STEP, COUNT = 0.002, 1100
-MODEL = PLANAR.replace('timestep="0.001"', 'timestep="0.002"').replace(
-    'integrator="implicitfast"', 'integrator="RK4"'
+FRICTION = 0.8
+"""Dry friction at the elbow that the recorded arm has beyond its model [N·m]."""
+STEP, COUNT = 0.005, 800
+FEW = GapSettings(
+    threads=1, simulate=False, kinds=("coulomb_friction", "viscous_friction", "actuator_gain")
 )
+"""Settings of a quick comparison."""
+MODEL = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <default><joint axis="0 1 0" armature="0.1" damping="0.3"/></default>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder"/>
+      <inertial pos="0.15 0 0" mass="2" diaginertia="0.01 0.02 0.02"/>
+      <body name="lower" pos="0.3 0 0">
+        <joint name="elbow"/>
+        <inertial pos="0.12 0 0" mass="1" diaginertia="0.003 0.008 0.008"/>
+        <site name="tool" pos="0.25 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="motor1" joint="shoulder" kp="150" kv="8"/>
+    <position name="motor2" joint="elbow" kp="60" kv="3"/>
+  </actuator>
+  <sensor>
+    <jointpos name="encoder1" joint="shoulder"/>
+    <jointpos name="encoder2" joint="elbow"/>
+  </sensor>
+</mujoco>
+"""
 
 
 def model_with(suffix: str) -> str:
     """The model whose joints, links, servos and sensors have names with a suffix."""
-    return re.sub(
-        r'"((?:joint|link|servo|encoder|rate)\d|shake)"', lambda m: f'"{m[1]}{suffix}"', MODEL
-    )
+    names = r'"(shoulder|elbow|upper|lower|(?:motor|encoder)\d)"'
+    return re.sub(names, lambda m: f'"{m[1]}{suffix}"', MODEL)
+
+
+def lacks_friction(suffix: str = "") -> Callable[[mujoco.MjSpec], None]:
+    """Edit that adds dry friction at the elbow."""
+
+    def edit(spec: mujoco.MjSpec) -> None:
+        spec.joint(f"elbow{suffix}").frictionloss = FRICTION
+
+    return edit
 
 
 def record(
@@ -49,107 +68,76 @@ def record(
     *,
     runs: int = 3,
     suffix: str = "",
-    missing: bool = True,
-    edit: Callable[[mujoco.MjSpec], None] = lambda spec: None,
+    edit: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> Recording:
-    """Write a recording of an arm with noise, with the two effects if missing, and an edit."""
-    xml = model_with(suffix)
-    spec = mujoco.MjSpec.from_string(xml)
-    spec.joint(f"joint2{suffix}").damping = np.array([0.5 + DAMPING * missing, 0, 0])
-    edit(spec)
-    model = spec.compile()
-    time = np.arange(COUNT) * STEP
-    rng = np.random.default_rng(8)
-    found = []
+    """Write a recording of the arm under servos, by default with friction that its model lacks."""
+    spec = mujoco.MjSpec.from_string(model_with(suffix))
+    (lacks_friction(suffix) if edit is None else edit)(spec)
+    model, rng = spec.compile(), np.random.default_rng(8)
+    time, found = np.arange(COUNT) * STEP, []
+    inside = round(STEP / model.opt.timestep)
     for k in range(runs):
-        data = mujoco.MjData(model)
-        controls = 0.5 * np.sin(np.outer(time, [2.0 + k, 3.3 + 0.7 * k, 5.1 - k]))
-        controls *= np.minimum(2 * time, 1.0)[:, None]
-        shown = np.zeros((COUNT, model.nsensordata))
+        rates = np.array([[2.1 + 0.6 * k, 3.4 - 0.5 * k], [4.3 - 0.7 * k, 6.1 + 0.8 * k]])
+        controls = 0.6 * np.sin(time[:, None] * rates[0]) + 0.25 * np.sin(time[:, None] * rates[1])
+        controls *= np.minimum(time, 1.0)[:, None]
+        data, shown = mujoco.MjData(model), np.zeros((COUNT, 2))
+        mujoco.mj_step(model, data, 3000)
         for row, command in zip(shown, controls, strict=True):
             data.ctrl[:] = command
-            mujoco.mj_step(model, data)
-            row[:] = data.sensordata
-        shown[:, 3] *= GAIN if missing else 1.0
-        shown += rng.normal(0, [2e-5, 2e-5, 2e-5, 2e-3, 0.02, 0.02, 0.02], shown.shape)
-        names = [f"{name}{suffix}" for name in ("encoder1", "encoder2", "encoder3", "rate3")]
+            mujoco.mj_forward(model, data)
+            row[:] = data.qpos
+            mujoco.mj_step(model, data, inside)
+        shown += rng.normal(0, 2e-5, shown.shape)
         found.append(
             Run(
                 name=f"run-{k + 1:02d}.csv",
                 time=time,
-                controls={f"servo{j + 1}{suffix}": controls[:, j] for j in range(3)},
-                sensors={n: shown[:, j] for j, n in enumerate(names)}
-                | {f"shake{suffix}": shown[:, 4:]},
+                controls={f"motor{j + 1}{suffix}": controls[:, j] for j in range(2)},
+                sensors={f"encoder{j + 1}{suffix}": shown[:, j] for j in range(2)},
             )
         )
-    return write_recording(folder, model_xml=xml, runs=found, file_format="csv")
+    return write_recording(folder, model_xml=model_with(suffix), runs=found, file_format="csv")
 
 
-def stated(comparison: ResidualModel, effects: Sequence[Effect], values: Sequence[Array]) -> Fit:
-    """Effects beside the nominal parameters as they are, stated and not searched for."""
-    nominal = NominalParameters(comparison.machine, tolerance=0.03)
-    structure = ModelStructure(nuisance=Nuisance(nominal=nominal)).with_effects(effects)
-    own = [free_of(e.parameters, v) for e, v in zip(effects, values, strict=True)]
-    free = np.concatenate([structure.nominal_start, *own])
-    residual = comparison.residuals([structure.hypothesis(free)])[0]
-    return Fit(
-        structure=structure,
-        free=free,
-        residual=residual,
-        jacobian=np.zeros((len(residual), len(free))),
-        cost=float(residual @ residual),
+def torque_log(folder: Path, edit: Callable[[mujoco.MjSpec], None], *, runs: int = 2) -> Recording:
+    """Write a recording of motion and measured torque of an arm with an edit."""
+    spec = mujoco.MjSpec.from_string(MODEL)
+    edit(spec)
+    model, rng = spec.compile(), np.random.default_rng(4)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    data, time, found = mujoco.MjData(model), np.arange(COUNT) * STEP, []
+    for k in range(runs):
+        position, torque = np.zeros((2, COUNT, 2))
+        for row in range(COUNT):
+            q, v, a = _wave(float(time[row]), k)
+            data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
+            mujoco.mj_inverse(model, data)
+            position[row], torque[row] = q, data.qfrc_inverse
+        position += rng.normal(0, 2e-5, position.shape)
+        torque += rng.normal(0, 0.02, torque.shape)
+        found.append(
+            Run(
+                name=f"run-{k + 1:02d}.csv",
+                time=time,
+                sensors={f"encoder{j + 1}": position[:, j] for j in range(2)},
+                torques={name: torque[:, j] for j, name in enumerate(("shoulder", "elbow"))},
+            )
+        )
+    return write_recording(folder, model_xml=MODEL, runs=found, file_format="csv")
+
+
+def _wave(time: float, run: int) -> tuple[Array, Array, Array]:
+    """Position, speed and acceleration of both joints."""
+    rate = np.array([[2.1 + 0.6 * run, 3.4 - 0.5 * run], [4.3 - 0.7 * run, 6.1 + 0.8 * run]])
+    size = np.array([[0.6, 0.6], [0.25, 0.25]])
+    angle = rate * time
+    return (
+        (size * np.sin(angle)).sum(axis=0),
+        (size * rate * np.cos(angle)).sum(axis=0),
+        -(size * rate**2 * np.sin(angle)).sum(axis=0),
     )
 
 
-def solution_for(recording: Recording, *, suffix: str = "") -> GapSolution:
-    """The comparison as a search would have ended; the last run is held out."""
-    machine = NominalModel(recording.spec(), step=STEP)
-    channels = channels_of(list(recording.runs))
-    trials = [align_run(run, machine, channels, step=STEP) for run in recording.runs]
-    floors = np.array(
-        [np.median([noise_floor(t.measured[:, c]) for t in trials]) for c in range(len(channels))]
-    )
-    fitted = ResidualModel(machine, trials[:-1], channels, floors, threads=1)
-    held = ResidualModel(machine, trials[-1:], channels, floors, threads=1)
-    scorer = Scorer(fitted, held)
-    friction, gain = (
-        ViscousFriction(machine, f"joint2{suffix}"),
-        SensorGain(machine, f"rate3{suffix}"),
-    )
-    values = [np.array([DAMPING]), np.array([GAIN])]
-    return GapSolution(
-        problem=GapProblem(
-            settings=GapSettings(tolerance=0.03, seed=1, threads=1), machine=machine,
-            integration=None, search=fitted, fit=fitted, held_out=held, held_out_whole=held,
-            recording=recording.folder.name, model_path=recording.model_path,
-        ),
-        base=scorer.score(stated(fitted, [], [])),
-        best=scorer.score(stated(fitted, [friction, gain], values)),
-        verdict="named",
-        effects=(
-            NamedEffect(
-                kind="viscous_friction", where=f"joint2{suffix}", parameters={"damping": DAMPING},
-                interval_95={"damping": (2.9, 3.1)}, units={"damping": "N·m·s/rad"},
-                ambiguous_with=(EffectLocation(kind="actuator_gain", where=f"servo2{suffix}"),),
-            ),
-            NamedEffect(
-                kind="sensor_gain", where=f"rate3{suffix}", parameters={"gain": GAIN},
-                interval_95={"gain": (1.24, 1.26)}, units={"gain": ""}, in_model=False,
-            ),
-        ),
-        ranking=(
-            RankedHypothesis(
-                kind="viscous_friction", where=f"joint2{suffix}", held_out=3.1, bic=-300.0,
-                improvement_z=12.0
-            ),
-            RankedHypothesis(
-                kind="coulomb_friction", where=f"joint2{suffix}", held_out=9.0, bic=-20.0,
-                improvement_z=2.0
-            ),
-            RankedHypothesis(
-                kind="sensor_gain", where=f"rate3{suffix}", held_out=1.0, bic=-90.0,
-                step=2, improvement_z=9.0
-            ),
-        ),
-        warnings=("the step is coarse",),
-    )  # fmt: skip
+def solution_for(recording: Recording, settings: GapSettings = FEW) -> GapSolution:
+    """The finished comparison of a recording."""
+    return solve_gap(recording, settings)

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-
-from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.fitting.gauss_newton import Fit, fit
 from loose_env.gap.fitting.model_structure import ModelStructure, nuisance_of
+from loose_env.gap.residuals.residual_model import ResidualModel
+
+from loose_env.gap.data.aligned_run import align_run, channels_of
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import free_of
-from loose_env.gap.residuals.residual_model import ResidualModel
 from loose_env.recording import Run
 from loose_env.statistics import noise_floor
 from loose_env.typing import Array

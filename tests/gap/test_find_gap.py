@@ -1,0 +1,164 @@
+"""`find_gap`: what is missing is named with its value, and nothing where nothing is missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.gap import (
+    GapSession,
+    GapSettings,
+    Tolerances,
+    check_gap,
+    explain_gap,
+    find_gap,
+    solve_gap,
+)
+from loose_env.recording import Recording, Run, read_recording, write_recording
+from tests.gap.cases.gap_case import (
+    FEW,
+    FRICTION,
+    MODEL,
+    lacks_friction,
+    record,
+    torque_log,
+)
+
+ONE = GapSettings(threads=1)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return record(tmp_path_factory.mktemp("arm") / "recording")
+
+
+def test_missing_friction_of_a_servoed_arm_is_named_with_its_value(recording: Recording) -> None:
+    result = explain_gap(recording, ONE)
+    assert result.verdict == "named"
+    (friction,) = result.effects
+    assert (friction.kind, friction.where) == ("coulomb_friction", "elbow")
+    low, high = friction.interval_95["torque"]
+    assert low < FRICTION < high and high - low < 0.5 * FRICTION
+    assert friction.units == {"torque": "N·m"} and (friction.probability or 0) > 0.5
+    words = {each.channel: each.verdict for each in result.channels}
+    assert words == {"shoulder": "not needed", "elbow": "named"}
+    assert result.gap.after < 1.6 < result.gap.before
+    before, after = result.gap.by_quantity["joint position [rad]"]
+    assert after < 0.5 * before
+
+
+def test_a_payload_is_named_in_a_torque_log(tmp_path: Path) -> None:
+    def edit(spec: mujoco.MjSpec) -> None:
+        lower = spec.body("lower")  # 0.5 kg at the tool
+        lower.mass, lower.ipos = 1.5, [(0.12 + 0.5 * 0.25) / 1.5, 0, 0]
+        shift = 1.0 * 0.5 / 1.5 * (0.25 - 0.12) ** 2
+        lower.inertia = [0.003, 0.008 + shift, 0.008 + shift]
+
+    result = explain_gap(torque_log(tmp_path / "log", edit), ONE)
+    assert [(e.kind, e.where) for e in result.effects] == [("payload", "tool")]
+    assert result.effects[0].parameters["mass"] == pytest.approx(0.5, rel=0.1)
+    assert set(result.gap.by_quantity) == {"joint torque [N·m]"}
+
+
+def test_nothing_is_named_where_nothing_is_missing(tmp_path: Path) -> None:
+    result = explain_gap(record(tmp_path / "whole", edit=lambda spec: None), ONE)
+    assert result.verdict == "no_gap" and not result.effects and not result.doubtful
+    assert {each.verdict for each in result.channels} == {"not needed"}
+    assert result.gap.after < 1.6 and all(test.rms < 1.6 for test in result.residual_tests)
+
+
+def test_runs_that_are_held_out_are_predicted_alone(recording: Recording) -> None:
+    settings = GapSettings(threads=1, kinds=FEW.kinds, held_out=("run-03",))
+    solution = solve_gap(recording, settings)
+    assert solution.result.held_out_runs == ("run-03.csv",)
+    assert [run.name for run in solution.answer.recording.runs] == ["run-01.csv", "run-02.csv"]
+    assert solution.played is not None
+    assert [trial.name for trial in solution.played.trials] == ["run-03.csv"]
+    assert not explain_gap(recording, FEW).held_out_runs
+
+
+def test_the_check_says_what_could_be_seen(recording: Recording) -> None:
+    found = check_gap(recording, FEW)
+    assert [joint.joint for joint in found.joints] == ["shoulder", "elbow"]
+    assert all(0.5 < joint.used <= 1 and joint.travel > 0.5 for joint in found.joints)
+    seen = {(each.kind, each.where): each for each in found.effects}
+    friction = seen["coulomb_friction", "elbow"]
+    assert friction.visible and 0 < friction.smallest["torque"] < 0.5 * FRICTION
+    # a tighter tolerance of the model shows smaller errors of a gain
+    tight = GapSettings(
+        kinds=FEW.kinds, tolerances=Tolerances(torque=1e-3, mass=1e-3, inertia=1e-3)
+    )
+    closer = {(e.kind, e.where): e for e in check_gap(recording, tight).effects}
+    wide, near = (each["actuator_gain", "motor2"].smallest["gain"] for each in (seen, closer))
+    assert abs(near - 1) < abs(wide - 1)
+
+
+def test_effects_are_tried_and_added_one_at_a_time(recording: Recording, tmp_path: Path) -> None:
+    session = GapSession(recording, FEW)
+    before = session.held_out
+    late = session.try_effect("viscous_friction", "shoulder")
+    friction = session.try_effect("coulomb_friction", "elbow")
+    assert friction.accepted and not late.accepted and friction.before == before > friction.after
+    assert friction.parameters["torque"] == pytest.approx(FRICTION, rel=0.2)
+    assert str(friction).startswith("coulomb_friction@elbow: torque ")
+    assert "coulomb_friction@elbow" in friction._repr_html_()
+    session.add(friction)
+    assert session.held_out == friction.after and session.added == (friction.effect,)
+    with pytest.raises(InvalidSetting, match=r"before coulomb_friction@elbow was added"):
+        session.add(late)
+    (file,) = session.write_model(tmp_path / "model.xml")
+    assert mujoco.MjModel.from_xml_path(str(file)).dof_frictionloss[1] > 0.5 * FRICTION
+    assert len(session.residual_force("elbow")) == len(session.motion("elbow")[0])
+    for given, reason in (
+        (("rust", "elbow"), "rust"),
+        (("coulomb_friction", "knee"), "knee"),
+    ):
+        with pytest.raises(UnknownName, match=reason):
+            session.try_effect(*given)
+    with pytest.raises(InvalidSetting, match="needs a location"):
+        session.try_effect("coulomb_friction")
+    with pytest.raises(UnknownName, match="no joint 'knee'"):
+        session.residual_force("knee")
+
+
+def broken(recording: Recording, **changes: object) -> list[Run]:
+    """The runs with some of their columns changed."""
+    return [replace(run, **changes) for run in recording.runs]  # type: ignore[arg-type]
+
+
+def test_what_cannot_be_compared_is_said(recording: Recording, tmp_path: Path) -> None:
+    runs = broken(recording, sensors={"encoder1": recording.runs[0].sensors["encoder1"]})
+    unread = write_recording(tmp_path / "unread", model_xml=MODEL, runs=runs)
+    with pytest.raises(InvalidData, match="'elbow' has no position"):
+        find_gap(unread)
+    still = {n: np.full(len(v), 0.3) for n, v in recording.runs[0].sensors.items()}
+    noisy = {n: v + 1e-5 * np.sin(1e3 * np.arange(len(v)) ** 2) for n, v in still.items()}
+    runs = broken(recording, sensors=noisy, controls={})
+    with pytest.raises(InvalidData, match="no joint moves"):
+        find_gap(write_recording(tmp_path / "still", model_xml=MODEL, runs=runs))
+    for settings, error, reason in (
+        (GapSettings(kinds=("rust",)), UnknownName, "rust"),
+        (GapSettings(held_out=("jump",)), InvalidData, "no run to hold out is called 'jump'"),
+        (GapSettings(held_out=("run",)), InvalidData, "none is left to fit to"),
+    ):
+        with pytest.raises(error, match=reason):
+            find_gap(recording, settings)
+    for given, reason in (
+        ({"threads": -1}, "threads"),
+        ({"kinds": "rust"}, "kinds"),
+        ({"tolerances": Tolerances(mass=0.0)}, "tolerance mass"),
+    ):
+        with pytest.raises(InvalidSetting, match=reason):
+            GapSettings(**given)  # type: ignore[arg-type]
+
+
+def test_a_name_of_the_model_may_be_anything(tmp_path: Path) -> None:
+    folder = tmp_path / "odd"
+    record(folder, suffix=" (a)", edit=lacks_friction(" (a)"))
+    result = explain_gap(read_recording(folder), FEW)
+    assert [effect.where for effect in result.effects] == ["elbow (a)"]
