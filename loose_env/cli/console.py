@@ -188,16 +188,16 @@ class OutputFolder:
 
     @contextmanager
     def worked_in(self) -> Iterator[Path]:
-        """Work with the folder prepared; what a user's mistake leaves empty is removed again."""
+        """Work with the folder prepared; what is new in it goes after a user's mistake."""
         before = self.path.exists()
         kept = self.prepared()
         try:
             yield kept
         except LooseEnvError:
-            if not any(p.is_file() and p.name != _WHOSE for p in self.path.rglob("*")):
+            if not before:
+                shutil.rmtree(self.path)
+            elif not any(p.is_file() and p.name != _WHOSE for p in self.path.rglob("*")):
                 shutil.rmtree(kept)
-                if not before:
-                    self.path.rmdir()
             raise
 
     def note(self, written: Iterable[Path]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -44,7 +44,7 @@ EXPORTED = "loose-export/1"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gap(OnRecording):
+class Gap(GapSettings, OnRecording):
     """Identify the effects that a simulation model lacks, and where, from measured runs.
 
     Reads a recording: a folder with recording.json, the nominal model and measured runs. Asks
@@ -83,8 +83,6 @@ class Gap(OnRecording):
     rerun: Annotated[Path | None, arg(metavar="FILE.rrd")] = None
     """Also write measured, nominal and corrected motion for the Rerun viewer (extra rerun); an
     existing file is replaced."""
-    settings: OmitArgPrefixes[GapSettings] = field(default_factory=GapSettings)
-    """Effects, held-out runs, simulation and tolerances."""
 
     def run(self, console: Console) -> Outcome:
         """Name what the model lacks and write it down."""
@@ -97,15 +95,13 @@ class Gap(OnRecording):
         sources = [
             read_source(path, KEPT, model=self.model) for path in self._recordings(folder.path)
         ]
-        recording = sources[0]
-        if len(sources) > 1:
-            recording = join_recordings(folder.prepared(), sources)
-        preflight = check_first(recording, ignore_errors=self.ignore_doctor)
-        for file in self.effects:
-            read_effects(file)
         with folder.worked_in() as place:
+            recording = sources[0] if len(sources) == 1 else join_recordings(place, sources)
+            preflight = check_first(recording, ignore_errors=self.ignore_doctor)
+            for file in self.effects:
+                read_effects(file)
+            found = solve_gap(recording, self._settings, preflight=preflight, say=console.say)
             note_source(place, recording, self.model)
-            found = solve_gap(recording, self.settings, preflight=preflight, say=console.say)
         # Known as this command's own even if it is cut short while it copies.
         home = recording.model_path.parent
         folder.note(folder.path / f.relative_to(home) for f in files_of(recording.model_path))
@@ -123,6 +119,11 @@ class Gap(OnRecording):
         lines = [gap_text(result, warnings=False), f"written: {', '.join(shown)}"]
         return Outcome(text="\n".join(lines), json=result.to_json, warnings=result.warnings)
 
+    @property
+    def _settings(self) -> GapSettings:
+        """Settings of the comparison alone."""
+        return GapSettings(**{each.name: getattr(self, each.name) for each in fields(GapSettings)})
+
     def _checked(self, console: Console) -> Outcome:
         """Say what the recordings could show."""
         if self.out is not None or self.rerun is not None:
@@ -133,7 +134,7 @@ class Gap(OnRecording):
         check_first(recording, ignore_errors=self.ignore_doctor)
         for file in self.effects:
             read_effects(file)
-        found = check_gap(recording, self.settings, say=console.say)
+        found = check_gap(recording, self._settings, say=console.say)
         return Outcome(
             text=check_text(found), json=lambda: json_text({"format": CHECKED, **asdict(found)})
         )

@@ -12,7 +12,6 @@ pytest.importorskip("matplotlib")
 
 from loose_env.arms import vera
 from loose_env.envs import DiagnosisSettings
-from loose_env.gap import diagnose_residuals, result_of
 from loose_env.instrument import (
     Maintenance,
     NextSettings,
@@ -48,10 +47,8 @@ pytestmark = pytest.mark.slow
 
 def gap_page(suffix: str = "") -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
-        solution = solution_for(record(folder / "arm", suffix=suffix), suffix=suffix)
-        evidence = diagnose_residuals(solution)
-        found = result_of(solution, evidence)
-        return write_text(folder / "gap.html", render_gap_page(solution, evidence, found))
+        solution = solution_for(record(folder / "arm", suffix=suffix))
+        return write_text(folder / "gap.html", render_gap_page(solution))
 
     return write
 

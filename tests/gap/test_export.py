@@ -1,4 +1,4 @@
-"""The corrected model's file keeps names and does what was fitted, or says that it does not."""
+"""The corrected model's file keeps names and has all that was found."""
 
 from __future__ import annotations
 
@@ -8,14 +8,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from loose_env.gap.output.export_check import Exported
-from loose_env.gap.residuals.preparation.prepare import GapProblem
-from tests.gap.cases.exported_case import judged_with, prepared_arm
 
 from loose_env.errors import InvalidData
-from loose_env.gap import Effect, Hypothesis, exported, write_model
+from loose_env.gap import Effect, Hypothesis, write_model
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
-from loose_env.gap.model.effects.drives.actuators import ActuatorLag, CommandDelay
 from loose_env.gap.model.effects.friction import CoulombFriction, ViscousFriction
 from loose_env.gap.model.effects.joint_elasticity import JointCompliance
 from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
@@ -151,85 +147,3 @@ def test_an_effect_that_changes_a_name_is_refused_and_leaves_no_file(tmp_path: P
     with pytest.raises(InvalidData, match=r"sensor\.encoder1"):
         write_model(tmp_path / "model.xml", machine, added(Renaming(machine, "joint1"), [1.0]))
     assert not list(tmp_path.iterdir())
-
-
-@pytest.fixture(scope="module")
-def problem(tmp_path_factory: pytest.TempPathFactory) -> GapProblem:
-    return prepared_arm(tmp_path_factory.mktemp("exported") / "r")
-
-
-def export_of(problem: GapProblem, effect: Effect, values: list[float]) -> Exported:
-    best = judged_with(problem, effect, values)
-    return exported(problem.held_out_whole, best.fitted.hypothesis.of_model, best.held_out_residual)
-
-
-def test_what_acts_slowly_or_a_file_cannot_carry_needs_no_finer_step(problem: GapProblem) -> None:
-    found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
-    assert found.parts == 1 and not found.matters and found.notes() == []
-    assert found.left == pytest.approx(found.fitted, rel=1e-3) and found.fitted < 1.1
-    found = export_of(problem, SensorGain(problem.machine, "encoder1"), [1.1])
-    assert found == Exported() and np.isnan(found.left) and found.notes() == []
-
-
-def export_as_fitted(problem: GapProblem, effect: Effect, value: float) -> Exported:
-    """Held against a fit that is right: the readings are its own, and it leaves nothing."""
-    held = problem.held_out_whole
-    hypothesis = judged_with(problem, effect, [value]).fitted.hypothesis.of_model
-    (shown,) = held.predict([hypothesis])
-    measured = [trial.measured.copy() for trial in held.trials]
-    try:
-        for trial, values in zip(held.trials, shown, strict=True):
-            trial.measured[:] = values
-        return exported(held, hypothesis, np.zeros(len(held)))
-    finally:
-        for trial, values in zip(held.trials, measured, strict=True):
-            trial.measured[:] = values
-
-
-@pytest.mark.parametrize(
-    ("kind", "where", "late"),
-    [
-        (ActuatorLag, "servo2", 0.0002),
-        (ActuatorLag, "servo2", 0.0011),
-        (CommandDelay, "all", 0.0004),
-    ],
-)
-def test_what_is_shorter_than_a_step_is_written_with_a_finer_one(
-    kind: type[Effect], where: str, late: float, problem: GapProblem
-) -> None:
-    found = export_as_fitted(problem, kind(problem.machine, where), late)
-    assert not found.matters and found.apart < 0.3
-    assert found.parts > 1 or late > problem.machine.step
-    if found.parts > 1:
-        assert found.step == pytest.approx(problem.machine.step / found.parts)
-        assert "has a time step of" in found.notes()[0]
-
-
-@pytest.mark.parametrize("rate", [60.0, 300.0])
-def test_samples_need_not_fall_on_steps_of_the_model(rate: float, tmp_path: Path) -> None:
-    problem = prepared_arm(tmp_path / "r", rate=rate)
-    found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
-    assert found.parts == 1 and not found.notes()
-    assert found.apart < 1e-3 and found.left == pytest.approx(found.fitted, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("kind", "where", "late"),
-    [(CommandDelay, "all", 0.1), (ActuatorLag, "servo2", 0.15)],
-)
-def test_what_comes_late_begins_with_the_first_command(
-    kind: type[Effect], where: str, late: float, tmp_path: Path
-) -> None:
-    problem = prepared_arm(tmp_path / "r", first=0.5)
-    found = export_as_fitted(problem, kind(problem.machine, where), late)
-    assert found.parts == 1 and found.apart < 0.1 and not found.notes()
-
-
-def test_a_file_that_lacks_what_was_fitted_is_found_out(
-    problem: GapProblem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(ViscousFriction, "export", lambda *_: None)
-    found = export_of(problem, ViscousFriction(problem.machine, "joint2"), [3.0])
-    assert found.matters and found.parts == 1 and found.left > 3 * found.fitted
-    (words,) = found.notes()
-    assert found.channel in words and "deviates from the fit" in words

@@ -1,17 +1,15 @@
-"""Runs as they are compared: time stamps, pauses, rests, encoders, and which are held out."""
+"""Runs as they are compared: time stamps, pauses, rests, encoders, and exact models."""
 
 from __future__ import annotations
 
-from itertools import product
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
-from loose_env.gap.data.holdout_split import split_runs
 
 from loose_env.errors import InvalidData
-from loose_env.gap import GapSettings, find_gap
+from loose_env.gap import GapSettings, explain_gap
 from loose_env.gap.data.aligned_run import Trial, align_run, channels_of
 from loose_env.gap.data.measured_runs import measured_runs, pieces_of
 from loose_env.gap.model.nominal_model import NominalModel
@@ -100,37 +98,6 @@ def test_a_run_is_cut_where_the_recorder_paused_and_not_where_it_was_slow() -> N
         pieces_of(run(np.arange(20) * 0.01 + 1000 * (np.arange(20) // 8)))
 
 
-def test_families_of_motions_are_held_out_whole() -> None:
-    names = ["swing_slow.csv", "hold.csv", "swing_fast.csv", "step_small.csv", "circle.csv",
-             "step_large.csv", "ramp.csv", "chirp.csv"]  # fmt: skip
-    for share in (0.2, 0.4, 0.6):
-        fitted, held = split_runs(names, share=share)
-        assert sorted(fitted + held) == list(range(len(names)))
-        assert fitted
-        assert held
-        for first, second in ((0, 2), (3, 5)):
-            assert (first in held) == (second in held)
-    for count, share in product((2, 3, 5), (0.6, 0.8, 0.9, 0.99)):  # a run to fit to is left
-        fitted, held = split_runs([f"run-{k}.csv" for k in range(count)], share=share)
-        assert fitted and held
-        assert sorted(fitted + held) == list(range(count))
-
-
-@pytest.mark.parametrize("name", ["run-{:02d}.parquet", "run{}.csv", "day2/test_{}.csv"])
-def test_runs_that_only_a_number_tells_apart_are_no_family(name: str) -> None:
-    assert split_runs([name.format(k) for k in range(8)]) == ([0, 1, 2, 4, 5, 6], [3, 7])
-
-
-def test_runs_to_hold_out_can_be_named() -> None:
-    names = ["swing_slow.csv", "hold.csv", "swing_fast.csv"]
-    assert split_runs(names, held_out=["swing"]) == ([1], [0, 2])
-    assert split_runs(names, held_out=["hold.csv"]) == ([0, 2], [1])
-    with pytest.raises(InvalidData, match=r"no run to hold out is called 'jump'.*hold\.csv"):
-        split_runs(names, held_out=["jump"])
-    with pytest.raises(InvalidData, match="none is left to fit to"):
-        split_runs(names, held_out=["swing", "hold"])
-
-
 ARM = """<mujoco>
   <option timestep=".002" integrator="RK4"/>
   <worldbody>
@@ -202,6 +169,6 @@ def test_an_exact_model_has_no_gap_however_its_runs_begin(begins: str, tmp_path:
     model = SERVOS if begins == "let go" else MOTORS
     write_recording(tmp_path / "recording", model_xml=model, runs=runs)
     kinds = ("viscous_friction", "rotor_inertia", "coulomb_friction", "joint_spring")
-    found = find_gap(read_recording(tmp_path / "recording"), GapSettings(kinds=kinds, threads=1))
-    assert found.verdict == "no_gap", (found.effects, found.base.held_out_rms)
-    assert 0.9 < found.base.held_out_rms < 1.1
+    found = explain_gap(read_recording(tmp_path / "recording"), GapSettings(kinds=kinds, threads=1))
+    assert found.verdict == "no_gap", (found.effects, found.gap)
+    assert 0.5 < found.gap.after < 1.6

@@ -1,4 +1,4 @@
-"""The report of a model-error analysis: words first, every section in its place."""
+"""The report of a comparison: words first, every section in its place."""
 
 from __future__ import annotations
 
@@ -18,28 +18,37 @@ pytest.importorskip("matplotlib")
 from loose_env.doctor import Correction, Finding, Severity
 from loose_env.errors import MissingExtra
 from loose_env.gap import (
+    ChannelVerdict,
     EffectLocation,
     Gap,
     GapResult,
     GapSolution,
     Identifiability,
+    JointExcitation,
     NamedEffect,
-    RankedHypothesis,
-    ResidualDiagnostics,
-    diagnose_residuals,
-    result_of,
+    RankedSet,
+    TolerancePull,
+    VisibleEffect,
     write_gap,
 )
-from loose_env.gap.diagnostics.experiment_advice import identifiability_notes
-from loose_env.gap.output.evidence_schema import ConfusablePair, UnidentifiableEffect
-from loose_env.report import gap as gap_report
-from loose_env.report import gap_headline, gap_text, render_gap_page, to_svg, write_gap_report
-from loose_env.report.gap import (
-    gap_steps,
-    parameters_section,
-    summary_words,
+from loose_env.report import (
+    check_text,
+    gap_headline,
+    gap_html,
+    gap_text,
+    render_gap_page,
+    to_svg,
+    write_gap_report,
 )
-from loose_env.report.gap_figures import channel_bars, residual_panels
+from loose_env.report import gap as gap_report
+from loose_env.report.gap import gap_steps, summary_words
+from loose_env.report.gap_figures import (
+    channel_bars,
+    correlation_figure,
+    matrix_figure,
+    overlay_figure,
+    response_figure,
+)
 from tests.gap.cases.gap_case import record, solution_for
 from tests.report.page_checks import checked, words
 
@@ -47,18 +56,6 @@ from tests.report.page_checks import checked, words
 @pytest.fixture(scope="module")
 def solution(tmp_path_factory: pytest.TempPathFactory) -> GapSolution:
     return solution_for(record(tmp_path_factory.mktemp("page") / "arm <3>"))
-
-
-@pytest.fixture(scope="module")
-def evidence(solution: GapSolution) -> ResidualDiagnostics:
-    return diagnose_residuals(solution)
-
-
-def row(kind: str, where: str, *others: str, step: int = 1) -> RankedHypothesis:
-    places = tuple(EffectLocation(kind=kind, where=other) for other in others)
-    return RankedHypothesis(
-        kind=kind, where=where, held_out=1.0, bic=-9.0, step=step, together_with=places
-    )
 
 
 FINDINGS = tuple(
@@ -69,121 +66,145 @@ FINDINGS = tuple(
     )
     for severity in get_args(Severity)
 )  # fmt: skip
-UNSEEN = Identifiability(
-    unidentifiable=(
-        UnidentifiableEffect(kind="quadratic_drag", where="joint1", parameters={"drag": 0.2},
-                             z=1.5, additional_s=52.0),
+FRICTION = EffectLocation(kind="coulomb_friction", where="elbow")
+LAG = EffectLocation(kind="actuator_lag", where="motor2")
+SHOWN = Identifiability(
+    joints=(
+        JointExcitation(joint="elbow", unit="rad", travel=1.2, speed=2, acceleration=9, used=0.8),
     ),
-    confusable=(
-        ConfusablePair(kind="actuator_lag", where="m1", other_kind="command_delay",
-                       other_where="m1", z=0.2, additional_s=None),
+    effects=(
+        VisibleEffect(kind="quadratic_drag", where="elbow", smallest={"drag": 0.2},
+                      units={"drag": "N·m·s²/rad²"}, visible=False),
+        VisibleEffect(kind="actuator_lag", where="motor2", smallest={"time_constant": 0.01},
+                      units={"time_constant": "s"}, visible=True,
+                      confusable_with=EffectLocation(kind="command_delay", where="motor2")),
     ),
+)  # fmt: skip
+OPEN = (
+    ChannelVerdict(channel="shoulder", verdict="unexplained", before=80.0, after=40.0,
+                   advice="75 % explained; most is left in run-02.csv, around 3.1 Hz"),
+    ChannelVerdict(channel="wrist", verdict="cannot tell", effects=(FRICTION, LAG), before=4.0,
+                   after=2.5, advice="move slowly"),
 )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def page(solution: GapSolution, evidence: ResidualDiagnostics) -> str:
-    family = row("joint_spring", "joint1", "joint2", "joint3", step=3)
-    other = replace(solution, preflight=FINDINGS, ranking=(*solution.ranking, family))
-    remaining = ("Much is left.", "It is in encoder1.")
-    result = replace(result_of(other, evidence), identifiability=UNSEEN, remaining=remaining)
+def page(solution: GapSolution) -> str:
+    result = replace(
+        solution.result, identifiability=SHOWN, preflight=FINDINGS,
+        warnings=("the step is coarse",),
+        channels=(*solution.result.channels, *OPEN),
+        pulled=(TolerancePull(name="mass of upper", deviations=-2.4),),
+        doubtful=(NamedEffect(kind="actuator_gain", where="motor2", parameters={"gain": 1.02}),),
+        ranking=(
+            RankedSet(effects=(FRICTION, LAG), behind=12.5, probability=1e-3, simulated=3.0),
+            *solution.result.ranking,
+        ),
+    )  # fmt: skip
     assert GapResult.from_json(result.to_json()).preflight == FINDINGS
     assert "critical: In a.csv, sensor.error: runs backwards" in gap_text(result)
-    return render_gap_page(other, evidence, result)
+    return render_gap_page(replace(solution, result=result))
 
 
-def test_the_page_is_whole_and_the_table_of_parameters_comes_first(page: str) -> None:
+def test_the_page_is_whole_and_what_is_missing_comes_first(page: str) -> None:
     assert checked(page).headings == [
+        "What the model lacks",
+        "Joint by joint",
         "What to do next",
-        "Parameters",
-        "Measured, nominal and corrected",
         "Warnings",
-        "Residual before and after correction",
-        "Spectra before and after",
-        "Residual against motion and load",
-        "Residual by channel",
-        "Candidate fits",
-        "Remaining residual",
-        "Identifiability from these motions",
+        "Measured against model",
+        "Residual before and after",
+        "Frequency response",
+        "Sets of effects compared",
+        "What to record next",
     ]
     assert "arm &lt;3&gt;" in page and "arm <3>" not in page
-    assert "<h1>The model lacks 2 effects.</h1>" in page
-    first = page.index("<svg")
-    for said in (
-        "Viscous friction (joint2) and a sensor whose scale is off (rate3).",
-        "Viscous friction (joint2): damping",
-        "2.9 to 3.1",
-    ):
-        assert 0 < page.index(said) < first
-    assert "do not separate viscous friction (joint2) from another gain (servo2)" in page
-    assert "The step is coarse." in page
+    assert "<h1>The model lacks dry friction (elbow); shoulder is unexplained.</h1>" in page
+    assert 0 < page.index("dry friction (elbow)") < page.index("<svg")
 
 
 def test_everything_that_a_result_holds_stands_on_the_page(page: str) -> None:
-    order = ["Much is left.", "It is in encoder1.", "Invalidates the result", "sensor.error"]
-    order += ["Limits the result", "sensor.warning", "Notes"]
-    order += ["joint_spring at joint1, joint2, joint3", "Identifiability from these motions"]
-    order += ["quadratic_drag at joint1", "52 s", "no help"]
-    places = [words(page).index(each) for each in order]
-    assert places == sorted(places)
-    notes = identifiability_notes(UNSEEN)
-    assert notes[0] == (
-        "these motions would not show quadratic_drag at joint1 (such as drag 0.2); record about "
-        "52 s more of them, or better: move at the highest speed"
-    )
-    assert notes[1].startswith(
-        "these motions do not tell actuator_lag at m1 from command_delay at m1; more of the same "
-        "will not help: command a sweep"
-    )
+    order = ["another gain (motor2)", "cannot tell", "mass of upper", "-2.4"]
+    order += ["Simulate with model.xml", "most is left in run-02.csv"]
+    order += ["Invalidates the result", "sensor.error", "Limits the result", "The step is coarse."]
+    order += ["Notes", "Given", "joint position [rad]", "over its command", "12.5", "Excitation"]
+    order += ["quadratic_drag at elbow", "Move at the highest speed", "actuator_lag at motor2"]
+    order += ["command_delay at motor2", "Command a sweep", "Held out", "Tolerances: mass 0.05"]
+    text = words(page).replace("−", "-")
+    places, at = [], 0
+    for each in order:
+        at = text.find(each if each != "Given" else "given", at)
+        assert at >= 0, each
+        places.append(at)
+    assert re.search(r"\d{4}-\d\d-\d\d, loose-env \S+, [\d.]+ s\.", text)
 
 
-def test_one_table_has_nominal_and_found_value_with_interval_and_unit() -> None:
-    drive = NamedEffect(
-        kind="joint_compliance", where="elbow", parameters={"stiffness": 4e3, "mass": -0.5},
-        interval_95={"stiffness": (3e3, 5e3)}, units={"stiffness": "N·m/rad", "mass": "kg"},
-    )  # fmt: skip
-    found = result("named", effects=(drive,), nominal_parameters={"mass.a": 1.02, "mass.b": 1.0})
-    (table,) = parameters_section(found).tables
-    assert table.columns == ["Parameter", "Nominal", "Found", "95 % interval", "Unit"]
-    assert [list(row.values())[1:] for row in table.rows] == [
-        ["rigid", "4000", "3000 to 5000", "N·m/rad"],
-        ["0", "-0.5", "–", "kg"],
-        ["1", "1.02", "–", "factor"],
+def test_the_headline_says_what_is_missing_and_what_is_not_explained() -> None:
+    effects = tuple(
+        NamedEffect(kind="actuator_gain", where=f"m{k}", parameters={"gain": 2.0}) for k in range(3)
+    )
+    assert gap_headline(result("named", effects=effects)) == (
+        "The model lacks another gain (m0, m1, m2)."
+    )
+    many = tuple(replace(effects[0], kind=f"kind_{k}_of_many_words") for k in range(5))
+    assert gap_headline(result("named", effects=many, channels=OPEN)) == (
+        "The model lacks 5 effects; shoulder is unexplained."
+    )
+    assert gap_headline(result("unexplained", channels=OPEN)) == "Nothing tried explains shoulder."
+    assert "cannot tell" in gap_headline(result("unexplained", channels=OPEN[1:]))
+    assert summary_words(result("no_gap")) == [
+        "Force that is missing on held-out data: 4.00 noise standard deviations "
+        "(sensor noise alone: 1)."
     ]
-    assert "The other 1 are closer to 1" in table.note
-    assert not parameters_section(result("no_gap")).filled
+    assert ">5.00</td>" in gap_html(result("no_gap", gap=Gap(before=5.0, after=5.0)))
 
 
-@pytest.mark.slow
-def test_an_unexplained_inverse_run_has_its_page_too(
-    solution: GapSolution, evidence: ResidualDiagnostics
-) -> None:
-    other = replace(solution, verdict="unexplained", effects=(), ranking=())
-    bare = replace(evidence, before=(), after=())
-    result = result_of(other, bare)
-    text = words(render_gap_page(other, bare, result))
-    assert gap_headline(result) in text and "Candidate fits" not in text
-    assert "Prediction error by horizon" not in text and "Channel by channel" in text
-    assert "effects that are not identified: viscous_friction at joint2: damping 3" in text
+def test_every_open_question_gets_a_motion_that_answers_it() -> None:
+    effect = NamedEffect(
+        kind="coulomb_friction", where="joint1", parameters={"torque": 1.0},
+        ambiguous_with=(
+            EffectLocation(kind="backlash", where="joint1"),
+            EffectLocation(kind="coulomb_friction", where="joint2"),
+        ),
+    )  # fmt: skip
+    pulled = (TolerancePull(name="mass of upper", deviations=2.4),)
+    steps = gap_steps(result("named", effects=(effect,), channels=OPEN, pulled=pulled))
+    assert "gravity pulling to one side" in steps[1]
+    assert "move joint1 while joint2 is held" in steps[2]
+    assert steps[3].startswith("shoulder, unexplained: 75 % explained")
+    assert steps[4] == "wrist, cannot tell: move slowly."
+    assert "mass of upper: 2.4 standard deviations above" in steps[-1]
+    assert "strain what you suspect" in gap_steps(result("no_gap"))[0]
+
+
+def test_the_check_lists_what_is_seen_and_what_is_not() -> None:
+    text = check_text(SHOWN)
+    assert "elbow  1.2" in text and "80 %" in text
+    seen, unseen = text.split("would not show")
+    assert "actuator_lag at motor2" in seen and "command_delay at motor2" in seen
+    assert "quadratic_drag at elbow" in unseen and "move at the highest speed" in unseen
 
 
 def test_names_with_dollar_signs_are_drawn_as_they_are() -> None:
     names, values = ["q$1$", r"$\no{such$", "two $ and $"], np.linspace(-1, 1, 50)
-    panels = {f"position of {name} [rad]": values for name in names}
-    for figure in (
-        channel_bars({f"sensor.{name}": (3.0, 1.0) for name in names}),
-        residual_panels(panels, values, values, floor=0.1, label=f"[{names[0]}]"),
-    ):
+    gains = {"measured": values + 2j, "nominal": values + 1j, "corrected": values + 2j}
+    assert to_svg(response_figure(np.linspace(1, 20, 50), gains))
+    figures = [channel_bars({f"sensor.{name}": (3.0, 1.0) for name in names})]
+    figures += [matrix_figure(names, np.eye(3))]
+    for figure in figures:
         drawn = re.sub("<!--.*?-->", "", to_svg(figure).decode(), flags=re.DOTALL)
         assert all(name in html.unescape(drawn) for name in names)
+    for name in names:
+        for figure in (
+            correlation_figure(0.01, values, values, 0.1, name),
+            overlay_figure(values, values, values, values, channel=name, unit="N·m"),
+        ):
+            drawn = re.sub("<!--.*?-->", "", to_svg(figure).decode(), flags=re.DOTALL)
+            assert name in html.unescape(drawn)
 
 
-@pytest.mark.slow
 def test_a_page_that_fails_takes_neither_model_nor_result_along(
-    solution: GapSolution,
-    evidence: ResidualDiagnostics,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    solution: GapSolution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     error: Exception = MissingExtra("figures need matplotlib")
 
@@ -194,57 +215,15 @@ def test_a_page_that_fails_takes_neither_model_nor_result_along(
     (tmp_path / "report.html").write_text("of an earlier run")
     lines: list[str] = []
     report = partial(write_gap_report, say=lines.append)
-    result, written = write_gap(tmp_path, solution, report=report, say=lines.append)
+    written = write_gap(tmp_path, solution, report=report, say=lines.append)
     assert [path.name for path in written] == ["model.xml", "result.json"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.xml", "result.json"]
-    assert "no report.html: figures need matplotlib" in lines and result.verdict == "named"
+    assert "no report.html: figures need matplotlib" in lines
     error = ValueError("no such glyph")
-    assert report(tmp_path, solution, evidence, result) is None
+    assert report(tmp_path, solution) is None
     assert lines[-1] == "no report.html: ValueError: no such glyph"
 
 
 def result(verdict: str, **given: object) -> GapResult:
     gap = given.pop("gap", Gap(before=4.0, after=1.1))
     return GapResult(verdict=verdict, gap=gap, **given)  # type: ignore[arg-type]
-
-
-def test_what_short_runs_leave_unsure_is_not_said_to_be_outside_the_catalogue() -> None:
-    likely = RankedHypothesis(
-        kind="coulomb_friction", where="joint2", held_out=1.01, bic=-9e3, improvement_z=1.7
-    )
-    short = result("unexplained", gap=Gap(before=4.8, after=4.8), ranking=(likely,))
-    for said in (gap_headline(short), summary_words(short)[0], gap_text(short)):
-        assert "not in the catalogue" not in said
-        assert "joint2" in said
-    assert "not significant" in summary_words(short)[0]
-    assert gap_steps(short)[0].startswith("Record more")
-    # A hypothesis that is sure and was not named, or leaves much, or of a gap that was none.
-    for other, gap in (
-        (replace(likely, improvement_z=5.0), short.gap),
-        (replace(likely, held_out=2.0), short.gap),
-        (replace(likely, step=2), short.gap),
-        (likely, Gap(before=1.1, after=1.1)),
-    ):
-        outside = replace(short, ranking=(other,), gap=gap)
-        assert "not in the catalogue" in gap_headline(outside)
-        assert "not in the catalogue" in gap_text(outside)
-        assert not gap_steps(outside)[0].startswith("Record more")
-
-
-def test_every_ambiguous_effect_gets_a_motion_that_separates_it() -> None:
-    effect = NamedEffect(
-        kind="coulomb_friction", where="joint1", parameters={"torque": 1.0},
-        ambiguous_with=(
-            EffectLocation(kind="backlash", where="joint1"),
-            EffectLocation(kind="coulomb_friction", where="joint2"),
-        ),
-    )  # fmt: skip
-    steps = gap_steps(result("named", effects=(effect,)))
-    assert "gravity pulling to one side" in steps[1]
-    assert "move joint1 while joint2 is held" in steps[2]
-
-
-def named(*where: str) -> tuple[NamedEffect, ...]:
-    return tuple(
-        NamedEffect(kind="actuator_gain", where=w, parameters={"gain": 2.0}) for w in where
-    )

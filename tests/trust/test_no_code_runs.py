@@ -13,7 +13,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData, LooseEnvError
@@ -104,18 +103,6 @@ def test_no_source_calls_what_could_run_a_file() -> None:
 
 
 # ---- and no loader does
-
-
-def test_arrays_of_a_kept_stage_are_not_unpickled(tmp_path: Path, trap: bytes) -> None:
-    from loose_env.gap import Stages
-
-    array = np.array([Trap(tmp_path / "executed")], dtype=object)
-    stored = io.BytesIO()
-    np.savez(stored, tree=array, a0=array)
-    home = tmp_path / "home"
-    home.mkdir()
-    home.joinpath("fit.npz").write_bytes(stored.getvalue())
-    assert Stages(home, "k")("fit", lambda: 1) == 1  # made anew
 
 
 def zipped(tmp_path: Path, *, tensors: object, described: dict[str, Any]) -> Path:

@@ -33,8 +33,8 @@ _TAPER = 0.3
 """Share of a run that is faded, at both ends together, before its spectrum is divided."""
 _PLAYED_S = 60.0
 """Length of runs that are simulated for frequency responses, about: cost [s]."""
-_SEGMENTS = 8
-"""Segments of a frequency response, overlapping by half: enough to average noise."""
+_SEGMENTS = 4
+"""Segments of a run in a frequency response, overlapping by half; runs are averaged, too."""
 
 
 def left_by(selection: Selection, fit: SetFit) -> Array:
