@@ -57,6 +57,7 @@ _HEADLINE = 60  # letters of the effects in the headline
 _ROWS, _BARS = 12, 24  # rows of a table, channels drawn
 _FIGURES, _CORRELATIONS = 4, 3  # figures of one sort
 _SECONDS, _SAMPLES = 4.0, 500  # time of an overlay [s], and its samples
+_DOUBTFUL = "Not sure enough to be named"
 _EFFECTS = ["missing effect", "probability", "parameter", "value", "95 % interval", "unit"]
 _CHANNELS = ["joint or reading", "verdict", "effects", "before", "after"]
 
@@ -125,7 +126,7 @@ def _brief(result: GapResult, *, warnings: bool) -> Brief:
         for name, unit in [key.rstrip("]").split(" [")]
     ]
     channels = [
-        [c.channel, c.verdict, _located(c.effects), f"{c.before:.2f}", f"{c.after:.2f}"]
+        [c.channel, c.verdict, _kinds(c.effects), f"{c.before:.2f}", f"{c.after:.2f}"]
         for c in result.channels
     ]
     return Brief(
@@ -141,10 +142,9 @@ def _brief(result: GapResult, *, warnings: bool) -> Brief:
     )
 
 
-def _located(effects: Sequence[EffectLocation]) -> str:
-    """Effects with locations in identifiers, the first few."""
-    shown = [f"{e.kind} at {e.where}" for e in effects[:3]]
-    return ", ".join([*shown, *(["others"] if len(effects) > 3 else [])])
+def _kinds(effects: Sequence[EffectLocation]) -> str:
+    """Kinds of effects at one joint, as one says them."""
+    return named_list(list(dict.fromkeys(kind_words(e.kind) for e in effects)))
 
 
 def _effect_rows(effect: NamedEffect) -> list[list[str]]:
@@ -339,23 +339,32 @@ def gap_steps(result: GapResult) -> list[str]:
 
 
 def _effects_section(result: GapResult) -> Section:
-    """Parameters of named and of doubtful effects."""
-    tables = []
-    for title, effects in (("", result.effects), ("Not sure enough to be named", result.doubtful)):
-        heads = [*(head.capitalize() for head in _EFFECTS), "Confusable with"]
-        rows = [
-            dict(zip(heads, row, strict=True)) for each in effects for row in _effect_rows(each)
-        ]
-        tables.append(Table(title=title, rows=rows))
+    """Named and doubtful effects with their parameters."""
+
+    def cells(effect: NamedEffect) -> dict[str, str]:
+        likely = "-" if effect.probability is None else f"{100 * effect.probability:.0f} %"
+        values = []
+        for name, value in effect.parameters.items():
+            ends, unit = effect.interval_95.get(name), effect.units.get(name, "")
+            between = "" if ends is None else f" ({ends[0]:.4g} to {ends[1]:.4g})"
+            values.append(f"{name.replace('_', ' ')} {value:.4g}{between} {unit}".rstrip())
+        return {
+            "Missing effect": begun(effect_words(effect.kind, effect.where)),
+            "Parameters": "; ".join(values),
+            "Probability": likely,
+            "Confusable with": ", ".join(rivals_words(effect)) or "-",
+        }
+
     note = (
-        "Probability: that the machine has the effect, or one that is confusable with it, among "
-        "the sets of effects that were compared. Intervals: as uncertain as the fit, or as the "
-        "stretches of the recording disagree."
+        "In brackets: 95 % intervals, as wide as the fit is uncertain, or as the stretches of the "
+        "recording disagree. Probability: that the machine has the effect, or one that is "
+        "confusable with it, among the sets of effects that were compared."
     )
-    tables = [table for table in tables if table.rows]
-    if tables:
-        tables[-1] = Table(title=tables[-1].title, rows=tables[-1].rows, note=note)
-    return Section(heading="What the model lacks", tables=tables)
+    tables = [
+        Table(title=title, rows=[cells(effect) for effect in effects], note=note * (not title))
+        for title, effects in (("", result.effects), (_DOUBTFUL, result.doubtful))
+    ]
+    return Section(heading="What the model lacks", tables=[t for t in tables if t.rows])
 
 
 def _channels_section(result: GapResult) -> Section:
@@ -366,7 +375,7 @@ def _channels_section(result: GapResult) -> Section:
         return {
             "Joint or reading": each.channel.removeprefix("sensor."),
             "Verdict": each.verdict,
-            "Effects": together(each.effects, plain=False) or "-",
+            "Effects": _kinds(each.effects) or "-",
             "Before": sides[0],
             "After": sides[1],
             "Advice": begun(each.advice) or "-",
@@ -528,7 +537,8 @@ def _correlation_section(solution: GapSolution) -> Section:
     for term in fit.terms:
         own = evidence.columns_of(term)
         for number, k in enumerate(own, start=1):
-            names.append(f"{term.effect.kind} {term.effect.where}{f' {number}' * (len(own) > 1)}")
+            axis = f" {number}" * (len(own) > 1)
+            names.append(f"{term.effect.kind} {term.effect.where}{axis}")
             at.append(place[k])
     if len(at) < 2:
         return Section()
@@ -544,10 +554,18 @@ def _correlation_section(solution: GapSolution) -> Section:
 
 
 def _ranking_section(result: GapResult) -> Section:
-    """Sets of effects that were compared."""
+    """Sets of effects that were compared, by their difference from the best."""
+    best = set(result.ranking[0].effects) if result.ranking else set()
+
+    def words(effects: Sequence[EffectLocation]) -> str:
+        own = set(effects)
+        sides = [("without", sorted(best - own, key=str)), ("with", sorted(own - best, key=str))]
+        parts = [f"{word} {together(side, plain=False)}" for word, side in sides if side]
+        return ", ".join(parts) or f"{len(own)} effects, the best" * bool(own) or "no effect"
+
     rows = [
         {
-            "Effects": together(each.effects, plain=False) or "none",
+            "Set of effects": begun(words(each.effects)),
             "Behind": f"{each.behind:.1f}",
             "Probability": f"{100 * each.probability:.1f} %",
             "In simulation": "-" if each.simulated is None else f"{each.simulated:.1f}",

@@ -113,7 +113,8 @@ def matrix_figure(names: Sequence[str], values: Array) -> Figure:
         for i, row in enumerate(values):
             for k, value in enumerate(row):
                 axes.text(k, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color=INK)
-    axes.set_yticks(range(len(names)), [plain(name, _NAMES) for name in names])
+    shown = [f"{plain(name, _NAMES)}  {k}" for k, name in enumerate(names, start=1)]
+    axes.set_yticks(range(len(names)), shown)
     axes.set_xticks(range(len(names)), [str(k + 1) for k in range(len(names))])
     axes.tick_params(axis="y", labelcolor=INK)
     return figure

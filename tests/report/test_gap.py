@@ -97,8 +97,8 @@ def page(solution: GapSolution) -> str:
         pulled=(TolerancePull(name="mass of upper", deviations=-2.4),),
         doubtful=(NamedEffect(kind="actuator_gain", where="motor2", parameters={"gain": 1.02}),),
         ranking=(
+            solution.result.ranking[0],
             RankedSet(effects=(FRICTION, LAG), behind=12.5, probability=1e-3, simulated=3.0),
-            *solution.result.ranking,
         ),
     )  # fmt: skip
     assert GapResult.from_json(result.to_json()).preflight == FINDINGS
@@ -120,14 +120,22 @@ def test_the_page_is_whole_and_what_is_missing_comes_first(page: str) -> None:
     ]
     assert "arm &lt;3&gt;" in page and "arm <3>" not in page
     assert "<h1>The model lacks dry friction (elbow); shoulder is unexplained.</h1>" in page
-    assert 0 < page.index("dry friction (elbow)") < page.index("<svg")
+    assert 0 < page.index("Dry friction (elbow)") < page.index("<svg")
 
 
 def test_everything_that_a_result_holds_stands_on_the_page(page: str) -> None:
-    order = ["another gain (motor2)", "cannot tell", "mass of upper", "-2.4"]
+    order = ["Another gain (motor2)", "cannot tell", "mass of upper", "-2.4"]
     order += ["Simulate with model.xml", "most is left in run-02.csv"]
     order += ["Invalidates the result", "sensor.error", "Limits the result", "The step is coarse."]
-    order += ["Notes", "Given", "joint position [rad]", "over its command", "12.5", "Excitation"]
+    order += [
+        "Notes",
+        "Given",
+        "joint position [rad]",
+        "over its command",
+        "With actuator_lag at motor2",
+        "12.5",
+        "Excitation",
+    ]
     order += ["quadratic_drag at elbow", "Move at the highest speed", "actuator_lag at motor2"]
     order += ["command_delay at motor2", "Command a sweep", "Held out", "Tolerances: mass 0.05"]
     text = words(page).replace("−", "-")
