@@ -16,14 +16,14 @@ from loose_env.cli.command import command, one_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = {
-    "gap": ROOT / "loose_env/gap/settings.py",
+    "gap": ROOT / "loose_env/gap/core",
     "doctor": ROOT / "loose_env/doctor/thresholds.py",
     "instrument": ROOT / "loose_env/instrument/settings/thresholds.py",
 }
-"""Part -> the module of its thresholds."""
+"""Part -> the module of its thresholds, or the folder of such."""
 _ENTRY = re.compile(
     r"^(?:# (?P<part>[^\n]+)"
-    r'|(?P<name>[A-Z][A-Z_0-9]+) = (?P<value>[^\n]+)\n"""(?P<meaning>.+?)""")$',
+    r'|(?P<name>_?[A-Z][A-Z_0-9]+) = (?P<value>[^\n]+)\n"""(?P<meaning>.+?)""")$',
     re.MULTILINE | re.DOTALL,
 )
 
@@ -62,7 +62,9 @@ class Options:
 
 def show(options: Options) -> None:
     """Print the table of a part."""
-    print(threshold_table(PARTS[options.part].read_text(encoding="utf-8")))
+    place = PARTS[options.part]
+    files = sorted(place.glob("*.py")) if place.is_dir() else [place]
+    print(threshold_table("".join(f"# {f.stem}\n{f.read_text(encoding='utf-8')}" for f in files)))
 
 
 if __name__ == "__main__":
