@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.gap.core.find import find_gap
+from loose_env.gap import find_gap
 from loose_env.recording import read_recording
 
 

@@ -135,14 +135,17 @@ def test_a_gap_is_written_with_its_corrected_model(
         explained.write(moved)
 
 
-@pytest.mark.parametrize("call", [loose_env.diagnose, loose_env.explain_gap])
-def test_what_cannot_be_used_is_said(call, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize(
+    ("call", "name"), [(loose_env.diagnose, "seed"), (loose_env.explain_gap, "threads")]
+)
+def test_what_cannot_be_used_is_said(call, name: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    wrong = f"{name}z"
     with pytest.raises(
-        UnknownName, match=r"no setting 'seeed'; did you mean 'seed'\? The settings"
+        UnknownName, match=rf"no setting '{wrong}'; did you mean '{name}'\? The settings"
     ):
-        call(tmp_path, seeed=1)
-    with pytest.raises(InvalidSetting, match="seed"):
-        call(tmp_path, seed="a")
+        call(tmp_path, **{wrong: 1})
+    with pytest.raises(InvalidSetting, match=name):
+        call(tmp_path, **{name: "a"})
     for given in (tmp_path / "none", tmp_path, 3):
         with pytest.raises(InvalidData):
             call(given)

@@ -5,7 +5,7 @@ beside the core, for `Gap-v0`.
 """
 
 from loose_env.gap.core.find import Answer, find_gap
-from loose_env.gap.core.residual import Response
+from loose_env.gap.core.residual import Correlation, Overlay, Played, Response
 from loose_env.gap.core.tolerances import Tolerances
 from loose_env.gap.experiment_design import (
     BankSettings,
@@ -80,6 +80,7 @@ __all__ = [
     "Belief",
     "BeliefSettings",
     "ChannelVerdict",
+    "Correlation",
     "Effect",
     "EffectEstimate",
     "EffectLocation",
@@ -100,7 +101,9 @@ __all__ = [
     "MotionSignatures",
     "NamedEffect",
     "Outlook",
+    "Overlay",
     "Parameter",
+    "Played",
     "Posterior",
     "RankedSet",
     "Ray",

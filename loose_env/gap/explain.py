@@ -16,10 +16,15 @@ from loose_env.gap.core.decision import Finding, JointVerdict, held_out_rms
 from loose_env.gap.core.find import Answer, evidence_of, find_gap
 from loose_env.gap.core.identifiability import identifiability
 from loose_env.gap.core.residual import (
+    Correlation,
+    Overlay,
     Played,
     Response,
+    correlations,
     force_errors,
     left_by,
+    overlays,
+    parameter_correlation,
     played,
     residual_tests,
     responses,
@@ -49,6 +54,8 @@ from loose_env.typing import Array
 Say = Callable[[str], None]
 PULLED = 2.0
 """Standard deviations from which the pull of a tolerance is told: 1 in 20 by chance."""
+FIGURES = 4
+"""Channels of which a report draws figures of one sort."""
 _RANKED = 20
 """Sets of effects that a result lists."""
 
@@ -61,10 +68,12 @@ class GapSolution:
     """Evidence, decision and exact fits."""
     corrected: Hypothesis
     """The named effects at their values, as ``model.xml`` has them."""
-    before: Array
-    """Held-out residual of the nominal model, within its tolerances (T, channels)."""
-    after: Array
-    """The same with all effects of the answer (T, channels)."""
+    overlays: tuple[Overlay, ...]
+    """Measured against both models where most is missing."""
+    correlations: tuple[Correlation, ...]
+    """Correlations in time of the largest residuals that are left."""
+    parameters: tuple[tuple[str, ...], Array]
+    """Names of the effects' coefficients, and their correlation (K, K)."""
     played: Played | None
     """Runs simulated by both models; None of torque logs and free swings."""
     responses: tuple[Response, ...]
@@ -183,11 +192,12 @@ def solve_gap(
             settings=asdict(answer.settings),
         )
         shown = played(answer, corrected)
-        balance = selection.evidence.balance
-        found = () if shown is None else responses(balance.machine, shown, balance.motion.band)
+        band = selection.evidence.balance.motion.band
     return GapSolution(
-        answer=answer, corrected=corrected, before=before, after=after, played=shown,
-        responses=found,
+        answer=answer, corrected=corrected, overlays=overlays(selection, before, after, FIGURES),
+        correlations=correlations(selection, after, FIGURES - 1), played=shown,
+        parameters=parameter_correlation(selection, fit),
+        responses=() if shown is None else responses(shown, band),
         result=result, seconds=time.monotonic() - begun,
     )  # fmt: skip
 

@@ -7,8 +7,6 @@ from datetime import date
 from math import isfinite, log1p
 from pathlib import Path
 
-import numpy as np
-
 from loose_env.errors import MissingExtra
 from loose_env.gap import (
     ChannelVerdict,
@@ -22,8 +20,6 @@ from loose_env.gap import (
     how_to_separate,
     pulled_words,
 )
-from loose_env.gap.core.evidence import stretches_of, weight_of
-from loose_env.gap.core.residual import band_of, correlation, whitened
 from loose_env.io import begun, write_text
 from loose_env.report.gap_figures import (
     channel_bars,
@@ -55,8 +51,8 @@ from loose_env.version import __version__
 
 _HEADLINE = 60  # letters of the effects in the headline
 _ROWS, _BARS = 12, 24  # rows of a table, channels drawn
-_FIGURES, _CORRELATIONS = 4, 3  # figures of one sort
-_SECONDS, _SAMPLES = 4.0, 500  # time of an overlay [s], and its samples
+_RESPONSES = 4  # frequency responses drawn
+_SAMPLES = 500  # of an overlay
 _DOUBTFUL = "Not sure enough to be named"
 _EFFECTS = ["missing effect", "probability", "parameter", "value", "95 % interval", "unit"]
 _CHANNELS = ["joint or reading", "verdict", "effects", "before", "after"]
@@ -398,38 +394,16 @@ def _channels_section(result: GapResult) -> Section:
 
 def _overlay_section(solution: GapSolution) -> Section:
     """Measured against model where most is left, joint by joint."""
-    evidence = solution.answer.selection.evidence
-    balance = evidence.balance
-    joints, readings = len(balance.machine.joints), balance.motion.stacked("readings")
-    starts = np.cumsum([0, *(len(run.position) for run in balance.motion.runs)])
-    most = int(_SECONDS / balance.motion.step)
-    order = sorted(
-        evidence.channels,
-        key=lambda c: -solution.result.gap.by_channel[balance.channels[c.joint]][0],
-    )
     cards = []
-    for channel in order[:_FIGURES]:
-        k, weight = channel.joint, weight_of(balance, channel.joint)
-        worst, rows = 0.0, slice(0, 0)
-        for run, piece in stretches_of(balance):
-            for first in range(piece.start, max(piece.stop - most // 2, piece.start + 1), most):
-                own = slice(starts[run] + first, starts[run] + min(first + most, piece.stop))
-                size = float(np.mean(weight[own] * solution.before[own, k] ** 2))
-                if size >= worst:
-                    worst, rows, name = size, own, balance.motion.runs[run].name
-        measured = balance.drive[rows, k] if k < joints else readings[rows, k - joints]
-        time = (np.arange(rows.start, rows.stop) - rows.start) * balance.motion.step
-        thin = slice(None, None, max(1, len(time) // _SAMPLES))
-        figure = overlay_figure(
-            time[thin], measured[thin], (measured - solution.before[rows, k])[thin],
-            (measured - solution.after[rows, k])[thin], channel=balance.channels[k],
-            unit=_unit(solution, k),
-        )  # fmt: skip
+    for each in solution.overlays:
+        thin = slice(None, None, max(1, len(each.time) // _SAMPLES))
+        lines = (each.time, each.measured, each.nominal, each.corrected)
+        figure = overlay_figure(*(x[thin] for x in lines), channel=each.channel, unit=each.unit)
         cards.append(
             FigureCard(
-                title=f"{balance.channels[k].removeprefix('sensor.')} in {name}",
+                title=f"{each.channel.removeprefix('sensor.')} in {each.run}",
                 image=figure,
-                caption=f"{balance.channels[k]}: given, and by both models; below, the difference.",
+                caption=f"{each.channel}: given, and by both models; below, the difference.",
             )
         )
     intro = (
@@ -441,18 +415,9 @@ def _overlay_section(solution: GapSolution) -> Section:
     return Section(heading="Measured against model", intro=[intro], cards=cards)
 
 
-def _unit(solution: GapSolution, channel: int) -> str:
-    """Unit of a channel's balance."""
-    machine = solution.answer.selection.evidence.balance.machine
-    if channel >= len(machine.joints):
-        return "as recorded"
-    return "N·m" if machine.turns(machine.joints[channel]) else "N"
-
-
 def _residual_section(solution: GapSolution) -> Section:
     """Residuals by channel, and their correlation in time and with the motion."""
-    result, evidence = solution.result, solution.answer.selection.evidence
-    balance = evidence.balance
+    result = solution.result
     pairs = sorted(result.gap.by_channel.items(), key=lambda item: -item[1][0])[:_BARS]
     cards = [
         FigureCard(
@@ -461,25 +426,15 @@ def _residual_section(solution: GapSolution) -> Section:
             caption="Root mean square on held-out data over the noise: 1 is noise alone.",
         )
     ]
-    worst = sorted(evidence.channels, key=lambda c: -_left(solution, c.joint))
-    for channel in worst[:_CORRELATIONS]:
-        k = channel.joint
-        series, interval = whitened(balance, solution.after[:, k], k)
-        motion = [k] if k < len(balance.machine.joints) else range(len(balance.machine.joints))
-        fastest = max(motion, key=lambda j: float(np.std(balance.speed[:, j])))
-        speed, _ = whitened(balance, balance.speed[:, fastest], k)
-        name = balance.machine.joints[fastest]
-        figure = correlation_figure(
-            interval, correlation(series, series), correlation(series, speed), band_of(series), name
+    cards += [
+        FigureCard(
+            title=f"Correlation of the residual of {each.channel.removeprefix('sensor.')}",
+            image=correlation_figure(each),
+            caption=f"With itself, and with the speed of {each.joint}, both whitened by the noise. "
+            "Within the grey band (95 %) there is nothing left to model.",
         )
-        cards.append(
-            FigureCard(
-                title=f"Correlation of the residual of {balance.channels[k]}",
-                image=figure,
-                caption=f"With itself, and with the speed of {name}, both whitened by the noise. "
-                "Within the grey band (95 %) there is nothing left to model.",
-            )
-        )
+        for each in solution.correlations
+    ]
     rows = [
         {
             "Joint or reading": test.channel.removeprefix("sensor."),
@@ -509,12 +464,6 @@ def _residual_section(solution: GapSolution) -> Section:
     )
 
 
-def _left(solution: GapSolution, channel: int) -> float:
-    """Residual of a channel after the correction."""
-    names = solution.answer.selection.evidence.balance.channels
-    return solution.result.gap.by_channel[names[channel]][1]
-
-
 def _response_section(solution: GapSolution) -> Section:
     """Frequency responses of servoed joints."""
     cards = [
@@ -524,29 +473,19 @@ def _response_section(solution: GapSolution) -> Section:
             caption="Cross spectrum over the power of the command, averaged over overlapping "
             "segments, where the command has at least a hundredth of its largest power.",
         )
-        for each in solution.responses[:_FIGURES]
+        for each in solution.responses[:_RESPONSES]
     ]
     return Section(heading="Frequency response", cards=cards)
 
 
 def _correlation_section(solution: GapSolution) -> Section:
     """Correlations of the coefficients of the effects."""
-    fit, evidence = solution.answer.decision.fit, solution.answer.selection.evidence
-    place = {k: i for i, k in enumerate(fit.numbers)}
-    names, at = [], []
-    for term in fit.terms:
-        own = evidence.columns_of(term)
-        for number, k in enumerate(own, start=1):
-            axis = f" {number}" * (len(own) > 1)
-            names.append(f"{term.effect.kind} {term.effect.where}{axis}")
-            at.append(place[k])
-    if len(at) < 2:
+    names, values = solution.parameters
+    if len(names) < 2:
         return Section()
-    covariance = np.linalg.inv(fit.normal)[np.ix_(at, at)]
-    scale = 1 / np.sqrt(np.diag(covariance))
     card = FigureCard(
         title="Correlation of the parameters",
-        image=matrix_figure(names, covariance * np.outer(scale, scale)),
+        image=matrix_figure(names, values),
         caption="Posterior correlation of the effects' sizes beside all tolerances: near 1 or −1, "
         "only their sum or difference is known.",
     )

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.gap import Correlation
 from loose_env.report.figures import DASHED, labels, legend, panels, plain, plain_log_ticks
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,12 +69,12 @@ def overlay_figure(
     return figure
 
 
-def correlation_figure(interval: float, own: Array, other: Array, band: float, name: str) -> Figure:
+def correlation_figure(given: Correlation) -> Figure:
     """Autocorrelation and cross-correlation of a residual by lag, with a 95 % band."""
     figure, axes = panels(2, 1.5)
-    for each, values, words in zip(
-        axes, (own, other), ("with itself", f"with the speed of {name}"), strict=True
-    ):
+    interval, band = given.interval, given.band
+    parts = ((given.own, "with itself"), (given.other, f"with the speed of {given.joint}"))
+    for each, (values, words) in zip(axes, parts, strict=True):
         lag = np.arange(len(values)) * interval
         each.axhspan(-band, band, color=FAINT, alpha=0.6, linewidth=0)
         each.vlines(lag, 0, values, color=AFTER, linewidth=1.6)
@@ -85,7 +86,7 @@ def correlation_figure(interval: float, own: Array, other: Array, band: float, n
     return figure
 
 
-def response_figure(frequency: Array, gains: Mapping[str, Array]) -> Figure:
+def response_figure(frequency: Array, gains: Mapping[str, ComplexArray]) -> Figure:
     """Gain and phase of a frequency response, measured and of both models."""
     figure, (top, low) = panels(2, 1.7, grid="both")
     looks: dict[str, dict[str, Any]] = {

@@ -16,9 +16,7 @@ import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidData, MissingExtra
-from loose_env.gap import GapSolution
-from loose_env.gap.core.residual import Played
-from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap import GapSolution, Played
 from loose_env.io import written_beside
 from loose_env.recording import joint_sensors
 from loose_env.typing import Array
@@ -78,14 +76,13 @@ def write_rerun(path: str | Path, solution: GapSolution) -> Path:
             "no run of the recording is driven by commands, so that there is no simulated motion "
             "for --rerun; leave it out"
         )
-    machine = solution.answer.selection.evidence.balance.machine
     starts = np.cumsum([0.0, *(float(t.time[-1]) + _PAUSE for t in shown.trials[:-1])])
 
     def write(beside: Path) -> None:
         with rerun.RecordingStream("loose gap", send_properties=False) as stream:
             stream.save(beside)
             worst = _log_channels(rerun, stream, shown, starts)
-            _log_arms(rerun, stream, machine, shown, starts)
+            _log_arms(rerun, stream, shown, starts)
             stream.send_blueprint(_layout(worst))
             stream.flush()
             stream.disconnect()
@@ -122,18 +119,17 @@ def _log_channels(rerun: Any, stream: RecordingStream, shown: Played, starts: Ar
     return sorted(residuals, key=lambda entity: -residuals[entity])[:_VIEWS]
 
 
-def _log_arms(
-    rerun: Any, stream: RecordingStream, machine: NominalModel, shown: Played, starts: Array
-) -> None:
+def _log_arms(rerun: Any, stream: RecordingStream, shown: Played, starts: Array) -> None:
     """Log the arm's bodies at measured, nominal and corrected joint positions."""
     stream.log("/arm", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    machine = shown.machine
     model, data = machine.model, mujoco.MjData(machine.model)
     names = {b: rerun.escape_entity_path_part(model.body(b).name) for b in range(1, model.nbody)}
     for kind in _COLOURS:
         for body, name in names.items():
             _log_shapes(rerun, stream, f"/arm/{kind}/{name}", model, body, kind)
     addresses = [int(model.joint(name).qposadr[0]) for name in machine.joints]
-    for kind, time, position in _motions(machine, shown, starts):
+    for kind, time, position in _motions(shown, starts):
         place = np.zeros((len(time), model.nbody, 3))
         turn = np.zeros((len(time), model.nbody, 4))
         for k, row in enumerate(position):
@@ -150,11 +146,10 @@ def _log_arms(
             )
 
 
-def _motions(
-    machine: NominalModel, shown: Played, starts: Array
-) -> Iterator[tuple[str, Array, Array]]:
+def _motions(shown: Played, starts: Array) -> Iterator[tuple[str, Array, Array]]:
     """Kind of motion, times (T,) and joint positions (T, joints) of each run."""
-    sensors, columns = joint_sensors(machine.model), [c.column for c in shown.channels]
+    machine, columns = shown.machine, [c.column for c in shown.channels]
+    sensors = joint_sensors(machine.model)
     read = [
         next((columns.index(f"sensor.{n}") for n in sensors[joint].position
               if f"sensor.{n}" in columns), None)

@@ -154,7 +154,7 @@ def test_what_cannot_be_compared_is_said(recording: Recording, tmp_path: Path) -
         ({"tolerances": Tolerances(mass=0.0)}, "tolerance mass"),
     ):
         with pytest.raises(InvalidSetting, match=reason):
-            GapSettings(**given)  # type: ignore[arg-type]
+            GapSettings(**given)
 
 
 def test_a_name_of_the_model_may_be_anything(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from loose_env.doctor import Correction, Finding, Severity
 from loose_env.errors import MissingExtra
 from loose_env.gap import (
     ChannelVerdict,
+    Correlation,
     EffectLocation,
     Gap,
     GapResult,
@@ -195,7 +196,7 @@ def test_the_check_lists_what_is_seen_and_what_is_not() -> None:
 
 def test_names_with_dollar_signs_are_drawn_as_they_are() -> None:
     names, values = ["q$1$", r"$\no{such$", "two $ and $"], np.linspace(-1, 1, 50)
-    gains = {"measured": values + 2j, "nominal": values + 1j, "corrected": values + 2j}
+    gains = {name: values.astype(complex) + 2j for name in ("measured", "nominal", "corrected")}
     assert to_svg(response_figure(np.linspace(1, 20, 50), gains))
     figures = [channel_bars({f"sensor.{name}": (3.0, 1.0) for name in names})]
     figures += [matrix_figure(names, np.eye(3))]
@@ -204,7 +205,11 @@ def test_names_with_dollar_signs_are_drawn_as_they_are() -> None:
         assert all(name in html.unescape(drawn) for name in names)
     for name in names:
         for figure in (
-            correlation_figure(0.01, values, values, 0.1, name),
+            correlation_figure(
+                Correlation(
+                    channel=name, joint=name, interval=0.01, own=values, other=values, band=0.1
+                )
+            ),
             overlay_figure(values, values, values, values, channel=name, unit="N·m"),
         ):
             drawn = re.sub("<!--.*?-->", "", to_svg(figure).decode(), flags=re.DOTALL)

@@ -124,7 +124,8 @@ def _rival(
     shapes: Sequence[_Shown], rivals: Sequence[_Shown], beyond: Array, prior: Array
 ) -> EffectLocation | None:
     """Effect beside which no shape is visible any more; that which hides most."""
-    worst, most = None, 1.0
+    worst: Term | None = None
+    most = 1.0
     for other in rivals:
         inverse = np.linalg.inv(other.precision + np.diag(prior[other.at]))
         shares = []
@@ -133,7 +134,9 @@ def _rival(
             shares.append(shape.share(shape.precision - cross @ inverse @ cross.T))
         if min(shares) > most:
             most, worst = min(shares), other.term
-    return worst and EffectLocation(kind=worst.name[0], where=worst.name[1])
+    if worst is None:
+        return None
+    return EffectLocation(kind=worst.name[0], where=worst.name[1])
 
 
 def _sizes(shown: _Shown) -> dict[str, float]:

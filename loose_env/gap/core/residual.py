@@ -25,10 +25,12 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.result import ResidualTest
 from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import joint_sensors
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray
 
 LAGS = 50
 """Lags of correlations that are looked at."""
+OVERLAY_S = 4.0
+"""Length of the stretch that is shown of a channel [s]."""
 _TAPER = 0.3
 """Share of a run that is faded, at both ends together, before its spectrum is divided."""
 _PLAYED_S = 60.0
@@ -89,7 +91,7 @@ def whitened(balance: Balance, values: Array, channel: int) -> tuple[list[Array]
         count = len(own)
         window = tukey(count, _TAPER)
         own = own * window / np.sqrt(np.mean(window**2))
-        frequency = np.fft.rfftfreq(count, motion.step)
+        frequency: Array = np.asarray(np.fft.rfftfreq(count, motion.step), dtype=float)
         spectrum = np.fft.rfft(own) / balance.noise(channel, frequency)
         kept = max(int(np.sum(frequency <= motion.band)), 4)
         fewer = min(2 * (kept - 1), count)
@@ -118,9 +120,109 @@ def correlation(one: Sequence[Array], other: Sequence[Array], lags: int = LAGS) 
     return np.asarray(total / max(float(np.sqrt(power.prod())), 1e-300))
 
 
-def band_of(series: Sequence[Array]) -> float:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Correlation:
+    """Correlation in time of a channel's residual on held-out data."""
+
+    channel: str
+    """Joint, or reading with its axis."""
+    joint: str
+    """Joint whose speed it is compared with."""
+    interval: float
+    """Interval of the lags [s]."""
+    own: Array
+    """Autocorrelation at lags from 0 on (L,)."""
+    other: Array
+    """Cross-correlation with that speed (L,)."""
+    band: float
     """95 % band of one correlation of white series."""
-    return float(1.96 / np.sqrt(max(sum(map(len, series)), 1)))
+
+
+def correlations(selection: Selection, left: Array, most: int) -> tuple[Correlation, ...]:
+    """Correlations of the channels of the largest residuals, whitened by their noise."""
+    balance, found = selection.evidence.balance, []
+    joints = balance.machine.joints
+    for channel in selection.evidence.channels:
+        k = channel.joint
+        series, interval = whitened(balance, left[:, k], k)
+        motion = [k] if k < len(joints) else range(len(joints))
+        fastest = max(motion, key=lambda j: float(np.std(balance.speed[:, j])))
+        speed, _ = whitened(balance, balance.speed[:, fastest], k)
+        found.append(
+            Correlation(
+                channel=balance.channels[k], joint=joints[fastest], interval=interval,
+                own=correlation(series, series), other=correlation(series, speed),
+                band=float(1.96 / np.sqrt(sum(map(len, series)))),
+            )
+        )  # fmt: skip
+    sizes = [float(np.mean(np.concatenate(whitened(balance, left[:, c.joint], c.joint)[0]) ** 2))
+             for c in selection.evidence.channels]  # fmt: skip
+    return tuple(found[k] for k in np.argsort(sizes)[::-1][:most])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Overlay:
+    """The stretch of a channel in which the nominal model misses most."""
+
+    channel: str
+    """Joint, or reading with its axis."""
+    run: str
+    """File of the run."""
+    unit: str
+    """Unit of the values."""
+    time: Array
+    """Times from the beginning of the stretch [s] (T,)."""
+    measured: Array
+    """Force of the drive, or what was read (T,)."""
+    nominal: Array
+    """The same as the nominal model needs or foretells it (T,)."""
+    corrected: Array
+    """The same of the corrected model (T,)."""
+
+
+def overlays(selection: Selection, before: Array, after: Array, most: int) -> tuple[Overlay, ...]:
+    """Measured against both models, of the channels that the nominal one misses most."""
+    balance = selection.evidence.balance
+    machine, readings = balance.machine, balance.motion.stacked("readings")
+    starts = np.cumsum([0, *(len(run.position) for run in balance.motion.runs)])
+    length = int(OVERLAY_S / balance.motion.step)
+    found: list[tuple[float, Overlay]] = []
+    for k in (channel.joint for channel in selection.evidence.channels):
+        lost = weight_of(balance, k) * before[:, k] ** 2
+        worst = max(
+            (float(np.mean(lost[rows])), run, rows)
+            for run, piece in stretches_of(balance)
+            for first in range(piece.start, max(piece.stop - length // 2, piece.start + 1), length)
+            for rows in [range(starts[run] + first, starts[run] + min(first + length, piece.stop))]
+        )
+        rows = slice(worst[2].start, worst[2].stop)
+        at_joint = k < len(machine.joints)
+        measured = balance.drive[rows, k] if at_joint else readings[rows, k - len(machine.joints)]
+        unit = "as recorded" if not at_joint else "N·m" if machine.turns(machine.joints[k]) else "N"
+        overlay = Overlay(
+            channel=balance.channels[k], run=balance.motion.runs[worst[1]].name, unit=unit,
+            time=np.asarray(np.arange(len(measured)) * balance.motion.step, dtype=float),
+            measured=measured, nominal=measured - before[rows, k],
+            corrected=measured - after[rows, k],
+        )  # fmt: skip
+        channel = next(c for c in selection.evidence.channels if c.joint == k)
+        found.append((float(channel.power.sum() / channel.count.sum()), overlay))
+    return tuple(each for _, each in sorted(found, key=lambda pair: -pair[0])[:most])
+
+
+def parameter_correlation(selection: Selection, fit: SetFit) -> tuple[tuple[str, ...], Array]:
+    """Names of the coefficients of a set, and their posterior correlation (K, K)."""
+    place = {k: i for i, k in enumerate(fit.numbers)}
+    names, at = [], []
+    for term in fit.terms:
+        own = selection.evidence.columns_of(term)
+        for number, k in enumerate(own, start=1):
+            axis = f" {number}" * (len(own) > 1)
+            names.append(f"{term.effect.kind} {term.effect.where}{axis}")
+            at.append(place[k])
+    covariance = np.linalg.inv(fit.normal)[np.ix_(at, at)] if at else np.zeros((0, 0))
+    scale = 1 / np.sqrt(np.diag(covariance))
+    return tuple(names), np.asarray(covariance * np.outer(scale, scale))
 
 
 def residual_tests(selection: Selection, left: Array) -> tuple[ResidualTest, ...]:
@@ -207,6 +309,8 @@ def force_errors(answer: Answer, before: Array, after: Array) -> dict[str, tuple
 class Played:
     """Runs simulated from their commands by the nominal and by the corrected model."""
 
+    machine: NominalModel
+    """The nominal model."""
     trials: tuple[Trial, ...]
     """The runs."""
     channels: tuple[Channel, ...]
@@ -236,8 +340,9 @@ def played(answer: Answer, corrected: Hypothesis) -> Played | None:
     with quiet():
         nominal, found = simulator.predict([Hypothesis(), corrected])
     return Played(
-        trials=tuple(trials), channels=channels, nominal=tuple(nominal), corrected=tuple(found)
-    )
+        machine=machine, trials=tuple(trials), channels=channels, nominal=tuple(nominal),
+        corrected=tuple(found),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -248,16 +353,17 @@ class Response:
     """Name of the joint."""
     frequency: Array
     """Frequencies [Hz] (F,)."""
-    gains: Mapping[str, Array]
+    gains: Mapping[str, ComplexArray]
     """"measured", "nominal" and "corrected" -> complex gain (F,)."""
 
 
-def responses(machine: NominalModel, shown: Played, band: float) -> tuple[Response, ...]:
+def responses(shown: Played, band: float) -> tuple[Response, ...]:
     """Frequency responses of servoed joints, measured and simulated from the same commands.
 
     Of the frequencies in which the command has a hundredth of its largest power.
     """
-    sensors, found = joint_sensors(machine.model), []
+    machine, found = shown.machine, []
+    sensors = joint_sensors(machine.model)
     for actuator, drive in enumerate(machine.actuators):
         servo = machine.affine_actuators[actuator] and machine.model.actuator_biasprm[actuator, 1]
         if not servo or drive not in machine.actuated_joint:
@@ -288,7 +394,7 @@ def responses(machine: NominalModel, shown: Played, band: float) -> tuple[Respon
 
 def _averaged(
     parts: Mapping[str, list[tuple[Array, Array, Array]]], band: float
-) -> tuple[Array, dict[str, Array]] | None:
+) -> tuple[Array, dict[str, ComplexArray]] | None:
     """Gains averaged over runs, at the frequencies of the coarsest that are excited."""
     if not parts.get("measured"):
         return None
