@@ -86,10 +86,8 @@ class Term:
             found = np.array(axes[0])
             found[effect.proportional] *= coefficients[0]
         elif effect.axes:
-            shares = np.zeros(len(effect.axes))
-            for axis, share in zip(self.axes, coefficients, strict=True):
-                shares[effect.axes.index(axis)] = share
-            found = np.array(effect.combined(shares))
+            along = np.stack([effect.shares_of(axis) for axis in axes])
+            found = np.array(effect.combined(coefficients @ along))
         else:
             null = _null(effect)
             found = null + coefficients @ (axes - null)

@@ -209,9 +209,13 @@ def _band_end(log: _Log, noise: Array) -> float:
         frequency, power = _spectrum(values, log.step)
         width = max(int(0.25 / frequency[1]), 1)
         power = np.convolve(power, np.ones(2 * width + 1) / (2 * width + 1), "same")
-        # the last one: a swing has harmonics, with nothing between them
-        loud = np.flatnonzero(power >= 30 * sd**2)
-        last = loud[-1] if len(loud) else 0
+        peak = int(np.argmax(power * frequency**2))
+        quiet = np.flatnonzero(power < 30 * sd**2)
+        quiet = quiet[quiet > peak]
+        last = quiet[0] if len(quiet) else len(frequency) - 1
+        # dry friction makes a third harmonic, and a swing has nothing between
+        third = np.flatnonzero(power[: int(3.3 * peak)] >= 30 * sd**2)
+        last = max(int(last), int(third[-1]) if len(third) else 0)
         bulk = np.cumsum(np.maximum(power - sd**2, 0)[: last + 1] * frequency[: last + 1] ** 4)
         if bulk[-1] > 0:
             most = 6 * frequency[np.searchsorted(bulk, 0.99 * bulk[-1])]

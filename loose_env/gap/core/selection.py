@@ -351,7 +351,7 @@ class Selection:
             shaped = [
                 k for k, p in enumerate(term.effect.parameters) if k != term.effect.proportional
             ]
-            if term.effect.axes or not (term.law or term.effect.proportional is not None):
+            if _is_linear(term):
                 continue
             for step in _STEPS:
                 for k in shaped:
@@ -373,14 +373,38 @@ class Selection:
         values[parameter] = own.clipped(float(moved))
         if values[parameter] == term.axes[0][parameter]:
             return None
-        evidence = self.evidence
         contact = (term.contact,) if term.contact else ()
         axes = (tuple(float(v) for v in values),)
-        new = terms_of(evidence.balance, term.effect, axes, term.law, contact or ("",))
+        return self.replaced(state, term, axes, contact or ("",))
+
+    def relinearised(self, state: SetFit, term: Term) -> SetFit:
+        """Secant of a linear effect to its fitted value, where that explains more.
+
+        A tilt of 0.1 rad takes half a per cent off gravity, which another effect would explain.
+        """
+        place = {k: i for i, k in enumerate(state.numbers)}
+        own = [place[k] for k in self.evidence.columns_of(term)]
+        shares = state.values[own]
+        axes = list(term.axes)
+        axes[int(np.argmax(np.abs(shares)))] = tuple(map(float, term.values(shares)))
+        if not np.any(shares) or tuple(axes) == term.axes:
+            return state
+        new = self.replaced(state, term, tuple(axes), (term.contact,))
+        return new if new is not None and new.total < state.total else state
+
+    def replaced(
+        self,
+        state: SetFit,
+        term: Term,
+        axes: tuple[tuple[float, ...], ...],
+        contacts: tuple[str, ...],
+    ) -> SetFit | None:
+        """Fit with a member's columns along other axes; None if that is out of bounds."""
+        evidence = self.evidence
+        new = terms_of(evidence.balance, term.effect, axes, term.law, contacts)
         if not new:
             return None
         append(evidence, new[0])
-        self._shapes[term.name] = self._shapes[term.name]
         fit = self.fit((*(t for t in state.terms if t is not term), new[0]), state.powers)
         return fit if fit.allowed else None
 
@@ -393,6 +417,8 @@ class Selection:
             if better.total > state.total - _LEAST_GAIN:
                 break
             state = better
+            for term in filter(_is_linear, better.terms):
+                state = self.relinearised(state, term)
         return state
 
     def _grown(self, state: SetFit) -> SetFit | None:
@@ -480,6 +506,11 @@ class Selection:
                     kinds.setdefault(t.effect.kind, {}).setdefault(t.effect.where, t)
             found += [(*rest, *own.values()) for own in kinds.values() if len(own) == count]
         return found
+
+
+def _is_linear(term: Term) -> bool:
+    """Whether an effect's columns are its derivatives; else they have a shape."""
+    return bool(term.effect.axes) or not (term.law or term.effect.proportional is not None)
 
 
 def neighbours(machine: NominalModel, where: str) -> set[str]:
