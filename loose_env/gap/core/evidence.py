@@ -275,6 +275,12 @@ def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
     )
 
 
+def cell_powers(balance: Balance, channel: int, change: Array) -> Array:
+    """Power of a change of the balance in each cell of a channel, in noise variances (C,)."""
+    found = _rows(balance, channel, [change])
+    return np.bincount(found.cell, found.whitened[:, 0] ** 2, len(found.count))
+
+
 def _stretches(balance: Balance) -> list[tuple[int, slice]]:
     """Stretches of all runs: run and samples."""
     found, runs = [], balance.motion.runs

@@ -20,7 +20,7 @@ from scipy.linalg import solve_triangular
 
 from loose_env.gap.core.balance import USUAL
 from loose_env.gap.core.catalogue import Term, terms_of
-from loose_env.gap.core.evidence import Channel, Evidence, append
+from loose_env.gap.core.evidence import Channel, Evidence, append, cell_powers
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.inference import log_determinant
 from loose_env.typing import Array
@@ -43,6 +43,8 @@ _MOST = 40
 """Steps of a search."""
 _LEVELS, _KEPT, _STARTS = 3, 4, 3
 """Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
+_BENT = 4.0
+"""Noise variances, two standard deviations, by which an effect may differ from its columns."""
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)
 """Relative steps in which shapes are refined."""
 
@@ -82,6 +84,9 @@ class Selection:
         self.usual = [
             evidence.balance.noise(c.joint, c.turn / (2 * np.pi), floor=False)
             for c in evidence.channels
+        ]
+        self._bands = [
+            np.unique(c.turn / (2 * np.pi), return_inverse=True) for c in evidence.channels
         ]
         self.values = [_values(c, 0.0) for c in evidence.channels]
         self.values = [
@@ -166,18 +171,18 @@ class Selection:
         for _ in range(rounds):
             normal, slope = np.diag(precision), precision * centre
             for k, (part, power) in enumerate(zip(parts, powers, strict=True)):
-                weight = self.weights(k, power)
-                normal[np.ix_(part.at, part.at)] += np.tensordot(weight, part.gram, 1)
-                slope[part.at] += weight @ part.slope
-                shrunk[k] |= part.growth @ found[part.at] < 0  # for good: else it alternates
+                weight, count = self.weights(k, power), evidence.channels[k].count
+                moved = part.growth @ found[part.at]
+                shrunk[k] |= moved < 0  # for good: else it alternates
                 guard = shrunk[k] * weight * power
-                normal[np.ix_(part.at, part.at)] += (part.growth.T * guard) @ part.growth
-                slope[part.at] += guard @ part.growth
                 # noise that grows with the operator is in the columns: least squares would
                 # attenuate their coefficients (errors in variables)
-                more = np.maximum(part.growth @ found[part.at], 0.0)
-                noisy = weight * evidence.channels[k].count * ~shrunk[k] * (1 + more) * (more > 0)
-                slope[part.at] += noisy @ part.growth
+                noisy = weight * count * ~shrunk[k] * (1 + moved) * (moved > 0)
+                own = (weight @ part.gram).reshape(len(part.at), -1)
+                if shrunk[k].any():
+                    own += (part.growth.T * guard) @ part.growth
+                normal[part.grid] += own
+                slope[part.at] += weight @ part.slope + (guard + noisy) @ part.growth
             scale = 1 / np.sqrt(np.diag(normal))
             found = np.linalg.solve(normal * np.outer(scale, scale), slope * scale) * scale
             left = self._powers(parts, numbers, found)
@@ -210,11 +215,10 @@ class Selection:
         found = []
         for k, (channel, part) in enumerate(zip(evidence.channels, parts, strict=True)):
             own = values[part.at]
-            power = (
-                channel.power - 2 * part.slope @ own + np.einsum("cij,i,j->c", part.gram, own, own)
-            )
-            turn = channel.turn / (2 * np.pi)
-            now = evidence.balance.noise(channel.joint, turn, operator, floor=False)
+            products = np.outer(own, own).ravel()
+            power = channel.power - 2 * part.slope @ own + part.gram @ products
+            bands, at = self._bands[k]
+            now = evidence.balance.noise(channel.joint, bands, operator, floor=False)[at]
             ratio = (now / self.usual[k]) ** 2
             more = power - channel.count * np.maximum(ratio - 1.0, 0.0)
             found.append(np.maximum(more, 0.0) / np.minimum(ratio, 1.0))
@@ -387,10 +391,24 @@ class Selection:
         shares = state.values[own]
         axes = list(term.axes)
         axes[int(np.argmax(np.abs(shares)))] = tuple(map(float, term.values(shares)))
-        if not np.any(shares) or tuple(axes) == term.axes:
+        if not self._bent(term, shares, state.powers):
             return state
         new = self.replaced(state, term, tuple(axes), (term.contact,))
         return new if new is not None and new.total < state.total else state
+
+    def _bent(self, term: Term, shares: Array, powers: Sequence[Array]) -> bool:
+        """Whether an effect differs from its columns by more than the data's doubt of it."""
+        balance, values = self.evidence.balance, term.values(shares)
+        exact = balance.forces(term.effect, values).with_contact(
+            balance.directions[term.contact or USUAL]
+        )
+        off = exact - sum(s * c.change for s, c in zip(shares, term.columns, strict=True))
+        lost = 0.0
+        for k, channel in enumerate(self.evidence.channels):
+            if np.any(off[:, channel.joint]):
+                cells = cell_powers(balance, channel.joint, off)
+                lost += float(self.weights(k, powers[k]) @ cells)
+        return lost > _BENT
 
     def replaced(
         self,
@@ -556,20 +574,23 @@ def _solved(normal: Array, slope: Array) -> tuple[Array, Array, float]:
 @dataclass(frozen=True, eq=False)
 class _Part:
     at: NDArray[np.intp]
+    grid: tuple[NDArray[np.intp], ...]
     gram: Array
     slope: Array
     growth: Array
 
 
 def _part(channel: Channel, numbers: NDArray[np.intp]) -> _Part:
-    """Products of some columns in a channel."""
+    """Products of some columns in a channel, the matrix of each cell in one row."""
     lookup = np.full(max(int(numbers.max(initial=0)), int(channel.columns.max(initial=0))) + 1, -1)
     lookup[channel.columns] = np.arange(len(channel.columns))
     own = lookup[numbers]
     at = np.flatnonzero(own >= 0)
     local = own[at]
-    gram = channel.gram[:, local[:, None], local]
-    return _Part(at, gram, channel.slope[:, local], channel.growth[:, local])
+    cells, width = channel.gram.shape[:2]
+    flat = (local[:, None] * width + local).ravel()
+    gram = np.take(channel.gram.reshape(cells, -1), flat, axis=1)
+    return _Part(at, np.ix_(at, at), gram, channel.slope[:, local], channel.growth[:, local])
 
 
 def _near_bounds(
