@@ -106,6 +106,9 @@ class Balance:
         self.bias = self._bias(model)
         self.operator = self._operator(model)
         self._nominal = model
+        self.stiffness = np.zeros(len(machine.joints))
+        if not self.released.all():
+            self.stiffness = np.diag(self._operator(model, drives=True)[2]).copy()
         measured = np.isfinite(self.torques)
         inverse = (self.forms == "inverse")[:, None]
         self.seen = np.where(inverse, measured, True)
@@ -257,8 +260,8 @@ class Balance:
             self._batches[key] = batch, [batch.bind(name) for name in names]
         return self._batches[key]
 
-    def _operator(self, model: mujoco.MjModel) -> Array:
-        """Mean inertia, damping and stiffness, drives included (3, joints, joints)."""
+    def _operator(self, model: mujoco.MjModel, *, drives: bool = False) -> Array:
+        """Mean inertia, damping and stiffness, drives included or alone (3, joints, joints)."""
         rows = np.linspace(0, len(self.position) - 1, _POSES).astype(int)
         joints = len(self.machine.joints)
         found = np.zeros((3, joints, joints))
@@ -271,7 +274,7 @@ class Balance:
                 states.append(moved)
         a, v, q = (np.concatenate([s[k] for s in states]) for k in range(3))
         needed, given = self._forces(model, np.tile(commands, (len(states), 1)), (q, v, a))
-        force = (needed - given).reshape(len(states), len(rows), joints)
+        force = (-given if drives else needed - given).reshape(len(states), len(rows), joints)
         for order in range(3):
             for joint in range(joints):
                 change = force[1 + order * joints + joint] - force[0]

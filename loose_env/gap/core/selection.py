@@ -173,16 +173,21 @@ class Selection:
             for k, (part, power) in enumerate(zip(parts, powers, strict=True)):
                 weight, count = self.weights(k, power), evidence.channels[k].count
                 moved = part.growth @ found[part.at]
-                shrunk[k] |= moved < 0  # for good: else it alternates
-                guard = shrunk[k] * weight * power
+                own = (weight @ part.gram).reshape(len(part.at), -1)
+                held = part.held @ found[part.at]
+                shrunk[k] |= np.minimum(moved, held) < -1e-12  # for good: else it alternates
                 # noise that grows with the operator is in the columns: least squares would
                 # attenuate their coefficients (errors in variables)
-                noisy = weight * count * ~shrunk[k] * (1 + moved) * (moved > 0)
-                own = (weight @ part.gram).reshape(len(part.at), -1)
+                noisy = weight * np.minimum(count, power) * ~shrunk[k] * (1 + moved) * (moved > 0)
+                slope[part.at] += weight @ part.slope + noisy @ part.growth
                 if shrunk[k].any():
-                    own += (part.growth.T * guard) @ part.growth
+                    guard = shrunk[k] * weight * power
+                    scale = np.where(
+                        (held < np.minimum(moved, 0.0))[:, None], part.held, part.growth
+                    )
+                    own += (scale.T * guard) @ scale
+                    slope[part.at] += guard @ scale
                 normal[part.grid] += own
-                slope[part.at] += weight @ part.slope + (guard + noisy) @ part.growth
             scale = 1 / np.sqrt(np.diag(normal))
             found = np.linalg.solve(normal * np.outer(scale, scale), slope * scale) * scale
             left = self._powers(parts, numbers, found)
@@ -205,10 +210,10 @@ class Selection:
     def _powers(
         self, parts: Sequence[_Part], numbers: NDArray[np.intp], values: Array
     ) -> list[Array]:
-        """Residual sums of squares in units of the noise that the fitted operator makes.
+        """Noise, and excess over what noise the fitted operator makes, as motion of the joint.
 
-        A balance whose every term shrinks makes less noise, too, and gains nothing. In the
-        quadratic form that is the expansion of a log determinant, see `Channel.growth`.
+        A balance whose every term shrinks makes less noise, too, and gains nothing; nor does a
+        drive that holds less, whose discrepancy stays the same motion.
         """
         evidence = self.evidence
         operator = evidence.balance.operator + np.tensordot(values, evidence.operators[numbers], 1)
@@ -220,8 +225,10 @@ class Selection:
             bands, at = self._bands[k]
             now = evidence.balance.noise(channel.joint, bands, operator, floor=False)[at]
             ratio = (now / self.usual[k]) ** 2
-            more = power - channel.count * np.maximum(ratio - 1.0, 0.0)
-            found.append(np.maximum(more, 0.0) / np.minimum(ratio, 1.0))
+            held = max(1.0 + float(part.held @ own), 0.0) ** 2
+            excess = power - channel.count * ratio
+            scale = np.clip(np.minimum(ratio, held), 1e-300, 1.0)
+            found.append(np.maximum(channel.count + excess / scale, 0.0))
         return found
 
     # ---- many sets at fixed weights
@@ -231,7 +238,7 @@ class Selection:
         evidence = self.evidence
         normal = np.diag(evidence.precision)
         slope = evidence.precision * evidence.centre
-        growths, guards, noises = [], [], []
+        growths, holds, guards, noises = [], [], [], []
         for k, channel in enumerate(evidence.channels):
             weight = self.weights(k, powers[k])
             at = channel.columns
@@ -240,9 +247,12 @@ class Selection:
             growth = np.zeros((len(weight), len(slope)))
             growth[:, at] = channel.growth
             growths.append(growth)
+            held = np.zeros(len(slope))
+            held[at] = channel.held
+            holds.append(np.tile(held, (len(weight), 1)))
             guards.append(weight * powers[k])
-            noises.append(weight * channel.count)
-        return _Form(normal, slope, *map(np.concatenate, (growths, guards, noises)))
+            noises.append(weight * np.minimum(channel.count, powers[k]))
+        return _Form(normal, slope, *map(np.concatenate, (growths, holds, guards, noises)))
 
     def predicted(self, form: _Form, terms: Sequence[Term]) -> float:
         """Total of a set at fixed weights; infinite where a coefficient is out of bounds."""
@@ -250,13 +260,14 @@ class Selection:
         normal, slope = form.normal[np.ix_(at, at)], form.slope[at]
         try:
             half, values, determinant = _solved(normal, slope)
-            growth = form.growth[:, at]
-            moved = growth @ values
-            if np.any(moved):
-                guard = form.guard * (moved < 0)
-                more = guard + form.noise * np.where(moved > 0, 1 + moved, 0.0)
+            growth, holds = form.growth[:, at], form.held[:, at]
+            moved, held = growth @ values, holds @ values
+            if np.any(moved) or np.any(held):
+                guard = form.guard * (np.minimum(moved, held) < 0)
+                scale = np.where((held < np.minimum(moved, 0.0))[:, None], holds, growth)
+                noisy = form.noise * np.where((moved > 0) & (guard == 0), 1 + moved, 0.0)
                 half, values, determinant = _solved(
-                    normal + (growth.T * guard) @ growth, slope + more @ growth
+                    normal + (scale.T * guard) @ scale, slope + guard @ scale + noisy @ growth
                 )
         except np.linalg.LinAlgError:
             return np.inf
@@ -558,6 +569,7 @@ class _Form:
     normal: Array
     slope: Array
     growth: Array
+    held: Array
     guard: Array
     noise: Array
 
@@ -578,6 +590,7 @@ class _Part:
     gram: Array
     slope: Array
     growth: Array
+    held: Array
 
 
 def _part(channel: Channel, numbers: NDArray[np.intp]) -> _Part:
@@ -590,7 +603,14 @@ def _part(channel: Channel, numbers: NDArray[np.intp]) -> _Part:
     cells, width = channel.gram.shape[:2]
     flat = (local[:, None] * width + local).ravel()
     gram = np.take(channel.gram.reshape(cells, -1), flat, axis=1)
-    return _Part(at, np.ix_(at, at), gram, channel.slope[:, local], channel.growth[:, local])
+    return _Part(
+        at,
+        np.ix_(at, at),
+        gram,
+        channel.slope[:, local],
+        channel.growth[:, local],
+        channel.held[local],
+    )
 
 
 def _near_bounds(
