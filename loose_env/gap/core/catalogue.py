@@ -122,7 +122,7 @@ def shows(balance: Balance, effect: Effect) -> bool:
     Sensors show where their readings are compared; stops are the business of the exact fit.
     """
     if effect.part == "sensor":
-        return balance.readings.has(effect.where)
+        return effect.where in balance.encoders or balance.readings.has(effect.where)
     acts = effect.moves or _senses_torque(effect)
     if effect.has_stops or not acts or not moves(balance, effect):
         return False

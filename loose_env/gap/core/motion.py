@@ -58,6 +58,8 @@ class RunMotion:
     """Commands as held from sample to sample, in the band of the motion (T, actuators)."""
     sampled: Array
     """Commands as sampled, not held, in the same band (T, actuators)."""
+    straight: Array
+    """Commands along straight lines from sample to sample (T, actuators)."""
     torques: Array
     """Measured joint torques, NaN of joints without (T, joints)."""
     log_step: float
@@ -254,6 +256,7 @@ def _run_motion(log: _Log, noise: Array, band: float, thin: int) -> RunMotion:
         # through the same filter: a stiff servo acts on a small difference of large signals
         commands=blocks(low_passed(log.commands, band, log.step, held=log.step)),
         sampled=blocks(low_passed(log.commands, band, log.step)),
+        straight=blocks(low_passed(log.commands, band, log.step, drawn=log.step)),
         torques=blocks(low_passed(log.torque, band, log.step)),
         log_step=log.step,
     )
@@ -282,8 +285,12 @@ def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float)
     return np.stack(whole)[:, pad : pad + len(q)]
 
 
-def low_passed(values: Array, band: float, step: float, *, held: float = 0.0) -> Array:
+def low_passed(
+    values: Array, band: float, step: float, *, held: float = 0.0, drawn: float = 0.0
+) -> Array:
     """Columns (T, K) through the low-pass of the motion, each sample held for some time [s].
+
+    Or drawn to the next one in a straight line of some length [s].
 
     A column with gaps stays as it is.
     """
@@ -295,6 +302,7 @@ def low_passed(values: Array, band: float, step: float, *, held: float = 0.0) ->
         line = np.linspace(ends[0], ends[-1], len(ends))
         turn = 2 * np.pi * np.fft.rfftfreq(len(ends), step)
         hold = np.sinc(turn * held / (2 * np.pi)) * np.exp(-0.5j * turn * held)
+        hold = hold * np.sinc(turn * drawn / (2 * np.pi)) ** 2
         shape = np.fft.rfft(ends - line) * _passed(turn, band) * hold
         slope = (ends[-1] - ends[0]) / (len(ends) - 1) / step
         whole = np.fft.irfft(shape, len(ends)) + line - 0.5 * held * slope
