@@ -18,7 +18,7 @@ from loose_env.gap.model.effects.mjcf.geometry import link_ends
 from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial
 from loose_env.gap.model.effects.mjcf.joint_effect import added_name
 from loose_env.gap.model.effects.mjcf.passive_actuators import add_constant
-from loose_env.gap.model.effects.sensors import EncoderOffset
+from loose_env.gap.model.effects.sensors import EncoderOffset, SensorDelay
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
@@ -290,6 +290,14 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         seen = balance.readings.accelerated(balance.stepped_acceleration())
         change = np.hstack([np.zeros((len(seen), joints)), seen])
         yield Nuisance(name="steps of commands in readings", change=change, operator=nothing)
+    step = motion.runs[0].log_step
+    for name in balance.encoders:
+        forces = balance.forces(SensorDelay(balance.machine, name), np.array([0.1 * step]))
+        change = np.hstack([forces.smooth, forces.readings])
+        yield Nuisance(
+            name=f"timing of {name}", change=10 * tolerances.sensor_samples * change,
+            operator=nothing,
+        )  # fmt: skip
     for name in dict.fromkeys(name for name, _ in motion.sensors):
         at = [k for k, (own, _) in enumerate(motion.sensors) if own == name]
         change = np.zeros((len(foretold), joints + len(motion.sensors)))
