@@ -43,6 +43,8 @@ _MOST = 40
 """Steps of a search."""
 _LEVELS, _KEPT, _STARTS = 3, 4, 3
 """Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
+_SETTLED, _SECANTS = 4, 4
+"""Sets of a step that are relinearised, and how often."""
 _BENT = 4.0
 """Noise variances, two standard deviations, by which an effect may differ from its columns."""
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)
@@ -446,8 +448,6 @@ class Selection:
             if better.total > state.total - _LEAST_GAIN:
                 break
             state = better
-            for term in filter(_is_linear, better.terms):
-                state = self.relinearised(state, term)
         return state
 
     def _grown(self, state: SetFit) -> SetFit | None:
@@ -489,7 +489,18 @@ class Selection:
                 if np.isfinite(total):
                     chosen.setdefault(k, powers)
         found = (self.solve(sets[k], powers) for k, powers in chosen.items())
-        return [fit for fit in found if fit.allowed]
+        order = sorted((fit for fit in found if fit.allowed), key=lambda f: f.total)
+        return [*(self.settled(fit) for fit in order[:_SETTLED]), *order[_SETTLED:]]
+
+    def settled(self, fit: SetFit) -> SetFit:
+        """The same set with its effects relinearised where they were fitted, until they stay."""
+        for _ in range(_SECANTS):
+            before = fit
+            for term in filter(_is_linear, fit.terms):
+                fit = self.relinearised(fit, term)
+            if fit.total > before.total - _LEAST_GAIN:
+                break
+        return fit
 
     def polished(self, state: SetFit) -> SetFit:
         """Remove, reshape and exchange members until nothing helps."""
