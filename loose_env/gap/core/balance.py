@@ -17,12 +17,15 @@ import numpy as np
 from mujoco.batch import Batch
 from scipy.optimize import minimize
 
+from loose_env.gap.core.effects import CommandInterpolation
 from loose_env.gap.core.motion import Motion
 from loose_env.gap.core.readings import Readings
 from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import compiled
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.recording import joint_sensors
 from loose_env.typing import Array
 
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
@@ -106,6 +109,15 @@ class Balance:
         self.bias = self._bias(model)
         self.operator = self._operator(model)
         self._nominal = model
+        sensors = joint_sensors(machine.model)
+        self.encoders = {
+            name: number
+            for number, joint in enumerate(machine.joints)
+            for name in sensors[joint].position
+        }
+        self.stiffness = np.zeros(len(machine.joints))
+        if not self.released.all():
+            self.stiffness = np.diag(self._operator(model, drives=True)[2]).copy()
         measured = np.isfinite(self.torques)
         inverse = (self.forms == "inverse")[:, None]
         self.seen = np.where(inverse, measured, True)
@@ -124,7 +136,10 @@ class Balance:
             spec = self.machine.fresh()
             effect.edit(spec, values)
             model = compiled(spec)
-        if own.command is not Effect.command:
+        if own is CommandInterpolation:
+            straight = self.motion.stacked("straight")
+            commands = commands + values[0] * (straight - commands)
+        elif own.command is not Effect.command:
             commands = np.concatenate(
                 [
                     effect.command(run.time, run.commands, values)
@@ -135,7 +150,42 @@ class Balance:
             )
         if isinstance(effect, DrivenEffect):
             commands = effect.feedback(commands, self.position, self.speed, values)
+        if effect.part == "sensor" and effect.where in self.encoders:
+            return self._read_otherwise(effect, values)
         return self._change(model, commands, effect, values)
+
+    def _read_otherwise(self, effect: Effect, values: Array) -> Forces:
+        """Change by a position sensor that reads otherwise than the joint moves.
+
+        The balance along the motion that the joint then made; its drive knew that motion.
+        """
+        joint, column = self.encoders[effect.where], column_of(effect.where)
+        parts = []
+        for run, q in zip(self.motion.runs, self.motion.split(self.position), strict=True):
+            own = q[:, joint]
+            mirrored = np.concatenate([own, own[::-1]])
+            turn = 2 * np.pi * np.fft.rfftfreq(len(mirrored), self.motion.step)
+            if effect.is_time_shift:
+                ahead = np.exp(1j * turn * values[0]) - 1
+                wave = ahead * np.fft.rfft(mirrored - own.mean())
+            else:
+                off = own - effect.read(run.time, {column: own}, values)[column]
+                wave = np.fft.rfft(np.concatenate([off, off[::-1]]))
+            parts.append([np.fft.irfft((1j * turn) ** k * wave)[: len(own)] for k in range(3)])
+        states = []
+        for k, known in enumerate((self.position, self.speed, self.acceleration)):
+            moved = known.copy()
+            moved[:, joint] += np.concatenate([part[k] for part in parts])
+            states.append(moved)
+        needed, given = self._forces(
+            self._nominal, self.commands, (states[0], states[1], states[2])
+        )
+        return Forces(
+            smooth=needed - given - (self.needed - self.given),
+            dry=np.zeros_like(needed),
+            readings=self.readings.moved(*states),
+            operator=np.zeros_like(self.operator),
+        )
 
     def edited(self, spec: mujoco.MjSpec) -> Forces:
         """Change of the balance by an edit of the spec alone."""
@@ -257,8 +307,8 @@ class Balance:
             self._batches[key] = batch, [batch.bind(name) for name in names]
         return self._batches[key]
 
-    def _operator(self, model: mujoco.MjModel) -> Array:
-        """Mean inertia, damping and stiffness, drives included (3, joints, joints)."""
+    def _operator(self, model: mujoco.MjModel, *, drives: bool = False) -> Array:
+        """Mean inertia, damping and stiffness, drives included or alone (3, joints, joints)."""
         rows = np.linspace(0, len(self.position) - 1, _POSES).astype(int)
         joints = len(self.machine.joints)
         found = np.zeros((3, joints, joints))
@@ -271,7 +321,7 @@ class Balance:
                 states.append(moved)
         a, v, q = (np.concatenate([s[k] for s in states]) for k in range(3))
         needed, given = self._forces(model, np.tile(commands, (len(states), 1)), (q, v, a))
-        force = (needed - given).reshape(len(states), len(rows), joints)
+        force = (-given if drives else needed - given).reshape(len(states), len(rows), joints)
         for order in range(3):
             for joint in range(joints):
                 change = force[1 + order * joints + joint] - force[0]

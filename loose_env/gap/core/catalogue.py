@@ -86,10 +86,8 @@ class Term:
             found = np.array(axes[0])
             found[effect.proportional] *= coefficients[0]
         elif effect.axes:
-            shares = np.zeros(len(effect.axes))
-            for axis, share in zip(self.axes, coefficients, strict=True):
-                shares[effect.axes.index(axis)] = share
-            found = np.array(effect.combined(shares))
+            along = np.stack([effect.shares_of(axis) for axis in axes])
+            found = np.array(effect.combined(coefficients @ along))
         else:
             null = _null(effect)
             found = null + coefficients @ (axes - null)
@@ -124,7 +122,7 @@ def shows(balance: Balance, effect: Effect) -> bool:
     Sensors show where their readings are compared; stops are the business of the exact fit.
     """
     if effect.part == "sensor":
-        return balance.readings.has(effect.where)
+        return effect.where in balance.encoders or balance.readings.has(effect.where)
     acts = effect.moves or _senses_torque(effect)
     if effect.has_stops or not acts or not moves(balance, effect):
         return False

@@ -16,6 +16,7 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name
 from loose_env.gap.model.effects.mjcf.passive_actuators import add_constant
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
@@ -113,6 +114,41 @@ class FrictionBehindSlack(JointEffect):
         return ""
 
 
+class CommandInterpolation(Effect):
+    """Commands that reach the drives along straight lines, where a model holds each one.
+
+    Many controllers interpolate between the set points that a log shows.
+    """
+
+    kind = "command_interpolation"
+    acts_on: ClassVar[str] = "arm"
+    proportional: ClassVar[int | None] = 0
+    in_model: ClassVar[bool] = False
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return all drives together."""
+        return ("all",) if machine.actuators else ()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Share of the way from a held command to the straight line."""
+        return (Parameter(name="share", unit="", low=0.0, high=1.0, scale=1.0),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Start: all of it."""
+        return ((1.0,),)
+
+    def command(self, time: Array, controls: Array, values: Array) -> Array:
+        """Draw lines between the steps of the commands."""
+        steps = np.flatnonzero(np.any(np.diff(controls, axis=0) != 0, axis=1)) + 1
+        at = np.concatenate([[0], steps, [len(time) - 1]])
+        lines = np.array([np.interp(time, time[at], column[at]) for column in controls.T]).T
+        return controls + values[0] * (lines - controls)
+
+
 def behind_slack(position: Array, slack: float, elastic: float) -> Array:
     """Share of the friction that acts along a path (T,)."""
     anchor, found = float(position[0]), np.empty_like(position)
@@ -126,6 +162,7 @@ def behind_slack(position: Array, slack: float, elastic: float) -> Array:
 
 
 EFFECTS: Mapping[str, type[Effect]] = ChainMap(
-    {effect.kind: effect for effect in (TorqueOffset, FrictionBehindSlack)}, CATALOGUE
+    {effect.kind: effect for effect in (TorqueOffset, FrictionBehindSlack, CommandInterpolation)},
+    CATALOGUE,
 )
 """Identifier -> class, of all effects, those that users register included."""

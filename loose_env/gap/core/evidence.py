@@ -59,6 +59,8 @@ class Channel:
     """Centre of each cell's band [rad/s] (C,)."""
     growth: Array
     """Relative change of each cell's noise by a coefficient of one of each column (C, K)."""
+    held: Array
+    """Relative change of the stiffness by which the drive holds the joint, by each column (K,)."""
     blanked: float
     """Share of the time that is left out: rest, and knocks."""
     gram: Array = field(init=False)
@@ -183,6 +185,7 @@ def append(evidence: Evidence, term: Term) -> None:
             more = np.stack([term.columns[k].operator for k in own])
             growth = _growth(evidence.balance, channel.joint, channel.turn, more)
             channel.growth = np.hstack([channel.growth, growth])
+            channel.held = np.append(channel.held, _held(evidence.balance, channel.joint, more))
     for name in ("centre", "low", "high"):
         grown = [getattr(c, name) for c in term.columns]
         setattr(evidence, name, np.concatenate([getattr(evidence, name), grown]))
@@ -235,6 +238,7 @@ def _channel(
         run=found.run,
         turn=found.turn,
         growth=_growth(balance, joint, found.turn, operators[felt]),
+        held=_held(balance, joint, operators[felt]),
         blanked=float(np.mean(weight < 0.5)),
     )
 
@@ -275,6 +279,12 @@ def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
     )
 
 
+def cell_powers(balance: Balance, channel: int, change: Array) -> Array:
+    """Power of a change of the balance in each cell of a channel, in noise variances (C,)."""
+    found = _rows(balance, channel, [change])
+    return np.bincount(found.cell, found.whitened[:, 0] ** 2, len(found.count))
+
+
 def stretches_of(balance: Balance) -> list[tuple[int, slice]]:
     """Stretches of all runs: run and samples."""
     found, runs = [], balance.motion.runs
@@ -298,6 +308,15 @@ def _edges(balance: Balance) -> Array:
     top = balance.motion.band
     low = min(3 / (longest * balance.motion.step), top / 4)
     return np.concatenate([[0.0], np.geomspace(low, 1.02 * top, BANDS)])
+
+
+def _held(balance: Balance, joint: int, operators: Array) -> Array:
+    """Relative change of the stiffness by which a drive holds a joint (K,); 0 without a servo."""
+    if joint >= len(balance.machine.joints) or balance.released.any():
+        return np.zeros(len(operators))
+    stiffness = balance.operator[2, joint, joint]
+    driven = abs(balance.stiffness[joint]) > 0.5 * abs(stiffness)
+    return operators[:, 2, joint, joint] / stiffness if driven else np.zeros(len(operators))
 
 
 def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Array:
@@ -400,5 +419,6 @@ def _combine(channel: Channel, mixed: Array, free: int) -> None:
     channel.growth = np.hstack(
         [channel.growth[:, own] @ mixed[channel.columns[own]], channel.growth[:, ~own]]
     )
+    channel.held = np.append(channel.held[own] @ mixed[channel.columns[own]], channel.held[~own])
     channel.columns = np.concatenate([np.arange(kept), others - free + kept])
     channel.__post_init__()

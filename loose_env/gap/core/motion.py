@@ -58,6 +58,8 @@ class RunMotion:
     """Commands as held from sample to sample, in the band of the motion (T, actuators)."""
     sampled: Array
     """Commands as sampled, not held, in the same band (T, actuators)."""
+    straight: Array
+    """Commands along straight lines from sample to sample (T, actuators)."""
     torques: Array
     """Measured joint torques, NaN of joints without (T, joints)."""
     log_step: float
@@ -209,9 +211,13 @@ def _band_end(log: _Log, noise: Array) -> float:
         frequency, power = _spectrum(values, log.step)
         width = max(int(0.25 / frequency[1]), 1)
         power = np.convolve(power, np.ones(2 * width + 1) / (2 * width + 1), "same")
-        # the last one: a swing has harmonics, with nothing between them
-        loud = np.flatnonzero(power >= 30 * sd**2)
-        last = loud[-1] if len(loud) else 0
+        peak = int(np.argmax(power * frequency**2))
+        quiet = np.flatnonzero(power < 30 * sd**2)
+        quiet = quiet[quiet > peak]
+        last = quiet[0] if len(quiet) else len(frequency) - 1
+        # dry friction makes a third harmonic, and a swing has nothing between
+        third = np.flatnonzero(power[: int(3.3 * peak)] >= 30 * sd**2)
+        last = max(int(last), int(third[-1]) if len(third) else 0)
         bulk = np.cumsum(np.maximum(power - sd**2, 0)[: last + 1] * frequency[: last + 1] ** 4)
         if bulk[-1] > 0:
             most = 6 * frequency[np.searchsorted(bulk, 0.99 * bulk[-1])]
@@ -250,6 +256,7 @@ def _run_motion(log: _Log, noise: Array, band: float, thin: int) -> RunMotion:
         # through the same filter: a stiff servo acts on a small difference of large signals
         commands=blocks(low_passed(log.commands, band, log.step, held=log.step)),
         sampled=blocks(low_passed(log.commands, band, log.step)),
+        straight=blocks(low_passed(log.commands, band, log.step, drawn=log.step)),
         torques=blocks(low_passed(log.torque, band, log.step)),
         log_step=log.step,
     )
@@ -278,8 +285,12 @@ def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float)
     return np.stack(whole)[:, pad : pad + len(q)]
 
 
-def low_passed(values: Array, band: float, step: float, *, held: float = 0.0) -> Array:
+def low_passed(
+    values: Array, band: float, step: float, *, held: float = 0.0, drawn: float = 0.0
+) -> Array:
     """Columns (T, K) through the low-pass of the motion, each sample held for some time [s].
+
+    Or drawn to the next one in a straight line of some length [s].
 
     A column with gaps stays as it is.
     """
@@ -291,6 +302,7 @@ def low_passed(values: Array, band: float, step: float, *, held: float = 0.0) ->
         line = np.linspace(ends[0], ends[-1], len(ends))
         turn = 2 * np.pi * np.fft.rfftfreq(len(ends), step)
         hold = np.sinc(turn * held / (2 * np.pi)) * np.exp(-0.5j * turn * held)
+        hold = hold * np.sinc(turn * drawn / (2 * np.pi)) ** 2
         shape = np.fft.rfft(ends - line) * _passed(turn, band) * hold
         slope = (ends[-1] - ends[0]) / (len(ends) - 1) / step
         whole = np.fft.irfft(shape, len(ends)) + line - 0.5 * held * slope

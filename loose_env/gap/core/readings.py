@@ -69,6 +69,10 @@ class Readings:
         position, speed, acceleration = self._states
         return self._along(self.model, position, speed, acceleration + more) - self.foretold
 
+    def moved(self, q: Array, v: Array, a: Array) -> Array:
+        """Change of the readings by another motion (T, R)."""
+        return self._along(self.model, q, v, a) - self.foretold if self.names else self.nothing
+
     def noise(self, reading: int, frequency: Array) -> Array:
         """Standard deviation of a reading less the foretold one (F,)."""
         turn = 2 * np.pi * frequency[:, None]

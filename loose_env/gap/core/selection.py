@@ -20,7 +20,7 @@ from scipy.linalg import solve_triangular
 
 from loose_env.gap.core.balance import USUAL
 from loose_env.gap.core.catalogue import Term, terms_of
-from loose_env.gap.core.evidence import Channel, Evidence, append
+from loose_env.gap.core.evidence import Channel, Evidence, append, cell_powers
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.inference import log_determinant
 from loose_env.typing import Array
@@ -43,6 +43,10 @@ _MOST = 40
 """Steps of a search."""
 _LEVELS, _KEPT, _STARTS = 3, 4, 3
 """Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
+_SETTLED, _SECANTS = 4, 4
+"""Sets of a step that are relinearised, and how often."""
+_BENT = 4.0
+"""Noise variances, two standard deviations, by which an effect may differ from its columns."""
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)
 """Relative steps in which shapes are refined."""
 
@@ -82,6 +86,9 @@ class Selection:
         self.usual = [
             evidence.balance.noise(c.joint, c.turn / (2 * np.pi), floor=False)
             for c in evidence.channels
+        ]
+        self._bands = [
+            np.unique(c.turn / (2 * np.pi), return_inverse=True) for c in evidence.channels
         ]
         self.values = [_values(c, 0.0) for c in evidence.channels]
         self.values = [
@@ -166,18 +173,23 @@ class Selection:
         for _ in range(rounds):
             normal, slope = np.diag(precision), precision * centre
             for k, (part, power) in enumerate(zip(parts, powers, strict=True)):
-                weight = self.weights(k, power)
-                normal[np.ix_(part.at, part.at)] += np.tensordot(weight, part.gram, 1)
-                slope[part.at] += weight @ part.slope
-                shrunk[k] |= part.growth @ found[part.at] < 0  # for good: else it alternates
-                guard = shrunk[k] * weight * power
-                normal[np.ix_(part.at, part.at)] += (part.growth.T * guard) @ part.growth
-                slope[part.at] += guard @ part.growth
+                weight, count = self.weights(k, power), evidence.channels[k].count
+                moved = part.growth @ found[part.at]
+                own = (weight @ part.gram).reshape(len(part.at), -1)
+                held = part.held @ found[part.at]
+                shrunk[k] |= np.minimum(moved, held) < -1e-12  # for good: else it alternates
                 # noise that grows with the operator is in the columns: least squares would
                 # attenuate their coefficients (errors in variables)
-                more = np.maximum(part.growth @ found[part.at], 0.0)
-                noisy = weight * evidence.channels[k].count * ~shrunk[k] * (1 + more) * (more > 0)
-                slope[part.at] += noisy @ part.growth
+                noisy = weight * np.minimum(count, power) * ~shrunk[k] * (1 + moved) * (moved > 0)
+                slope[part.at] += weight @ part.slope + noisy @ part.growth
+                if shrunk[k].any():
+                    guard = shrunk[k] * weight * power
+                    scale = np.where(
+                        (held < np.minimum(moved, 0.0))[:, None], part.held, part.growth
+                    )
+                    own += (scale.T * guard) @ scale
+                    slope[part.at] += guard @ scale
+                normal[part.grid] += own
             scale = 1 / np.sqrt(np.diag(normal))
             found = np.linalg.solve(normal * np.outer(scale, scale), slope * scale) * scale
             left = self._powers(parts, numbers, found)
@@ -200,24 +212,25 @@ class Selection:
     def _powers(
         self, parts: Sequence[_Part], numbers: NDArray[np.intp], values: Array
     ) -> list[Array]:
-        """Residual sums of squares in units of the noise that the fitted operator makes.
+        """Noise, and excess over what noise the fitted operator makes, as motion of the joint.
 
-        A balance whose every term shrinks makes less noise, too, and gains nothing. In the
-        quadratic form that is the expansion of a log determinant, see `Channel.growth`.
+        A balance whose every term shrinks makes less noise, too, and gains nothing; nor does a
+        drive that holds less, whose discrepancy stays the same motion.
         """
         evidence = self.evidence
         operator = evidence.balance.operator + np.tensordot(values, evidence.operators[numbers], 1)
         found = []
         for k, (channel, part) in enumerate(zip(evidence.channels, parts, strict=True)):
             own = values[part.at]
-            power = (
-                channel.power - 2 * part.slope @ own + np.einsum("cij,i,j->c", part.gram, own, own)
-            )
-            turn = channel.turn / (2 * np.pi)
-            now = evidence.balance.noise(channel.joint, turn, operator, floor=False)
+            products = np.outer(own, own).ravel()
+            power = channel.power - 2 * part.slope @ own + part.gram @ products
+            bands, at = self._bands[k]
+            now = evidence.balance.noise(channel.joint, bands, operator, floor=False)[at]
             ratio = (now / self.usual[k]) ** 2
-            more = power - channel.count * np.maximum(ratio - 1.0, 0.0)
-            found.append(np.maximum(more, 0.0) / np.minimum(ratio, 1.0))
+            held = max(1.0 + float(part.held @ own), 0.0) ** 2
+            excess = power - channel.count * ratio
+            scale = np.clip(np.minimum(ratio, held), 1e-300, 1.0)
+            found.append(np.maximum(channel.count + excess / scale, 0.0))
         return found
 
     # ---- many sets at fixed weights
@@ -227,7 +240,7 @@ class Selection:
         evidence = self.evidence
         normal = np.diag(evidence.precision)
         slope = evidence.precision * evidence.centre
-        growths, guards, noises = [], [], []
+        growths, holds, guards, noises = [], [], [], []
         for k, channel in enumerate(evidence.channels):
             weight = self.weights(k, powers[k])
             at = channel.columns
@@ -236,9 +249,12 @@ class Selection:
             growth = np.zeros((len(weight), len(slope)))
             growth[:, at] = channel.growth
             growths.append(growth)
+            held = np.zeros(len(slope))
+            held[at] = channel.held
+            holds.append(np.tile(held, (len(weight), 1)))
             guards.append(weight * powers[k])
-            noises.append(weight * channel.count)
-        return _Form(normal, slope, *map(np.concatenate, (growths, guards, noises)))
+            noises.append(weight * np.minimum(channel.count, powers[k]))
+        return _Form(normal, slope, *map(np.concatenate, (growths, holds, guards, noises)))
 
     def predicted(self, form: _Form, terms: Sequence[Term]) -> float:
         """Total of a set at fixed weights; infinite where a coefficient is out of bounds."""
@@ -246,13 +262,14 @@ class Selection:
         normal, slope = form.normal[np.ix_(at, at)], form.slope[at]
         try:
             half, values, determinant = _solved(normal, slope)
-            growth = form.growth[:, at]
-            moved = growth @ values
-            if np.any(moved):
-                guard = form.guard * (moved < 0)
-                more = guard + form.noise * np.where(moved > 0, 1 + moved, 0.0)
+            growth, holds = form.growth[:, at], form.held[:, at]
+            moved, held = growth @ values, holds @ values
+            if np.any(moved) or np.any(held):
+                guard = form.guard * (np.minimum(moved, held) < 0)
+                scale = np.where((held < np.minimum(moved, 0.0))[:, None], holds, growth)
+                noisy = form.noise * np.where((moved > 0) & (guard == 0), 1 + moved, 0.0)
                 half, values, determinant = _solved(
-                    normal + (growth.T * guard) @ growth, slope + more @ growth
+                    normal + (scale.T * guard) @ scale, slope + guard @ scale + noisy @ growth
                 )
         except np.linalg.LinAlgError:
             return np.inf
@@ -351,7 +368,7 @@ class Selection:
             shaped = [
                 k for k, p in enumerate(term.effect.parameters) if k != term.effect.proportional
             ]
-            if term.effect.axes or not (term.law or term.effect.proportional is not None):
+            if _is_linear(term):
                 continue
             for step in _STEPS:
                 for k in shaped:
@@ -373,14 +390,52 @@ class Selection:
         values[parameter] = own.clipped(float(moved))
         if values[parameter] == term.axes[0][parameter]:
             return None
-        evidence = self.evidence
         contact = (term.contact,) if term.contact else ()
         axes = (tuple(float(v) for v in values),)
-        new = terms_of(evidence.balance, term.effect, axes, term.law, contact or ("",))
+        return self.replaced(state, term, axes, contact or ("",))
+
+    def relinearised(self, state: SetFit, term: Term) -> SetFit:
+        """Secant of a linear effect to its fitted value, where that explains more.
+
+        A tilt of 0.1 rad takes half a per cent off gravity, which another effect would explain.
+        """
+        place = {k: i for i, k in enumerate(state.numbers)}
+        own = [place[k] for k in self.evidence.columns_of(term)]
+        shares = state.values[own]
+        axes = list(term.axes)
+        axes[int(np.argmax(np.abs(shares)))] = tuple(map(float, term.values(shares)))
+        if not self._bent(term, shares, state.powers):
+            return state
+        new = self.replaced(state, term, tuple(axes), (term.contact,))
+        return new if new is not None and new.total < state.total else state
+
+    def _bent(self, term: Term, shares: Array, powers: Sequence[Array]) -> bool:
+        """Whether an effect differs from its columns by more than the data's doubt of it."""
+        balance, values = self.evidence.balance, term.values(shares)
+        exact = balance.forces(term.effect, values).with_contact(
+            balance.directions[term.contact or USUAL]
+        )
+        off = exact - sum(s * c.change for s, c in zip(shares, term.columns, strict=True))
+        lost = 0.0
+        for k, channel in enumerate(self.evidence.channels):
+            if np.any(off[:, channel.joint]):
+                cells = cell_powers(balance, channel.joint, off)
+                lost += float(self.weights(k, powers[k]) @ cells)
+        return lost > _BENT
+
+    def replaced(
+        self,
+        state: SetFit,
+        term: Term,
+        axes: tuple[tuple[float, ...], ...],
+        contacts: tuple[str, ...],
+    ) -> SetFit | None:
+        """Fit with a member's columns along other axes; None if that is out of bounds."""
+        evidence = self.evidence
+        new = terms_of(evidence.balance, term.effect, axes, term.law, contacts)
         if not new:
             return None
         append(evidence, new[0])
-        self._shapes[term.name] = self._shapes[term.name]
         fit = self.fit((*(t for t in state.terms if t is not term), new[0]), state.powers)
         return fit if fit.allowed else None
 
@@ -434,7 +489,18 @@ class Selection:
                 if np.isfinite(total):
                     chosen.setdefault(k, powers)
         found = (self.solve(sets[k], powers) for k, powers in chosen.items())
-        return [fit for fit in found if fit.allowed]
+        order = sorted((fit for fit in found if fit.allowed), key=lambda f: f.total)
+        return [*(self.settled(fit) for fit in order[:_SETTLED]), *order[_SETTLED:]]
+
+    def settled(self, fit: SetFit) -> SetFit:
+        """The same set with its effects relinearised where they were fitted, until they stay."""
+        for _ in range(_SECANTS):
+            before = fit
+            for term in filter(_is_linear, fit.terms):
+                fit = self.relinearised(fit, term)
+            if fit.total > before.total - _LEAST_GAIN:
+                break
+        return fit
 
     def polished(self, state: SetFit) -> SetFit:
         """Remove, reshape and exchange members until nothing helps."""
@@ -482,6 +548,11 @@ class Selection:
         return found
 
 
+def _is_linear(term: Term) -> bool:
+    """Whether an effect's columns are its derivatives; else they have a shape."""
+    return bool(term.effect.axes) or not (term.law or term.effect.proportional is not None)
+
+
 def neighbours(machine: NominalModel, where: str) -> set[str]:
     """Joint, link and drive of one place; "all", the tool and the base are beside any."""
     found = {where, "all", "tool", "base"}
@@ -509,6 +580,7 @@ class _Form:
     normal: Array
     slope: Array
     growth: Array
+    held: Array
     guard: Array
     noise: Array
 
@@ -525,20 +597,31 @@ def _solved(normal: Array, slope: Array) -> tuple[Array, Array, float]:
 @dataclass(frozen=True, eq=False)
 class _Part:
     at: NDArray[np.intp]
+    grid: tuple[NDArray[np.intp], ...]
     gram: Array
     slope: Array
     growth: Array
+    held: Array
 
 
 def _part(channel: Channel, numbers: NDArray[np.intp]) -> _Part:
-    """Products of some columns in a channel."""
+    """Products of some columns in a channel, the matrix of each cell in one row."""
     lookup = np.full(max(int(numbers.max(initial=0)), int(channel.columns.max(initial=0))) + 1, -1)
     lookup[channel.columns] = np.arange(len(channel.columns))
     own = lookup[numbers]
     at = np.flatnonzero(own >= 0)
     local = own[at]
-    gram = channel.gram[:, local[:, None], local]
-    return _Part(at, gram, channel.slope[:, local], channel.growth[:, local])
+    cells, width = channel.gram.shape[:2]
+    flat = (local[:, None] * width + local).ravel()
+    gram = np.take(channel.gram.reshape(cells, -1), flat, axis=1)
+    return _Part(
+        at,
+        np.ix_(at, at),
+        gram,
+        channel.slope[:, local],
+        channel.growth[:, local],
+        channel.held[local],
+    )
 
 
 def _near_bounds(

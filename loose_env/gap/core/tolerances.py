@@ -18,7 +18,7 @@ from loose_env.gap.model.effects.mjcf.geometry import link_ends
 from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial
 from loose_env.gap.model.effects.mjcf.joint_effect import added_name
 from loose_env.gap.model.effects.mjcf.passive_actuators import add_constant
-from loose_env.gap.model.effects.sensors import EncoderOffset
+from loose_env.gap.model.effects.sensors import EncoderOffset, SensorDelay
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
@@ -30,27 +30,29 @@ Edit = Callable[[mujoco.MjSpec, float], None]
 class Tolerances:
     """Standard deviations of what a nominal model states."""
 
-    mass: float = 0.05
+    mass: float = 0.025
     """Mass of a link, with its inertia [share]: CAD against a weighed part."""
-    centre: float = 0.06
+    centre: float = 0.02
     """Centre of mass of a link [share of its length], at most `centre_m`: cables, screws."""
-    centre_m: float = 0.015
+    centre_m: float = 0.01
     """Largest tolerance of a centre of mass [m]."""
-    inertia: float = 0.15
+    inertia: float = 0.1
     """Each of the six components of a link's inertia [share of its mean moment]."""
-    armature: float = 0.2
+    armature: float = 0.1
     """Rotor inertia [share]: data sheets round, and gears add."""
-    torque: float = 0.04
+    torque: float = 0.025
     """Torque constant, or gain of a servo [share]."""
-    velocity_gain: float = 0.1
+    velocity_gain: float = 0.06
     """Velocity gain of a servo [share]: the same column as viscous friction."""
-    damping: float = 0.1
+    damping: float = 0.06
     """Damping and dry friction that the model has [share]: they change with temperature."""
     offset: float = 0.01
     """Constant torque of a joint [share of its typical torque]."""
-    zero: float = 0.002
+    offset_of_limit: float = 0.003
+    """The same as a share of the largest torque that the drive is built for, if that is more."""
+    zero: float = 0.001
     """Zero position of a joint [rad, m]: a calibrated encoder."""
-    shift_samples: float = 0.7
+    shift_samples: float = 0.4
     """Shift of commands or torques against the motion [intervals of the log], of either sign:
     held or interpolated commands, and the order of a logger's cycle."""
     sensor: float = 0.005
@@ -164,7 +166,10 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
                 scaled = _scaled_joint(name, field, width)
                 yield _edited(f"{field} of {name}", scaled, balance)
         one, nothing = np.eye(count)[joint], np.zeros((3, count, count))
-        size = tolerances.offset * float(machine.load_scales[joint])
+        size = max(
+            tolerances.offset * float(machine.load_scales[joint]),
+            tolerances.offset_of_limit * _limit(machine, name),
+        )
         yield Nuisance(
             name=f"constant torque at {name}",
             change=np.tile(size * one, (len(balance.drive), 1)),
@@ -189,6 +194,18 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
                 change=tolerances.shift_samples * balance.motion.runs[0].log_step * rate,
                 operator=nothing,
             )
+
+
+def _limit(machine: NominalModel, joint: str) -> float:
+    """Largest torque of a joint by the limits of the model; 0 without any."""
+    model = machine.model
+    number = int(model.joint(joint).id)
+    limits = [model.jnt_actfrcrange[number, 1]] if model.jnt_actfrclimited[number] else []
+    for actuator, own in machine.actuated_joint.items():
+        k = int(model.actuator(actuator).id)
+        if own == joint and model.actuator_forcelimited[k]:
+            limits.append(model.actuator_forcerange[k, 1] * abs(model.actuator_gear[k, 0]))
+    return float(min(limits, default=0.0))
 
 
 def _shifted_zero(machine: NominalModel, joint: str, width: float) -> Edit:
@@ -273,6 +290,14 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         seen = balance.readings.accelerated(balance.stepped_acceleration())
         change = np.hstack([np.zeros((len(seen), joints)), seen])
         yield Nuisance(name="steps of commands in readings", change=change, operator=nothing)
+    step = motion.runs[0].log_step
+    for name in balance.encoders:
+        forces = balance.forces(SensorDelay(balance.machine, name), np.array([0.1 * step]))
+        change = np.hstack([forces.smooth, forces.readings])
+        yield Nuisance(
+            name=f"timing of {name}", change=10 * tolerances.sensor_samples * change,
+            operator=nothing,
+        )  # fmt: skip
     for name in dict.fromkeys(name for name, _ in motion.sensors):
         at = [k for k, (own, _) in enumerate(motion.sensors) if own == name]
         change = np.zeros((len(foretold), joints + len(motion.sensors)))
