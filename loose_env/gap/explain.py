@@ -32,9 +32,11 @@ from loose_env.gap.core.residual import (
 )
 from loose_env.gap.core.selection import neighbours
 from loose_env.gap.data.measured_runs import measured_runs
+from loose_env.gap.model.effects.link_inertia import payload_notes
+from loose_env.gap.model.element_names import naming_notes
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.advice import how_to_see, how_to_separate
-from loose_env.gap.output.corrected_model import correction_code, model_notes, write_model
+from loose_env.gap.output.corrected_model import correction_code, model_notes, step_for, write_model
 from loose_env.gap.output.result import (
     ChannelVerdict,
     EffectLocation,
@@ -47,7 +49,6 @@ from loose_env.gap.output.result import (
     Verdict,
 )
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.simulation.time_step import step_with
 from loose_env.recording import Recording
 from loose_env.typing import Array
 
@@ -260,7 +261,7 @@ def write_gap(
         place / "model.xml",
         machine,
         solution.corrected,
-        step=step_with(machine, solution.corrected.effects),
+        step=step_for(machine, solution.corrected),
         source=solution.answer.recording.model_path,
         notes=model_notes(result.effects, pulled_words(result)),
     )
@@ -413,7 +414,9 @@ def _ranking(answer: Answer) -> tuple[RankedSet, ...]:
 def _warnings(answer: Answer, recording: Recording) -> tuple[str, ...]:
     """Cautions: samples left out, one run alone, effects that no file carries."""
     machine = answer.selection.evidence.balance.machine
-    found = [*measured_runs(recording.runs, machine.model)[1]]
+    found = [*measured_runs(recording.runs, machine.model)[1], *naming_notes(recording.spec())]
+    if any(each.term.effect.kind == "payload" for each in answer.decision.findings):
+        found += payload_notes(machine)
     if len(answer.selection.evidence.balance.motion.runs) == 1:
         found.append(
             "one run alone: alternate stretches of it are held out, so that what every stretch of "

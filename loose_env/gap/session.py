@@ -19,9 +19,8 @@ from loose_env.gap.core.find import evidence_of
 from loose_env.gap.core.selection import SetFit
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.output.corrected_model import correction_code, write_model
+from loose_env.gap.output.corrected_model import correction_code, step_for, write_model
 from loose_env.gap.settings import GapSettings
-from loose_env.gap.simulation.time_step import step_with
 from loose_env.recording import Recording
 from loose_env.typing import Array
 
@@ -219,7 +218,7 @@ class GapSession:
             If it does not compile.
         """
         machine = self.selection.evidence.balance.machine
-        step = step_with(machine, self.added)
+        step = step_for(machine, self.hypothesis)
         return write_model(
             Path(path), machine, self.hypothesis, step=step, source=self.recording.model_path
         )

@@ -47,6 +47,7 @@ _PLAIN = {
     "gear_eccentricity": "an eccentric gear",
     "sensor_quantisation": "a coarse sensor",
     "torque_offset": "a constant torque",
+    "command_interpolation": "interpolated commands",
     "friction_behind_slack": "dry friction behind slack",
 }
 _PLACES = {

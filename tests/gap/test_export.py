@@ -17,7 +17,7 @@ from loose_env.gap.model.effects.joint_elasticity import JointCompliance
 from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
-from loose_env.gap.output.corrected_model import correction_code
+from loose_env.gap.output.corrected_model import correction_code, step_for
 from loose_env.recording import ModelColumns
 from tests.gap.cases.effect_arms import PLANAR, SPATIAL, machine_of
 
@@ -147,3 +147,10 @@ def test_an_effect_that_changes_a_name_is_refused_and_leaves_no_file(tmp_path: P
     with pytest.raises(InvalidData, match=r"sensor\.encoder1"):
         write_model(tmp_path / "model.xml", machine, added(Renaming(machine, "joint1"), [1.0]))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("late", "parts"), [(0.02, 1), (0.0011, 1), (0.0004, 4), (1e-5, 8)])
+def test_what_is_shorter_than_a_step_is_written_with_a_finer_one(late: float, parts: int) -> None:
+    machine = machine_of("planar")
+    delay = CATALOGUE["command_delay"](machine, "all")
+    assert step_for(machine, added(delay, [late])) == pytest.approx(0.001 / parts)

@@ -1,7 +1,6 @@
 """Hooks by which an effect proposes starting values from residual torques, accelerations, limits.
 
-`loose_env.gap.selection.screening.data_driven_starts` works out what the methods are given. An
-effect that overrides one of them is asked.
+An effect that overrides one of them is asked.
 """
 
 from __future__ import annotations

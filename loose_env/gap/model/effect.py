@@ -31,7 +31,7 @@ How an effect finds starts in data is in `loose_env.gap.model.data_starts`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import ClassVar
 
 import mujoco
@@ -143,12 +143,6 @@ class Effect(StartsFromData):
         likely = "actuator" if type(self).command is not Effect.command else "joint"
         order = ("sensor" if not self.moves else likely, *known)
         return next((part for part in order if self.where in known[part]), "arm")
-
-    def shaped_by(self, parameter: str) -> bool:
-        """Whether a parameter shapes the effect, beside others that size it."""
-        if self.proportional is not None:
-            return parameter != self.parameters[self.proportional].name
-        return bool(self.limit) and parameter not in dict(self.limit)
 
     @property
     def drives(self) -> bool:
@@ -263,14 +257,6 @@ class Effect(StartsFromData):
         """
         return ""
 
-    def at_limit(self, values: Array) -> Array:
-        """Set the parameters of `limit` to their bounds (P,)."""
-        found, ends = np.array(values, dtype=float), dict(self.limit)
-        for k, parameter in enumerate(self.parameters):
-            if parameter.name in ends:
-                found[k] = parameter.low if ends[parameter.name] == "low" else parameter.high
-        return found
-
     @classmethod
     def null_value(cls, parameters: Sequence[str], parameter: str) -> float:
         """Value of a parameter without the effect; NaN if it vanishes only in a limit."""
@@ -372,8 +358,3 @@ class Effect(StartsFromData):
 
     def _clipped(self, values: Array) -> tuple[float, ...]:
         return tuple(p.clipped(float(v)) for p, v in zip(self.parameters, values, strict=True))
-
-
-def have_stops(effects: Iterable[Effect]) -> bool:
-    """Return whether any of some effects has stops."""
-    return any(effect.has_stops for effect in effects)

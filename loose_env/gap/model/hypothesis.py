@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import NominalModel, set_step
@@ -60,23 +59,6 @@ class Hypothesis:
     def of_model(self) -> Hypothesis:
         """The same without the initial states, which belong to the runs."""
         return replace(self, position=None, speed=None)
-
-    @property
-    def nominal_factors(self) -> dict[str, float]:
-        """Factors on the nominal parameters, by name."""
-        return {} if self.nominal is None else self.nominal.by_name(self.factors)
-
-    def for_runs(self, runs: NDArray[np.intp]) -> Hypothesis:
-        """Restrict the initial states to some runs (indices); -1 for one without an offset."""
-        position, speed = self.position, self.speed
-        if position is None and speed is None:
-            return self
-        known = (runs >= 0)[:, None]
-        return replace(
-            self,
-            position=None if position is None else np.where(known, position[runs], 0.0),
-            speed=None if speed is None else np.where(known, speed[runs], 0.0),
-        )
 
     def with_effects(self, pairs: Sequence[tuple[Effect, Array]]) -> Hypothesis:
         """Copy with other effects and values, and the same nuisance parameters."""

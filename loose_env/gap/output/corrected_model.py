@@ -23,6 +23,9 @@ from loose_env.io import written_beside
 from loose_env.recording import ModelColumns
 from loose_env.typing import Array
 
+_PARTS = (1, 2, 4, 8)
+"""Into how many parts a step is cut."""
+
 
 def corrected_spec(
     machine: NominalModel,
@@ -45,6 +48,23 @@ def corrected_spec(
     hypothesis.export(spec)
     _keep_keyframes(spec, machine)
     return spec
+
+
+def step_for(machine: NominalModel, hypothesis: Hypothesis) -> float:
+    """Time step of the written model [s]: at most any delay or lag of its drives.
+
+    A filter that is much shorter than a step makes a Runge-Kutta method diverge, and MJCF delays
+    commands from step to step.
+    """
+    step = step_with(machine, hypothesis.effects)
+    late = [
+        float(value)
+        for effect, values in hypothesis.pairs
+        for parameter, value in zip(effect.parameters, values, strict=True)
+        if effect.drives and parameter.unit == "s" and value > 0
+    ]
+    parts = next((k for k in _PARTS if step <= k * min(late, default=step)), _PARTS[-1])
+    return step / parts
 
 
 def _keep_keyframes(spec: mujoco.MjSpec, machine: NominalModel) -> None:

@@ -9,7 +9,6 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.data.smoothing import SmoothedMotion
 from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -17,11 +16,6 @@ from loose_env.typing import Array
 
 Places = slice | NDArray[np.intp]
 """Indices of simulations."""
-
-_ROUNDS = 12
-"""Most steps of the solution for a friction of the drive torque: two are exact for a share."""
-_SOLVED = 1e-9
-"""Change of a torque over the largest one, below which it is solved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,39 +81,6 @@ def grouped_driven_effects(hypotheses: Sequence[Hypothesis]) -> list[tuple[Drive
 def indices(mask: Sequence[bool]) -> Places:
     """Indices at which a mask is true; a slice where it is everywhere, which makes views."""
     return slice(None) if all(mask) else np.flatnonzero(mask)
-
-
-def load_dependent_friction(
-    hypothesis: Hypothesis, motion: SmoothedMotion, torque: Array, load: Array
-) -> Array:
-    """Dry friction that depends on the torques of a measured motion (E, joints) [N·m, N].
-
-    A drive gives what the rest of the model needs, ``torque`` (E, joints) at the compared points,
-    and this friction, which grows with what it gives: solved by fixed-point iteration. ``load``
-    (E, joints) are the torques of gravity and inertial coupling there.
-    """
-    grid, kept = np.arange(len(motion.time)), motion.chosen
-    rest, loads = (
-        np.stack([np.interp(grid, kept, column) for column in each.T], axis=1)
-        for each in (torque, load)
-    )
-    direction = np.tanh(motion.speed / np.maximum(motion.noise[1], 1e-12))
-    driven = Driven.of(hypothesis)
-
-    def given(drive: Array) -> Array:
-        return np.asarray(rest + direction * driven.frictions(drive, loads, motion.speed))
-
-    drive = given(rest)
-    for _ in range(_ROUNDS):
-        after = given(drive)
-        if np.max(np.abs(after - drive), initial=0.0) <= _SOLVED * np.max(np.abs(rest), initial=0):
-            break
-        # a share of the torque is linear in it as long as it keeps its sign: the secant solves it
-        again = given(after)
-        bend = 2 * after - drive - again
-        step = np.divide((after - drive) ** 2, bend, out=after - drive, where=bend != 0)
-        drive = drive + step
-    return np.asarray(motion.band.smooth(drive - rest)[kept])
 
 
 def _is_driven(effect: Effect) -> TypeGuard[DrivenEffect]:
