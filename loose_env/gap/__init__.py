@@ -1,6 +1,6 @@
 """Model error: find, identify and correct the physical effects that a simulation lacks.
 
-Data flow: model -> data -> simulation -> core -> output -> explain, session; experiment_design is
+Data flow: model -> runs -> simulator -> core -> output -> explain, session; experiment_design is
 beside the core, for `Gap-v0`.
 """
 

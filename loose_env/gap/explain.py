@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.arms import quiet
 from loose_env.doctor import Finding as Preflight
 from loose_env.gap.core.decision import Finding, JointVerdict, held_out_rms
-from loose_env.gap.core.find import Answer, evidence_of, find_gap
+from loose_env.gap.core.find import Answer, evidence_of, find_gap, silent
 from loose_env.gap.core.identifiability import identifiability
 from loose_env.gap.core.residual import (
     Correlation,
@@ -31,7 +30,6 @@ from loose_env.gap.core.residual import (
     simulated_errors,
 )
 from loose_env.gap.core.selection import neighbours
-from loose_env.gap.data.measured_runs import measured_runs
 from loose_env.gap.model.effects.link_inertia import payload_notes
 from loose_env.gap.model.element_names import naming_notes
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -48,6 +46,7 @@ from loose_env.gap.output.result import (
     TolerancePull,
     Verdict,
 )
+from loose_env.gap.runs import measured_runs
 from loose_env.gap.settings import GapSettings
 from loose_env.recording import Recording
 from loose_env.typing import Array
@@ -161,7 +160,7 @@ def solve_gap(
     begun = time.monotonic()
     answer = find_gap(recording, settings, say=say)
     say("residuals on held-out data")
-    with quiet():
+    with silent():
         selection, fit = answer.selection, answer.decision.fit
         findings = sorted(answer.decision.findings, key=lambda f: f.term.name)
         named = [f for f in findings if f.named]
@@ -218,7 +217,7 @@ def check_gap(
     InvalidData
         If the position of a joint was not read, or no joint moves.
     """
-    with quiet():
+    with silent():
         return identifiability(evidence_of(recording, settings or GapSettings(), say))
 
 

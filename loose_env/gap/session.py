@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.arms import quiet
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.core.catalogue import Term, shapes, shows, terms_of
 from loose_env.gap.core.decision import Finding, decide, held_out_rms
 from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.core.evidence import append
-from loose_env.gap.core.find import evidence_of
+from loose_env.gap.core.find import evidence_of, silent
 from loose_env.gap.core.selection import SetFit
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -110,7 +109,7 @@ class GapSession:
         say: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.recording, self.say = recording, say
-        with quiet():
+        with silent():
             self.selection = evidence_of(recording, settings or GapSettings(), say)
             self.fit = self.selection.solve(())
         self.tried: tuple[TriedEffect, ...] = ()
@@ -150,7 +149,7 @@ class GapSession:
             raise InvalidSetting(
                 f"these motions do not show {effect!r}; record a motion in which it acts"
             )
-        with quiet():
+        with silent():
             fits = [self.selection.solve((*self.fit.terms, term)) for term in terms]
             best = min(fits, key=lambda f: (not f.allowed, f.total))
             finding = decide(self.selection, best).findings[-1]

@@ -24,12 +24,12 @@ from loose_env.gap import (
     register,
     write_model,
 )
-from loose_env.gap.data.aligned_run import Channel, Trial
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.corrected_model import correction_code
-from loose_env.gap.simulation.simulator import Simulator
+from loose_env.gap.runs import Channel, Trial
+from loose_env.gap.simulator import Simulator
 from loose_env.recording import Recording, Run, write_recording
 from loose_env.typing import Array
 from tests.gap.cases.effect_arms import PLANAR, machine_of

@@ -10,9 +10,8 @@ import pytest
 
 from loose_env.errors import InvalidData
 from loose_env.gap import GapSettings, explain_gap
-from loose_env.gap.data.aligned_run import Trial, align_run, channels_of
-from loose_env.gap.data.measured_runs import measured_runs, pieces_of
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.runs import Trial, align_run, channels_of, measured_runs, pieces_of
 from loose_env.recording import Run, read_recording, write_recording
 from loose_env.typing import Array
 

@@ -17,11 +17,11 @@ pytest.importorskip("numba")
 
 
 from loose_env.gap import Hypothesis
-from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_of
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.corrected_model import corrected_spec, correction_code
-from loose_env.gap.simulation.simulator import Simulator
+from loose_env.gap.runs import Channel, Trial, align_run, channels_of
+from loose_env.gap.simulator import Simulator
 from loose_env.recording import Run
 from loose_env.typing import Array
 from scripts.suites.gap.arms import ARMS, Figures, model_xml

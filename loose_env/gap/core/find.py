@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData, UnknownName
@@ -21,6 +24,13 @@ from loose_env.gap.settings import GapSettings
 from loose_env.recording import Recording
 
 Say = Callable[[str], None]
+
+
+@contextmanager
+def silent() -> Iterator[None]:
+    """Without warnings of simulations that diverge, and of sets far out of their bounds."""
+    with quiet(), np.errstate(all="ignore"):
+        yield
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +72,7 @@ def find_gap(
     """
     settings = settings or GapSettings()
     used, held_out = _split(recording, settings)
-    with quiet():
+    with silent():
         selection = evidence_of(used, settings, say)
         say("selection of effects")
         best = pruned(selection, selection.best())

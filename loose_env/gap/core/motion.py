@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidData
-from loose_env.gap.data.measured_runs import measured_runs
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.runs import measured_runs
 from loose_env.recording import Recording, Run, joint_sensors
 from loose_env.statistics import noise_floor, resolution_of
 from loose_env.typing import Array

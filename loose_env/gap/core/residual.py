@@ -18,12 +18,11 @@ from loose_env.gap.core.exact import Exact
 from loose_env.gap.core.find import Answer
 from loose_env.gap.core.motion import smooth
 from loose_env.gap.core.selection import Selection, SetFit
-from loose_env.gap.data.aligned_run import Channel, Trial, align_run, channels_of
-from loose_env.gap.data.measured_runs import measured_runs
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.result import ResidualTest
-from loose_env.gap.simulation.simulator import Simulator
+from loose_env.gap.runs import Channel, Trial, align_run, channels_of, measured_runs
+from loose_env.gap.simulator import Simulator
 from loose_env.recording import joint_sensors
 from loose_env.typing import Array, ComplexArray
 
@@ -437,15 +436,7 @@ _OF_A_SITE = {
 
 
 def quantity_of(machine: NominalModel, column: str) -> str | None:
-    """Quantity and unit of a sensor's column; None for one of unknown unit.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> machine = NominalModel(planar(2).spec)
-    >>> quantity_of(machine, f"sensor.{machine.sensors[0]}")
-    'joint position [rad]'
-    """
+    """Quantity and unit of a sensor's column; None for one of unknown unit."""
     model = machine.model
     source, _, name = column.partition(".")
     if source != "sensor":

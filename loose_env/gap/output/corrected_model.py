@@ -18,7 +18,7 @@ from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, set_step
 from loose_env.gap.output.result import NamedEffect
-from loose_env.gap.simulation.time_step import step_with
+from loose_env.gap.simulator import step_with
 from loose_env.io import written_beside
 from loose_env.recording import ModelColumns
 from loose_env.typing import Array

@@ -1,13 +1,18 @@
 """Simulated sensor values of measured runs under many hypotheses at once, on a thread pool.
 
 A hypothesis is a list of effects with their values. Its predictions are sensor values at the
-samples of the run, channel by channel.
+samples of the run, channel by channel. The step is chosen for the nominal model; a joint that
+comes to rest or a spring that oscillates within a few steps needs finer ones.
+
+A step is simulated with the mean of a command over it. An accelerometer reads the instantaneous
+value: a servo's acceleration jumps with every command. A delayed one reads the value at an earlier
+time, between two steps.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -17,28 +22,160 @@ from numpy.typing import NDArray
 
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
-from loose_env.gap.data.actuator_states import steady_activations
-from loose_env.gap.data.aligned_run import Channel, Trial
-from loose_env.gap.data.initial_rest import SETTLE
-from loose_env.gap.model.effect import Readings
+from loose_env.gap.model.effect import Effect, Readings
+from loose_env.gap.model.effects.mjcf.sensor_columns import column_of, is_position_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.simulation.applied_torque_terms import (
+from loose_env.gap.runs import SETTLE, Channel, Trial, steady_activations
+from loose_env.gap.torque_terms import (
     STATES,
     BatchWithTerms,
+    Driven,
     has_terms,
+    torque_terms,
     with_terms,
 )
-from loose_env.gap.simulation.sensor_timing import (
-    PARTS,
-    changes_within,
-    commands_at,
-    late_sensors,
-    readings_at,
-    show_late_sensors,
-)
-from loose_env.gap.simulation.time_step import stepped
 from loose_env.typing import Array
+
+
+def stepped(trial: Trial, machine: NominalModel, effects: Iterable[Effect]) -> Trial:
+    """Align a run with the steps needed by a hypothesis of these effects."""
+    if machine.uniform_steps or not any(effect.needs_fine_steps for effect in effects):
+        return trial.coarser(machine.merged_steps)
+    return (
+        trial.coarser(machine.merged_steps // 2)
+        if machine.merged_steps > 1
+        else trial.finer(machine.substeps)
+    )
+
+
+def step_with(machine: NominalModel, effects: Iterable[Effect]) -> float:
+    """Time step for a model with these effects, at most that of the machine [s]."""
+    step = machine.time_step
+    needs_fine_steps = any(effect.needs_fine_steps for effect in effects)
+    return step / machine.substeps if needs_fine_steps and machine.merged_steps == 1 else step
+
+
+PARTS = 2
+"""Parts of a step where commands change within it: a mean moves the speed rightly, and the place
+only as far as the change lies in the middle."""
+_AT_A_TIME = 1024
+"""States at which sensors are worked out at a time."""
+
+
+def changes_within(
+    machine: NominalModel, hypothesis: Hypothesis, channels: Sequence[Channel]
+) -> bool:
+    """Return whether commands may change within a step, visible in a channel.
+
+    Positions and speeds follow the mean of a command.
+    """
+    if all(is_position_or_speed(machine, channel.column) for channel in channels):
+        return False
+    return any(type(effect).command_at is not Effect.command_at for effect in hypothesis.stepping)
+
+
+def late_sensors(hypothesis: Hypothesis, channels: Sequence[Channel]) -> dict[str, float]:
+    """Delayed sensors among the channels, each with its delay [s]."""
+    shown = {channel.column for channel in channels}
+    found: dict[str, float] = {}
+    for effect, own in hypothesis.pairs:
+        late = effect.sensor_delay(own)
+        if late is not None and late[1] > 0 and column_of(late[0]) in shown:
+            found[late[0]] = found.get(late[0], 0.0) + late[1]
+    return found
+
+
+def states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[str, Array]:
+    """Interpolate the states of a simulation, for hinge and slide joints.
+
+    Positions follow cubics through the positions and speeds at both ends of a step, within which
+    commands are constant, and speeds their slopes; activations are linear.
+
+    Examples
+    --------
+    >>> fallen = {"qpos": np.array([[0.0], [1.0]]), "qvel": np.array([[0.0], [2.0]])}
+    >>> {name: float(v[0, 0]) for name, v in states_before(fallen, np.array([0.5]), 1.0).items()}
+    {'qpos': 0.25, 'qvel': 1.0}
+    """
+    count = len(states["qpos"])
+    steps = np.clip(at / step, 0.0, count - 1.0)
+    low = np.minimum(np.floor(steps + 1e-9).astype(int), max(count - 2, 0))
+    high = np.minimum(low + 1, count - 1)
+    s = np.clip(steps - low, 0.0, 1.0)[:, None]
+    found = {name: v[low] * (1 - s) + v[high] * s for name, v in states.items()}
+    place, speed = states["qpos"], states["qvel"]
+    if place.shape == speed.shape:
+        way = place[high] - place[low]
+        one, two = step * speed[low] - way, step * speed[high] - way
+        found["qpos"] += s * (1 - s) * ((1 - s) * one - s * two)
+        found["qvel"] = (way + one * (1 - s) * (1 - 3 * s) - two * s * (2 - 3 * s)) / step
+    return found
+
+
+def show_late_sensors(
+    shown: Array,
+    machine: NominalModel,
+    hypothesis: Hypothesis,
+    model: mujoco.MjModel,
+    states: Mapping[str, Array],
+    commands: Array,
+    *,
+    late: Mapping[str, float],
+    step: float,
+    parts: int = 1,
+    first: int = 0,
+    threads: int,
+) -> None:
+    """Replace the columns of delayed sensors (T, sensors) in place."""
+    for name, delay in late.items():
+        then: Array = np.arange(first, first + len(shown), dtype=float) * step - delay
+        held = np.clip(np.floor(then / step + 1e-9).astype(int), 0, len(commands) - 1)
+        before = states_before(states, then, step / parts)
+        read = readings_at(machine, hypothesis, model, before, commands[held], threads)
+        sensor = model.sensor(name)
+        columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
+        shown[:, columns] = read[:, columns]
+
+
+def commands_at(hypothesis: Hypothesis, clock: Array, controls: Array) -> Array:
+    """Commands at the actuators at each step itself."""
+    for effect, own in hypothesis.pairs:
+        controls = effect.command_at(clock, controls, own)
+    return controls
+
+
+def readings_at(
+    machine: NominalModel,
+    hypothesis: Hypothesis,
+    model: mujoco.MjModel,
+    states: Mapping[str, Array],
+    controls: Array,
+    threads: int,
+) -> Array:
+    """Sensor values with instantaneous commands (T, sensors)."""
+    batch = Batch(model, min(_AT_A_TIME, len(controls)), threads)
+    batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sensed = batch.bind("sensordata")
+    joints = [model.joint(name) for name in machine.joints]
+    places = [int(joint.qposadr[0]) for joint in joints]
+    dofs = [int(joint.dofadr[0]) for joint in joints]
+    found = np.empty((len(controls), model.nsensordata))
+    for first in range(0, len(controls), _AT_A_TIME):
+        count = min(_AT_A_TIME, len(controls) - first)
+        part = slice(first, first + count)
+        for name, values in states.items():
+            getattr(batch, name)[:count] = values[part]
+        given = controls[part]
+        if has_terms(hypothesis):
+            at = states["qpos"][part][:, places], states["qvel"][part][:, dofs]
+            given = Driven.of(hypothesis).commands(given, *at)
+            batch.qfrc_applied[:count, dofs] = torque_terms(hypothesis, *at)
+        batch.ctrl[:count, : controls.shape[1]] = given
+        batch.forward()
+        found[part] = sensed[:count]
+    return found
+
 
 _CHUNK = 2_000_000
 """Numbers recorded at a time."""

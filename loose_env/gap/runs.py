@@ -1,18 +1,221 @@
-"""Trial: a measured run aligned with simulation steps; Channel: one compared scalar column."""
+"""Measured runs as they are compared: cut at pauses, aligned with simulation steps, at rest or not.
+
+An arm at rest under its first command has been so before: springs are in equilibrium. The model is
+therefore settled under that command before a run that begins at rest. An arm set in motion by its
+first command, or by an unopposed torque, must not be settled: it would drift away.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from math import ceil
 
 import mujoco
 import numpy as np
 
-from loose_env.gap.data.initial_rest import comes_to_rest, stays
+from loose_env.errors import InvalidData
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.recording import Run
+from loose_env.importing import median_step
+from loose_env.recording import FEWEST_SAMPLES, Run, set_aside
 from loose_env.statistics import noise_floor, resolution_of
 from loose_env.typing import Array
+
+_PAUSE_S = 1.0
+"""Shortest time without a row that is a pause [s]: what the machine does in a second without
+record is unknown, and a clock that jumps would be simulated through."""
+_PAUSE_STEPS = 20.0
+"""The same in median steps [1]: a slow recorder does not pause between its rows."""
+_PIECE = ", from "
+"""Between the file and the start of a piece in its name."""
+
+
+def measured_runs(
+    runs: Sequence[Run], model: mujoco.MjModel
+) -> tuple[list[list[Run]], tuple[str, ...]]:
+    """Pieces of every run that are compared, with a note on what was left out."""
+    found, words = [], []
+    for run in runs:
+        clean, corrupt = set_aside(run, model)
+        pieces = pieces_of(clean)
+        words += [each.words for each in corrupt]
+        if pieces[0] is not clean:
+            lost = run.samples - sum(piece.samples for piece in pieces)
+            longest = float(np.max(np.diff(run.time)))
+            words.append(
+                f"{run.name}: no sample for up to {longest:.4g} s; compared as {len(pieces)} "
+                f"piece{'s' * (len(pieces) > 1)} between the pauses"
+                + (f", without {lost} samples of shorter ones" if lost else "")
+            )
+        found.append(pieces)
+    return found, tuple(words)
+
+
+def file_of(name: str) -> str:
+    """File of a run or of a piece of one.
+
+    Examples
+    --------
+    >>> file_of("run-3.csv, from 50 s"), file_of("run-4.csv")
+    ('run-3.csv', 'run-4.csv')
+    """
+    return name.rpartition(_PIECE)[0] or name
+
+
+def pieces_of(run: Run) -> list[Run]:
+    """Cut a run where its recorder paused or its clock jumped.
+
+    Pieces of fewer than `FEWEST_SAMPLES` are left out.
+
+    Examples
+    --------
+    >>> time = np.concatenate([np.arange(100), np.arange(5000, 5200)]) / 100
+    >>> run = Run(name="a.csv", time=time, sensors={"q": np.sin(time)})
+    >>> [(piece.name, piece.samples) for piece in pieces_of(run)]
+    [('a.csv, from 0 s', 100), ('a.csv, from 50 s', 200)]
+    """
+    steps = np.diff(run.time)
+    cuts = np.flatnonzero(steps > max(_PAUSE_S, _PAUSE_STEPS * median_step(run.time))) + 1
+    if not len(cuts):
+        return [run]
+    edges = [0, *map(int, cuts), run.samples]
+    pieces = [
+        replace(run.part(slice(first, last)), name=f"{run.name}{_PIECE}{run.time[first]:.10g} s")
+        for first, last in pairwise(edges)
+        if last - first >= FEWEST_SAMPLES
+    ]
+    if not pieces:
+        raise InvalidData(
+            f"{run.name}: {len(cuts)} pauses of up to {steps.max():.4g} s leave no piece of "
+            f"{FEWEST_SAMPLES} samples; record the run again, or correct its time stamps"
+        )
+    return pieces
+
+
+_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+_RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
+_SHORTEST = 1e-15  # MuJoCo's lower bound of a time constant [s]
+
+
+def activations(model: mujoco.MjModel, controls: Array, step: float) -> Array | None:
+    """Compute the activation of every actuator that has one, by simulation step.
+
+    The first command is assumed to have been held before the run, with filters at steady state. The
+    state of an integrator depends on its unknown initial value; muscles and others depend on more
+    than their commands.
+
+    Examples
+    --------
+    >>> model = mujoco.MjModel.from_xml_string(
+    ...     "<mujoco><worldbody><body><joint name='j'/><geom size='.1'/></body></worldbody>"
+    ...     "<actuator><general joint='j' dyntype='filterexact' dynprm='.02'/></actuator></mujoco>"
+    ... )
+    >>> activations(model, np.array([[0.0], [1.0], [1.0]]), 0.02).ravel().round(3).tolist()
+    [0.0, 0.0, 0.632]
+    """
+    found = np.zeros((len(controls), model.na))
+    for k in np.flatnonzero(model.actuator_actnum):
+        if int(model.actuator_dyntype[k]) not in _FILTERS or model.actuator_actnum[k] != 1:
+            return None
+        command = controls[:, k] if k < controls.shape[1] else np.zeros(len(controls))
+        found[:, model.actuator_actadr[k]] = _filtered(model, int(k), command, step)
+    return found
+
+
+def steady_activations(model: mujoco.MjModel, command: Array, step: float) -> Array:
+    """Activations (model.na,) of filters at steady state under a command (actuators,).
+
+    Zero, as MuJoCo starts, where the state does not follow from the command.
+    """
+    found = activations(model, command[None], step)
+    return np.zeros(model.na) if found is None else np.asarray(found[0])
+
+
+def _filtered(model: mujoco.MjModel, number: int, command: Array, step: float) -> list[float]:
+    """Mean activation of a first-order filter in each step, as MuJoCo integrates it.
+
+    Runge-Kutta substeps let the activation move within a step; other integrators hold it.
+    """
+    if model.actuator_ctrllimited[number]:
+        command = np.clip(command, *model.actuator_ctrlrange[number])
+    low, high = -np.inf, np.inf
+    if model.actuator_actlimited[number]:
+        low, high = model.actuator_actrange[number]
+    lag = max(float(model.actuator_dynprm[number, 0]), _SHORTEST)
+    exact, moving = -float(np.expm1(-step / lag)), int(model.opt.integrator) == _RUNGE_KUTTA
+    plain = int(model.actuator_dyntype[number]) == _FILTERS[0]
+    # Gain of one integration step on a rate, and the correction to the exact filter.
+    share = exact if moving else step / lag
+    if not plain:
+        share *= exact * lag / step
+    now, found = min(max(float(command[0]), low), high), []
+    for wanted in command.tolist():
+        after = min(max(now + share * (wanted - now), low), high)
+        found.append((now + after) / 2 if moving else now)
+        now = after
+    return found
+
+
+SETTLE = 0.4
+"""How long an arm at rest is held before the start, so that springs take their load [s]."""
+_REST_WINDOW_S = 0.3
+"""How much of a command that is held tells whether the arm stays under it [s]."""
+_LEAST = 9
+"""Samples below which it is not told."""
+_LATE_RATIO = 4
+"""Times `SETTLE` after which a model that comes to rest is about where it was after `SETTLE`."""
+_DRIFT_RATIO = 1.5
+"""How many times as far away it is then, if it does not."""
+_NEGLIGIBLE_DRIFT = 1e-3
+"""Way that is no matter [rad, m]."""
+
+
+def stays(time: Array, values: Array, controls: Array) -> bool:
+    """Return whether a joint stays at rest while the first commands are held.
+
+    Examples
+    --------
+    >>> time = np.arange(300) / 1000
+    >>> read = np.random.default_rng(1).normal(0, 1e-4, 300)
+    >>> stays(time, read, np.ones((300, 1))), stays(time, read + time**2, np.ones((300, 1)))
+    (True, False)
+    """
+    changed = np.flatnonzero((controls != controls[0]).any(axis=1))
+    count = min(
+        len(time) if not len(changed) else int(changed[0]), np.searchsorted(time, _REST_WINDOW_S)
+    )
+    good = values[:count][np.isfinite(values[:count])]
+    if len(good) < _LEAST:
+        return True
+    third = len(good) // 3
+    moved = abs(float(np.mean(good[-third:]) - np.mean(good[:third])))
+    chance = 4.0 * noise_floor(values) * float(np.sqrt(2.0 / third))
+    return moved <= max(chance, 1.5 * resolution_of(values))
+
+
+def comes_to_rest(machine: NominalModel, position: Array, commands: Array) -> bool:
+    """Return whether the nominal model, released at rest in a pose, settles nearby.
+
+    A servo moves to where it carries its load; an unopposed torque accelerates without bound.
+    """
+    model = machine.model
+    data = mujoco.MjData(model)
+    at = [model.joint(name) for name in machine.joints]
+    data.qpos[[int(j.qposadr[0]) for j in at]] = position
+    data.ctrl[: len(commands)] = commands
+    data.act[:] = steady_activations(model, data.ctrl, float(model.opt.timestep))
+    start = data.qpos.copy()
+    count = round(SETTLE / model.opt.timestep)
+    way = np.empty((_LATE_RATIO * count, len(start)))
+    for k in range(len(way)):
+        mujoco.mj_step(model, data)
+        way[k] = data.qpos - start
+    last = max(count // 4, 1)  # mean over an interval, as a servo may oscillate
+    soon = np.abs(np.mean(way[count - last : count], axis=0))
+    later = np.abs(np.mean(way[-last:], axis=0))
+    return bool(np.all((later <= _DRIFT_RATIO * soon) | (later < _NEGLIGIBLE_DRIFT)))
+
 
 _REGULAR = 0.02
 """Largest deviation of a stamp from an even grid, as a share of the sample interval, that counts
