@@ -323,7 +323,7 @@ def test_a_registered_effect_is_named_and_its_code_written(
 ) -> None:
     register(CubicSpring)
     kinds = ("coulomb_friction", "joint_spring", "cubic_spring")
-    settings = GapSettings(threads=1, simulate=False, kinds=kinds)
+    settings = GapSettings(threads=1, kinds=kinds)
     found = explain_gap(recording, settings, folder=tmp_path / "out")
     assert read_result(tmp_path / "out").to_json() == found.to_json()
     (spring,) = found.effects
