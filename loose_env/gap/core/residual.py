@@ -30,6 +30,8 @@ LAGS = 50
 """Lags of correlations that are looked at."""
 OVERLAY_S = 4.0
 """Length of the stretch that is shown of a channel [s]."""
+_EDGE_PERIODS = 2.0
+"""Ends of a run that are not shown [periods of the end of the band]."""
 _TAPER = 0.3
 """Share of a run that is faded, at both ends together, before its spectrum is divided."""
 _PLAYED_S = 60.0
@@ -77,6 +79,17 @@ def _remainder(selection: Selection, fit: SetFit) -> Array:
     return left
 
 
+def _inner(balance: Balance) -> list[slice]:
+    """Samples of each run without its ends, where the smoother knows one side alone."""
+    runs, found, first = balance.motion.runs, [], 0
+    for run in runs:
+        count = len(run.position)
+        edge = min(int(_EDGE_PERIODS / balance.motion.band / run.step), count // 10)
+        found.append(slice(first + edge, first + count - edge))
+        first += count
+    return found
+
+
 def whitened(balance: Balance, values: Array, channel: int) -> tuple[list[Array], float]:
     """Series of one channel in noise standard deviations, run by run, and its interval [s].
 
@@ -119,6 +132,11 @@ def correlation(one: Sequence[Array], other: Sequence[Array], lags: int = LAGS) 
     return np.asarray(total / max(float(np.sqrt(power.prod())), 1e-300))
 
 
+def _size(balance: Balance, values: Array, channel: int) -> float:
+    """Mean square of a channel's series in noise variances."""
+    return float(np.mean(np.concatenate(whitened(balance, values[:, channel], channel)[0]) ** 2))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Correlation:
     """Correlation in time of a channel's residual on held-out data."""
@@ -154,8 +172,7 @@ def correlations(selection: Selection, left: Array, most: int) -> tuple[Correlat
                 band=float(1.96 / np.sqrt(sum(map(len, series)))),
             )
         )  # fmt: skip
-    sizes = [float(np.mean(np.concatenate(whitened(balance, left[:, c.joint], c.joint)[0]) ** 2))
-             for c in selection.evidence.channels]  # fmt: skip
+    sizes = [_size(balance, left, channel.joint) for channel in selection.evidence.channels]
     return tuple(found[k] for k in np.argsort(sizes)[::-1][:most])
 
 
@@ -183,16 +200,15 @@ def overlays(selection: Selection, before: Array, after: Array, most: int) -> tu
     """Measured against both models, of the channels that the nominal one misses most."""
     balance = selection.evidence.balance
     machine, readings = balance.machine, balance.motion.stacked("readings")
-    starts = np.cumsum([0, *(len(run.position) for run in balance.motion.runs)])
     length = int(OVERLAY_S / balance.motion.step)
     found: list[tuple[float, Overlay]] = []
     for k in (channel.joint for channel in selection.evidence.channels):
         lost = weight_of(balance, k) * before[:, k] ** 2
         worst = max(
             (float(np.mean(lost[rows])), run, rows)
-            for run, piece in stretches_of(balance)
-            for first in range(piece.start, max(piece.stop - length // 2, piece.start + 1), length)
-            for rows in [range(starts[run] + first, starts[run] + min(first + length, piece.stop))]
+            for run, inner in enumerate(_inner(balance))
+            for first in range(inner.start, max(inner.stop - length // 2, inner.start + 1), length)
+            for rows in [range(first, min(first + length, inner.stop))]
         )
         rows = slice(worst[2].start, worst[2].stop)
         at_joint = k < len(machine.joints)
@@ -204,8 +220,7 @@ def overlays(selection: Selection, before: Array, after: Array, most: int) -> tu
             measured=measured, nominal=measured - before[rows, k],
             corrected=measured - after[rows, k],
         )  # fmt: skip
-        channel = next(c for c in selection.evidence.channels if c.joint == k)
-        found.append((float(channel.power.sum() / channel.count.sum()), overlay))
+        found.append((_size(balance, before, k), overlay))
     return tuple(each for _, each in sorted(found, key=lambda pair: -pair[0])[:most])
 
 
@@ -295,7 +310,10 @@ def force_errors(answer: Answer, before: Array, after: Array) -> dict[str, tuple
             if c.joint < len(machine.joints) and machine.turns(machine.joints[c.joint]) == turns
         ]
         if own:
-            weight = np.stack([weight_of(evidence.balance, k) for k in own], axis=1)
+            shown = np.zeros(len(before))
+            for inner in _inner(evidence.balance):
+                shown[inner] = 1.0
+            weight = np.stack([shown * weight_of(evidence.balance, k) for k in own], axis=1)
             total = max(float(weight.sum()), 1e-300)
             one, other = (
                 float(np.sqrt(np.sum(weight * x[:, own] ** 2) / total)) for x in (before, after)
