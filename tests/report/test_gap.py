@@ -29,6 +29,7 @@ from loose_env.gap import (
     NamedEffect,
     RankedSet,
     TolerancePull,
+    Tolerances,
     VisibleEffect,
     write_gap,
 )
@@ -138,7 +139,13 @@ def test_everything_that_a_result_holds_stands_on_the_page(page: str) -> None:
         "Excitation",
     ]
     order += ["quadratic_drag at elbow", "Move at the highest speed", "actuator_lag at motor2"]
-    order += ["command_delay at motor2", "Command a sweep", "Held out", "Tolerances: ", "mass 0.05"]
+    order += [
+        "command_delay at motor2",
+        "Command a sweep",
+        "Held out",
+        "Tolerances: ",
+        f"mass {Tolerances().mass:g}",
+    ]
     text = words(page).replace("−", "-")
     places, at = [], 0
     for each in order:
