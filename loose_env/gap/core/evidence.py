@@ -180,8 +180,7 @@ def append(evidence: Evidence, term: Term) -> None:
             wide = [term.columns[k].change for k in own]
             rows = _rows(evidence.balance, channel.joint, wide).whitened
             channel.columns = np.concatenate([channel.columns, [numbers[k] for k in own]])
-            channel.rows = np.hstack([channel.rows, rows[:, :-1]])
-            _grow(channel, len(own))
+            _grow(channel, rows[:, :-1])
             more = np.stack([term.columns[k].operator for k in own])
             growth = _growth(evidence.balance, channel.joint, channel.turn, more)
             channel.growth = np.hstack([channel.growth, growth])
@@ -195,19 +194,26 @@ def append(evidence: Evidence, term: Term) -> None:
     evidence.operators = np.concatenate([evidence.operators, changes])
 
 
-def _grow(channel: Channel, new: int) -> None:
-    """Add the products of the last columns."""
-    cells, known = len(channel.count), channel.gram.shape[1]
-    gram = np.zeros((cells, known + new, known + new))
-    gram[:, :known, :known] = channel.gram
-    slope = np.zeros((cells, known + new))
-    slope[:, :known] = channel.slope
+def _grow(channel: Channel, more: Array) -> None:
+    """Add the products of the last columns, into room for more than are there."""
+    cells, room = channel.gram.shape[:2]
+    whole = len(channel.columns)
+    known = whole - more.shape[1]
+    if whole > room:
+        size = int(1.3 * whole) + 32
+        gram, slope = np.zeros((cells, size, size)), np.zeros((cells, size))
+        gram[:, :known, :known] = channel.gram[:, :known, :known]
+        slope[:, :known] = channel.slope[:, :known]
+        rows = np.zeros((len(channel.rows), size))
+        rows[:, :known] = channel.rows[:, :known]
+        channel.gram, channel.slope, channel.rows = gram, slope, rows
+    channel.rows[:, known:whole] = more
     for c in range(cells):
         own = channel.cell == c
-        cross = channel.rows[own].T @ channel.rows[own][:, known:]
-        gram[c][:, known:], gram[c][known:, :] = cross, cross.T
-        slope[c, known:] = channel.rows[own][:, known:].T @ channel.residual[own]
-    channel.gram, channel.slope = gram, slope
+        cross = channel.rows[own, :whole].T @ more[own]
+        channel.gram[c, :whole, known:whole] = cross
+        channel.gram[c, known:whole, :whole] = cross.T
+        channel.slope[c, known:whole] = more[own].T @ channel.residual[own]
 
 
 @dataclass(frozen=True, eq=False)

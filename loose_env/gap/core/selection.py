@@ -244,8 +244,9 @@ class Selection:
         for k, channel in enumerate(evidence.channels):
             weight = self.weights(k, powers[k])
             at = channel.columns
-            normal[np.ix_(at, at)] += np.tensordot(weight, channel.gram, 1)
-            slope[at] += weight @ channel.slope
+            known = len(at)
+            normal[np.ix_(at, at)] += np.tensordot(weight, channel.gram[:, :known, :known], 1)
+            slope[at] += weight @ channel.slope[:, :known]
             growth = np.zeros((len(weight), len(slope)))
             growth[:, at] = channel.growth
             growths.append(growth)
