@@ -45,6 +45,11 @@ class Link:
     reach: float
     """Half of the joint's range of motion [rad; slide: m]."""
 
+    @property
+    def length(self) -> float:
+        """Length by which tolerances of its centre go [m]."""
+        return max(float(np.linalg.norm(self.end)), 0.1)
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Figures:
@@ -214,15 +219,112 @@ def redundant7() -> Figures:
     return Figures(name="redundant7", links=(*links[:-1], last))
 
 
-ARMS = {"planar3": planar3, "spatial3": spatial3, "scara4": scara4, "elbow4": elbow4}
-"""Makers of the nominal arms by name."""
+def rig1() -> Figures:
+    """A bar on one motor, under gravity."""
+    return Figures(
+        name="rig1",
+        links=(
+            _bar(1.2, 0.35, 0.02, armature=0.02, damping=0.1, kp=160.0, kv=6.0, limit=12.0,
+                 home=0.4, reach=1.2),
+        ),
+        hanging=(np.pi / 2,),
+    )  # fmt: skip
+
+
+def turntable1() -> Figures:
+    """A load on one motor with an upright axis."""
+    return Figures(
+        name="turntable1",
+        links=(
+            _bar(3.0, 0.30, 0.06, axis=(0.0, 0.0, 1.0), offset=(0.0, 0.0, 0.2), armature=0.15,
+                 damping=0.6, kp=700.0, kv=26.0, limit=40.0, home=0.0, reach=1.5),
+        ),
+    )  # fmt: skip
+
+
+def planar2() -> Figures:
+    """Two hinges in a vertical plane, of hobby size."""
+    return Figures(
+        name="planar2",
+        links=(
+            _bar(0.35, 0.18, 0.02, armature=0.012, damping=0.06, kp=40.0, kv=1.4, limit=6.0,
+                 home=-0.5, reach=0.8),
+            _bar(0.22, 0.15, 0.015, offset=(0.18, 0.0, 0.0), armature=0.006, damping=0.03,
+                 kp=16.0, kv=0.5, limit=3.0, home=0.8, reach=0.9),
+        ),
+        hanging=(np.pi / 2, 0.0),
+    )  # fmt: skip
+
+
+def gantry3() -> Figures:
+    """Three slides, the last one upright."""
+    return Figures(
+        name="gantry3",
+        links=(
+            Link(kind="slide", axis=(1.0, 0.0, 0.0), offset=(0.0, 0.0, 1.0), end=(0.1, 0.0, 0.0),
+                 mass=22.0, com=(0.02, 0.05, 0.0), inertia=(1.2, 0.4, 1.4), armature=12.0,
+                 damping=90.0, kp=60000.0, kv=2400.0, limit=900.0, home=0.2, reach=0.30),
+            Link(kind="slide", axis=(0.0, 1.0, 0.0), offset=(0.1, 0.0, 0.0), end=(0.0, 0.0, -0.1),
+                 mass=9.0, com=(0.0, 0.02, 0.03), inertia=(0.12, 0.10, 0.10), armature=6.0,
+                 damping=50.0, kp=32000.0, kv=1200.0, limit=450.0, home=0.1, reach=0.25),
+            Link(kind="slide", axis=(0.0, 0.0, 1.0), offset=(0.0, 0.0, -0.1), end=(0.0, 0.0, -0.3),
+                 mass=4.0, com=(0.01, 0.0, -0.12), inertia=(0.04, 0.04, 0.01), armature=4.0,
+                 damping=60.0, kp=22000.0, kv=800.0, limit=320.0, home=0.05, reach=0.12),
+        ),
+    )  # fmt: skip
+
+
+def leg3() -> Figures:
+    """Hip, thigh and calf of a leg whose body is held."""
+    return Figures(
+        name="leg3",
+        links=(
+            Link(axis=(1.0, 0.0, 0.0), offset=(0.0, 0.0, 0.6), end=(0.0, 0.085, 0.0), mass=0.70,
+                 com=(-0.005, 0.01, 0.0), inertia=(0.0005, 0.0008, 0.0006), armature=0.011,
+                 damping=0.08, kp=60.0, kv=2.0, limit=24.0, home=0.0, reach=0.5),
+            Link(offset=(0.0, 0.085, 0.0), end=(0.0, 0.0, -0.213), mass=1.15,
+                 com=(-0.004, -0.02, -0.03), inertia=(0.006, 0.006, 0.001), armature=0.011,
+                 damping=0.08, kp=60.0, kv=2.0, limit=24.0, home=0.7, reach=0.7),
+            Link(offset=(0.0, 0.0, -0.213), end=(0.0, 0.0, -0.213), mass=0.16,
+                 com=(0.006, 0.0, -0.12), inertia=(0.0014, 0.0014, 0.00003), armature=0.025,
+                 damping=0.1, kp=60.0, kv=2.0, limit=40.0, home=-1.4, reach=0.6),
+        ),
+        hanging=(0.0, 0.0, 0.0),
+    )  # fmt: skip
+
+
 MACHINES = {
-    "planar3": planar3,
-    "spatial3": spatial3,
-    "upright6": upright6,
-    "redundant7": redundant7,
-}
-"""Makers of the arms of whole machines."""
+    make.__name__: make
+    for make in (rig1, turntable1, planar2, planar3, spatial3, gantry3, leg3, scara4, elbow4,
+                 upright6, redundant7)
+}  # fmt: skip
+"""Makers of the nominal machines by name."""
+ARMS = {name: MACHINES[name] for name in ("planar3", "spatial3", "scara4", "elbow4")}
+"""Those on which parts rattle."""
+
+
+def varied(figures: Figures, rng: np.random.Generator) -> Figures:
+    """A machine of other lengths, masses and stiffness, with the same shape."""
+    long, heavy, stiff = np.exp(rng.uniform(np.log(0.8), np.log(1.25), 3))
+    weight, turn = heavy * long, heavy * long**2
+    links = []
+    for link in figures.links:
+        slide = link.kind == "slide"
+        inert = heavy if slide else turn
+        links.append(
+            dataclasses.replace(
+                link, mass=heavy * link.mass,
+                offset=tuple(long * x for x in link.offset), end=tuple(long * x for x in link.end),
+                com=tuple(long * x for x in link.com),
+                inertia=tuple(turn * x for x in link.inertia),
+                armature=inert * link.armature, damping=inert * link.damping,
+                kp=inert * stiff**2 * link.kp, kv=inert * stiff * link.kv,
+                limit=(heavy if slide else max(weight, turn)) * link.limit,
+                reach=(long if slide else 1.0) * link.reach,
+                home=(long if slide else 1.0) * link.home,
+            )
+        )  # fmt: skip
+    return dataclasses.replace(figures, links=tuple(links))
 
 
 TIME_STEP = 5e-4
@@ -238,12 +340,27 @@ def joint_names(figures: Figures) -> list[str]:
     return [f"joint{i + 1}" for i in range(figures.joints)]
 
 
-def model_xml(figures: Figures, *, drives: str = "position") -> str:
-    """MJCF of the nominal arm, with position servos, with motors, or "" for no drives."""
+def model_xml(
+    figures: Figures,
+    *,
+    drives: str = "position",
+    speeds: bool = True,
+    accelerometer: bool = True,
+    plain: bool = False,
+) -> str:
+    """MJCF of the nominal arm, with position servos, with motors, or "" for no drives.
+
+    `plain` has MuJoCo's usual integrator and time step, as a user's file has.
+    """
+    option = (
+        'timestep="0.001" integrator="implicitfast"'
+        if plain
+        else f'timestep="{TIME_STEP:g}" integrator="RK4"'
+    )
     lines = [
         '<mujoco model="arm">',
         '  <compiler angle="radian" autolimits="true"/>',
-        f'  <option timestep="{TIME_STEP:g}" integrator="RK4" gravity="0 0 -9.81"/>',
+        f'  <option {option} gravity="0 0 -9.81"/>',
         "  <worldbody>",
     ]
     indent = "    "
@@ -273,6 +390,9 @@ def model_xml(figures: Figures, *, drives: str = "position") -> str:
     lines.append("  <sensor>")
     for name in joint_names(figures):
         lines.append(f'    <jointpos name="{name}_pos" joint="{name}"/>')
-        lines.append(f'    <jointvel name="{name}_vel" joint="{name}"/>')
-    lines += ['    <accelerometer name="tool_acc" site="tool"/>', "  </sensor>", "</mujoco>", ""]
+        if speeds:
+            lines.append(f'    <jointvel name="{name}_vel" joint="{name}"/>')
+    if accelerometer:
+        lines.append('    <accelerometer name="tool_acc" site="tool"/>')
+    lines += ["  </sensor>", "</mujoco>", ""]
     return "\n".join(lines)

@@ -31,7 +31,9 @@ ASYMMETRY = 22
 """Excess of the friction in the positive direction over the mean of both directions."""
 GRAIN = 23
 """Waves per turn by which the friction varies from none to twice its mean (0: not); their phase."""
-LAWS = 25
+SLACK_FORCE, SLACK, ELASTIC = 25, 26, 27
+"""Dry friction of an element that is coupled with slack and an elastic way."""
+LAWS = 28
 
 # Columns of an actuator's row.
 DOF, KP, KV, LIMIT, GAIN, LAG, DELAY, OFFSET, DEAD, SAG = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
@@ -48,7 +50,11 @@ ECCENTRIC_SINE, ECCENTRIC_COSINE = 15, 16
 """Error of the encoder that is periodic in the turn of the joint."""
 LOADED_EXTERNAL = 17
 """Friction of what is behind the gear over the torque of the load."""
-ACTUATOR = 18
+LINK_SIDE = 18
+"""Extra degree of freedom that an encoder on the link's side reads too; -1 on the motor's side."""
+SPEED_LIMIT = 19
+"""Largest speed at which the drive follows its command (0: any)."""
+ACTUATOR = 20
 
 
 @njit(cache=True, fastmath=False)
@@ -89,6 +95,9 @@ def joint_force(law, q, v, z, time):  # type: ignore[no-untyped-def]
         force += law[15] * (np.sin(x) + law[18] * np.sin(2.0 * x + 0.7))
     if law[19] != 0.0:
         force -= law[19] * z
+    if law[25] != 0.0:
+        stretch = abs(q - z) - 0.5 * law[26]
+        force -= law[25] * np.sign(q - z) * min(max(stretch / law[27], 0.0), 1.0)
     return force
 
 
@@ -349,8 +358,9 @@ class System:
     """Acceleration of free fall in the world, of shape (3,) [m/s²]."""
     tool: Array
     """The tool in the last body's frame, of shape (3,) [m]."""
-    cable: Array = dataclasses.field(default_factory=lambda: np.zeros(5))
-    """A spring over two joints: their degrees of freedom, ratio, stiffness, rest; shape (5,)."""
+    cable: Array = dataclasses.field(default_factory=lambda: np.zeros(7))
+    """A coupling of two joints: their degrees of freedom, ratio, stiffness, rest of a spring,
+    friction and rotor inertia of a motor that turns with both; shape (7,)."""
     fan: Array = dataclasses.field(default_factory=lambda: np.zeros(5))
     """A force at the tool in its frame (3) [N], its frequency [Hz] and phase [rad]; shape (5,)."""
     proximal: NDArray[np.int64] = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
@@ -382,6 +392,8 @@ class Trace:
     """Torques that the drives ask for, of shape (T, n) [N m or N]."""
     energy: Array
     """Kinetic and potential energy, of shape (T,) [J]."""
+    joint_acceleration: Array
+    """Accelerations of the joints, of shape (T, n)."""
 
 
 @njit(cache=True, fastmath=False)
@@ -398,14 +410,21 @@ def _derivative(  # type: ignore[no-untyped-def]
         dz[k] = 0.0
         if laws[k, 19] != 0.0:
             dz[k] = (v[k] - 0.5 * (abs(v[k]) * z[k] + v[k] * abs(z[k]))) / laws[k, 20]
+        if laws[k, 25] != 0.0:
+            beyond = abs(q[k] - z[k]) - 0.5 * laws[k, 26] - laws[k, 27]
+            if beyond > 0.0:  # it slides, and what a step went too far is made good
+                side = np.sign(q[k] - z[k])
+                dz[k] = side * max(side * v[k], 0.0) + side * beyond / 0.01
     load = 0.0
     for j in range(drives.shape[0]):
         k = int(drives[j, 0])
         dlag[j] = 0.0
         target = command[j]
-        if drives[j, 5] > 0.0:
+        if drives[j, 5] > 0.0 or drives[j, 19] > 0.0:
             target = lag[j]
-            dlag[j] = (command[j] - lag[j]) / drives[j, 5]
+            dlag[j] = (command[j] - lag[j]) / (drives[j, 5] if drives[j, 5] > 0.0 else 2e-3)
+            if drives[j, 19] > 0.0:
+                dlag[j] = min(max(dlag[j], -drives[j, 19]), drives[j, 19])
         torque[j] = 0.0
         if sampled:
             torque[j] = held[j]
@@ -426,6 +445,15 @@ def _derivative(  # type: ignore[no-untyped-def]
         pull = cable[3] * (q[i] + cable[2] * q[j] - cable[4])
         force[i] -= pull
         force[j] -= cable[2] * pull
+    if cable[5] != 0.0:  # a motor that turns with both joints: its friction and its rotor
+        i, j = int(cable[0]), int(cable[1])
+        pull = cable[5] * np.tanh((v[i] + cable[2] * v[j]) / 5e-3)
+        force[i] -= pull
+        force[j] -= cable[2] * pull
+        mass[i, i] += cable[6]
+        mass[j, j] += cable[2] * cable[2] * cable[6]
+        mass[i, j] += cable[2] * cable[6]
+        mass[j, i] += cable[2] * cable[6]
     if fan[3] > 0.0:
         swing = np.sin(2.0 * np.pi * fan[3] * time + fan[4])
         local = np.array([fan[0] * swing, fan[1] * swing, fan[2] * swing])
@@ -444,18 +472,21 @@ def _between(commands, j, x):  # type: ignore[no-untyped-def]
 @njit(cache=True, fastmath=False)
 def _run(  # type: ignore[no-untyped-def]
     bodies, laws, drives, gravity, tool, cable, fan, release, commands, q, v, settle, inside,
-    every, straight, servo,
+    every, straight, servo, sample,
 ):  # fmt: skip
     dofs, n = q.shape[0], drives.shape[0]
     samples = commands.shape[0]
-    step = 1e-3 / inside
+    step = sample / inside
     rows = samples * inside // every
-    out = np.zeros((rows, 3 * n + 4))
+    out = np.zeros((rows, 4 * n + 4))
     work = np.zeros((dofs, 40))
     mass = np.zeros((dofs, dofs))
     force, torque, rate = np.zeros(dofs), np.zeros(n), np.zeros(dofs)
     command, there, lag = commands[0].copy(), commands[0].copy(), commands[0].copy()
     z = np.zeros(dofs)
+    for k in range(dofs):
+        if laws[k, 25] != 0.0:
+            z[k] = q[k]
     q1, v1, z1, lag1 = q.copy(), v.copy(), z.copy(), lag.copy()
     a = np.zeros((4, dofs))
     va = np.zeros((4, dofs))
@@ -472,7 +503,7 @@ def _run(  # type: ignore[no-untyped-def]
         on = i < release * inside
         for j in range(n):
             # the command is held from sample to sample; its mean over this step, delayed
-            x = max((time - drives[j, 6]) / 1e-3, 0.0)
+            x = max((time - drives[j, 6]) / sample, 0.0)
             first = int(x + 1e-9)
             over = x + 1.0 / inside - (first + 1)
             share = min(max(over * inside, 0.0), 1.0)
@@ -482,7 +513,7 @@ def _run(  # type: ignore[no-untyped-def]
             there[j] = now
             command[j] = now + share * (commands[min(first + 1, samples - 1), j] - now)
             if straight:
-                there[j] = _between(commands, j, (time - drives[j, 6]) / 1e-3)
+                there[j] = _between(commands, j, (time - drives[j, 6]) / sample)
         if sampled and i % period == 0:
             turn = (i // period) % 8
             for j in range(n):
@@ -494,8 +525,10 @@ def _run(  # type: ignore[no-untyped-def]
                     speed = (measured - before[j]) / (period * step)
                     estimate[j] += servo[2] * (speed - estimate[j])
                 before[j] = measured
-                asked[j] = drives[j, 1] * (there[j] - measured) - drives[j, 2] * estimate[j]
-                asked[j] = min(max(asked[j], -drives[j, 3]), drives[j, 3])
+                target = there[j]
+                if drives[j, 5] > 0.0 or drives[j, 19] > 0.0:
+                    target = lag[j]
+                asked[j] = drive_torque(drives[j], target, measured, estimate[j])
                 if first:
                     waiting[:, j] = asked[j]
                 waiting[turn, j] = asked[j]
@@ -512,6 +545,11 @@ def _run(  # type: ignore[no-untyped-def]
                 error, slope = encoder(drives[j], q[k])
                 out[row, j] = q[k] + error
                 out[row, n + j] = v[k] * (1.0 + slope)
+                out[row, 3 * n + 4 + j] = a[0, k]
+                if drives[j, 18] >= 0.0:
+                    out[row, j] += q[int(drives[j, 18])]
+                    out[row, n + j] += v[int(drives[j, 18])]
+                    out[row, 3 * n + 4 + j] += a[0, int(drives[j, 18])]
                 out[row, 2 * n + 3 + j] = asked[j] if sampled else torque[j]
             out[row, 2 * n] = acceleration[0]
             out[row, 2 * n + 1] = acceleration[1]
@@ -549,7 +587,7 @@ def _run(  # type: ignore[no-untyped-def]
                     lag1[j] = lag[j] + c * dlag[stage - 1, j]
             if straight:
                 for j in range(n):
-                    command[j] = _between(commands, j, (t - drives[j, 6]) / 1e-3)
+                    command[j] = _between(commands, j, (t - drives[j, 6]) / sample)
             _derivative(
                 bodies, laws, drives, gravity, tool, cable, fan, on, sampled, held, command, t, q1,
                 v1, lag1, z1, work, mass, force, torque, rate, a[stage], dlag[stage], dz[stage],
@@ -575,8 +613,9 @@ def simulate(
     straight: bool = False,
     start: tuple[Array, Array] | None = None,
     servo: tuple[int, int, float, float] = (0, 0, 1.0, 0.0),
+    sample: float = SAMPLE,
 ) -> Trace:
-    """Run an arm through a list of commands, a millisecond apart.
+    """Run an arm through a list of commands, one every `sample`.
 
     ``servo`` samples the drives: steps between samples (0: continuous), samples of delay (at most
     7), share of a new velocity in the filtered one, step of the encoders [rad].
@@ -593,8 +632,8 @@ def simulate(
     out = _run(
         system.bodies, system.laws, system.drives, system.gravity, system.tool, system.cable,
         system.fan, len(commands) if release is None else release,
-        np.ascontiguousarray(commands), q, v, round(settle / SAMPLE), inside,
-        1 if fine else inside, straight, np.array(servo, dtype=float),
+        np.ascontiguousarray(commands), q, v, round(settle / sample), inside,
+        1 if fine else inside, straight, np.array(servo, dtype=float), sample,
     )  # fmt: skip
     return Trace(
         position=out[:, :n],
@@ -602,18 +641,13 @@ def simulate(
         acceleration=out[:, 2 * n : 2 * n + 3],
         torque=out[:, 2 * n + 3 : 3 * n + 3],
         energy=out[:, 3 * n + 3],
+        joint_acceleration=out[:, 3 * n + 4 :],
     )
-
-
-TOLERANCE = 0.03
-"""Largest relative error of the nominal masses, inertias, dampings, gains and rotors."""
-LEAST_ERROR = 0.01
-"""Smallest relative error that a true arm has."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Factors:
-    """True over nominal figures; each of shape (n,)."""
+    """What a true arm is beside its nominal figures, each of shape (n,); a model has tolerances."""
 
     mass: Array
     inertia: Array
@@ -621,6 +655,19 @@ class Factors:
     damping: Array
     kp: Array
     kv: Array
+    """True over nominal figure, of these."""
+    x: Array | float = 0.0
+    y: Array | float = 0.0
+    z: Array | float = 0.0
+    """Shift of the centre of mass, over the length of the link."""
+    zero: Array | float = 0.0
+    """Error of the encoders' zero [rad or m]."""
+    shift: Array | float = 0.0
+    """Time by which commands act late, or if negative early [s]."""
+    constant: Array | float = 1.0
+    """Measured over true torque."""
+    offset: Array | float = 0.0
+    """Offset of the measured torque over the drive's limit."""
 
     @classmethod
     def ones(cls, joints: int) -> Factors:
@@ -628,35 +675,24 @@ class Factors:
         return cls(**{name: np.ones(joints) for name in FACTORS})
 
     @classmethod
-    def draw(
-        cls,
-        joints: int,
-        rng: np.random.Generator,
-        *,
-        least: float = LEAST_ERROR,
-        most: float = TOLERANCE,
-    ) -> Factors:
-        """Errors of random sign, by default of 1 to 3 %."""
+    def draw(cls, joints: int, rng: np.random.Generator) -> Factors:
+        """Errors of 1 to 3 % and of random sign of all but centres, zeros and times."""
         return cls(
             **{
-                name: 1 + rng.uniform(least, most, joints) * rng.choice([-1, 1], joints)
+                name: 1 + rng.uniform(0.01, 0.03, joints) * rng.choice([-1, 1], joints)
                 for name in FACTORS
             }
         )
 
     def changed(self, name: str, joint: int, by: float) -> Factors:
         """The same factors with one of them moved by `by`."""
-        values = getattr(self, name).copy()
+        values = np.array(np.broadcast_to(getattr(self, name), self.mass.shape), dtype=float)
         values[joint] += by
         return dataclasses.replace(self, **{name: values})
 
-    def flat(self) -> Array:
-        """All factors, of shape (6 n,), in the order of `FACTORS`."""
-        return np.concatenate([getattr(self, name) for name in FACTORS])
 
-
-FACTORS = tuple(field.name for field in dataclasses.fields(Factors))
-"""Names of the factors: the nuisance parameters of every recording."""
+FACTORS = ("mass", "inertia", "armature", "damping", "kp", "kv")
+"""Names of the factors that are ratios of figures of the model."""
 
 
 def body_row(
@@ -674,10 +710,14 @@ def body_row(
 def build(figures: Figures, factors: Factors) -> System:
     """The arm without any missing effect."""
     bodies, laws, drives = [], [], []
+    n = figures.joints
+    centre = np.array([np.broadcast_to(getattr(factors, axis), n) for axis in "xyz"]).T
+    zero, shift = np.broadcast_to(factors.zero, n), np.broadcast_to(factors.shift, n)
     for i, link in enumerate(figures.links):
         bodies.append(
             body_row(
-                link.kind, link.axis, link.offset, link.mass * factors.mass[i], link.com,
+                link.kind, link.axis, link.offset, link.mass * factors.mass[i],
+                np.array(link.com) + centre[i] * link.length,
                 np.diag(link.inertia) * factors.inertia[i], link.armature * factors.armature[i],
             )
         )  # fmt: skip
@@ -688,6 +728,7 @@ def build(figures: Figures, factors: Factors) -> System:
         drive[0] = i
         drive[KP], drive[KV] = link.kp * factors.kp[i], link.kv * factors.kv[i]
         drive[LIMIT], drive[GAIN] = link.limit, 1.0
+        drive[OFFSET], drive[DELAY], drive[LINK_SIDE] = zero[i], shift[i], -1.0
         drives.append(drive)
     return System(
         bodies=np.array(bodies),
@@ -705,6 +746,7 @@ def _insert(system: System, at: int, body: Array, law: Array) -> None:
     system.bodies = np.insert(system.bodies, at, body, axis=0)
     system.laws = np.insert(system.laws, at, law, axis=0)
     system.drives[system.drives[:, 0] >= at, 0] += 1
+    system.drives[system.drives[:, LINK_SIDE] >= at, LINK_SIDE] += 1
     system.cable[:2][system.cable[:2] >= at] += 1
     system.proximal[system.proximal >= at] += 1
     system.distal[system.distal >= at] += 1
