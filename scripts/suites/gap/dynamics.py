@@ -25,15 +25,13 @@ GAP_LOW, GAP_HIGH, HERTZ, CROSSLEY = 11, 12, 13, 14
 """Ends of the free travel, stiffness of the stops (force / travel^1.5), their dissipation."""
 RIPPLE, ORDER, PHASE, SECOND = 15, 16, 17, 18
 """Amplitude, periods per unit of travel times 2 pi, phase, share of the second harmonic."""
-HYSTERESIS, STROKE = 19, 20
-"""Torque of the hysteresis and the travel over which it turns."""
 ASYMMETRY = 22
 """Excess of the friction in the positive direction over the mean of both directions."""
 GRAIN = 23
 """Waves per turn by which the friction varies from none to twice its mean (0: not); their phase."""
-SLACK_FORCE, SLACK, ELASTIC = 25, 26, 27
+SLACK_FORCE, SLACK, ELASTIC = 19, 20, 25
 """Dry friction of an element that is coupled with slack and an elastic way."""
-LAWS = 28
+LAWS = 26
 
 # Columns of an actuator's row.
 DOF, KP, KV, LIMIT, GAIN, LAG, DELAY, OFFSET, DEAD, SAG = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
@@ -94,10 +92,8 @@ def joint_force(law, q, v, z, time):  # type: ignore[no-untyped-def]
         x = law[16] * q + law[17]
         force += law[15] * (np.sin(x) + law[18] * np.sin(2.0 * x + 0.7))
     if law[19] != 0.0:
-        force -= law[19] * z
-    if law[25] != 0.0:
-        stretch = abs(q - z) - 0.5 * law[26]
-        force -= law[25] * np.sign(q - z) * min(max(stretch / law[27], 0.0), 1.0)
+        stretch = abs(q - z) - 0.5 * law[20]
+        force -= law[19] * np.sign(q - z) * min(max(stretch / law[25], 0.0), 1.0)
     return force
 
 
@@ -409,9 +405,7 @@ def _derivative(  # type: ignore[no-untyped-def]
         force[k] = joint_force(laws[k], q[k], v[k], z[k], time) - force[k]
         dz[k] = 0.0
         if laws[k, 19] != 0.0:
-            dz[k] = (v[k] - 0.5 * (abs(v[k]) * z[k] + v[k] * abs(z[k]))) / laws[k, 20]
-        if laws[k, 25] != 0.0:
-            beyond = abs(q[k] - z[k]) - 0.5 * laws[k, 26] - laws[k, 27]
+            beyond = abs(q[k] - z[k]) - 0.5 * laws[k, 20] - laws[k, 25]
             if beyond > 0.0:  # it slides, and what a step went too far is made good
                 side = np.sign(q[k] - z[k])
                 dz[k] = side * max(side * v[k], 0.0) + side * beyond / 0.01
@@ -485,7 +479,7 @@ def _run(  # type: ignore[no-untyped-def]
     command, there, lag = commands[0].copy(), commands[0].copy(), commands[0].copy()
     z = np.zeros(dofs)
     for k in range(dofs):
-        if laws[k, 25] != 0.0:
+        if laws[k, 19] != 0.0:
             z[k] = q[k]
     q1, v1, z1, lag1 = q.copy(), v.copy(), z.copy(), lag.copy()
     a = np.zeros((4, dofs))

@@ -740,10 +740,10 @@ _CATALOGUE = (
          make=_make_spring, apply=_spring, units={"stiffness": _PER, "reference": "A"}),
     Kind(name="gravity_compensation", places=_weighed, span=_within(0.25, 1.0),
          make=_signed("share"), apply=_adds("body", share=of.CARRIED), units={"share": ""}),
-    Kind(name="torque_limit", places=_motors, span=_within(1.3, 12.0),
+    Kind(name="torque_limit", places=_motors, span=_within(1.3, 4.0),
          make=lambda size, rng, figures, place: {"limit": figures.links[place.index].limit / size},
          apply=_writes("drive", limit=of.LIMIT), forms=MOVED, units={"limit": "T"}),
-    Kind(name="voltage_limit", places=_motors, span=_within(1.3, 12.0), make=_make_voltage,
+    Kind(name="voltage_limit", places=_motors, span=_within(1.3, 4.0), make=_make_voltage,
          apply=_voltage, forms=MOVED, units={"stall_torque": "T", "no_load_speed": "A/s"}),
     Kind(name="speed_limit", places=_motors, span=_within(0.3, 5.0),
          make=lambda size, rng, figures, place: {"speed": _speed(figures, place) / size},
@@ -769,10 +769,6 @@ _OUTSIDE = (
              "torque": size, "waves": float(rng.integers(3, 9)),
              "phase": rng.uniform(-np.pi, np.pi)},
          apply=_writes("law", _THIN, torque=of.FRICTION, waves=of.GRAIN, phase=of.GRAIN + 1)),
-    Kind(name="drive_hysteresis", places=joints, span=_of_limit(0.02, 0.12),
-         make=lambda size, rng, figures, place: {
-             "torque": size, "stroke": rng.uniform(0.25, 0.6) * figures.links[place.index].reach},
-         apply=_writes("law", torque=of.HYSTERESIS, stroke=of.STROKE)),
 )  # fmt: skip
 
 KINDS = {kind.name: kind for kind in (*_CATALOGUE, *_OUTSIDE)}
