@@ -70,8 +70,7 @@ def draw(number: int, seed: int) -> Case:
         places = sort.places(figures)
         place = places[int(rng.integers(len(places)))]
         gap = float(np.exp(rng.uniform(*np.log(GAPS[kind]))))
-        drawn = sort.draw(rng, figures, place)
-        parameters = sort.size(gap, drawn, figures, place)
+        parameters = sort.make(gap, rng, figures, place)
         effects = (Effect(kind=kind, place=place, parameters=parameters),)
     leaks = CROSS_AXIS * rng.uniform(-1, 1, (3, 3)) * (1 - np.eye(3))
     return Case(

@@ -538,9 +538,9 @@ def _draw_fault(figures: Figures, rng: np.random.Generator) -> Effect:
     weights[0] = FIRST_LINK
     index = int(rng.choice(figures.joints, p=weights / weights.sum()))
     place = next(p for p in EFFECTS[kind].places(figures) if p.index == index)
-    drawn = EFFECTS[kind].draw(rng, figures, place)
     gap = log_uniform(rng, *GAPS[kind])
-    return Effect(kind=kind, place=place, parameters=EFFECTS[kind].size(gap, drawn, figures, place))
+    parameters = EFFECTS[kind].make(gap, rng, figures, place)
+    return Effect(kind=kind, place=place, parameters=parameters)
 
 
 def _fastest(sizes: Sizes) -> float:

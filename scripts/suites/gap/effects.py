@@ -553,7 +553,7 @@ def _flexibility(at: At, p: Parameters) -> None:
 
 
 def _on_a_spring(at: At, p: Parameters) -> None:
-    dof = _free_foot(at.system, at.figures, at.place)
+    dof = free_base(at.system, np.eye(3)["xy".index(p["axis"])])
     _set_spring(at.system, dof, at.figures, 0.5 * at.figures.links[0].limit, p)
 
 

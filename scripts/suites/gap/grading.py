@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from loose_env.evaluation import wilson
-from scripts.suites.gap.cases import FORMAT, ROLES, WORLDS
+from scripts.suites.gap.cases import FORMAT, WORLDS
 
 Named = tuple[str, str]
 """Kind and place."""
@@ -25,7 +25,7 @@ def _said(result: Mapping[str, Any], truth: Mapping[str, Any]) -> list[Named]:
         for kind, where in _names_of(true):
             places.setdefault(kind, []).append(where)
     found: list[Named] = []
-    for effect in result.get("effects", ()):
+    for effect in result.get("effects", ()) if result["verdict"] != "no_gap" else ():
         kind, where = str(effect["kind"]), str(effect["where"])
         if where == "all" and (kind, where) not in everywhere and kind in places:
             found += [(kind, place) for place in places[kind] if place != "all"]
@@ -37,9 +37,7 @@ def _said(result: Mapping[str, Any], truth: Mapping[str, Any]) -> list[Named]:
     return [
         name
         for name in dict.fromkeys(found)
-        if name[1] not in truth["ignored"]
-        and name not in neutral
-        and (name[0], "*") not in neutral
+        if name[1] not in truth["ignored"] and name not in neutral and (name[0], "*") not in neutral
     ]
 
 
@@ -66,6 +64,8 @@ def grade(result: Mapping[str, Any], truth: Mapping[str, Any]) -> Marks:
     false = [name for name in said if name not in near]
     verdict = str(result["verdict"])
     right = all(found) and not false
+    if truth["role"] == "none":  # unless something else is wrong with the recording
+        right = right and (verdict != UNEXPLAINED or bool(truth["ignored"]))
     if outside:
         places = dict(result.get("verdicts") or {})
         told = verdict == UNEXPLAINED or any(
@@ -211,6 +211,5 @@ def words_of(row: Marks) -> str:
     """One line about a case."""
     true = ", ".join("@".join(name) for name in row["truth"]) or "nothing"
     said = ", ".join("@".join(name) for name in row["said"]) or row["verdict"]
-    role = ROLES[ROLES.index(row["role"])]
     mark = "right" if row["right"] else "WRONG"
-    return f"{row['case']} {row['world']:<6} {role:<7} {mark}  true {true}  said {said}"
+    return f"{row['case']} {row['world']:<6} {row['role']:<7} {mark}  true {true}  said {said}"

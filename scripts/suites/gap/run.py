@@ -9,7 +9,7 @@ are kept: the same command goes on where it was stopped.
     python -m scripts.suites.gap.run --tool module:function             # recording folder -> result
     python -m scripts.suites.gap.run --tool stepwise                    # a rival, on the same cases
     python -m scripts.suites.gap.run --make FOLDER                      # recordings and truth alone
-    python -m scripts.suites.gap.run --methods                          # table of all tools with rows
+    python -m scripts.suites.gap.run --methods                          # table of all tools
 """
 
 from __future__ import annotations
