@@ -16,7 +16,7 @@ from scripts.suites.gap import dynamics as of
 from scripts.suites.gap.arms import GRAVITY, Figures, Link, model_xml
 from scripts.suites.gap.dynamics import Factors, at_rest, build, simulate
 from scripts.suites.gap.effects import KINDS as EFFECTS
-from scripts.suites.gap.effects import Effect, Readings, apply_effect, log_uniform
+from scripts.suites.gap.effects import Effect, Readings, Spot, apply_effect, log_uniform
 from scripts.suites.gap.machine import steps_inside
 
 PRESENT = 0.4
@@ -539,7 +539,7 @@ def _draw_fault(figures: Figures, rng: np.random.Generator) -> Effect:
     index = int(rng.choice(figures.joints, p=weights / weights.sum()))
     place = next(p for p in EFFECTS[kind].places(figures) if p.index == index)
     gap = log_uniform(rng, *GAPS[kind])
-    parameters = EFFECTS[kind].make(gap, rng, figures, place)
+    parameters = EFFECTS[kind].make(gap, Spot(figures, place, rng))
     return Effect(kind=kind, place=place, parameters=parameters)
 
 

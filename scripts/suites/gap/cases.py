@@ -34,6 +34,7 @@ from scripts.suites.gap.effects import (
     TORQUE,
     Effect,
     Place,
+    Spot,
     drawn,
 )
 from scripts.suites.gap.machine import (
@@ -544,7 +545,9 @@ def _placed(
             places = [p for p in places if p.index != each.place.index]
         if each.kind == name and -1 in (each.place.index, *(p.index for p in places)):
             places = []
-    return drawn(name, places[int(rng.integers(len(places)))], figures, rng) if places else None
+    return (
+        drawn(name, Spot(figures, places[int(rng.integers(len(places)))], rng)) if places else None
+    )
 
 
 def draw_effects(
@@ -611,7 +614,9 @@ def _rivals(effect: Effect, visibility: Visibility) -> list[Array]:
         for place in KINDS[kind].places(setup.arm.figures):
             if setup.form in KINDS[kind].forms and (place.index in joints or joints[0] < 0):
                 for k in range(2):
-                    shape = drawn(kind, place, setup.arm.figures, np.random.default_rng(k), 0.5)
+                    shape = drawn(
+                        kind, Spot(setup.arm.figures, place, np.random.default_rng(k)), 0.5
+                    )
                     found.append(visibility.change((shape,)))
     return found
 
@@ -675,7 +680,7 @@ def _alike(
     base = visibility.change(others)
     shapes = []
     for k in range(2):  # of several shapes, for one may point elsewhere
-        effect = drawn(kind, place, figures, np.random.default_rng(k), share=0.5)
+        effect = drawn(kind, Spot(figures, place, np.random.default_rng(k)), 0.5)
         shapes.append(visibility.change((*others, effect)) - base)
         if len(effect.parameters) == 1:
             break

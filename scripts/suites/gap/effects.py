@@ -107,7 +107,45 @@ class At:
         return self.system.drives[slice(None) if self.place.index < 0 else self.place.index].T
 
 
-Make = Callable[[float, np.random.Generator, Figures, Place], Parameters]
+SLIDE_SPEED = 0.2
+"""Speed of a slide [m/s] that counts like 1 rad/s of a hinge."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Spot:
+    """A place on a machine where an effect is drawn, and the generator that draws it."""
+
+    figures: Figures
+    place: Place
+    rng: np.random.Generator = dataclasses.field(default_factory=np.random.default_rng)
+
+    @property
+    def link(self) -> Link:
+        """Nominal link."""
+        return self.figures.links[self.place.index]
+
+    @property
+    def speed(self) -> float:
+        """Speed that counts like 1 rad/s [rad/s or m/s]."""
+        return SLIDE_SPEED if self.link.kind == "slide" else 1.0
+
+    def sign(self) -> float:
+        """Either sign."""
+        return float(self.rng.choice([-1.0, 1.0]))
+
+    def uniform(self, low: float, high: float) -> float:
+        """A number between two bounds."""
+        return float(self.rng.uniform(low, high))
+
+    def direction(self, basis: Array | None = None) -> Array:
+        """A unit vector, by default one in which gravity or forces matter."""
+        basis = moved_axes(self.figures) if basis is None else basis
+        mix = self.rng.normal(size=len(basis)) @ basis
+        return np.asarray(mix / np.linalg.norm(mix))
+
+
+Span = Callable[[Spot], tuple[float, float]]
+Make = Callable[[float, Spot], Parameters]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -118,10 +156,10 @@ class Kind:
     """Identifier of the catalogue, or of an effect outside it."""
     places: Callable[[Figures], list[Place]]
     """Where it can sit on an arm."""
-    span: Callable[[Figures, Place], tuple[float, float]]
+    span: Span
     """Least and largest size that machines have and that is outside tolerances."""
     make: Make
-    """All its parameters, from a size and a generator; larger is easier to see."""
+    """All its parameters, from a size; larger is easier to see."""
     apply: Callable[[At, Parameters], None]
     """Change the arm or its sensors, in place."""
     forms: tuple[str, ...] = FORMS
@@ -135,7 +173,7 @@ class Kind:
 
 def joints(figures: Figures) -> list[Place]:
     """All joints."""
-    return [Place(name=f"joint{i + 1}", index=i) for i in range(figures.joints)]
+    return _named("joint{}")(figures)
 
 
 def hinges(figures: Figures) -> list[Place]:
@@ -150,18 +188,16 @@ def _named(words: str) -> Callable[[Figures], list[Place]]:
 
 _links, _motors = _named("link{}"), _named("motor{}")
 _encoders, _speeds = _named("joint{}_pos"), _named("joint{}_vel")
+ALL, _BASE = Place(name="all", index=-1), Place(name="base", index=0)
+_TOOL_ACC = Place(name=ACCELEROMETER, index=0)
 
 
-def _one(name: str, index: int) -> Callable[[Figures], list[Place]]:
-    return lambda figures: [Place(name=name, index=index % figures.joints if index else 0)]
-
-
-_base, _accelerometer, _tool = _one("base", 0), _one(ACCELEROMETER, 0), _one("tool", -1)
-ALL = Place(name="all", index=-1)
+def _tool(figures: Figures) -> list[Place]:
+    return [Place(name="tool", index=figures.joints - 1)]
 
 
 def _inertial(figures: Figures) -> list[Place]:
-    return _accelerometer(figures) * 2 + _speeds(figures)
+    return [_TOOL_ACC] * 2 + _speeds(figures)
 
 
 def _bars(figures: Figures) -> list[Place]:
@@ -171,7 +207,11 @@ def _bars(figures: Figures) -> list[Place]:
 
 def _foot(figures: Figures) -> list[Place]:
     # a base that rocks about the axis of its first joint is that joint on a spring
-    return _base(figures) if len(moved_axes(figures)) == 3 else []
+    return [_BASE] if len(moved_axes(figures)) == 3 else []
+
+
+def _tilting(figures: Figures) -> list[Place]:
+    return [_BASE] if hinges(figures) else []
 
 
 def _offset_places(figures: Figures) -> list[Place]:
@@ -182,19 +222,13 @@ def _offset_places(figures: Figures) -> list[Place]:
 
 def _weighed(figures: Figures) -> list[Place]:
     """Links whose weight some joint carries."""
-    system = build(figures, Factors.ones(figures.joints))
-    found = []
+    system, found = build(figures, Factors.ones(figures.joints)), []
     for place in _links(figures):
         bare = system.copy()
         bare.bodies[place.index, of.MASS] *= 0.5
-        rest = figures.home + 0.3
-        moved = of.at_rest(system, rest)[1] - of.at_rest(bare, rest)[1]
-        found += [place] * bool(np.abs(moved).max() > 0.02 * figures.links[0].limit)
+        loads = [of.at_rest(each, figures.home + 0.3)[1] for each in (system, bare)]
+        found += [place] * bool(np.abs(loads[0] - loads[1]).max() > 0.02 * figures.links[0].limit)
     return found
-
-
-def _tilting(figures: Figures) -> list[Place]:
-    return _base(figures) if any(link.kind == "hinge" for link in figures.links) else []
 
 
 def moved_axes(figures: Figures) -> Array:
@@ -209,8 +243,6 @@ def moved_axes(figures: Figures) -> Array:
 
 HIGHEST_MODE, LOWEST_MODE = 60.0, 12.0
 """Free modes that a compliance may have [Hz]: holding modes of real arms lie at 10 to 80 Hz."""
-SLIDE_SPEED = 0.2
-"""Speed of a slide [m/s] that counts like 1 rad/s of a hinge."""
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -218,226 +250,162 @@ def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _sign(rng: np.random.Generator) -> float:
-    return float(rng.choice([-1.0, 1.0]))
+def _within(low: float, high: float) -> Span:
+    return lambda at: (low, high)
 
 
-def _speed(figures: Figures, place: Place) -> float:
-    return SLIDE_SPEED if figures.links[place.index].kind == "slide" else 1.0
-
-
-def _within(low: float, high: float) -> Callable[[Figures, Place], tuple[float, float]]:
-    return lambda figures, place: (low, high)
-
-
-def _of_link(
-    low: float, high: float, unit: Callable[[Link], float], power: int = 0
-) -> Callable[[Figures, Place], tuple[float, float]]:
+def _of_link(low: float, high: float, unit: Callable[[Link], float], power: int = 0) -> Span:
     """Bounds as shares of a number of the link, over the joint's unit of speed to a power."""
-
-    def span(figures: Figures, place: Place) -> tuple[float, float]:
-        scale = unit(figures.links[place.index]) / _speed(figures, place) ** power
-        return low * scale, high * scale
-
-    return span
+    return lambda at: (
+        low * unit(at.link) / at.speed**power, high * unit(at.link) / at.speed**power,
+    )  # fmt: skip
 
 
-def _of_limit(
-    low: float, high: float, power: int = 0
-) -> Callable[[Figures, Place], tuple[float, float]]:
+def _of_limit(low: float, high: float, power: int = 0) -> Span:
     return _of_link(low, high, lambda link: link.limit, power)
 
 
-def _springs(free: Callable[[System, Figures, Place], int]) -> Any:
+def _springs(free: Callable[[System, Spot], int]) -> Span:
     """Compliances whose free mode lies between `HIGHEST_MODE` and `LOWEST_MODE` [rad/(N m)]."""
 
-    def span(figures: Figures, place: Place) -> tuple[float, float]:
-        system = build(figures, Factors.ones(figures.joints))
-        felt = felt_inertia(system, free(system, figures, place), figures.home)
+    def span(at: Spot) -> tuple[float, float]:
+        system = build(at.figures, Factors.ones(at.figures.joints))
+        felt = felt_inertia(system, free(system, at), at.figures.home)
         low, high = (1 / (felt * (2 * np.pi * f) ** 2) for f in (HIGHEST_MODE, LOWEST_MODE))
         return low, high
 
     return span
 
 
-def _free_joint(system: System, figures: Figures, place: Place) -> int:
-    return free_link(system, place.index, "hinge", np.array(figures.links[place.index].axis))
+def _free_joint(system: System, at: Spot | At) -> int:
+    return free_link(system, at.place.index, "hinge", np.array(at.link.axis))
 
 
-def _free_half(system: System, figures: Figures, place: Place) -> int:
-    link = figures.links[place.index]
-    return split_link(system, place.index, 0.5 * np.array(link.end), np.array(link.axis), 0.52)
-
-
-def _free_foot(system: System, figures: Figures, place: Place) -> int:
-    return free_base(system, np.eye(3)[1])
+def _free_half(system: System, at: Spot) -> int:
+    end, axis = np.array(at.link.end), np.array(at.link.axis)
+    return split_link(system, at.place.index, 0.5 * end, axis, 0.52)
 
 
 def _just(name: str) -> Make:
-    return lambda size, rng, figures, place: {name: size}
+    return lambda size, at: {name: size}
 
 
 def _signed(name: str, neutral: float = 0.0) -> Make:
-    return lambda size, rng, figures, place: {name: neutral + _sign(rng) * size}
+    return lambda size, at: {name: neutral + at.sign() * size}
 
 
-def _direction(rng: np.random.Generator, basis: Array) -> Array:
-    mix = rng.normal(size=len(basis)) @ basis
-    return np.asarray(mix / np.linalg.norm(mix))
-
-
-def _along(*names: str) -> Make:
-    """A vector of the size in a random direction that matters."""
-
-    def make(size: float, rng: np.random.Generator, figures: Figures, place: Place) -> Parameters:
-        basis = np.eye(3) if names[0].startswith(("turn", "bias")) else moved_axes(figures)
-        return dict(zip(names, (size * _direction(rng, basis)).tolist(), strict=True))
-
-    return make
+def _along(*names: str, every: bool = False) -> Make:
+    """A vector of the size in a random direction, of those that matter or of all."""
+    return lambda size, at: dict(
+        zip(names, (size * at.direction(np.eye(3) if every else None)).tolist(), strict=True)
+    )
 
 
 def _rubbing(ratio: tuple[float, float], speeds: tuple[float, float] = (0.05, 0.05)) -> Make:
-    def make(size: float, rng: np.random.Generator, figures: Figures, place: Place) -> Parameters:
-        unit = _speed(figures, place)
-        return {
-            "torque": size,
-            "static_ratio": rng.uniform(*ratio),
-            "speed": log_uniform(rng, *speeds) * unit,
-            "smooth_speed": log_uniform(rng, 1e-3, 4e-3) * unit,
-        }
-
-    return make
+    return lambda size, at: {
+        "torque": size, "static_ratio": at.uniform(*ratio),
+        "speed": log_uniform(at.rng, *speeds) * at.speed,
+        "smooth_speed": log_uniform(at.rng, 1e-3, 4e-3) * at.speed,
+    }  # fmt: skip
 
 
-def _make_asymmetric(
-    size: float, rng: np.random.Generator, figures: Figures, place: Place
-) -> Parameters:
-    side = float(rng.uniform(0.35, 0.8)) * _sign(rng)
+def _make_asymmetric(size: float, at: Spot) -> Parameters:
+    side = at.uniform(0.35, 0.8) * at.sign()
     sides = {"forward": size * (1 + side), "backward": size * (1 - side)}
-    return {**_rubbing((1.0, 1.1))(size, rng, figures, place), **sides}
+    return {**_rubbing((1.0, 1.1))(size, at), **sides}
 
 
-def _make_loaded(
-    size: float, rng: np.random.Generator, figures: Figures, place: Place
-) -> Parameters:
-    drawn = _rubbing((1.0, 1.2), (0.03, 0.25))(size, rng, figures, place)
-    return {"share": size, "load_ratio": 0.0, **{k: drawn[k] for k in drawn if k != "torque"}}
+def _make_loaded(size: float, at: Spot) -> Parameters:
+    return {**_rubbing((1.0, 1.2), (0.03, 0.25))(size, at), "share": size, "load_ratio": 0.0}
 
 
 def _softness(ratio: tuple[float, float], stiffening: tuple[float, float]) -> Make:
-    return lambda size, rng, figures, place: {
-        "stiffness": 1.0 / size, "damping_ratio": log_uniform(rng, *ratio),
-        "stiffening": rng.uniform(*stiffening),
+    return lambda size, at: {
+        "stiffness": 1.0 / size, "damping_ratio": log_uniform(at.rng, *ratio),
+        "stiffening": at.uniform(*stiffening),
     }  # fmt: skip
 
 
-def _make_stops(
-    size: float, rng: np.random.Generator, figures: Figures, place: Place
-) -> Parameters:
+def _make_stops(size: float, at: Spot) -> Parameters:
     """Free travel, mode of a part pressed to a stop by its usual load [Hz], its damping there."""
-    return {
-        "gap": size, "stop_mode": rng.uniform(90.0, 130.0),
-        "stop_damping_ratio": rng.uniform(0.2, 0.5),
-    }  # fmt: skip
+    mode, ratio = at.uniform(90.0, 130.0), at.uniform(0.2, 0.5)
+    return {"gap": size, "stop_mode": mode, "stop_damping_ratio": ratio}
 
 
-def _make_looseness(
-    size: float, rng: np.random.Generator, figures: Figures, place: Place
-) -> Parameters:
-    direction = _direction(rng, moved_axes(figures)).tolist()
-    friction = log_uniform(rng, 0.3, 3.0)
-    return {
-        "direction": direction, "friction": friction, **_make_stops(size, rng, figures, place)
-    }  # fmt: skip
+def _make_looseness(size: float, at: Spot) -> Parameters:
+    seat = {"direction": at.direction().tolist(), "friction": log_uniform(at.rng, 0.3, 3.0)}
+    return {**seat, **_make_stops(size, at)}
 
 
-def _make_flexibility(
-    size: float, rng: np.random.Generator, figures: Figures, place: Place
-) -> Parameters:
+def _make_flexibility(size: float, at: Spot) -> Parameters:
     # in the plane in which the joint drives it
-    own = np.abs(figures.links[place.index].axis)
-    axis = (0.0, 1.0, 0.0) if own[1] >= own[2] else (0.0, 0.0, 1.0)
-    drawn = _softness((0.01, 0.05), (0.02, 0.08))(size, rng, figures, place)
-    return {"axis": list(axis), "position": rng.uniform(0.35, 0.6), **drawn}
+    own = np.abs(at.link.axis)
+    axis = [0.0, 1.0, 0.0] if own[1] >= own[2] else [0.0, 0.0, 1.0]
+    soft = _softness((0.01, 0.05), (0.02, 0.08))(size, at)
+    return {"axis": axis, "position": at.uniform(0.35, 0.6), **soft}
 
 
-def _make_payload(
-    size: float, rng: np.random.Generator, figures: Figures, place: Place
-) -> Parameters:
+def _make_payload(size: float, at: Spot) -> Parameters:
     # its centre at the tool, or as far off as a gripper is long
-    off = rng.choice([0.0, rng.uniform(0.01, 0.08)]) * _direction(rng, np.eye(3))
+    off = at.rng.choice([0.0, at.uniform(0.01, 0.08)]) * at.direction(np.eye(3))
     return {"mass": size, **dict(zip("xyz", off.tolist(), strict=True))}
 
 
-def _make_tilt(size: float, rng: np.random.Generator, figures: Figures, place: Place) -> Parameters:
+def _make_tilt(size: float, at: Spot) -> Parameters:
     # only a tilt that turns gravity inside a planar arm's plane moves the arm
-    angle = rng.uniform(-np.pi, np.pi)
+    angle = at.uniform(-np.pi, np.pi)
     axis = np.array([np.cos(angle), np.sin(angle), 0.0])
-    if len(moved_axes(figures)) < 3 and abs(figures.links[0].axis[2]) < 0.5:
-        axis = np.abs(figures.links[0].axis) * _sign(rng)
+    own = np.abs(at.figures.links[0].axis)
+    if len(moved_axes(at.figures)) < 3 and own[2] < 0.5:
+        axis = own * at.sign()
     return {"tilt_x": float(size * axis[0]), "tilt_y": float(size * axis[1])}
 
 
-def _make_ripple(
-    size: float, rng: np.random.Generator, figures: Figures, place: Place
-) -> Parameters:
+def _make_ripple(size: float, at: Spot) -> Parameters:
     return {
-        "amplitude": size, "periods": float(rng.integers(6, 25)),
-        "phase": rng.uniform(-np.pi, np.pi), "second_harmonic": rng.uniform(0.0, 0.2),
+        "amplitude": size, "periods": float(at.rng.integers(6, 25)),
+        "phase": at.uniform(-np.pi, np.pi), "second_harmonic": at.uniform(0.0, 0.2),
     }  # fmt: skip
 
 
-def _make_spring(
-    size: float, rng: np.random.Generator, figures: Figures, place: Place
-) -> Parameters:
-    link = figures.links[place.index]
-    reference = link.home + rng.uniform(-1.5, 1.5) * link.reach
-    return {"stiffness": size, "reference": reference, "stiffening": rng.uniform(0.0, 0.1)}
+def _make_spring(size: float, at: Spot) -> Parameters:
+    reference = at.link.home + at.uniform(-1.5, 1.5) * at.link.reach
+    return {"stiffness": size, "reference": reference, "stiffening": at.uniform(0.0, 0.1)}
 
 
-def _make_voltage(
-    size: float, rng: np.random.Generator, figures: Figures, place: Place
-) -> Parameters:
-    link = figures.links[place.index]
-    stall = link.limit / size  # of the velocity gain a part is back-EMF
-    return {"stall_torque": stall, "no_load_speed": stall / (rng.uniform(0.3, 1.0) * link.kv)}
+def _make_voltage(size: float, at: Spot) -> Parameters:
+    stall = at.link.limit / size  # of the velocity gain a part is back-EMF
+    return {"stall_torque": stall, "no_load_speed": stall / (at.uniform(0.3, 1.0) * at.link.kv)}
 
 
-def _make_eccentric(
-    size: float, rng: np.random.Generator, figures: Figures, place: Place
-) -> Parameters:
-    phase = rng.uniform(-np.pi, np.pi)
+def _make_eccentric(size: float, at: Spot) -> Parameters:
+    phase = at.uniform(-np.pi, np.pi)
     return {"sine": float(size * np.cos(phase)), "cosine": float(size * np.sin(phase))}
 
 
-def _make_bias(size: float, rng: np.random.Generator, figures: Figures, place: Place) -> Parameters:
-    if place.name != ACCELEROMETER:
-        return {"bias": 0.05 * _sign(rng) * size * _speed(figures, place)}
-    return _along("bias_x", "bias_y", "bias_z")(size, rng, figures, place)
+def _make_bias(size: float, at: Spot) -> Parameters:
+    if at.place.name != ACCELEROMETER:
+        return {"bias": 0.05 * at.sign() * size * at.speed}
+    return _along("bias_x", "bias_y", "bias_z", every=True)(size, at)
 
 
-def _make_slack(
-    size: float, rng: np.random.Generator, figures: Figures, place: Place
-) -> Parameters:
-    reach = figures.links[place.index].reach
-    slack = rng.uniform(0.05, 0.25) * reach
-    return {"torque": size, "slack": slack, "elastic": rng.uniform(0.1, 0.4) * slack}
+def _make_slack(size: float, at: Spot) -> Parameters:
+    slack = at.uniform(0.05, 0.25) * at.link.reach
+    return {"torque": size, "slack": slack, "elastic": at.uniform(0.1, 0.4) * slack}
 
 
-def _make_cable(
-    size: float, rng: np.random.Generator, figures: Figures, place: Place
-) -> Parameters:
-    others = [p.index for p in hinges(figures) if p.index > place.index]
+def _make_cable(size: float, at: Spot) -> Parameters:
+    others = [p.index for p in hinges(at.figures) if p.index > at.place.index]
     return {
-        "stiffness": size, "other": int(rng.choice(others)),
-        "ratio": float(rng.uniform(0.6, 1.5)) * _sign(rng), "slack": float(rng.uniform(-0.3, 0.3)),
+        "stiffness": size, "other": int(at.rng.choice(others)),
+        "ratio": at.uniform(0.6, 1.5) * at.sign(), "slack": at.uniform(-0.3, 0.3),
     }  # fmt: skip
 
 
-def _make_fan(size: float, rng: np.random.Generator, figures: Figures, place: Place) -> Parameters:
+def _make_fan(size: float, at: Spot) -> Parameters:
     return {
-        "force": size, "direction": _direction(rng, moved_axes(figures)).tolist(),
-        "frequency": log_uniform(rng, 3.0, 12.0), "phase": rng.uniform(-np.pi, np.pi),
+        "force": size, "direction": at.direction().tolist(),
+        "frequency": log_uniform(at.rng, 3.0, 12.0), "phase": at.uniform(-np.pi, np.pi),
     }  # fmt: skip
 
 
@@ -487,7 +455,7 @@ def _viscous(at: At, p: Parameters) -> None:
     # oil thins a little with speed
     law = at.law
     law[of.EXTRA] += p["damping"]
-    law[of.THINNING] = 6.0 * _speed(at.figures, at.place)
+    law[of.THINNING] = 6.0 * Spot(at.figures, at.place).speed
 
 
 def _friction(at: At, p: Parameters) -> None:
@@ -508,7 +476,7 @@ def _set_spring(system: System, dof: int, figures: Figures, load: float, p: Para
 
 
 def _compliance(at: At, p: Parameters) -> None:
-    dof = _free_joint(at.system, at.figures, at.place)
+    dof = _free_joint(at.system, at)
     _set_spring(at.system, dof, at.figures, 0.5 * at.link.limit, p)
 
 
@@ -524,7 +492,7 @@ def _set_stops(system: System, dof: int, figures: Figures, load: float, p: Param
 
 
 def _backlash(at: At, p: Parameters) -> None:
-    dof = _free_joint(at.system, at.figures, at.place)
+    dof = _free_joint(at.system, at)
     _set_stops(at.system, dof, at.figures, 0.1 * at.link.limit, p)
     # grease between the flanks
     at.system.laws[dof, of.DAMPING] = 0.05 * at.link.damping
@@ -706,32 +674,33 @@ _CATALOGUE = (
          span=_within(2e-3, 0.04), make=_just("delay"), apply=_adds("drive", delay=of.DELAY),
          forms=MOVED, units={"delay": "s"}),
     Kind(name="command_interpolation", places=lambda f: [ALL], span=_within(1.0, 1.01),
-         make=lambda size, rng, figures, place: {}, apply=_straight, forms=MOVED),
+         make=lambda size, at: {}, apply=_straight, forms=MOVED),
     # the servo closes on the shifted reading too
     Kind(name="encoder_offset", places=_offset_places, span=_within(8e-3, 0.12),
          make=_signed("offset"), apply=_adds("drive", offset=of.OFFSET), units={"offset": "A"}),
     Kind(name="gear_eccentricity", places=hinges, span=_within(3e-3, 0.02), make=_make_eccentric,
          apply=_writes("drive", sine=of.ECCENTRIC_SINE, cosine=of.ECCENTRIC_COSINE), forms=MOVED,
          units={"sine": "A", "cosine": "A"}),
-    Kind(name="sensor_misalignment", places=_accelerometer, span=_within(0.03, 0.3),
-         make=_along("turn_x", "turn_y", "turn_z"), apply=_turn, forms=MOVED,
+    Kind(name="sensor_misalignment", places=lambda f: [_TOOL_ACC], span=_within(0.03, 0.3),
+         make=_along("turn_x", "turn_y", "turn_z", every=True), apply=_turn, forms=MOVED,
          units={"turn_x": "rad", "turn_y": "rad", "turn_z": "rad"}),
     Kind(name="sensor_gain", places=_inertial, span=_within(0.03, 0.3), make=_signed("gain", 1.0),
          apply=_reads("gain", "gain"), forms=MOVED, units={"gain": ""}),
     Kind(name="sensor_bias", places=_inertial, span=_within(0.15, 1.5), make=_make_bias,
          apply=_bias, forms=MOVED,
          units={"bias": "A/s", "bias_x": "m/s²", "bias_y": "m/s²", "bias_z": "m/s²"}),
-    Kind(name="sensor_delay", places=lambda f: _accelerometer(f) * 2 + _speeds(f) + _encoders(f),
+    Kind(name="sensor_delay", places=lambda f: [_TOOL_ACC] * 2 + _speeds(f) + _encoders(f),
          span=_within(3e-3, 0.04), make=_just("delay"), apply=_reads("delay", "delay"),
          forms=MOVED, units={"delay": "s"}),
     Kind(name="sensor_quantisation", places=_encoders, span=_within(2e-3, 0.02),
-         make=lambda size, rng, figures, place: {"step": size * _speed(figures, place)},
+         make=lambda size, at: {"step": size * at.speed},
          apply=_reads("step", "step"), forms=MOVED, units={"step": "A"}),
     Kind(name="base_tilt", places=_tilting, span=_within(0.015, 0.12), make=_make_tilt,
          apply=_tilt, units={"tilt_x": "rad", "tilt_y": "rad"}),
-    Kind(name="base_compliance", places=_foot, span=_springs(_free_foot),
-         make=lambda size, rng, figures, place: {
-             "axis": "y", **_softness((0.02, 0.1), (0.0, 0.05))(size, rng, figures, place)},
+    Kind(name="base_compliance", places=_foot,
+         span=_springs(lambda system, at: free_base(system, np.eye(3)[1])),
+         make=lambda size, at: {
+             "axis": "y", **_softness((0.02, 0.1), (0.0, 0.05))(size, at)},
          apply=_on_a_spring, forms=MOVED, units={"stiffness": "N·m/rad"}),
     Kind(name="torque_ripple", places=joints, span=_of_limit(0.01, 0.08), make=_make_ripple,
          apply=_ripple, forms=(SERVO, TORQUE),
@@ -741,12 +710,12 @@ _CATALOGUE = (
     Kind(name="gravity_compensation", places=_weighed, span=_within(0.25, 1.0),
          make=_signed("share"), apply=_adds("body", share=of.CARRIED), units={"share": ""}),
     Kind(name="torque_limit", places=_motors, span=_within(1.3, 4.0),
-         make=lambda size, rng, figures, place: {"limit": figures.links[place.index].limit / size},
+         make=lambda size, at: {"limit": at.link.limit / size},
          apply=_writes("drive", limit=of.LIMIT), forms=MOVED, units={"limit": "T"}),
     Kind(name="voltage_limit", places=_motors, span=_within(1.3, 4.0), make=_make_voltage,
          apply=_voltage, forms=MOVED, units={"stall_torque": "T", "no_load_speed": "A/s"}),
     Kind(name="speed_limit", places=_motors, span=_within(0.3, 5.0),
-         make=lambda size, rng, figures, place: {"speed": _speed(figures, place) / size},
+         make=lambda size, at: {"speed": at.speed / size},
          apply=_writes("drive", speed=of.SPEED_LIMIT), forms=MOVED, units={"speed": "A/s"}),
     Kind(name="dead_zone", places=_motors,
          span=_of_link(0.02, 0.2, lambda x: x.limit / x.kp), make=_just("width"),
@@ -755,8 +724,8 @@ _CATALOGUE = (
 
 _OUTSIDE = (
     Kind(name="warming_friction", places=hinges, span=_of_limit(0.02, 0.1),
-         make=lambda size, rng, figures, place: {
-             "torque": size, "warm_time": log_uniform(rng, 1.5, 4.0)},
+         make=lambda size, at: {
+             "torque": size, "warm_time": log_uniform(at.rng, 1.5, 4.0)},
          apply=_writes("law", _THIN, torque=of.FRICTION, warm_time=of.WARM_TIME)),
     Kind(name="cable_coupling", places=lambda f: hinges(f)[:-1], span=_of_limit(0.05, 0.3),
          make=_make_cable, apply=_cable),
@@ -765,9 +734,9 @@ _OUTSIDE = (
          apply=_writes("drive", sag=of.SAG), forms=MOVED),
     # a bent shaft rubs in some angles and runs free in others
     Kind(name="tight_spots", places=hinges, span=_of_limit(0.02, 0.12),
-         make=lambda size, rng, figures, place: {
-             "torque": size, "waves": float(rng.integers(3, 9)),
-             "phase": rng.uniform(-np.pi, np.pi)},
+         make=lambda size, at: {
+             "torque": size, "waves": float(at.rng.integers(3, 9)),
+             "phase": at.uniform(-np.pi, np.pi)},
          apply=_writes("law", _THIN, torque=of.FRICTION, waves=of.GRAIN, phase=of.GRAIN + 1)),
 )  # fmt: skip
 
@@ -779,13 +748,12 @@ OUTSIDE = tuple(kind.name for kind in _OUTSIDE)
 """Effects that the catalogue does not have."""
 
 
-def drawn(name: str, place: Place, figures: Figures, rng: np.random.Generator,
-          share: float | None = None) -> Effect:  # fmt: skip
+def drawn(name: str, spot: Spot, share: float | None = None) -> Effect:
     """An effect at a place, of a size in its span: at a share of it, or log-uniform."""
     kind = KINDS[name]
-    low, high = kind.span(figures, place)
-    size = low * (high / low) ** (rng.random() if share is None else share)
-    return Effect(kind=name, place=place, parameters=kind.make(size, rng, figures, place))
+    low, high = kind.span(spot)
+    size = low * (high / low) ** (spot.uniform(0, 1) if share is None else share)
+    return Effect(kind=name, place=spot.place, parameters=kind.make(float(size), spot))
 
 
 def apply_effect(effect: Effect, system: System, readings: Readings, figures: Figures) -> None:

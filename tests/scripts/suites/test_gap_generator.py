@@ -30,7 +30,7 @@ from scripts.suites.gap.cases import (
     write_case,
 )
 from scripts.suites.gap.dynamics import Factors, System, build, simulate
-from scripts.suites.gap.effects import CATALOGUE, KINDS, OUTSIDE, Effect, drawn
+from scripts.suites.gap.effects import CATALOGUE, KINDS, OUTSIDE, Effect, Spot, drawn
 from scripts.suites.gap.machine import Motion, TrueArm
 
 pytestmark = pytest.mark.slow
@@ -97,7 +97,7 @@ def test_every_kind_changes_the_readings(name):
     kind = KINDS[name]
     figures = next(arm for arm in (planar3(), spatial3()) if kind.places(arm))
     motion = Motion(commands=swing(figures))
-    effect = drawn(name, kind.places(figures)[-1], figures, np.random.default_rng(3), 0.9)
+    effect = drawn(name, Spot(figures, kind.places(figures)[-1], np.random.default_rng(3)), 0.9)
     with_it, without = exact(figures, effect).run(motion), exact(figures).run(motion)
     changes = [
         np.abs(getattr(with_it, field.name) - getattr(without, field.name)).max()
