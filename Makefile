@@ -51,7 +51,7 @@ bench: $(RUN) ## time the simulation and the diagnosis on this machine
 study: $(RUN) ## halve the time step and see what the results depend on
 	$(BIN)/python scripts/studies/step_halving.py $(ARGS)
 
-gap-suite: $(DEV) ## grade the gap tool on blind recordings (hours; ARGS=--quick a quarter of an hour)
+gap-suite: $(DEV) ## grade the gap tool on blind recordings (ARGS="--numbers 0-59 --workers 2")
 	$(ONE_THREAD) $(BIN)/python -m scripts.suites.gap.run $(ARGS)
 
 check: $(DEV) ## formatting, lint and types; changes nothing

@@ -1,4 +1,4 @@
-"""Run and grade `loose gap`, or any other tool, on blind recordings of several worlds.
+r"""Run and grade `loose gap`, or any other tool, on blind recordings of several worlds.
 
 Each case is a machine that is integrated without MuJoCo, given to the tool as a recording and
 nothing else, and graded against its sealed truth once the result is written. Rows of finished cases
@@ -8,15 +8,23 @@ are kept: the same command goes on where it was stopped.
     python -m scripts.suites.gap.run --numbers 10000-10359 --phrase "words chosen today"
     python -m scripts.suites.gap.run --tool module:function             # recording folder -> result
     python -m scripts.suites.gap.run --tool stepwise                    # a rival, on the same cases
-    python -m scripts.suites.gap.run --make FOLDER                      # recordings and truth alone
     python -m scripts.suites.gap.run --methods                          # table of all tools
+
+Others enter with files: recordings are made from a phrase that is kept back, each answer is what
+``result.json`` holds, and truths are checked against the commitments that were given out.
+
+    python -m scripts.suites.gap.run --make SUITE --numbers 10000-10059 --phrase SECRET
+    python -m scripts.suites.gap.run --blind SUITE --numbers 10000-10059 --phrase SECRET \
+        --answers ANSWERS --out out/gap_suite/THEIRS
 """
 
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib
 import json
+import math
 import resource
 import shutil
 import subprocess
@@ -29,9 +37,10 @@ from typing import Any
 
 import loose_env
 from loose_env.cli.command import command
-from loose_env.errors import InvalidSetting
+from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import write_text
-from scripts.suites.gap.cases import made, name_of, numbers_of
+from scripts.suites.gap.cases import TOLERANCES, made, name_of, numbers_of
+from scripts.suites.gap.effects import CATALOGUE, KINDS
 from scripts.suites.gap.grading import failed, grade, methods_table, table, words_of
 from scripts.suites.rows import Row, check_code, code_hash, kept, run_cases
 
@@ -45,6 +54,7 @@ TOOLS = {
     "stepwise": "scripts.suites.gap.rivals:stepwise",
 }
 """Short names of tools."""
+VERDICTS = ("no_gap", "named", "unexplained")
 LONGEST = 1800.0
 """Time after which a tool counts as failed [s]."""
 
@@ -57,6 +67,26 @@ def loose_gap(recording: Path) -> Mapping[str, Any]:
 
 def _to_stderr(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
+
+
+def answered(answers: Path, name: str) -> Mapping[str, Any]:
+    """An answer given as a file, checked."""
+    path = answers / f"{name}.json"
+    try:
+        answer = json.loads(path.read_text(encoding="utf-8"))
+        wrong = answer["verdict"] not in VERDICTS
+        for effect in answer.get("effects", ()):
+            wrong |= not isinstance(effect["where"], str) or effect["kind"] not in KINDS
+            spans = (effect.get("interval_95") or {}).values()
+            numbers = [*(effect.get("parameters") or {}).values(), *(x for s in spans for x in s)]
+            wrong |= not all(math.isfinite(float(x)) for x in numbers)
+    except OSError as error:
+        raise InvalidData(f"{path}: no answer; every case needs one") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InvalidData(f"{path}: {type(error).__name__} {error}; see protocol.json") from error
+    if wrong:
+        raise InvalidData(f"{path}: a verdict is one of {VERDICTS}, a kind one of protocol.json")
+    return answer  # type: ignore[no-any-return]
 
 
 def tool_of(name: str) -> Tool:
@@ -79,13 +109,18 @@ def ask(tool: str, recording: Path, folder: Path) -> None:
     write_text(folder / "result.json", json.dumps(result))
 
 
-def run_case(number: int, *, tool: str, phrase: str, out: Path, blind: Path, code: str) -> Row:
+def run_case(
+    number: int, *, tool: str, answers: Path | None, phrase: str, out: Path, blind: Path, code: str
+) -> Row:
     """Make a case, let the tool answer it in a process of its own, and grade the answer.
 
     The truth is opened only after the tool has left its whole result. Whatever goes wrong becomes
     the row, with the message.
     """
     begun, name = time.perf_counter(), made(number, phrase, blind)
+    row: Row = {"number": number, "phrase": phrase, "code": code, "error": ""}
+    if answers is not None:
+        return row | grade(answered(answers, name), _truth(blind, name, phrase))
     folder = out / "results" / name
     shutil.rmtree(folder, ignore_errors=True)  # nothing of an earlier run may be graded
     folder.mkdir(parents=True)
@@ -96,19 +131,48 @@ def run_case(number: int, *, tool: str, phrase: str, out: Path, blind: Path, cod
                 [sys.executable, "-m", "scripts.suites.gap.run", *words],
                 stdout=log, stderr=log, check=False, timeout=LONGEST,
             )  # fmt: skip
-            code_of_exit = str(done.returncode)
+            ended = f"exit code {done.returncode}"
         except subprocess.TimeoutExpired:
-            code_of_exit = f"longer than {LONGEST:.0f} s"
-    truth = json.loads((blind / "truth" / f"{name}.json").read_text(encoding="utf-8"))
-    row: Row = {"number": number, "phrase": phrase, "code": code, "error": ""}
+            ended = f"longer than {LONGEST:.0f} s"
+    truth = _truth(blind, name, phrase)
     if (folder / "result.json").is_file():
-        result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-        row |= grade(result, truth)
-        row |= json.loads((folder / "cost.json").read_text(encoding="utf-8"))
+        result, cost = (
+            json.loads((folder / file).read_text(encoding="utf-8"))
+            for file in ("result.json", "cost.json")
+        )
+        row |= grade(result, truth) | cost
     else:
-        lines = (folder / "log.txt").read_text(encoding="utf-8").splitlines() or [code_of_exit]
-        row |= {**failed(truth), "error": lines[-1]}
+        lines = (folder / "log.txt").read_text(encoding="utf-8").splitlines() or [ended]
+        row |= failed(truth) | {"error": lines[-1]}
     return {**row, "seconds": round(time.perf_counter() - begun, 1)}
+
+
+def _commitment(phrase: str, truth: Path) -> str:
+    """SHA-256 of the phrase and a file of truth: neither can be changed afterwards."""
+    return hashlib.sha256(phrase.encode() + truth.read_bytes()).hexdigest()
+
+
+def _truth(blind: Path, name: str, phrase: str) -> Mapping[str, Any]:
+    """The sealed truth, which is the committed one where there are commitments."""
+    path, given = blind / "truth" / f"{name}.json", blind / "commitments.json"
+    if given.is_file():
+        known = json.loads(given.read_text(encoding="utf-8"))
+        if known.get(name) != _commitment(phrase, path):
+            raise InvalidData(f"{path} is not the truth that {given.name} was made from")
+    return json.loads(path.read_text(encoding="utf-8"))  # type: ignore[no-any-return]
+
+
+def make(numbers: Sequence[int], phrase: str, folder: Path) -> None:
+    """Write recordings, truth, what entrants are told, and commitments to the truth."""
+    names = sorted(made(number, phrase, folder) for number in numbers)
+    protocol = {
+        "format": "gap-benchmark/2", "cases": names, "verdicts": VERDICTS,
+        "tolerances": TOLERANCES, "kinds": {name: dict(KINDS[name].units) for name in CATALOGUE},
+    }  # fmt: skip
+    write_text(folder / "protocol.json", json.dumps(protocol, indent=1) + "\n")
+    kept_back = {name: _commitment(phrase, folder / "truth" / f"{name}.json") for name in names}
+    write_text(folder / "commitments.json", json.dumps(kept_back, indent=1) + "\n")
+    print(f"{len(names)} cases in {folder}; keep {folder / 'truth'} and the phrase back")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +191,9 @@ class RunSettings:
     blind: Path | None = None
     """Folder of recordings and truth, made where they lack; out/gap_suite/blind by default."""
     make: Path | None = None
-    """Write recordings and truth into this folder and run nothing."""
+    """Write recordings, truth, protocol and commitments into this folder and run nothing."""
+    answers: Path | None = None
+    """Folder of answers, CASE.json each, that are graded in place of a tool's."""
     show: bool = False
     """Run nothing, print the table of the kept rows."""
     methods: bool = False
@@ -161,8 +227,7 @@ def run(given: RunSettings) -> None:
         print(methods_table(tools))
         return
     if given.make is not None:
-        for number in numbers:
-            print(number, made(number, given.phrase, given.make), flush=True)
+        make(numbers, given.phrase, given.make)
         return
     tool_of(given.tool)
     if given.recording is not None:
@@ -184,7 +249,13 @@ def run(given: RunSettings) -> None:
     else:
         blind = (given.blind or OUT / "blind").resolve()
         work = functools.partial(
-            run_case, tool=given.tool, phrase=given.phrase, out=out, blind=blind, code=code
+            run_case,
+            tool=given.tool,
+            answers=given.answers,
+            phrase=given.phrase,
+            out=out,
+            blind=blind,
+            code=code,
         )
         rows = run_cases(numbers, work, file, workers=given.workers, say=line_of)
     printed = f"{len(rows)} cases of {len(numbers)}, tool {given.tool}.\n\n{table(rows)}\n"
@@ -194,7 +265,7 @@ def run(given: RunSettings) -> None:
 
 def line_of(row: Row) -> str:
     """One line about a case."""
-    said = f"FAILED {row['error']}" if row["error"] else f"[{row['cpu']:.0f} s CPU]"
+    said = f"FAILED {row['error']}" if row["error"] else f"[{row.get('cpu', 0):.0f} s CPU]"
     return f"{row['number']:5d} {words_of(row)}  {said}"
 
 

@@ -14,7 +14,6 @@ pytest.importorskip("pyarrow")
 
 from loose_env.errors import InvalidSetting
 from loose_env.recording import read_recording
-from scripts.suites.gap import dynamics as of
 from scripts.suites.gap.arms import MACHINES, model_xml, planar3, spatial3
 from scripts.suites.gap.cases import (
     FIRST_JUDGED,
@@ -29,7 +28,7 @@ from scripts.suites.gap.cases import (
     world_of,
     write_case,
 )
-from scripts.suites.gap.dynamics import Factors, System, build, simulate
+from scripts.suites.gap.dynamics import Factors, build, simulate
 from scripts.suites.gap.effects import CATALOGUE, KINDS, OUTSIDE, Effect, Spot, drawn
 from scripts.suites.gap.machine import Motion, TrueArm
 
@@ -48,14 +47,6 @@ def swing(figures, seconds: float = 0.8) -> np.ndarray:
 
 def exact(figures, *effects: Effect) -> TrueArm:
     return TrueArm(figures=figures, factors=Factors.ones(figures.joints), effects=effects)
-
-
-def unpowered(figures) -> System:
-    """The arm without drives, damping and friction."""
-    system = build(figures, Factors.ones(figures.joints))
-    system.laws[:] = 0.0
-    system.drives[:, 1:3] = 0.0
-    return system
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -77,19 +68,6 @@ def test_the_nominal_arm_moves_as_mujoco_moves_its_model(name):
         np.testing.assert_allclose(acceleration, trace.acceleration[k], atol=1e-3)
         np.testing.assert_allclose(data.actuator_force, trace.torque[k], atol=1e-3)
         mujoco.mj_step(model, data, inside)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_an_arm_keeps_its_energy_and_friction_only_takes_some(name):
-    figures = MACHINES[name]()
-    start = (figures.home + 0.2, np.full(figures.joints, 1.5))
-    trace = simulate(unpowered(figures), swing(figures), start=start, settle=0.0)
-    assert np.ptp(trace.position, axis=0).min() > 0.1
-    assert np.ptp(trace.energy) < 1e-7 * np.abs(trace.energy).max()
-    system = unpowered(figures)
-    system.laws[1, [of.FRICTION, of.STRIBECK_SPEED, of.SMOOTH_SPEED]] = 0.5, 0.1, 0.01
-    energy = simulate(system, swing(figures), start=start, settle=0.0).energy
-    assert energy[-1] < energy[0] - 1e-3 and np.diff(energy).max() < 1e-9
 
 
 @pytest.mark.parametrize("name", [*CATALOGUE, *OUTSIDE])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,9 @@ pytest.importorskip("numba")
 pytest.importorskip("joblib")
 
 from loose_env.errors import InvalidData, InvalidSetting
-from scripts.suites.gap import public
 from scripts.suites.gap.cases import name_of, role_of
 from scripts.suites.gap.grading import failed, grade, methods_table, table
-from scripts.suites.gap.run import RunSettings, run, tool_of
+from scripts.suites.gap.run import VERDICTS, RunSettings, run, tool_of
 from scripts.suites.rows import kept
 
 STUB = "tests.scripts.suites.test_gap_suite:stub"
@@ -158,36 +158,38 @@ def test_a_rival_answers_a_blind_case(name: str, tmp_path: Path) -> None:
             pytest.skip("mujoco.sysid lacks its optional packages: pip install 'mujoco[sysid]'")
     run(RunSettings(numbers=("2",), tool=name, out=tmp_path / "out", blind=tmp_path))
     (row,) = kept(tmp_path / "out" / "rows.jsonl")
-    assert row["error"] == "" and row["verdict"] in public.VERDICTS
+    assert row["error"] == "" and row["verdict"] in VERDICTS
 
 
 @pytest.mark.slow
-def test_a_public_suite_is_made_from_a_phrase_and_scored_against_commitments(
-    tmp_path: Path,
+def test_files_enter_against_commitments_made_from_a_phrase(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    settings = public.Made(folder=tmp_path / "suite", cases=2, phrase="of the tests")
-    told = public.make(settings)
-    assert public.make(settings) == told
-    assert "coulomb_friction" in told["kinds"] and "truth" not in json.dumps(told)
-    with pytest.raises(InvalidSetting, match="another phrase"):
-        public.make(public.Made(folder=tmp_path / "suite", cases=2, phrase="other"))
-    answers = tmp_path / "answers"
+    suite, answers = tmp_path / "suite", tmp_path / "answers"
     answers.mkdir()
-    for name in told["cases"]:
-        sealed = json.loads((tmp_path / f"suite/sealed/truth/{name}.json").read_text())
+    given = RunSettings(numbers=("10000-10001",), phrase="of the tests", make=suite)
+    run(given)
+    told = (suite / "protocol.json").read_text()
+    commitments = (suite / "commitments.json").read_text()
+    run(given)
+    assert (suite / "commitments.json").read_text() == commitments
+    names = json.loads(told)["cases"]
+    assert "coulomb_friction" in json.loads(told)["kinds"] and "truth" not in told
+    for name in names:
+        sealed = json.loads((suite / "truth" / f"{name}.json").read_text())
         effects = [
             (e["kind"], e["where"], {k: v["value"] for k, v in e["values"].items()}, {})
             for e in sealed["effects"]
         ]
         (answers / f"{name}.json").write_text(json.dumps(said("named", *effects)))
-    asked = public.Scored(folder=tmp_path / "suite", answers=answers, name="knowing")
-    found = public.score(asked)
-    assert all(row["right"] for row in found["rows"])
-    assert "2/2 = 100 %" in public.leaderboard([found])
-    (answers / f"{told['cases'][0]}.json").write_text('{"verdict": "maybe"}')
+    entered = replace(given, make=None, blind=suite, answers=answers, out=tmp_path / "out")
+    run(entered)
+    assert "found | | 2/2 = 100 %" in capsys.readouterr().out
+    (answers / f"{names[0]}.json").write_text('{"verdict": "maybe"}')
     with pytest.raises(InvalidData, match="a verdict is one of"):
-        public.score(asked)
-    sealed_file = tmp_path / f"suite/sealed/truth/{told['cases'][0]}.json"
+        run(replace(entered, afresh=True))
+    sealed_file = suite / "truth" / f"{names[0]}.json"
     sealed_file.write_text(sealed_file.read_text() + " ")
+    (answers / f"{names[0]}.json").write_text('{"verdict": "no_gap"}')
     with pytest.raises(InvalidData, match="is not the truth"):
-        public.score(asked)
+        run(replace(entered, afresh=True))
