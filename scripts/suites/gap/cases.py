@@ -766,6 +766,39 @@ def _garbage(values: Array, rng: np.random.Generator) -> Array:
     return rng.normal(size=len(values)) * 3 * size
 
 
+_ALONG: dict[str, dict[str, str]] = {
+    "viscous_friction": {"damping": "damping"}, "rotor_inertia": {"inertia": "armature"},
+    "link_mass": {"mass": "mass"}, "actuator_gain": {"gain": "kp"},
+    "torque_constant": {"factor": "constant"}, "torque_offset": {"torque": "offset"},
+    "link_com": {"x": "x", "y": "y", "z": "z"}, "encoder_offset": {"offset": "zero"},
+    "command_delay": {"delay": "shift"},
+}  # fmt: skip
+"""Parameters that add to an error of the model, from which no data tell them apart."""
+
+
+def _true_values(effect: Effect, setup: Setup) -> dict[str, float]:
+    """Parameters that a result has too, with the error of the model that they add to."""
+    j, factors = effect.place.index, setup.arm.factors
+    link = setup.arm.figures.links[j]
+    scale = {"offset": link.limit, **dict.fromkeys("xyz", link.length)}
+    values = {}
+    for name in KINDS[effect.kind].units:
+        if name not in effect.parameters:
+            continue
+        value, error = float(effect.parameters[name]), _ALONG.get(effect.kind, {}).get(name)
+        if error is not None:
+            off = np.broadcast_to(getattr(factors, error), setup.arm.figures.joints)
+            own = float(off[max(j, 0)])
+            if name in ("gain", "factor"):
+                value *= own
+            elif error in ("damping", "armature", "mass"):
+                value += (own - 1) * getattr(link, error)
+            else:
+                value += own * scale.get(error, 1.0)
+        values[name] = value
+    return values
+
+
 def truth_of(case: Case) -> dict[str, Any]:
     """What is true of a case, as it is sealed."""
     setup, figures = case.setup, case.setup.arm.figures
@@ -773,13 +806,10 @@ def truth_of(case: Case) -> dict[str, Any]:
     for i, effect in enumerate(case.effects):
         slide = effect.place.index >= 0 and figures.links[effect.place.index].kind == "slide"
         torque, way = ("N", "m") if slide else ("N·m", "rad")
+        units = KINDS[effect.kind].units
         values = {
-            name: {
-                "value": float(effect.parameters[name]),
-                "unit": unit.replace("T", torque).replace("A", way),
-            }
-            for name, unit in KINDS[effect.kind].units.items()
-            if name in effect.parameters
+            name: {"value": value, "unit": units[name].replace("T", torque).replace("A", way)}
+            for name, value in _true_values(effect, setup).items()
         }
         effects.append(
             {

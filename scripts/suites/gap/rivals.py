@@ -121,8 +121,6 @@ class Group:
     names: tuple[str, ...]
     least: float = 0.0
     """Size up to which the first coefficient is no effect."""
-    neutral: float = 0.0
-    """Value of the first parameter where its coefficient is zero."""
     positive: bool = False
     """Whether the first coefficient cannot be negative."""
 
@@ -143,7 +141,7 @@ def groups_of(recording: Recording, run: Moved, form: str) -> tuple[list[Group],
         found.append(Group(kind=kind, where=where, columns=columns, names=names, **rest))
 
     for j, name in enumerate(joints):
-        q, v, a, torque = run.q[:, j], run.v[:, j], run.a[:, j], run.torque[:, j]
+        q, v, a, needed = run.q[:, j], run.v[:, j], run.a[:, j], base[:, j]
         turning = np.tanh(v / (0.02 * np.abs(v).max() + 1e-9))
         dof = int(model.joint(name).dofadr[0])
         slack = TOLERANCE * float(model.dof_damping[dof])
@@ -156,11 +154,11 @@ def groups_of(recording: Recording, run: Moved, form: str) -> tuple[list[Group],
             positive=True)  # fmt: skip
         if form == "torque":
             add("torque_offset", name, _at_joint(j, np.ones_like(q), n=n), "torque")
-            add("torque_constant", name, _at_joint(j, torque, n=n), "factor", neutral=1.0,
+            add("torque_constant", name, _at_joint(j, needed, n=n), "factor",
                 least=TOLERANCE)  # fmt: skip
         if form == "servo":
             motor = model.actuator(j).name
-            add("actuator_gain", motor, _at_joint(j, -torque, n=n), "gain", neutral=1.0,
+            add("actuator_gain", motor, _at_joint(j, needed, n=n), "gain",
                 least=TOLERANCE)  # fmt: skip
             add("command_delay", motor, _at_joint(j, run.command[:, j], n=n), "delay",
                 positive=True, least=1e-3)  # fmt: skip
@@ -224,7 +222,11 @@ def stepwise(folder: Path) -> dict[str, Any]:
     now = bic([])[0]
     while len(chosen) < 12:
         tried = [(bic([*chosen, key]), key) for key in groups if key not in chosen]
-        allowed = [(score, key) for (score, beta), key in tried if _possible(groups[key], beta)]
+        allowed = [
+            (score, key)
+            for (score, beta), key in tried
+            if _possible([groups[each] for each in (*chosen, key)], beta)
+        ]
         if not allowed or min(allowed)[0] >= now - 10.0:
             break
         now, key = min(allowed)
@@ -243,10 +245,11 @@ def stepwise(folder: Path) -> dict[str, Any]:
         at += width
         if width == 1 and abs(b[0]) - 2 * s[0] < group.least:
             continue
-        values = {
-            name: (value + (group.neutral if k == 0 else 0.0), spread)
-            for k, (name, value, spread) in enumerate(zip(group.names, b, s, strict=True))
-        }
+        values = dict(zip(group.names, zip(b, s, strict=True), strict=True))
+        if group.kind == "torque_constant":
+            values = {"factor": (1 + b[0], s[0])}
+        if group.kind == "actuator_gain":  # what is needed is the gain times what was asked for
+            values = {"gain": (1 / (1 + b[0]), s[0])}
         if group.kind == "joint_spring":
             values = {"stiffness": values["stiffness"]}
         effects.append(_effect(group.kind, group.where, values))
@@ -257,9 +260,10 @@ def stepwise(folder: Path) -> dict[str, Any]:
     return result_of("no_gap" if before < 4.0 else "unexplained", [])
 
 
-def _possible(group: Group, beta: Array) -> bool:
-    first = beta[-group.columns.shape[1]]
-    return bool(first > 0.0 or not group.positive)
+def _possible(groups: list[Group], beta: Array) -> bool:
+    """Whether friction brakes and rotors add inertia."""
+    firsts = np.cumsum([0, *(group.columns.shape[1] for group in groups[:-1])])
+    return all(beta[k] > 0 or not group.positive for k, group in zip(firsts, groups, strict=True))
 
 
 # ----------------------------------------------------------------------------- mujoco.sysid
