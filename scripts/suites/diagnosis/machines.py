@@ -276,7 +276,7 @@ class Machine:
         resolution = 2 * np.pi / 2 ** (round(bits) + 4) if bits else 0.0
         return every, round(self.size("sampled_servo", "delay")), smoothing, resolution
 
-    def play(self, commands: Array, pose: Array, friction: float) -> of.Trace:
+    def play(self, commands: Array, pose: Array, friction: float) -> of.Signals:
         """Motion at every step under commands a millisecond apart, the first ones at rest."""
         system = self.system.copy()
         own = system.joint_dofs
@@ -317,7 +317,7 @@ class Recorder:
         self.bits = round(size("encoder_quantisation", "bits"))
 
     def sensors(
-        self, played: of.Trace, seconds: float, rng: np.random.Generator
+        self, played: of.Signals, seconds: float, rng: np.random.Generator
     ) -> tuple[Array, Array, dict[str, Array]]:
         """Times from the begin of the record and of the play, and readings."""
         per_second, size = 1000.0 * self.machine.inside, self.machine.size
@@ -496,7 +496,7 @@ class RichCase:
         return commands
 
 
-def _shaken(played: of.Trace, machine: Machine) -> Array:
+def _shaken(played: of.Signals, machine: Machine) -> Array:
     """Recorded motion of the tool a millisecond apart, its mean removed, below 200 Hz."""
     sos = signal.butter(4, 200.0, fs=1000 * machine.inside, output="sos")
     kept = signal.sosfiltfilt(sos, played.acceleration, axis=0)[:: machine.inside]

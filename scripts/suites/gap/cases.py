@@ -80,33 +80,19 @@ TRIES = 60
 FRICTIONS = ("coulomb_friction", "viscous_friction", "load_friction", "asymmetric_friction")
 """What most joints lack."""
 ALIKE = (
-    ("command_delay", "joint_compliance"), ("payload", "link_mass"), ("payload", "link_com"),
-    ("payload", "actuator_gain"), ("coulomb_friction", "backlash"), ("sensor_bias", "base_tilt"),
-    ("link_mass", "link_com"), ("link_mass", "joint_spring"), ("link_com", "joint_spring"),
-    ("payload", "joint_spring"), ("base_tilt", "joint_spring"), ("base_tilt", "link_com"),
-    ("viscous_friction", "actuator_gain"), ("base_tilt", "encoder_offset"),
-    ("sensor_delay", "command_delay"), ("joint_compliance", "link_flexibility"),
-    ("actuator_lag", "command_delay"), ("actuator_lag", "sensor_delay"),
-    ("torque_constant", "actuator_gain"), ("gravity_compensation", "link_mass"),
-    ("gravity_compensation", "link_com"), ("gravity_compensation", "payload"),
-    ("gravity_compensation", "joint_spring"), ("gravity_compensation", "base_tilt"),
-    ("asymmetric_friction", "coulomb_friction"), ("asymmetric_friction", "joint_spring"),
-    ("load_friction", "coulomb_friction"), ("load_friction", "actuator_gain"),
-    ("stribeck_friction", "coulomb_friction"), ("viscous_friction", "quadratic_drag"),
-    ("viscous_friction", "coulomb_friction"), ("torque_limit", "voltage_limit"),
-    ("speed_limit", "voltage_limit"), ("gear_eccentricity", "encoder_offset"),
-    ("gear_eccentricity", "joint_spring"), ("gear_eccentricity", "torque_ripple"),
-    ("base_compliance", "joint_compliance"), ("rotor_inertia", "link_mass"),
-    ("rotor_inertia", "actuator_gain"), ("torque_offset", "joint_spring"),
-    ("torque_offset", "asymmetric_friction"), ("encoder_offset", "joint_spring"),
-    ("encoder_offset", "torque_offset"), ("friction_behind_slack", "coulomb_friction"),
-    ("dead_zone", "backlash"), ("dead_zone", "coulomb_friction"),
-    ("sensor_gain", "sensor_misalignment"), ("link_mass", "actuator_gain"),
-    ("link_mass", "torque_constant"), ("payload", "torque_constant"),
-    ("rotor_inertia", "torque_constant"), ("command_interpolation", "command_delay"),
-    ("command_interpolation", "actuator_lag"), ("link_com", "encoder_offset"),
+    ("payload", "link_mass", "link_com", "gravity_compensation", "joint_spring", "base_tilt",
+     "encoder_offset", "torque_offset", "asymmetric_friction", "gear_eccentricity",
+     "torque_ripple"),  # what a joint carries, and where it is
+    ("payload", "link_mass", "rotor_inertia", "actuator_gain", "torque_constant",
+     "viscous_friction", "load_friction"),  # scales of the torque
+    ("command_delay", "actuator_lag", "sensor_delay", "joint_compliance", "link_flexibility",
+     "base_compliance", "command_interpolation"),  # what comes late
+    ("coulomb_friction", "viscous_friction", "stribeck_friction", "asymmetric_friction",
+     "load_friction", "quadratic_drag", "friction_behind_slack", "backlash", "dead_zone"),
+    ("torque_limit", "voltage_limit", "speed_limit"),
+    ("sensor_misalignment", "sensor_gain", "sensor_bias", "base_tilt"),
 )  # fmt: skip
-"""Pairs of kinds that data may not separate; whether they do is computed for each case."""
+"""Kinds that data may not separate; whether they do is computed for each case."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -667,9 +653,8 @@ def accepted_of(
 
 def _kinds_alike(kind: str, setup: Setup) -> list[str]:
     """Kinds that could stand for another in this form of recording."""
-    pairs = [pair for pair in ALIKE if kind in pair]
-    alike = [pair[1] if pair[0] == kind else pair[0] for pair in pairs]
-    return [name for name in alike if setup.form in KINDS[name].forms]
+    alike = dict.fromkeys(name for group in ALIKE if kind in group for name in group)
+    return [name for name in alike if name != kind and setup.form in KINDS[name].forms]
 
 
 def _alike(

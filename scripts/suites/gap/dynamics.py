@@ -376,8 +376,8 @@ class System:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Trace:
-    """What happened, without noise, at every sample (or at every step inside a sample)."""
+class Signals:
+    """What happened at every sample (or at every step inside a sample), or what was read."""
 
     position: Array
     """What perfect encoders say, of shape (T, n) [rad or m]."""
@@ -388,7 +388,7 @@ class Trace:
     torque: Array
     """Torques that the drives ask for, of shape (T, n) [N m or N]."""
     joint_acceleration: Array
-    """Accelerations of the joints, of shape (T, n)."""
+    """Accelerations of the joints, of shape (T, n); never recorded."""
 
 
 class _Arrays(NamedTuple):
@@ -571,7 +571,7 @@ def simulate(
     start: tuple[Array, Array] | None = None,
     servo: tuple[int, int, float, float] = (0, 0, 1.0, 0.0),
     sample: float = SAMPLE,
-) -> Trace:
+) -> Signals:
     """Run an arm through a list of commands, one every `sample`.
 
     ``servo`` samples the drives: steps between samples (0: continuous), samples of delay (at most
@@ -592,7 +592,7 @@ def simulate(
     position, velocity, acceleration, torque, joint_acceleration = np.split(
         out, [n, 2 * n, 2 * n + 3, 3 * n + 3], axis=1
     )
-    return Trace(
+    return Signals(
         position=position, velocity=velocity, acceleration=acceleration, torque=torque,
         joint_acceleration=joint_acceleration,
     )  # fmt: skip

@@ -26,8 +26,8 @@ from scripts.suites.gap.dynamics import (
     SMOOTH_SPEED,
     STIFFNESS,
     Factors,
+    Signals,
     System,
-    Trace,
     build,
     felt_inertia,
     mass_matrix,
@@ -221,84 +221,44 @@ class Noise:
         return np.sqrt(self.position**2 + self.step**2 / 12)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Signals:
-    """Readings at every sample, with or without noise."""
+def read(trace: Signals, readings: Readings, *, inside: int, sample: float) -> Signals:
+    """Readings without noise; a trace has so many steps in a sample."""
 
-    position: Array
-    velocity: Array
-    acceleration: Array
-    torque: Array
-    joint_acceleration: Array
-    """True accelerations of the joints; never recorded."""
-
-    def normalised(self, noise: Noise) -> Array:
-        """Positions, velocities and accelerations in standard deviations, of shape (T, 2n + 3)."""
-        return np.hstack(
-            (
-                self.position / noise.reading,
-                self.velocity / noise.velocity,
-                self.acceleration / noise.acceleration,
-            )
-        )
-
-
-def _late(values: Array, delay: float, inside: int) -> Array:
-    """Values at every step inside the samples, as they were `delay` samples before every one."""
-    at = np.arange(0, len(values), inside) - delay * inside
-    grid = np.arange(len(values))
-    return np.stack([np.interp(at, grid, column) for column in values.T], axis=1)
-
-
-def read(trace: Trace, readings: Readings, *, inside: int = 1, sample: float = SAMPLE) -> Signals:
-    """Readings without noise."""
-    joints = trace.position.shape[1]
-    position = trace.position[::inside].copy()
-    velocity = trace.velocity[::inside].copy()
-    acceleration = trace.acceleration[::inside].copy()
-    for sensor, delay in readings.delay.items():
-        if sensor == ACCELEROMETER:
-            acceleration = _late(trace.acceleration, delay / sample, inside)
-            continue
-        j = int(sensor.removeprefix("joint").split("_")[0]) - 1
-        if sensor.endswith("_pos"):
-            position[:, j : j + 1] = _late(trace.position[:, j : j + 1], delay / sample, inside)
+    def taken(name: str, values: Array) -> Array:
+        # a sensor that is late reads what was there between the samples
+        late = readings.delay.get(name, 0.0) / sample * inside
+        at = np.arange(0, len(values), inside) - late
+        if late:
+            grid = np.arange(len(values))
+            values = np.stack([np.interp(at, grid, column) for column in values.T], axis=1)
         else:
-            velocity[:, j : j + 1] = _late(trace.velocity[:, j : j + 1], delay / sample, inside)
-    acceleration = acceleration @ readings.rotation.T
-    columns = {ACCELEROMETER: acceleration}
-    for j in range(joints):
-        columns[f"joint{j + 1}_pos"] = position[:, j : j + 1]
-        columns[f"joint{j + 1}_vel"] = velocity[:, j : j + 1]
-    for sensor, gain in readings.gain.items():
-        columns[sensor] *= gain
-    for sensor, bias in readings.bias.items():
-        columns[sensor] += bias
+            values = values[::inside]
+        if name == ACCELEROMETER:
+            values = values @ readings.rotation.T
+        return values * readings.gain.get(name, 1.0) + readings.bias.get(name, 0.0)
+
+    joints = range(trace.position.shape[1])
     torque = trace.torque[::inside].copy()
-    for j, factor in readings.torque.items():
-        torque[:, j] *= factor
-    for j, constant in readings.offset.items():
-        torque[:, j] += constant
-    return rounded(
-        Signals(
-            position=position,
-            velocity=velocity,
-            acceleration=columns[ACCELEROMETER],
-            torque=torque,
-            joint_acceleration=trace.joint_acceleration[::inside],
-        ),
-        readings,
+    for j in joints:
+        torque[:, j] *= readings.torque.get(j, 1.0)
+        torque[:, j] += readings.offset.get(j, 0.0)
+    found = Signals(
+        position=np.hstack([taken(f"joint{j + 1}_pos", trace.position[:, [j]]) for j in joints]),
+        velocity=np.hstack([taken(f"joint{j + 1}_vel", trace.velocity[:, [j]]) for j in joints]),
+        acceleration=taken(ACCELEROMETER, trace.acceleration),
+        torque=torque,
+        joint_acceleration=trace.joint_acceleration[::inside],
     )
+    return rounded(found, readings)
 
 
 def rounded(signals: Signals, readings: Readings) -> Signals:
-    """Readings of coarse sensors at whole steps."""
-    position, velocity = signals.position.copy(), signals.velocity.copy()
+    """Readings of coarse encoders at whole steps."""
+    position = signals.position.copy()
     for sensor, step in readings.step.items():
-        j = int(sensor.removeprefix("joint").split("_")[0]) - 1
-        column = position[:, j] if sensor.endswith("_pos") else velocity[:, j]
+        column = position[:, int(sensor.removeprefix("joint").removesuffix("_pos")) - 1]
         column[:] = step * np.round(column / step)
-    return dataclasses.replace(signals, position=position, velocity=velocity)
+    return dataclasses.replace(signals, position=position)
 
 
 def add_noise(signals: Signals, noise: Noise, rng: np.random.Generator) -> Signals:
@@ -393,14 +353,8 @@ class TrueArm:
             torque = signals.torque.copy()
             torque[:, -2] -= self.coupling[0] * torque[:, -1]
             signals = dataclasses.replace(signals, torque=torque)
-        if motion.release is None:
-            return signals
-        return Signals(
-            **{
-                field.name: getattr(signals, field.name)[motion.release :]
-                for field in dataclasses.fields(Signals)
-            }
-        )
+        start = motion.release or 0
+        return Signals(**{name: values[start:] for name, values in vars(signals).items()})
 
 
 def steps_inside(system: System, figures: Figures, least: int, sample: float = SAMPLE) -> int:
