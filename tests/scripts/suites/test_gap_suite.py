@@ -167,7 +167,7 @@ def test_files_enter_against_commitments_made_from_a_phrase(
 ) -> None:
     suite, answers = tmp_path / "suite", tmp_path / "answers"
     answers.mkdir()
-    given = RunSettings(numbers=("10000-10001",), phrase="of the tests", make=suite)
+    given = RunSettings(numbers=("10020-10021",), phrase="of the tests", make=suite)
     run(given)
     told = (suite / "protocol.json").read_text()
     commitments = (suite / "commitments.json").read_text()
@@ -184,7 +184,7 @@ def test_files_enter_against_commitments_made_from_a_phrase(
         (answers / f"{name}.json").write_text(json.dumps(said("named", *effects)))
     entered = replace(given, make=None, blind=suite, answers=answers, out=tmp_path / "out")
     run(entered)
-    assert "found | | 2/2 = 100 %" in capsys.readouterr().out
+    assert "found |  | 2/2 = 100 %" in capsys.readouterr().out
     (answers / f"{names[0]}.json").write_text('{"verdict": "maybe"}')
     with pytest.raises(InvalidData, match="a verdict is one of"):
         run(replace(entered, afresh=True))
