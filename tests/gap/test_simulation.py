@@ -25,10 +25,10 @@ from loose_env.gap.simulation.simulator import Simulator
 from loose_env.recording import Run
 from loose_env.typing import Array
 from scripts.suites.gap.arms import ARMS, Figures, model_xml
-from scripts.suites.gap.dynamics import Factors
+from scripts.suites.gap.dynamics import Factors, Signals
 from scripts.suites.gap.effects import KINDS
 from scripts.suites.gap.effects import Effect as TrueEffect
-from scripts.suites.gap.machine import Motion, Signals, TrueArm
+from scripts.suites.gap.machine import Motion, TrueArm
 from tests.gap.cases.effect_arms import PLANAR
 
 COUNT = 1500

@@ -19,7 +19,7 @@ Three = tuple[float, float, float]
 class Link:
     """A joint, the rigid body it moves and the drive of the joint; of a slide in m, N and kg."""
 
-    kind: str
+    kind: str = "hinge"
     """`hinge` or `slide`."""
     axis: Three
     """Axis of the joint, a unit vector in the link's frame."""
@@ -201,7 +201,7 @@ def varied(figures: Figures, rng: np.random.Generator) -> Figures:
             for name, scale in scales.items()
             for own in [getattr(link, name)]
         }
-        links.append(dataclasses.replace(link, **changed))
+        links.append(dataclasses.replace(link, **changed))  # type: ignore[arg-type]
     return dataclasses.replace(figures, links=tuple(links))
 
 

@@ -23,7 +23,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.recording import Run, write_recording
 from loose_env.typing import Array
 from scripts.suites.gap.arms import ARMS, MACHINES, Figures, model_xml, varied
-from scripts.suites.gap.dynamics import DAMPING, Factors, build, forward, mass_and_bias
+from scripts.suites.gap.dynamics import DAMPING, Factors, Signals, build, forward, mass_and_bias
 from scripts.suites.gap.effects import (
     ACCELEROMETER,
     CATALOGUE,
@@ -41,7 +41,6 @@ from scripts.suites.gap.machine import (
     FAMILIES,
     Motion,
     Noise,
-    Signals,
     TrueArm,
     add_noise,
     free_motion,
@@ -84,7 +83,7 @@ ALIKE = (
      "encoder_offset", "torque_offset", "asymmetric_friction", "gear_eccentricity",
      "torque_ripple"),  # what a joint carries, and where it is
     ("payload", "link_mass", "rotor_inertia", "actuator_gain", "torque_constant",
-     "viscous_friction", "load_friction"),  # scales of the torque
+     "viscous_friction", "load_friction", "link_com", "gravity_compensation"),  # its scales
     ("command_delay", "actuator_lag", "sensor_delay", "joint_compliance", "link_flexibility",
      "base_compliance", "command_interpolation"),  # what comes late
     ("coulomb_friction", "viscous_friction", "stribeck_friction", "asymmetric_friction",
@@ -414,7 +413,7 @@ class Visibility:
             torque = (found.torque - factors.offset * limits) / factors.constant
         rest = signal.sosfiltfilt(low, torque - needed, axis=0)
         thin = max(1, round(0.5 / band / sample))
-        return np.delete(rest[2 * thin : -2 * thin : thin], self.setup.spoiled, axis=1)  # type: ignore[no-any-return]
+        return np.delete(rest[2 * thin : -2 * thin : thin], self.setup.spoiled, axis=1)
 
     def _torque_noise(self, rng: np.random.Generator) -> Array:
         arm = self.setup.arm
@@ -627,7 +626,7 @@ def accepted_of(
     found = []
     for i, effect in enumerate(effects):
         where, j = effect.place.name, effect.place.index
-        sets = [((effect.kind, where),)]
+        sets: list[tuple[tuple[str, str], ...]] = [((effect.kind, where),)]
         if where == "all":
             sets.append(tuple((effect.kind, f"motor{k + 1}") for k in range(n)))
         if effect.kind == "asymmetric_friction":
@@ -664,7 +663,7 @@ def _alike(
     figures = visibility.setup.arm.figures
     base = visibility.change(others)
     shapes = []
-    for k in range(2):  # of several shapes, for one may point elsewhere
+    for k in range(3):  # of several shapes, for one may point elsewhere
         effect = drawn(kind, Spot(figures, place, np.random.default_rng(k)), 0.5)
         shapes.append(visibility.change((*others, effect)) - base)
         if len(effect.parameters) == 1:
@@ -735,7 +734,7 @@ def _run_of(case: Case, number: int, motion: Motion) -> Run:
     if motion.excited is not None and motion.pose is not None:
         extra["excited"] = (f"joint{motion.excited + 1}",)
         extra["pose"] = {f"joint{j + 1}": float(motion.pose[j]) for j in joints}
-    time = np.arange(len(found.position)) * motion.sample
+    time = np.arange(len(found.position), dtype=float) * motion.sample
     return Run(name=f"run-{number + 1:02d}", time=time, controls=controls, sensors=sensors,
                torques=torques, **extra)  # fmt: skip
 
@@ -747,8 +746,9 @@ def _garbage(values: Array, rng: np.random.Generator) -> Array:
     if kind == 0:
         return np.full_like(values, rng.normal() * size)
     if kind == 1:
-        return np.cumsum(rng.normal(size=len(values))) * size / np.sqrt(len(values))
-    return rng.normal(size=len(values)) * 3 * size
+        drift = np.cumsum(rng.normal(size=len(values)))
+        return np.asarray(drift * size / np.sqrt(len(values)))
+    return np.asarray(rng.normal(size=len(values)) * 3 * size)
 
 
 _ALONG: dict[str, dict[str, str]] = {

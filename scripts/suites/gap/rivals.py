@@ -179,11 +179,11 @@ def groups_of(recording: Recording, run: Moved, form: str) -> tuple[list[Group],
             shifts.append((_inverse(shifted, run) - base).ravel() / 1e-3)
         add("link_com", name, np.stack(shifts, axis=1), "x", "y", "z")
     tilts = []
-    for axis in ([0, 1, 0], [-1, 0, 0]):
+    for push in ([0.0, -1.0, 0.0], [1.0, 0.0, 0.0]):  # a base turned about x, about y
         tilted = copy.copy(model)
-        tilted.opt.gravity[:] += 1e-3 * 9.81 * np.array(axis)[[1, 0, 2]] * [-1, -1, 0]
+        tilted.opt.gravity[:] += 1e-3 * 9.81 * np.array(push)
         tilts.append((_inverse(tilted, run) - base).ravel() / 1e-3)
-    add("base_tilt", "base", np.stack(tilts, axis=1), "tilt_y", "tilt_x")
+    add("base_tilt", "base", np.stack(tilts, axis=1), "tilt_x", "tilt_y")
     alive = [g for g in found if np.linalg.norm(g.columns, axis=0).min() > 1e-9]
     return alive, (run.torque - base).ravel()
 
