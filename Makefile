@@ -43,7 +43,7 @@ test: $(DEV) ## run the tests and the examples in the docstrings
 	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses auto --dist loadfile $(ARGS)
 
 test-slow: $(DEV) ## run the slow tests: browser, killed processes, fuzzing, training, thesis, suites
-	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses auto --dist loadfile -m slow $(ARGS)
+	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses auto --dist loadfile -m slow --override-ini faulthandler_timeout=3600 $(ARGS)
 
 bench: $(RUN) ## time the simulation and the diagnosis on this machine
 	$(BIN)/python scripts/dev/benchmark.py $(ARGS)
