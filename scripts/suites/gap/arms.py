@@ -13,6 +13,8 @@ from loose_env.typing import Array
 GRAVITY = 9.81
 """Acceleration of free fall [m/s²]; the world's z axis points up."""
 Three = tuple[float, float, float]
+BAR_CENTRE = 0.48
+"""Centre of mass of a bar over its length."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -148,7 +150,7 @@ def _link(line: str) -> Link:
     x = [float(number) for number in places]
     if word == "bar":  # its mass is around the middle
         mass, length, radius = x[3:]
-        rigid = (length, 0.0, 0.0, 0.48 * length, 0.0, 0.0, *rod(mass, length, radius))
+        rigid = (length, 0.0, 0.0, BAR_CENTRE * length, 0.0, 0.0, *rod(mass, length, radius))
         x = [*x[:4], *rigid]
     own = ("armature", "damping", "kp", "kv", "limit", "home", "reach")
     figures = dict(zip(own, map(float, drive.split()), strict=True))

@@ -208,10 +208,11 @@ def _errors(rng: np.random.Generator, figures: Figures, sample: float, shift: bo
     )  # fmt: skip
 
 
-def _servo(rng: np.random.Generator) -> tuple[float, float, float]:
-    """A drive's own rate, which is not the log's."""
-    rate = float(rng.choice([1000.0, 2000.0, 4000.0, 8000.0]))
-    return rate, float(rng.integers(0, 2)), float(rng.uniform(0.3, 1.0))
+def _servo(rng: np.random.Generator, log: float) -> tuple[float, float, float]:
+    """A drive's own rate [Hz], so far above the log's that no delay of it counts."""
+    rate = float(rng.choice([r for r in (1000.0, 2000.0, 4000.0, 8000.0) if r >= 4 * log]))
+    late = float(rng.integers(0, 2)) if rate >= 8 * log else 0.0
+    return rate, late, float(rng.uniform(0.5, 1.0))
 
 
 def _machine(rng: np.random.Generator, names: Sequence[str]) -> Figures:
@@ -256,7 +257,7 @@ def draw_setup(world: str, role: str, rng: np.random.Generator) -> Setup:
         figures=figures,
         factors=_errors(rng, figures, 1 / rate, shift=form == SERVO and bool(chance[2] < 0.6)),
         link_side=form != TORQUE and bool(chance[3] < 0.5),
-        servo=_servo(rng) if form == SERVO else None,
+        servo=_servo(rng, rate) if form == SERVO else None,
     )
     setup = Setup(
         world=world, form=form, arm=arm, sample=1 / rate, noise=Noise.draw(figures, rng, 1 / rate),
@@ -488,8 +489,9 @@ def _wanted(role: str, setup: Setup, rng: np.random.Generator) -> list[str]:
     can = [name for name in CATALOGUE if setup.form in KINDS[name].forms]
     if not setup.accelerometer:
         can = [name for name in can if name != "sensor_misalignment"]
-    if setup.world not in ("exact", "shaken"):  # a slow log has nothing of impacts
-        can = [name for name in can if name != "structural_looseness"]
+    if setup.world not in ("exact", "shaken"):
+        # a slow log has nothing of impacts, and a link cannot be cut whose inertia is far off
+        can = [name for name in can if name not in ("structural_looseness", "link_flexibility")]
     if setup.form == FREE:
         can = [name for name in can if name not in ("friction_behind_slack",)]
     if setup.straight or setup.sample < 4e-3:
@@ -653,6 +655,8 @@ def accepted_of(
 def _kinds_alike(kind: str, setup: Setup) -> list[str]:
     """Kinds that could stand for another in this form of recording."""
     alike = dict.fromkeys(name for group in ALIKE if kind in group for name in group)
+    if setup.world not in ("exact", "shaken"):
+        alike.pop("link_flexibility", None)
     return [name for name in alike if name != kind and setup.form in KINDS[name].forms]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from loose_env.typing import Array
 from scripts.suites.gap import dynamics as of
-from scripts.suites.gap.arms import Figures, Link
+from scripts.suites.gap.arms import BAR_CENTRE, Figures, Link
 from scripts.suites.gap.dynamics import (
     Factors,
     System,
@@ -201,8 +201,12 @@ def _inertial(figures: Figures) -> list[Place]:
 
 
 def _bars(figures: Figures) -> list[Place]:
-    """Links that are bars along their x axis."""
-    return [p for p in _links(figures) if figures.links[p.index].end[0] > 0.12]
+    """Links that are bars along their x axis, with their mass around the middle."""
+    return [
+        place
+        for place, link in zip(_links(figures), figures.links, strict=True)
+        if link.end[0] > 0.12 and np.isclose(link.com[0], BAR_CENTRE * link.end[0])
+    ]
 
 
 def _foot(figures: Figures) -> list[Place]:
