@@ -43,7 +43,7 @@ test: $(DEV) ## run the tests and the examples in the docstrings
 	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses auto --dist loadfile $(ARGS)
 
 test-slow: $(DEV) ## run the slow tests: browser, killed processes, fuzzing, training, thesis, suites
-	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses auto --dist loadfile -m slow $(ARGS)
+	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses auto --dist loadfile -m slow --override-ini faulthandler_timeout=3600 $(ARGS)
 
 bench: $(RUN) ## time the simulation and the diagnosis on this machine
 	$(BIN)/python scripts/dev/benchmark.py $(ARGS)
@@ -51,7 +51,7 @@ bench: $(RUN) ## time the simulation and the diagnosis on this machine
 study: $(RUN) ## halve the time step and see what the results depend on
 	$(BIN)/python scripts/studies/step_halving.py $(ARGS)
 
-gap-suite: $(DEV) ## grade the gap tool on blind recordings (hours; ARGS=--quick a quarter of an hour)
+gap-suite: $(DEV) ## grade the gap tool on blind recordings (ARGS="--numbers 0-59 --workers 2")
 	$(ONE_THREAD) $(BIN)/python -m scripts.suites.gap.run $(ARGS)
 
 check: $(DEV) ## formatting, lint and types; changes nothing

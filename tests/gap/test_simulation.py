@@ -25,15 +25,15 @@ from loose_env.gap.simulator import Simulator
 from loose_env.recording import Run
 from loose_env.typing import Array
 from scripts.suites.gap.arms import ARMS, Figures, model_xml
-from scripts.suites.gap.dynamics import Factors
+from scripts.suites.gap.dynamics import Factors, Signals
 from scripts.suites.gap.effects import KINDS
 from scripts.suites.gap.effects import Effect as TrueEffect
-from scripts.suites.gap.machine import Motion, Signals, TrueArm
+from scripts.suites.gap.machine import Motion, TrueArm
 from tests.gap.cases.effect_arms import PLANAR
 
 COUNT = 1500
 SHARED = {"share": 0.3, "static_ratio": 1.0, "speed": 0.1, "smooth_speed": 1e-3, "load_ratio": 0.0}
-ASYMMETRIC = {"torque": 4.0, "static_torque": 4.0, "speed": 0.1, "smooth_speed": 1e-3,
+ASYMMETRIC = {"torque": 4.0, "static_ratio": 1.0, "speed": 0.1, "smooth_speed": 1e-3,
               "forward": 6.0, "backward": 2.0}  # fmt: skip
 Case = tuple[str, str, str, dict[str, Any], str, list[float]]
 CASES: list[Case] = [
@@ -44,7 +44,7 @@ CASES: list[Case] = [
      [0.3, 0.15]),
     ("asymmetric_friction", "planar3", "joint2", ASYMMETRIC, "", [6.0, 2.0]),
     ("torque_limit", "planar3", "motor1", {"limit": 40.0}, "", [40.0]),
-    ("voltage_limit", "planar3", "motor1", {"stall_torque": 60.0, "back_emf": 30.0}, "",
+    ("voltage_limit", "planar3", "motor1", {"stall_torque": 60.0, "no_load_speed": 2.0}, "",
      [60.0, 2.0]),
     ("dead_zone", "planar3", "motor2", {"width": 0.004}, "", [0.004]),
     ("gravity_compensation", "spatial3", "link2", {"share": -0.4}, "", [-0.4]),

@@ -12,10 +12,10 @@ from loose_env.recording import Run
 from loose_env.typing import Array
 from scripts.suites.diagnosis.machines import GAPS
 from scripts.suites.gap.arms import ARMS, model_xml
-from scripts.suites.gap.dynamics import SAMPLE, Factors
+from scripts.suites.gap.dynamics import SAMPLE, Factors, Signals
 from scripts.suites.gap.effects import KINDS as EFFECTS
-from scripts.suites.gap.effects import Effect
-from scripts.suites.gap.machine import Motion, Noise, Signals, TrueArm, add_noise
+from scripts.suites.gap.effects import Effect, Spot
+from scripts.suites.gap.machine import Motion, Noise, TrueArm, add_noise
 
 KINDS = ("healthy", "structural_looseness", "structural_looseness", "backlash")
 """Kinds in turn, by the case's number."""
@@ -70,8 +70,7 @@ def draw(number: int, seed: int) -> Case:
         places = sort.places(figures)
         place = places[int(rng.integers(len(places)))]
         gap = float(np.exp(rng.uniform(*np.log(GAPS[kind]))))
-        drawn = sort.draw(rng, figures, place)
-        parameters = sort.size(gap, drawn, figures, place)
+        parameters = sort.make(gap, Spot(figures, place, rng))
         effects = (Effect(kind=kind, place=place, parameters=parameters),)
     leaks = CROSS_AXIS * rng.uniform(-1, 1, (3, 3)) * (1 - np.eye(3))
     return Case(

@@ -16,7 +16,7 @@ from scripts.suites.gap import dynamics as of
 from scripts.suites.gap.arms import GRAVITY, Figures, Link, model_xml
 from scripts.suites.gap.dynamics import Factors, at_rest, build, simulate
 from scripts.suites.gap.effects import KINDS as EFFECTS
-from scripts.suites.gap.effects import Effect, Readings, apply_effect, log_uniform
+from scripts.suites.gap.effects import Effect, Readings, Spot, apply_effect, log_uniform
 from scripts.suites.gap.machine import steps_inside
 
 PRESENT = 0.4
@@ -276,7 +276,7 @@ class Machine:
         resolution = 2 * np.pi / 2 ** (round(bits) + 4) if bits else 0.0
         return every, round(self.size("sampled_servo", "delay")), smoothing, resolution
 
-    def play(self, commands: Array, pose: Array, friction: float) -> of.Trace:
+    def play(self, commands: Array, pose: Array, friction: float) -> of.Signals:
         """Motion at every step under commands a millisecond apart, the first ones at rest."""
         system = self.system.copy()
         own = system.joint_dofs
@@ -317,7 +317,7 @@ class Recorder:
         self.bits = round(size("encoder_quantisation", "bits"))
 
     def sensors(
-        self, played: of.Trace, seconds: float, rng: np.random.Generator
+        self, played: of.Signals, seconds: float, rng: np.random.Generator
     ) -> tuple[Array, Array, dict[str, Array]]:
         """Times from the begin of the record and of the play, and readings."""
         per_second, size = 1000.0 * self.machine.inside, self.machine.size
@@ -496,7 +496,7 @@ class RichCase:
         return commands
 
 
-def _shaken(played: of.Trace, machine: Machine) -> Array:
+def _shaken(played: of.Signals, machine: Machine) -> Array:
     """Recorded motion of the tool a millisecond apart, its mean removed, below 200 Hz."""
     sos = signal.butter(4, 200.0, fs=1000 * machine.inside, output="sos")
     kept = signal.sosfiltfilt(sos, played.acceleration, axis=0)[:: machine.inside]
@@ -538,9 +538,9 @@ def _draw_fault(figures: Figures, rng: np.random.Generator) -> Effect:
     weights[0] = FIRST_LINK
     index = int(rng.choice(figures.joints, p=weights / weights.sum()))
     place = next(p for p in EFFECTS[kind].places(figures) if p.index == index)
-    drawn = EFFECTS[kind].draw(rng, figures, place)
     gap = log_uniform(rng, *GAPS[kind])
-    return Effect(kind=kind, place=place, parameters=EFFECTS[kind].size(gap, drawn, figures, place))
+    parameters = EFFECTS[kind].make(gap, Spot(figures, place, rng))
+    return Effect(kind=kind, place=place, parameters=parameters)
 
 
 def _fastest(sizes: Sizes) -> float:

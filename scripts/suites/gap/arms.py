@@ -1,8 +1,10 @@
-"""Nominal arms of the gap suite: parameters of six serial arms, and their MJCF."""
+"""Nominal machines of the gap suite: parameters of eleven serial machines, and their MJCF."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -10,40 +12,48 @@ from loose_env.typing import Array
 
 GRAVITY = 9.81
 """Acceleration of free fall [m/s²]; the world's z axis points up."""
+Three = tuple[float, float, float]
+BAR_CENTRE = 0.48
+"""Centre of mass of a bar over its length."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Link:
-    """A joint, the rigid body it moves and the drive of the joint."""
+    """A joint, the rigid body it moves and the drive of the joint; of a slide in m, N and kg."""
 
     kind: str = "hinge"
     """`hinge` or `slide`."""
-    axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    axis: Three
     """Axis of the joint, a unit vector in the link's frame."""
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    offset: Three
     """Origin of the link's frame in the frame of the link before [m]."""
-    end: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    end: Three
     """Distal end of the link, in its own frame [m]."""
     mass: float
     """Mass [kg]."""
-    com: tuple[float, float, float]
+    com: Three
     """Centre of mass in the link's frame [m]."""
-    inertia: tuple[float, float, float]
+    inertia: Three
     """Moments of inertia about the centre of mass, along the link's frame [kg m²]."""
     armature: float
-    """Inertia of the rotor, seen at the joint [kg m²; slide: kg]."""
+    """Inertia of the rotor, seen at the joint [kg m²]."""
     damping: float
-    """Viscous damping of the joint [N m s/rad; slide: N s/m]."""
+    """Viscous damping of the joint [N m s/rad]."""
     kp: float
-    """Position gain of the servo [N m/rad; slide: N/m]."""
+    """Position gain of the servo [N m/rad]."""
     kv: float
-    """Velocity gain of the servo [N m s/rad; slide: N s/m]."""
+    """Velocity gain of the servo [N m s/rad]."""
     limit: float
-    """Largest torque of the servo [N m; slide: N]."""
+    """Largest torque of the servo [N m]."""
     home: float
-    """Middle of the joint's range of motion [rad; slide: m]."""
+    """Middle of the joint's range of motion [rad]."""
     reach: float
-    """Half of the joint's range of motion [rad; slide: m]."""
+    """Half of the joint's range of motion [rad]."""
+
+    @property
+    def length(self) -> float:
+        """Length by which tolerances of its centre go [m]."""
+        return max(float(np.linalg.norm(self.end)), 0.1)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -73,156 +83,128 @@ class Figures:
         return np.array([link.reach for link in self.links])
 
 
-def rod(mass: float, length: float, radius: float) -> tuple[float, float, float]:
+# A link: its axis, | rest of the drive: armature damping kp kv limit home reach.
+# A `bar` along x has mass, length and radius; a `part` mass; end; centre; moments of inertia.
+_TABLE = """
+rig1 hangs 1.5707963
+bar y 0 0 0     1.2 .35 .02  | .02 .1 160 6 12 .4 1.2
+turntable1
+bar z 0 0 .2    3.0 .30 .06  | .15 .6 700 26 40 0 1.5
+planar2 hangs 1.5707963 0
+bar y 0 0 0     .35 .18 .02  | .012 .06 40 1.4 6 -.5 .8
+bar y .18 0 0   .22 .15 .015 | .006 .03 16 .5 3 .8 .9
+planar3 hangs 1.5707963267948966 0 0
+bar y 0 0 0     4.0 .40 .05  | .40 3 4000 160 160 -.6 .6
+bar y .40 0 0   2.5 .35 .04  | .18 1.5 2000 70 80 .9 .7
+bar y .35 0 0   1.4 .25 .03  | .05 .5 500 14 25 .4 .9
+spatial3 hangs 0 1.5707963267948966 0
+part z 0 0 .3   6.0; 0 0 .12; .01 0 .05; .035 .035 .028 | .35 2.5 3500 140 140 0 .9
+bar y 0 0 .12   3.2 .42 .05  | .30 2 3500 130 140 -.7 .5
+bar y .42 0 0   1.8 .38 .035 | .10 .8 1200 40 50 1 .7
+gantry3
+slide x 0 0 1   22; .1 0 0; .02 .05 0; 1.2 .4 1.4    | 12 90 60000 2400 900 .2 .3
+slide y .1 0 0  9; 0 0 -.1; 0 .02 .03; .12 .1 .1     | 6 50 32000 1200 450 .1 .25
+slide z 0 0 -.1 4; 0 0 -.3; .01 0 -.12; .04 .04 .01  | 4 60 22000 800 320 .05 .12
+leg3 hangs 0 0 0
+part x 0 0 .6    .7; 0 .085 0; -.005 .01 0; .0005 .0008 .0006   | .011 .08 60 2 24 0 .5
+part y 0 .085 0  1.15; 0 0 -.213; -.004 -.02 -.03; .006 .006 .001 | .011 .08 60 2 24 .7 .7
+part y 0 0 -.213 .16; 0 0 -.213; .006 0 -.12; .0014 .0014 .00003 | .025 .1 60 2 40 -1.4 .6
+scara4
+bar z 0 0 .4    5.0 .35 .06  | .30 2 3000 110 100 .2 .9
+bar z .35 0 0   3.0 .30 .05  | .12 1 1200 40 50 .7 .9
+slide z .3 0 0  1.5; 0 0 -.2; .01 0 -.1; .006 .006 .001 | 2 30 12000 350 180 .05 .08
+part z 0 0 -.2  .8; .1 0 -.05; .04 .01 -.02; .0008 .0015 .0016 | .02 .15 80 2.2 8 0 1.4
+elbow4
+part z 0 0 .25  5.0; 0 0 .1; 0 .01 .04; .03 .03 .02 | .30 2 3000 120 120 .1 .8
+bar y 0 0 .1    3.0 .36 .05  | .28 1.8 3200 120 130 -.8 .5
+bar y .36 0 0   1.8 .32 .04  | .12 .8 1200 40 50 1.1 .6
+bar y .32 0 0   .9 .16 .03   | .03 .25 250 6 15 .2 .9
+upright6
+part z 0 0 .3   6.5; 0 0 .12; 0 .01 .05; .04 .04 .03 | .45 3 4000 170 160 0 .8
+bar y 0 0 .12   4.0 .40 .05  | .45 2.5 4500 180 180 -.8 .45
+bar y .40 0 0   2.6 .34 .04  | .20 1.2 2000 75 90 1.1 .55
+part x .34 0 0  1.1; .1 0 0; .05 0 .005; .002 .003 .003 | .04 .3 300 8 20 .1 1.2
+bar y .1 0 0    .8 .12 .03   | .03 .25 220 6 15 .5 .9
+part x .12 0 0  .4; .06 0 .03; .03 .01 .02; .0005 .0006 .0006 | .012 .08 60 1.6 6 0 1.4
+redundant7
+part z 0 0 .3   5.5; 0 0 .12; .01 0 .05; .035 .035 .025 | .4 2.6 3600 150 150 .1 .8
+bar y 0 0 .12   3.6 .26 .035 | .45 2.5 4200 170 170 -.9 .4
+bar x .26 0 0   2.4 .18 .035 | .25 1.4 1500 55 90 .1 .8
+bar y .18 0 0   2.2 .22 .035 | .22 1.3 1900 70 90 1 .5
+bar x .22 0 0   1.4 .16 .035 | .08 .6 600 18 40 0 1
+bar y .16 0 0   1.1 .12 .035 | .05 .4 400 11 25 .6 .8
+part x .12 0 0  .5; .06 .02 .02; .03 .012 .01; .0003 .00042 .00042 | .015 .1 80 2.2 8 0 1.3
+"""
+
+
+def rod(mass: float, length: float, radius: float) -> Three:
     """Moments of inertia of a round bar along x about its middle [kg m²]."""
     across = mass * (length**2 / 12 + radius**2 / 4)
     return (mass * radius**2 / 2, across, across)
 
 
-def _bar(mass: float, length: float, radius: float, **rest: object) -> Link:
-    """A link along its x axis with its mass around the middle."""
+def _link(line: str) -> Link:
+    """A link of the table."""
+    body, drive = line.split("|")
+    word, axis, *places = body.replace(";", "").split()
+    x = [float(number) for number in places]
+    if word == "bar":  # its mass is around the middle
+        mass, length, radius = x[3:]
+        rigid = (length, 0.0, 0.0, BAR_CENTRE * length, 0.0, 0.0, *rod(mass, length, radius))
+        x = [*x[:4], *rigid]
+    own = ("armature", "damping", "kp", "kv", "limit", "home", "reach")
+    figures = dict(zip(own, map(float, drive.split()), strict=True))
     return Link(
-        mass=mass,
-        com=(0.48 * length, 0.0, 0.0),
-        inertia=rod(mass, length, radius),
-        end=(length, 0.0, 0.0),
-        **rest,  # type: ignore[arg-type]
-    )
-
-
-def planar3() -> Figures:
-    """Three hinges in a vertical plane."""
-    return Figures(
-        name="planar3",
-        links=(
-            _bar(4.0, 0.40, 0.05, armature=0.40, damping=3.0, kp=4000.0, kv=160.0, limit=160.0,
-                 home=-0.6, reach=0.6),
-            _bar(2.5, 0.35, 0.04, offset=(0.40, 0.0, 0.0), armature=0.18, damping=1.5, kp=2000.0,
-                 kv=70.0, limit=80.0, home=0.9, reach=0.7),
-            _bar(1.4, 0.25, 0.03, offset=(0.35, 0.0, 0.0), armature=0.05, damping=0.5, kp=500.0,
-                 kv=14.0, limit=25.0, home=0.4, reach=0.9),
-        ),
-        hanging=(np.pi / 2, 0.0, 0.0),
+        kind="slide" if word == "slide" else "hinge",
+        axis=(float(axis == "x"), float(axis == "y"), float(axis == "z")),
+        offset=(x[0], x[1], x[2]), mass=x[3], end=(x[4], x[5], x[6]), com=(x[7], x[8], x[9]),
+        inertia=(x[10], x[11], x[12]), **figures,
     )  # fmt: skip
 
 
-def spatial3() -> Figures:
-    """Waist, shoulder and elbow."""
-    return Figures(
-        name="spatial3",
-        links=(
-            Link(axis=(0.0, 0.0, 1.0), offset=(0.0, 0.0, 0.3), end=(0.0, 0.0, 0.12), mass=6.0,
-                 com=(0.01, 0.0, 0.05), inertia=(0.035, 0.035, 0.028), armature=0.35, damping=2.5,
-                 kp=3500.0, kv=140.0, limit=140.0, home=0.0, reach=0.9),
-            _bar(3.2, 0.42, 0.05, offset=(0.0, 0.0, 0.12), armature=0.30, damping=2.0, kp=3500.0,
-                 kv=130.0, limit=140.0, home=-0.7, reach=0.5),
-            _bar(1.8, 0.38, 0.035, offset=(0.42, 0.0, 0.0), armature=0.10, damping=0.8, kp=1200.0,
-                 kv=40.0, limit=50.0, home=1.0, reach=0.7),
-        ),
-        hanging=(0.0, np.pi / 2, 0.0),
-    )  # fmt: skip
+def _machine(name: str) -> Figures:
+    """A machine of the table."""
+    lines = iter(_TABLE.strip().splitlines())
+    head = next(line for line in lines if line.split()[0] == name).split()
+    links = []
+    for line in lines:
+        if "|" not in line:
+            break
+        links.append(_link(line))
+    hanging = tuple(map(float, head[2:])) if "hangs" in head else None
+    return Figures(name=name, links=tuple(links), hanging=hanging)
 
 
-def scara4() -> Figures:
-    """Two hinges about the vertical, a vertical slide and a turning wrist."""
-    up = (0.0, 0.0, 1.0)
-    return Figures(
-        name="scara4",
-        links=(
-            _bar(5.0, 0.35, 0.06, axis=up, offset=(0.0, 0.0, 0.4), armature=0.30, damping=2.0,
-                 kp=3000.0, kv=110.0, limit=100.0, home=0.2, reach=0.9),
-            _bar(3.0, 0.30, 0.05, axis=up, offset=(0.35, 0.0, 0.0), armature=0.12, damping=1.0,
-                 kp=1200.0, kv=40.0, limit=50.0, home=0.7, reach=0.9),
-            Link(kind="slide", axis=up, offset=(0.30, 0.0, 0.0), end=(0.0, 0.0, -0.2), mass=1.5,
-                 com=(0.01, 0.0, -0.1), inertia=(0.006, 0.006, 0.001), armature=2.0, damping=30.0,
-                 kp=12000.0, kv=350.0, limit=180.0, home=0.05, reach=0.08),
-            Link(axis=up, offset=(0.0, 0.0, -0.2), end=(0.10, 0.0, -0.05), mass=0.8,
-                 com=(0.04, 0.01, -0.02), inertia=(0.0008, 0.0015, 0.0016), armature=0.02,
-                 damping=0.15, kp=80.0, kv=2.2, limit=8.0, home=0.0, reach=1.4),
-        ),
-    )  # fmt: skip
-
-
-def elbow4() -> Figures:
-    """Waist, shoulder, elbow and a pitching wrist."""
-    return Figures(
-        name="elbow4",
-        links=(
-            Link(axis=(0.0, 0.0, 1.0), offset=(0.0, 0.0, 0.25), end=(0.0, 0.0, 0.10), mass=5.0,
-                 com=(0.0, 0.01, 0.04), inertia=(0.03, 0.03, 0.02), armature=0.30, damping=2.0,
-                 kp=3000.0, kv=120.0, limit=120.0, home=0.1, reach=0.8),
-            _bar(3.0, 0.36, 0.05, offset=(0.0, 0.0, 0.10), armature=0.28, damping=1.8, kp=3200.0,
-                 kv=120.0, limit=130.0, home=-0.8, reach=0.5),
-            _bar(1.8, 0.32, 0.04, offset=(0.36, 0.0, 0.0), armature=0.12, damping=0.8, kp=1200.0,
-                 kv=40.0, limit=50.0, home=1.1, reach=0.6),
-            _bar(0.9, 0.16, 0.03, offset=(0.32, 0.0, 0.0), armature=0.03, damping=0.25, kp=250.0,
-                 kv=6.0, limit=15.0, home=0.2, reach=0.9),
-        ),
-    )  # fmt: skip
-
-
-def upright6() -> Figures:
-    """Waist, shoulder, elbow and a wrist of three axes."""
-    return Figures(
-        name="upright6",
-        links=(
-            Link(axis=(0.0, 0.0, 1.0), offset=(0.0, 0.0, 0.3), end=(0.0, 0.0, 0.12), mass=6.5,
-                 com=(0.0, 0.01, 0.05), inertia=(0.04, 0.04, 0.03), armature=0.45, damping=3.0,
-                 kp=4000.0, kv=170.0, limit=160.0, home=0.0, reach=0.8),
-            _bar(4.0, 0.40, 0.05, offset=(0.0, 0.0, 0.12), armature=0.45, damping=2.5, kp=4500.0,
-                 kv=180.0, limit=180.0, home=-0.8, reach=0.45),
-            _bar(2.6, 0.34, 0.04, offset=(0.40, 0.0, 0.0), armature=0.20, damping=1.2, kp=2000.0,
-                 kv=75.0, limit=90.0, home=1.1, reach=0.55),
-            Link(axis=(1.0, 0.0, 0.0), offset=(0.34, 0.0, 0.0), end=(0.10, 0.0, 0.0), mass=1.1,
-                 com=(0.05, 0.0, 0.005), inertia=(0.002, 0.003, 0.003), armature=0.04, damping=0.3,
-                 kp=300.0, kv=8.0, limit=20.0, home=0.1, reach=1.2),
-            _bar(0.8, 0.12, 0.03, offset=(0.10, 0.0, 0.0), armature=0.03, damping=0.25, kp=220.0,
-                 kv=6.0, limit=15.0, home=0.5, reach=0.9),
-            Link(axis=(1.0, 0.0, 0.0), offset=(0.12, 0.0, 0.0), end=(0.06, 0.0, 0.03), mass=0.4,
-                 com=(0.03, 0.01, 0.02), inertia=(0.0005, 0.0006, 0.0006), armature=0.012,
-                 damping=0.08, kp=60.0, kv=1.6, limit=6.0, home=0.0, reach=1.4),
-        ),
-    )  # fmt: skip
-
-
-def redundant7() -> Figures:
-    """Seven hinges that turn and bend in turn."""
-    along, across = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-    rows = (
-        # axis, length, mass, armature, damping, kp, kv, limit, home, reach
-        (across, 0.26, 3.6, 0.45, 2.5, 4200.0, 170.0, 170.0, -0.9, 0.4),
-        (along, 0.18, 2.4, 0.25, 1.4, 1500.0, 55.0, 90.0, 0.1, 0.8),
-        (across, 0.22, 2.2, 0.22, 1.3, 1900.0, 70.0, 90.0, 1.0, 0.5),
-        (along, 0.16, 1.4, 0.08, 0.6, 600.0, 18.0, 40.0, 0.0, 1.0),
-        (across, 0.12, 1.1, 0.05, 0.4, 400.0, 11.0, 25.0, 0.6, 0.8),
-        (along, 0.08, 0.5, 0.015, 0.1, 80.0, 2.2, 8.0, 0.0, 1.3),
-    )
-    links = [
-        Link(axis=(0.0, 0.0, 1.0), offset=(0.0, 0.0, 0.3), end=(0.0, 0.0, 0.12), mass=5.5,
-             com=(0.01, 0.0, 0.05), inertia=(0.035, 0.035, 0.025), armature=0.4, damping=2.6,
-             kp=3600.0, kv=150.0, limit=150.0, home=0.1, reach=0.8)
-    ]  # fmt: skip
-    offset = (0.0, 0.0, 0.12)
-    for axis, length, mass, armature, damping, kp, kv, limit, home, reach in rows:
-        links.append(
-            _bar(mass, length, 0.035, axis=axis, offset=offset, armature=armature, damping=damping,
-                 kp=kp, kv=kv, limit=limit, home=home, reach=reach)
-        )  # fmt: skip
-        offset = (length, 0.0, 0.0)
-    # the last axis is the bar's own, on which a tool that is off it turns
-    last = dataclasses.replace(links[-1], com=(0.03, 0.012, 0.01), end=(0.06, 0.02, 0.02))
-    return Figures(name="redundant7", links=(*links[:-1], last))
-
-
-ARMS = {"planar3": planar3, "spatial3": spatial3, "scara4": scara4, "elbow4": elbow4}
-"""Makers of the nominal arms by name."""
-MACHINES = {
-    "planar3": planar3,
-    "spatial3": spatial3,
-    "upright6": upright6,
-    "redundant7": redundant7,
+MACHINES: dict[str, Callable[[], Figures]] = {
+    line.split()[0]: partial(_machine, line.split()[0])
+    for line in _TABLE.strip().splitlines()
+    if "|" not in line
 }
-"""Makers of the arms of whole machines."""
+"""Makers of the nominal machines by name."""
+ARMS = {name: MACHINES[name] for name in ("planar3", "spatial3", "scara4", "elbow4")}
+"""Those on which parts rattle."""
+planar3, spatial3 = MACHINES["planar3"], MACHINES["spatial3"]
+
+
+def varied(figures: Figures, rng: np.random.Generator) -> Figures:
+    """A machine of other lengths, masses and stiffness, with the same shape."""
+    long, heavy, stiff = np.exp(rng.uniform(np.log(0.8), np.log(1.25), 3))
+    links = []
+    for link in figures.links:
+        slide = link.kind == "slide"
+        inert, way = (heavy, long) if slide else (heavy * long**2, 1.0)
+        scales = {
+            "mass": heavy, "offset": long, "end": long, "com": long, "inertia": heavy * long**2,
+            "armature": inert, "damping": inert, "kp": inert * stiff**2, "kv": inert * stiff,
+            "limit": heavy if slide else heavy * max(long, long**2), "reach": way, "home": way,
+        }  # fmt: skip
+        changed = {
+            name: tuple(scale * x for x in own) if isinstance(own, tuple) else scale * own
+            for name, scale in scales.items()
+            for own in [getattr(link, name)]
+        }
+        links.append(dataclasses.replace(link, **changed))  # type: ignore[arg-type]
+    return dataclasses.replace(figures, links=tuple(links))
 
 
 TIME_STEP = 5e-4
@@ -238,12 +220,27 @@ def joint_names(figures: Figures) -> list[str]:
     return [f"joint{i + 1}" for i in range(figures.joints)]
 
 
-def model_xml(figures: Figures, *, drives: str = "position") -> str:
-    """MJCF of the nominal arm, with position servos, with motors, or "" for no drives."""
+def model_xml(
+    figures: Figures,
+    *,
+    drives: str = "position",
+    speeds: bool = True,
+    accelerometer: bool = True,
+    plain: bool = False,
+) -> str:
+    """MJCF of the nominal arm, with position servos, with motors, or "" for no drives.
+
+    `plain` has MuJoCo's usual integrator and time step, as a user's file has.
+    """
+    option = (
+        'timestep="0.001" integrator="implicitfast"'
+        if plain
+        else f'timestep="{TIME_STEP:g}" integrator="RK4"'
+    )
     lines = [
         '<mujoco model="arm">',
         '  <compiler angle="radian" autolimits="true"/>',
-        f'  <option timestep="{TIME_STEP:g}" integrator="RK4" gravity="0 0 -9.81"/>',
+        f'  <option {option} gravity="0 0 -9.81"/>',
         "  <worldbody>",
     ]
     indent = "    "
@@ -273,6 +270,9 @@ def model_xml(figures: Figures, *, drives: str = "position") -> str:
     lines.append("  <sensor>")
     for name in joint_names(figures):
         lines.append(f'    <jointpos name="{name}_pos" joint="{name}"/>')
-        lines.append(f'    <jointvel name="{name}_vel" joint="{name}"/>')
-    lines += ['    <accelerometer name="tool_acc" site="tool"/>', "  </sensor>", "</mujoco>", ""]
+        if speeds:
+            lines.append(f'    <jointvel name="{name}_vel" joint="{name}"/>')
+    if accelerometer:
+        lines.append('    <accelerometer name="tool_acc" site="tool"/>')
+    lines += ["  </sensor>", "</mujoco>", ""]
     return "\n".join(lines)

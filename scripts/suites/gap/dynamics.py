@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -25,13 +26,13 @@ GAP_LOW, GAP_HIGH, HERTZ, CROSSLEY = 11, 12, 13, 14
 """Ends of the free travel, stiffness of the stops (force / travel^1.5), their dissipation."""
 RIPPLE, ORDER, PHASE, SECOND = 15, 16, 17, 18
 """Amplitude, periods per unit of travel times 2 pi, phase, share of the second harmonic."""
-HYSTERESIS, STROKE = 19, 20
-"""Torque of the hysteresis and the travel over which it turns."""
 ASYMMETRY = 22
 """Excess of the friction in the positive direction over the mean of both directions."""
 GRAIN = 23
 """Waves per turn by which the friction varies from none to twice its mean (0: not); their phase."""
-LAWS = 25
+SLACK_FORCE, SLACK, ELASTIC = 19, 20, 25
+"""Dry friction of an element that is coupled with slack and an elastic way."""
+LAWS = 26
 
 # Columns of an actuator's row.
 DOF, KP, KV, LIMIT, GAIN, LAG, DELAY, OFFSET, DEAD, SAG = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
@@ -48,7 +49,11 @@ ECCENTRIC_SINE, ECCENTRIC_COSINE = 15, 16
 """Error of the encoder that is periodic in the turn of the joint."""
 LOADED_EXTERNAL = 17
 """Friction of what is behind the gear over the torque of the load."""
-ACTUATOR = 18
+LINK_SIDE = 18
+"""Extra degree of freedom that an encoder on the link's side reads too; -1 on the motor's side."""
+SPEED_LIMIT = 19
+"""Largest speed at which the drive follows its command (0: any)."""
+ACTUATOR = 20
 
 
 @njit(cache=True, fastmath=False)
@@ -88,7 +93,8 @@ def joint_force(law, q, v, z, time):  # type: ignore[no-untyped-def]
         x = law[16] * q + law[17]
         force += law[15] * (np.sin(x) + law[18] * np.sin(2.0 * x + 0.7))
     if law[19] != 0.0:
-        force -= law[19] * z
+        stretch = abs(q - z) - 0.5 * law[20]
+        force -= law[19] * np.sign(q - z) * min(max(stretch / law[25], 0.0), 1.0)
     return force
 
 
@@ -349,8 +355,9 @@ class System:
     """Acceleration of free fall in the world, of shape (3,) [m/s²]."""
     tool: Array
     """The tool in the last body's frame, of shape (3,) [m]."""
-    cable: Array = dataclasses.field(default_factory=lambda: np.zeros(5))
-    """A spring over two joints: their degrees of freedom, ratio, stiffness, rest; shape (5,)."""
+    cable: Array = dataclasses.field(default_factory=lambda: np.zeros(7))
+    """A coupling of two joints: their degrees of freedom, ratio, stiffness, rest of a spring,
+    friction and rotor inertia of a motor that turns with both; shape (7,)."""
     fan: Array = dataclasses.field(default_factory=lambda: np.zeros(5))
     """A force at the tool in its frame (3) [N], its frequency [Hz] and phase [rad]; shape (5,)."""
     proximal: NDArray[np.int64] = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
@@ -369,8 +376,8 @@ class System:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Trace:
-    """What happened, without noise, at every sample (or at every step inside a sample)."""
+class Signals:
+    """What happened at every sample (or at every step inside a sample), or what was read."""
 
     position: Array
     """What perfect encoders say, of shape (T, n) [rad or m]."""
@@ -380,187 +387,175 @@ class Trace:
     """Proper acceleration of the tool in its frame, of shape (T, 3) [m/s²]."""
     torque: Array
     """Torques that the drives ask for, of shape (T, n) [N m or N]."""
-    energy: Array
-    """Kinetic and potential energy, of shape (T,) [J]."""
+    joint_acceleration: Array
+    """Accelerations of the joints, of shape (T, n); never recorded."""
+
+
+class _Arrays(NamedTuple):
+    """The arrays of a `System`, as compiled code takes them."""
+
+    bodies: Array
+    laws: Array
+    drives: Array
+    gravity: Array
+    tool: Array
+    cable: Array
+    fan: Array
+
+
+class _Room(NamedTuple):
+    """Working space, and what `_derivative` leaves beside the derivative."""
+
+    work: Array
+    mass: Array
+    force: Array
+    torque: Array
+    held: Array
 
 
 @njit(cache=True, fastmath=False)
-def _derivative(  # type: ignore[no-untyped-def]
-    bodies, laws, drives, gravity, tool, cable, fan, powered, sampled, held, command, time, q, v,
-    lag, z, work, mass, force, torque, rate, a, dlag, dz,
-):  # fmt: skip
-    n = q.shape[0]
-    forward(bodies, q, v, gravity, work)
-    mass_and_bias(bodies, work, mass, force)
+def _derivative(arm, room, powered, sampled, command, time, y, dy):  # type: ignore[no-untyped-def]
+    """Derivative of the state: positions, velocities, memories of laws, lagging commands."""
+    laws, drives, cable, fan = arm.laws, arm.drives, arm.cable, arm.fan
+    mass, force, torque = room.mass, room.force, room.torque
+    n, m = arm.bodies.shape[0], drives.shape[0]
+    q, v, z, lag = y[:n], y[n : 2 * n], y[2 * n : 3 * n], y[3 * n :]
+    forward(arm.bodies, q, v, arm.gravity, room.work)
+    mass_and_bias(arm.bodies, room.work, mass, force)
     bias = force.copy()
+    dy[:n] = v
     for k in range(n):
         force[k] = joint_force(laws[k], q[k], v[k], z[k], time) - force[k]
-        dz[k] = 0.0
-        if laws[k, 19] != 0.0:
-            dz[k] = (v[k] - 0.5 * (abs(v[k]) * z[k] + v[k] * abs(z[k]))) / laws[k, 20]
+        dy[2 * n + k] = 0.0
+        if laws[k, SLACK_FORCE] != 0.0:
+            beyond = abs(q[k] - z[k]) - 0.5 * laws[k, SLACK] - laws[k, ELASTIC]
+            if beyond > 0.0:  # it slides, and what a step went too far is made good
+                side = np.sign(q[k] - z[k])
+                dy[2 * n + k] = side * (max(side * v[k], 0.0) + beyond / 0.01)
     load = 0.0
-    for j in range(drives.shape[0]):
-        k = int(drives[j, 0])
-        dlag[j] = 0.0
-        target = command[j]
-        if drives[j, 5] > 0.0:
-            target = lag[j]
-            dlag[j] = (command[j] - lag[j]) / drives[j, 5]
+    for j in range(m):
+        row, k = drives[j], int(drives[j, 0])
+        late = row[LAG] > 0.0 or row[SPEED_LIMIT] > 0.0
+        dy[3 * n + j] = 0.0
+        if late:
+            dy[3 * n + j] = (command[j] - lag[j]) / (row[LAG] if row[LAG] > 0.0 else 2e-3)
+        if row[SPEED_LIMIT] > 0.0:
+            dy[3 * n + j] = min(max(dy[3 * n + j], -row[SPEED_LIMIT]), row[SPEED_LIMIT])
         torque[j] = 0.0
         if sampled:
-            torque[j] = held[j]
+            torque[j] = room.held[j]
         elif powered:
-            torque[j] = drive_torque(drives[j], target, q[k], v[k])
-        load += abs(torque[j]) / drives[j, 3]
-    for j in range(drives.shape[0]):
+            torque[j] = drive_torque(row, lag[j] if late else command[j], q[k], v[k])
+        load += abs(torque[j]) / row[LIMIT]
+    for j in range(m):
         k = int(drives[j, 0])
-        given = torque[j] * drives[j, 4] / (1.0 + drives[j, 9] * load)
+        given = torque[j] * drives[j, GAIN] / (1.0 + drives[j, SAG] * load)
         force[k] += given
-        if drives[j, 10] > 0.0:
+        if drives[j, LOADED] > 0.0:
             force[k] += gear_friction(drives[j], given, bias[k], v[k])
     for k in range(n):
-        if bodies[k, 21] != 0.0:
-            add_weight(bodies, work, k, -bodies[k, 21], gravity, force)
-    if cable[3] != 0.0:
-        i, j = int(cable[0]), int(cable[1])
-        pull = cable[3] * (q[i] + cable[2] * q[j] - cable[4])
+        if arm.bodies[k, CARRIED] != 0.0:
+            add_weight(arm.bodies, room.work, k, -arm.bodies[k, CARRIED], arm.gravity, force)
+    if cable[3] != 0.0 or cable[5] != 0.0:
+        # a spring over two joints, and a motor that turns with both: its friction and its rotor
+        i, j, ratio = int(cable[0]), int(cable[1]), cable[2]
+        pull = cable[3] * (q[i] + ratio * q[j] - cable[4])
+        pull += cable[5] * np.tanh((v[i] + ratio * v[j]) / 5e-3)
         force[i] -= pull
-        force[j] -= cable[2] * pull
+        force[j] -= ratio * pull
+        mass[i, i] += cable[6]
+        mass[j, j] += ratio * ratio * cable[6]
+        mass[i, j] += ratio * cable[6]
+        mass[j, i] += ratio * cable[6]
     if fan[3] > 0.0:
         swing = np.sin(2.0 * np.pi * fan[3] * time + fan[4])
-        local = np.array([fan[0] * swing, fan[1] * swing, fan[2] * swing])
-        add_tool_force(work, tool, local, force)
-    solve(mass, force, a)
+        add_tool_force(room.work, arm.tool, fan[:3] * swing, force)
+    solve(mass, force, dy[n : 2 * n])
 
 
 @njit(cache=True, fastmath=False)
-def _between(commands, j, x):  # type: ignore[no-untyped-def]
-    """Command of drive j at x samples, on a straight line between two."""
-    x = min(max(x, 0.0), commands.shape[0] - 1.0)
-    first = min(int(x), commands.shape[0] - 2)
-    return commands[first, j] + (x - first) * (commands[first + 1, j] - commands[first, j])
+def _command(commands, straight, x, width):  # type: ignore[no-untyped-def]
+    """Commands at x samples each, on a straight line or held; the mean over a width where held."""
+    out = np.empty(commands.shape[1])
+    last = commands.shape[0] - 1
+    for j in range(len(out)):
+        at = min(max(x[j], 0.0), 1.0 * last)
+        first = min(int(at + 1e-9), last)
+        step = commands[min(first + 1, last), j] - commands[first, j]
+        share = at - first
+        if not straight:
+            share = min(max(1.0 + (at - first - 1.0) / width, 0.0), 1.0) if width > 0.0 else 0.0
+        out[j] = commands[first, j] + (share if abs(share) > 1e-6 else 0.0) * step
+    return out
 
 
 @njit(cache=True, fastmath=False)
 def _run(  # type: ignore[no-untyped-def]
-    bodies, laws, drives, gravity, tool, cable, fan, release, commands, q, v, settle, inside,
-    every, straight, servo,
-):  # fmt: skip
+    arm, release, commands, q, v, settle, inside, every, straight, servo, sample
+):
+    drives, samples = arm.drives, commands.shape[0]
     dofs, n = q.shape[0], drives.shape[0]
-    samples = commands.shape[0]
-    step = 1e-3 / inside
-    rows = samples * inside // every
-    out = np.zeros((rows, 3 * n + 4))
-    work = np.zeros((dofs, 40))
-    mass = np.zeros((dofs, dofs))
-    force, torque, rate = np.zeros(dofs), np.zeros(n), np.zeros(dofs)
-    command, there, lag = commands[0].copy(), commands[0].copy(), commands[0].copy()
-    z = np.zeros(dofs)
-    q1, v1, z1, lag1 = q.copy(), v.copy(), z.copy(), lag.copy()
-    a = np.zeros((4, dofs))
-    va = np.zeros((4, dofs))
-    dz = np.zeros((4, dofs))
-    dlag = np.zeros((4, n))
+    step, rows = sample / inside, samples * inside // every
+    out = np.zeros((rows, 4 * n + 3))
+    room = _Room(
+        np.zeros((dofs, WORK)), np.zeros((dofs, dofs)), np.zeros(dofs), np.zeros(n), np.zeros(n)
+    )
+    z = np.where(arm.laws[:, SLACK_FORCE] != 0.0, q, 0.0)
+    y = np.concatenate((q, v, z, commands[0]))
+    slopes = np.zeros((4, len(y)))
     acceleration = np.zeros(3)
     period, delay = int(servo[0]), int(servo[1])
     sampled = period > 0
-    waiting, asked, held = np.zeros((8, n)), np.zeros(n), np.zeros(n)
-    before, estimate = np.zeros(n), np.zeros(n)
+    waiting, before, estimate = np.zeros((8, n)), np.zeros(n), np.zeros(n)
     row = 0
     for i in range(-settle * inside, samples * inside):
-        time = i * step
-        on = i < release * inside
-        for j in range(n):
-            # the command is held from sample to sample; its mean over this step, delayed
-            x = max((time - drives[j, 6]) / 1e-3, 0.0)
-            first = int(x + 1e-9)
-            over = x + 1.0 / inside - (first + 1)
-            share = min(max(over * inside, 0.0), 1.0)
-            if share < 1e-6:
-                share = 0.0
-            now = commands[min(first, samples - 1), j]
-            there[j] = now
-            command[j] = now + share * (commands[min(first + 1, samples - 1), j] - now)
-            if straight:
-                there[j] = _between(commands, j, (time - drives[j, 6]) / 1e-3)
+        time, on = i * step, i < release * inside
+        x = (time - drives[:, DELAY]) / sample
+        there = _command(commands, straight, x, 0.0)
+        command = _command(commands, straight, x, 1.0 / inside)
         if sampled and i % period == 0:
-            turn = (i // period) % 8
+            turn, first = (i // period) % 8, i == -settle * inside
             for j in range(n):
-                k, first = int(drives[j, 0]), i == -settle * inside
-                measured = q[k]
+                measured = y[int(drives[j, 0])]
                 if servo[3] > 0.0:
                     measured = np.round(measured / servo[3]) * servo[3]
                 if not first:
                     speed = (measured - before[j]) / (period * step)
                     estimate[j] += servo[2] * (speed - estimate[j])
                 before[j] = measured
-                asked[j] = drives[j, 1] * (there[j] - measured) - drives[j, 2] * estimate[j]
-                asked[j] = min(max(asked[j], -drives[j, 3]), drives[j, 3])
+                late = drives[j, LAG] > 0.0 or drives[j, SPEED_LIMIT] > 0.0
+                target = y[3 * dofs + j] if late else there[j]
+                waiting[turn, j] = drive_torque(drives[j], target, measured, estimate[j])
                 if first:
-                    waiting[:, j] = asked[j]
-                waiting[turn, j] = asked[j]
-                held[j] = waiting[(turn - delay) % 8, j]
+                    waiting[:, j] = waiting[turn, j]
+                room.held[j] = waiting[(turn - delay) % 8, j]
         if i >= 0 and i % every == 0 and row < rows:
             # sensors read what is there at their moment, not what comes within the step
-            _derivative(
-                bodies, laws, drives, gravity, tool, cable, fan, on, sampled, held, there, time, q,
-                v, lag, z, work, mass, force, torque, rate, a[0], dlag[0], dz[0],
-            )  # fmt: skip
-            tool_acceleration(work, tool, a[0], acceleration)
+            _derivative(arm, room, on, sampled, there, time, y, slopes[0])
+            a = slopes[0, dofs : 2 * dofs]
+            tool_acceleration(room.work, arm.tool, a, acceleration)
             for j in range(n):
-                k = int(drives[j, 0])
-                error, slope = encoder(drives[j], q[k])
-                out[row, j] = q[k] + error
-                out[row, n + j] = v[k] * (1.0 + slope)
-                out[row, 2 * n + 3 + j] = asked[j] if sampled else torque[j]
-            out[row, 2 * n] = acceleration[0]
-            out[row, 2 * n + 1] = acceleration[1]
-            out[row, 2 * n + 2] = acceleration[2]
-            # the solver leaves the upper half of the mass matrix; its diagonal is a factor's
-            energy = 0.0
-            for k in range(dofs):
-                for j in range(k):
-                    energy += v[j] * mass[j, k] * v[k]
-                square = mass[k, k] * mass[k, k]
-                for j in range(k):
-                    square += mass[k, j] * mass[k, j]
-                energy += 0.5 * square * v[k] * v[k]
-                s, b = work[k], bodies[k]
-                for d in range(3):
-                    com = s[9 + d] + s[3 * d] * b[8] + s[3 * d + 1] * b[9] + s[3 * d + 2] * b[10]
-                    energy -= b[7] * gravity[d] * com
-            out[row, 3 * n + 3] = energy
+                k, soft = int(drives[j, 0]), int(drives[j, LINK_SIDE])
+                error, slope = encoder(drives[j], y[k])
+                out[row, j] = y[k] + error + (y[soft] if soft >= 0 else 0.0)
+                out[row, n + j] = y[dofs + k] * (1.0 + slope)
+                out[row, 3 * n + 3 + j] = a[k]
+                if soft >= 0:
+                    out[row, n + j] += y[dofs + soft]
+                    out[row, 3 * n + 3 + j] += a[soft]
+                asked = waiting[(i // period) % 8, j] if sampled else room.torque[j]
+                out[row, 2 * n + 3 + j] = asked
+            out[row, 2 * n : 2 * n + 3] = acceleration
             row += 1
         for stage in range(4):
-            if stage == 0:
-                q1[:] = q
-                v1[:] = v
-                z1[:] = z
-                lag1[:] = lag
-                t = time
-            else:
-                c = step if stage == 3 else 0.5 * step
-                t = time + c
-                for k in range(dofs):
-                    q1[k] = q[k] + c * va[stage - 1, k]
-                    v1[k] = v[k] + c * a[stage - 1, k]
-                    z1[k] = z[k] + c * dz[stage - 1, k]
-                for j in range(n):
-                    lag1[j] = lag[j] + c * dlag[stage - 1, j]
+            part = 0.0 if stage == 0 else step if stage == 3 else 0.5 * step
+            trial = y + part * slopes[max(stage - 1, 0)]
             if straight:
-                for j in range(n):
-                    command[j] = _between(commands, j, (t - drives[j, 6]) / 1e-3)
+                command = _command(commands, straight, x + part / sample, 0.0)
             _derivative(
-                bodies, laws, drives, gravity, tool, cable, fan, on, sampled, held, command, t, q1,
-                v1, lag1, z1, work, mass, force, torque, rate, a[stage], dlag[stage], dz[stage],
+                arm, room, on, sampled, command, time + part, trial, slopes[stage]
             )  # fmt: skip
-            va[stage] = v1
-        for k in range(dofs):
-            q[k] += step / 6.0 * (va[0, k] + 2.0 * va[1, k] + 2.0 * va[2, k] + va[3, k])
-            v[k] += step / 6.0 * (a[0, k] + 2.0 * a[1, k] + 2.0 * a[2, k] + a[3, k])
-            z[k] += step / 6.0 * (dz[0, k] + 2.0 * dz[1, k] + 2.0 * dz[2, k] + dz[3, k])
-        for j in range(n):
-            lag[j] += step / 6.0 * (dlag[0, j] + 2.0 * dlag[1, j] + 2.0 * dlag[2, j] + dlag[3, j])
+        y += step / 6.0 * (slopes[0] + 2.0 * slopes[1] + 2.0 * slopes[2] + slopes[3])
     return out
 
 
@@ -575,45 +570,37 @@ def simulate(
     straight: bool = False,
     start: tuple[Array, Array] | None = None,
     servo: tuple[int, int, float, float] = (0, 0, 1.0, 0.0),
-) -> Trace:
-    """Run an arm through a list of commands, a millisecond apart.
+    sample: float = SAMPLE,
+) -> Signals:
+    """Run an arm through a list of commands, one every `sample`.
 
     ``servo`` samples the drives: steps between samples (0: continuous), samples of delay (at most
     7), share of a new velocity in the filtered one, step of the encoders [rad].
     """
-    assert system.bodies.shape[1] == BODY and system.laws.shape[1] == LAWS
-    assert system.drives.shape[1] == ACTUATOR and WORK == 40
     n = system.drives.shape[0]
-    if start is None:
-        q = np.zeros(system.bodies.shape[0])
-        q[system.joint_dofs] = commands[0] - system.drives[:, 7]
-        v = np.zeros_like(q)
-    else:
-        q, v = start[0].copy(), start[1].copy()
+    q = np.zeros(len(system.bodies))
+    q[system.joint_dofs] = commands[0] - system.drives[:, OFFSET]
+    v = np.zeros_like(q)
+    if start is not None:
+        q, v = start
+    arm = _Arrays(*(getattr(system, name) for name in _Arrays._fields))
     out = _run(
-        system.bodies, system.laws, system.drives, system.gravity, system.tool, system.cable,
-        system.fan, len(commands) if release is None else release,
-        np.ascontiguousarray(commands), q, v, round(settle / SAMPLE), inside,
-        1 if fine else inside, straight, np.array(servo, dtype=float),
+        arm, len(commands) if release is None else release, np.ascontiguousarray(commands), q, v,
+        round(settle / sample), inside, 1 if fine else inside, straight,
+        np.array(servo, dtype=float), sample,
     )  # fmt: skip
-    return Trace(
-        position=out[:, :n],
-        velocity=out[:, n : 2 * n],
-        acceleration=out[:, 2 * n : 2 * n + 3],
-        torque=out[:, 2 * n + 3 : 3 * n + 3],
-        energy=out[:, 3 * n + 3],
+    position, velocity, acceleration, torque, joint_acceleration = np.split(
+        out, [n, 2 * n, 2 * n + 3, 3 * n + 3], axis=1
     )
-
-
-TOLERANCE = 0.03
-"""Largest relative error of the nominal masses, inertias, dampings, gains and rotors."""
-LEAST_ERROR = 0.01
-"""Smallest relative error that a true arm has."""
+    return Signals(
+        position=position, velocity=velocity, acceleration=acceleration, torque=torque,
+        joint_acceleration=joint_acceleration,
+    )  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Factors:
-    """True over nominal figures; each of shape (n,)."""
+    """What a true arm is beside its nominal figures, each of shape (n,); a model has tolerances."""
 
     mass: Array
     inertia: Array
@@ -621,6 +608,19 @@ class Factors:
     damping: Array
     kp: Array
     kv: Array
+    """True over nominal figure, of these."""
+    x: Array | float = 0.0
+    y: Array | float = 0.0
+    z: Array | float = 0.0
+    """Shift of the centre of mass, over the length of the link."""
+    zero: Array | float = 0.0
+    """Error of the encoders' zero [rad or m]."""
+    shift: Array | float = 0.0
+    """Time by which commands act late, or if negative early [s]."""
+    constant: Array | float = 1.0
+    """Measured over true torque."""
+    offset: Array | float = 0.0
+    """Offset of the measured torque over the drive's limit."""
 
     @classmethod
     def ones(cls, joints: int) -> Factors:
@@ -628,35 +628,24 @@ class Factors:
         return cls(**{name: np.ones(joints) for name in FACTORS})
 
     @classmethod
-    def draw(
-        cls,
-        joints: int,
-        rng: np.random.Generator,
-        *,
-        least: float = LEAST_ERROR,
-        most: float = TOLERANCE,
-    ) -> Factors:
-        """Errors of random sign, by default of 1 to 3 %."""
+    def draw(cls, joints: int, rng: np.random.Generator) -> Factors:
+        """Errors of 1 to 3 % and of random sign of all but centres, zeros and times."""
         return cls(
             **{
-                name: 1 + rng.uniform(least, most, joints) * rng.choice([-1, 1], joints)
+                name: 1 + rng.uniform(0.01, 0.03, joints) * rng.choice([-1, 1], joints)
                 for name in FACTORS
             }
         )
 
     def changed(self, name: str, joint: int, by: float) -> Factors:
         """The same factors with one of them moved by `by`."""
-        values = getattr(self, name).copy()
+        values = np.array(np.broadcast_to(getattr(self, name), self.mass.shape), dtype=float)
         values[joint] += by
         return dataclasses.replace(self, **{name: values})
 
-    def flat(self) -> Array:
-        """All factors, of shape (6 n,), in the order of `FACTORS`."""
-        return np.concatenate([getattr(self, name) for name in FACTORS])
 
-
-FACTORS = tuple(field.name for field in dataclasses.fields(Factors))
-"""Names of the factors: the nuisance parameters of every recording."""
+FACTORS = ("mass", "inertia", "armature", "damping", "kp", "kv")
+"""Names of the factors that are ratios of figures of the model."""
 
 
 def body_row(
@@ -674,10 +663,14 @@ def body_row(
 def build(figures: Figures, factors: Factors) -> System:
     """The arm without any missing effect."""
     bodies, laws, drives = [], [], []
+    n = figures.joints
+    centre = np.array([np.broadcast_to(getattr(factors, axis), n) for axis in "xyz"]).T
+    zero, shift = np.broadcast_to(factors.zero, n), np.broadcast_to(factors.shift, n)
     for i, link in enumerate(figures.links):
         bodies.append(
             body_row(
-                link.kind, link.axis, link.offset, link.mass * factors.mass[i], link.com,
+                link.kind, link.axis, link.offset, link.mass * factors.mass[i],
+                np.array(link.com) + centre[i] * link.length,
                 np.diag(link.inertia) * factors.inertia[i], link.armature * factors.armature[i],
             )
         )  # fmt: skip
@@ -688,6 +681,7 @@ def build(figures: Figures, factors: Factors) -> System:
         drive[0] = i
         drive[KP], drive[KV] = link.kp * factors.kp[i], link.kv * factors.kv[i]
         drive[LIMIT], drive[GAIN] = link.limit, 1.0
+        drive[OFFSET], drive[DELAY], drive[LINK_SIDE] = zero[i], shift[i], -1.0
         drives.append(drive)
     return System(
         bodies=np.array(bodies),
@@ -705,6 +699,7 @@ def _insert(system: System, at: int, body: Array, law: Array) -> None:
     system.bodies = np.insert(system.bodies, at, body, axis=0)
     system.laws = np.insert(system.laws, at, law, axis=0)
     system.drives[system.drives[:, 0] >= at, 0] += 1
+    system.drives[system.drives[:, LINK_SIDE] >= at, LINK_SIDE] += 1
     system.cable[:2][system.cable[:2] >= at] += 1
     system.proximal[system.proximal >= at] += 1
     system.distal[system.distal >= at] += 1

@@ -13,18 +13,21 @@ from scripts.suites.gap.dynamics import (
     BUMP,
     CROSSLEY,
     DAMPING,
+    ELASTIC,
     EXTRA,
     FRICTION,
     HERTZ,
+    LINK_SIDE,
     LOADED,
     LOADED_BUMP,
     LOADED_SMOOTH,
     SAMPLE,
+    SLACK_FORCE,
     SMOOTH_SPEED,
     STIFFNESS,
     Factors,
+    Signals,
     System,
-    Trace,
     build,
     felt_inertia,
     mass_matrix,
@@ -56,12 +59,14 @@ class Motion:
     """Whether the drives go in straight lines from command to command; they hold each if not."""
     family: str = ""
     """A word for the motion."""
+    sample: float = SAMPLE
+    """Time between two commands [s]."""
 
 
 def _multisine(rng: np.random.Generator, time: Array, joints: int) -> Array:
     out = np.zeros((len(time), joints))
     for j in range(joints):
-        frequencies = np.exp(rng.uniform(np.log(0.1), np.log(4.0), 9))
+        frequencies = np.exp(rng.uniform(np.log(0.1), np.log(min(4.0, 0.1 / time[1])), 9))
         sizes = frequencies**-0.8
         phases = rng.uniform(-np.pi, np.pi, 9)
         out[:, j] = np.sin(2 * np.pi * time[:, None] * frequencies + phases) @ sizes
@@ -96,7 +101,7 @@ def _reversals(rng: np.random.Generator, time: Array, joints: int) -> Array:
     for j in range(joints):
         period = float(np.exp(rng.uniform(np.log(1.5), np.log(6.0))))
         triangle = signal.sawtooth(2 * np.pi * (time / period + rng.random()), 0.5)
-        window = np.hanning(round(rng.uniform(0.12, 0.4) / SAMPLE))
+        window = np.hanning(round(rng.uniform(0.12, 0.4) / time[1]) + 3)
         smooth = np.convolve(np.pad(triangle, len(window), mode="edge"), window / window.sum())
         smooth = smooth[len(window) + len(window) // 2 :][: len(time)]
         quick = np.sin(2 * np.pi * rng.uniform(1.0, 3.0) * time) * (time > time[-1] / 2)
@@ -111,7 +116,7 @@ def _steps(rng: np.random.Generator, time: Array, joints: int) -> Array:
 def _chirp(rng: np.random.Generator, time: Array, joints: int) -> Array:
     out = np.zeros((len(time), joints))
     for j in range(joints):
-        low, high = rng.uniform(0.15, 0.4), rng.uniform(6.0, 12.0)
+        low, high = rng.uniform(0.15, 0.4), min(rng.uniform(6.0, 12.0), 0.1 / time[1])
         if rng.random() < 0.5:
             low, high = high, low
         sweep = np.log(high / low) / time[-1]
@@ -124,10 +129,10 @@ def _chirp(rng: np.random.Generator, time: Array, joints: int) -> Array:
 
 
 def rich_motion(
-    rng: np.random.Generator, figures: Figures, *, family: str, seconds: float
+    rng: np.random.Generator, figures: Figures, *, family: str, seconds: float, sample: float
 ) -> Motion:
     """Commands that move all joints at once, growing from rest."""
-    time = np.arange(round(seconds / SAMPLE)) * SAMPLE
+    time = np.arange(round(seconds / sample)) * sample
     make = {
         "multisine": _multisine, "reversals": _reversals, "steps": _steps, "chirp": _chirp,
     }[family]  # fmt: skip
@@ -139,9 +144,9 @@ def rich_motion(
     system = build(figures, Factors.ones(figures.joints))
     strength = [link.limit for link in figures.links] * np.array(EFFORT)
     inertia = np.diag(mass_matrix(system, figures.home))
-    sharpest = np.abs(np.gradient(np.gradient(shape, SAMPLE, axis=0), SAMPLE, axis=0)).max(axis=0)
+    sharpest = np.abs(np.gradient(np.gradient(shape, sample, axis=0), sample, axis=0)).max(axis=0)
     sizes = np.minimum(sizes, strength / inertia / np.maximum(sharpest, 1e-9))
-    return Motion(commands=start + shape * sizes, family=family)
+    return Motion(commands=start + shape * sizes, family=family, sample=sample)
 
 
 def shaken_motion(
@@ -150,54 +155,30 @@ def shaken_motion(
     """A held pose with band-limited Gaussian noise on one joint's command."""
     samples = round(seconds / SAMPLE)
     pose = figures.home + figures.reach * rng.uniform(-0.8, 0.8, figures.joints)
-    low, high = 4.0, rng.uniform(60.0, 120.0)
-    band = signal.butter(4, (low, high), "bandpass", fs=1 / SAMPLE, output="sos")
+    band = signal.butter(4, (4.0, rng.uniform(60.0, 120.0)), "bandpass", fs=1 / SAMPLE,
+                         output="sos")  # fmt: skip
     noise = signal.sosfilt(band, rng.normal(size=samples + 1000))[1000:]
     link = figures.links[joint]
     level = float(np.exp(rng.uniform(np.log(0.06), np.log(0.2)))) * link.limit / link.kp
-    time = np.arange(samples) * SAMPLE
     commands = np.tile(pose, (samples, 1))
-    commands[:, joint] += level * noise / noise.std() * _minimum_jerk(time / 0.3)  # type: ignore[arg-type]
+    swell = _minimum_jerk(np.arange(samples) * SAMPLE / 0.3)  # type: ignore[arg-type]
+    commands[:, joint] += level * noise / noise.std() * swell
     return Motion(commands=commands, excited=joint, pose=pose, family="shaken")
 
 
-def free_motion(rng: np.random.Generator, figures: Figures, *, seconds: float) -> Motion:
+def free_motion(
+    rng: np.random.Generator, figures: Figures, *, seconds: float, sample: float
+) -> Motion:
     """An arm that hangs, is swung by its drives and let go while it moves."""
     assert figures.hanging is not None, f"{figures.name} cannot hang"
     swing = 1.5
-    time = np.arange(round((swing + seconds) / SAMPLE)) * SAMPLE
+    time = np.arange(round((swing + seconds) / sample)) * sample
     phases = rng.uniform(-np.pi, np.pi, figures.joints)
     rates = rng.uniform(0.5, 1.2, figures.joints)
     sizes = rng.uniform(0.3, 0.7, figures.joints)
     wave = np.sin(2 * np.pi * rates * time[:, None] + phases) - np.sin(phases)
     commands = np.array(figures.hanging) + sizes * wave * _minimum_jerk(time / 1.0)[:, None]  # type: ignore[arg-type]
-    return Motion(commands=commands, release=round(swing / SAMPLE), family="free")
-
-
-def motions(
-    rng: np.random.Generator, figures: Figures, *, form: str, runs: int, seconds: float
-) -> list[Motion]:
-    """The runs of one recording."""
-    if form == "free":
-        return [free_motion(rng, figures, seconds=seconds) for _ in range(runs)]
-    if form == "random":
-        # the joint stays the same over runs of other poses, then the next one is shaken
-        first = int(rng.integers(figures.joints))
-        return [
-            shaken_motion(rng, figures, joint=(first + i % 2) % figures.joints, seconds=seconds)
-            for i in range(runs)
-        ]
-    order = rng.permutation(len(FAMILIES))
-    rich = [
-        rich_motion(rng, figures, family=FAMILIES[order[i % len(order)]], seconds=seconds)
-        for i in range(runs)
-    ]
-    # torques sampled right after the step of a held command would not be those of the motion
-    straight = {"inverse": (True,), "mixed": (False, True)}.get(form, (False,))
-    return [
-        dataclasses.replace(motion, straight=straight[i % len(straight)])
-        for i, motion in enumerate(rich)
-    ]
+    return Motion(commands=commands, release=round(swing / sample), family="free", sample=sample)
 
 
 SLIDE_SCALE = 0.05
@@ -220,7 +201,7 @@ class Noise:
     """Noise of the measured torques, of shape (n,) [N m or N]."""
 
     @classmethod
-    def draw(cls, figures: Figures, rng: np.random.Generator) -> Noise:
+    def draw(cls, figures: Figures, rng: np.random.Generator, sample: float = SAMPLE) -> Noise:
         """Encoders of 14 to 17 bits, accelerometers of 150 to 300 µg/√Hz."""
         scale = np.array([SLIDE_SCALE if x.kind == "slide" else 1.0 for x in figures.links])
         step = 2 * np.pi / 2.0 ** rng.integers(14, 18) * scale
@@ -230,7 +211,7 @@ class Noise:
             step=step,
             position=step * rng.uniform(0.4, 0.8),
             velocity=rng.uniform(1e-3, 4e-3) * scale,
-            acceleration=float(density * np.sqrt(0.5 / SAMPLE)),
+            acceleration=float(density * np.sqrt(0.5 / sample)),
             torque=rng.uniform(0.002, 0.006) * limits,
         )
 
@@ -240,91 +221,52 @@ class Noise:
         return np.sqrt(self.position**2 + self.step**2 / 12)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Signals:
-    """Readings at every sample, with or without noise."""
+def read(trace: Signals, readings: Readings, *, inside: int, sample: float) -> Signals:
+    """Readings without noise; a trace has so many steps in a sample."""
 
-    position: Array
-    velocity: Array
-    acceleration: Array
-    torque: Array
-
-    def normalised(self, noise: Noise) -> Array:
-        """Positions, velocities and accelerations in standard deviations, of shape (T, 2n + 3)."""
-        return np.hstack(
-            (
-                self.position / noise.reading,
-                self.velocity / noise.velocity,
-                self.acceleration / noise.acceleration,
-            )
-        )
-
-
-def needs_fine(readings: Readings) -> bool:
-    """Whether a sensor reads between the samples of the trace."""
-    return bool(readings.delay)
-
-
-def _late(values: Array, delay: float, inside: int) -> Array:
-    """Values at every step inside the samples, as they were `delay` before every sample."""
-    at = np.arange(0, len(values), inside) - delay / SAMPLE * inside
-    grid = np.arange(len(values))
-    return np.stack([np.interp(at, grid, column) for column in values.T], axis=1)
-
-
-def read(trace: Trace, readings: Readings, *, inside: int = 1) -> Signals:
-    """Readings without noise."""
-    joints = trace.position.shape[1]
-    position = trace.position[::inside].copy()
-    velocity = trace.velocity[::inside].copy()
-    acceleration = trace.acceleration[::inside].copy()
-    for sensor, delay in readings.delay.items():
-        if sensor == ACCELEROMETER:
-            acceleration = _late(trace.acceleration, delay, inside)
-            continue
-        j = int(sensor.removeprefix("joint").split("_")[0]) - 1
-        if sensor.endswith("_pos"):
-            position[:, j : j + 1] = _late(trace.position[:, j : j + 1], delay, inside)
+    def taken(name: str, values: Array) -> Array:
+        # a sensor that is late reads what was there between the samples
+        late = readings.delay.get(name, 0.0) / sample * inside
+        at = np.arange(0, len(values), inside) - late
+        if late:
+            grid = np.arange(len(values))
+            values = np.stack([np.interp(at, grid, column) for column in values.T], axis=1)
         else:
-            velocity[:, j : j + 1] = _late(trace.velocity[:, j : j + 1], delay, inside)
-    acceleration = acceleration @ readings.rotation.T
-    columns = {ACCELEROMETER: acceleration}
-    for j in range(joints):
-        columns[f"joint{j + 1}_pos"] = position[:, j : j + 1]
-        columns[f"joint{j + 1}_vel"] = velocity[:, j : j + 1]
-    for sensor, gain in readings.gain.items():
-        columns[sensor] *= gain
-    for sensor, bias in readings.bias.items():
-        columns[sensor] += bias
+            values = values[::inside]
+        if name == ACCELEROMETER:
+            values = values @ readings.rotation.T
+        return values * readings.gain.get(name, 1.0) + readings.bias.get(name, 0.0)
+
+    joints = range(trace.position.shape[1])
     torque = trace.torque[::inside].copy()
-    for j, factor in readings.torque.items():
-        torque[:, j] *= factor
-    return rounded(
-        Signals(
-            position=position,
-            velocity=velocity,
-            acceleration=columns[ACCELEROMETER],
-            torque=torque,
-        ),
-        readings,
+    for j in joints:
+        torque[:, j] *= readings.torque.get(j, 1.0)
+        torque[:, j] += readings.offset.get(j, 0.0)
+    found = Signals(
+        position=np.hstack([taken(f"joint{j + 1}_pos", trace.position[:, [j]]) for j in joints]),
+        velocity=np.hstack([taken(f"joint{j + 1}_vel", trace.velocity[:, [j]]) for j in joints]),
+        acceleration=taken(ACCELEROMETER, trace.acceleration),
+        torque=torque,
+        joint_acceleration=trace.joint_acceleration[::inside],
     )
+    return rounded(found, readings)
 
 
 def rounded(signals: Signals, readings: Readings) -> Signals:
-    """Readings of coarse sensors at whole steps."""
-    position, velocity = signals.position.copy(), signals.velocity.copy()
+    """Readings of coarse encoders at whole steps."""
+    position = signals.position.copy()
     for sensor, step in readings.step.items():
-        j = int(sensor.removeprefix("joint").split("_")[0]) - 1
-        column = position[:, j] if sensor.endswith("_pos") else velocity[:, j]
+        column = position[:, int(sensor.removeprefix("joint").removesuffix("_pos")) - 1]
         column[:] = step * np.round(column / step)
-    return dataclasses.replace(signals, position=position, velocity=velocity)
+    return dataclasses.replace(signals, position=position)
 
 
 def add_noise(signals: Signals, noise: Noise, rng: np.random.Generator) -> Signals:
     """Readings with noise and steps."""
     draw = rng.normal
     position = signals.position + noise.position * draw(size=signals.position.shape)
-    return Signals(
+    return dataclasses.replace(
+        signals,
         position=noise.step * np.round(position / noise.step),
         velocity=signals.velocity + noise.velocity * draw(size=signals.velocity.shape),
         acceleration=signals.acceleration
@@ -344,23 +286,57 @@ class TrueArm:
     figures: Figures
     factors: Factors
     effects: tuple[Effect, ...] = ()
+    link_side: bool = False
+    """Whether encoders are on the links' side of gears that are soft or have play."""
+    servo: tuple[float, float, float] | None = None
+    """Rate [Hz], delay in its samples and share of a new velocity of drives that are sampled."""
+    coupling: tuple[float, float, float] | None = None
+    """Ratio, friction and rotor of the last motor, if it turns with the joint before too."""
 
-    def assemble(self) -> tuple[System, Readings]:
-        """The arrays to integrate and what is wrong with the sensors."""
+    def assemble(self, run: int | None = None) -> tuple[System, Readings]:
+        """The arrays to integrate and what is wrong with the sensors, in a run."""
         system, readings = build(self.figures, self.factors), Readings()
+        limits = np.array([link.limit for link in self.figures.links])
+        n = self.figures.joints
+        readings.torque = dict(enumerate(np.broadcast_to(self.factors.constant, n).tolist()))
+        readings.offset = dict(
+            enumerate((np.broadcast_to(self.factors.offset, n) * limits).tolist())
+        )
+        if self.coupling is not None:
+            ratio, friction, rotor = self.coupling
+            system.cable[:] = (n - 1, n - 2, ratio, 0.0, 0.0, friction, rotor)
         for effect in self.effects:
-            apply_effect(effect, system, readings, self.figures)
+            if run is None or not effect.runs or run in effect.runs:
+                apply_effect(effect, system, readings, self.figures)
+        if self.link_side:
+            for j in range(n):
+                bodies = (system.proximal[j], int(system.drives[j, 0]))
+                soft = bodies[0] != bodies[1] and system.bodies[bodies[0], 0] < 0.5
+                system.drives[j, LINK_SIDE] = bodies[0] if soft else -1.0
         return system, readings
 
     def without(self) -> TrueArm:
         """The same arm with nothing missing."""
         return dataclasses.replace(self, effects=())
 
-    def run(self, motion: Motion, *, inside: int = 10, settle: float = 1.2) -> Signals:
-        """Readings of one run without noise."""
-        system, readings = self.assemble()
-        inside = steps_inside(system, self.figures, inside)
-        fine = needs_fine(readings)
+    def run(
+        self,
+        motion: Motion,
+        *,
+        step: float = 1e-4,
+        settle: float = 1.2,
+        number: int | None = None,
+    ) -> Signals:
+        """Readings of one run without noise, integrated in steps of this length at most."""
+        system, readings = self.assemble(number)
+        sample = motion.sample
+        inside = steps_inside(system, self.figures, max(1, round(sample / step)), sample)
+        servo = (0, 0, 1.0, 0.0)
+        if self.servo is not None:
+            rate, late, smoothing = self.servo
+            every = max(1, round(inside / sample / rate))
+            servo = (every, round(late), smoothing, 0.0)
+        fine = bool(readings.delay)
         trace = simulate(
             system,
             motion.commands,
@@ -368,22 +344,22 @@ class TrueArm:
             release=motion.release,
             settle=settle,
             fine=fine,
-            straight=motion.straight,
+            straight=motion.straight or readings.straight,
+            servo=(0, 0, 1.0, 0.0) if motion.release is not None else servo,
+            sample=sample,
         )
-        signals = read(trace, readings, inside=inside if fine else 1)
-        if motion.release is None:
-            return signals
-        return Signals(
-            **{
-                field.name: getattr(signals, field.name)[motion.release :]
-                for field in dataclasses.fields(Signals)
-            }
-        )
+        signals = read(trace, readings, inside=inside if fine else 1, sample=sample)
+        if self.coupling is not None:  # the drives' own torques are logged
+            torque = signals.torque.copy()
+            torque[:, -2] -= self.coupling[0] * torque[:, -1]
+            signals = dataclasses.replace(signals, torque=torque)
+        start = motion.release or 0
+        return Signals(**{name: values[start:] for name, values in vars(signals).items()})
 
 
-def steps_inside(system: System, figures: Figures, least: int) -> int:
+def steps_inside(system: System, figures: Figures, least: int, sample: float = SAMPLE) -> int:
     """Steps in a sample that the stiffest law of an arm needs."""
-    step = SAMPLE / least
+    step = sample / least
     needed = 1.0
     limits = np.array([link.limit for link in figures.links])
     for dof, law in enumerate(system.laws):
@@ -392,6 +368,9 @@ def steps_inside(system: System, figures: Figures, least: int) -> int:
         load = STOP_FORCE if slide else 0.6 * limits[max(joint, 0)]
         felt = felt_inertia(system, dof, figures.home)
         rate = law[DAMPING] + law[EXTRA]
+        stiffness = law[STIFFNESS]
+        if law[SLACK_FORCE] > 0:
+            stiffness += law[SLACK_FORCE] / law[ELASTIC]
         if law[FRICTION] > 0:
             rate += law[FRICTION] * (1 + law[BUMP]) / law[SMOOTH_SPEED]
         if dof in system.joint_dofs:
@@ -399,7 +378,6 @@ def steps_inside(system: System, figures: Figures, least: int) -> int:
             if drive[LOADED] > 0:
                 slope = drive[LOADED] * (1 + drive[LOADED_BUMP]) / drive[LOADED_SMOOTH]
                 rate += 0.6 * limits[joint] * slope
-        stiffness = law[STIFFNESS]
         if law[HERTZ] > 0:
             stiffness += 1.5 * law[HERTZ] * (load / law[HERTZ]) ** (1 / 3)
             rate += load * law[CROSSLEY]

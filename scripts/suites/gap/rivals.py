@@ -1,749 +1,413 @@
-"""Stepwise regression by BIC as a rival of `loose gap`; runs and results that rivals share."""
+"""Rivals of `loose gap` on the same recordings: stepwise regression, and mujoco.sysid.
+
+Both are what a practised user would write in an afternoon: a regression of joint torques on the
+columns of a catalogue, selected by BIC, and a fit of all parameters of MuJoCo's own package, of
+which those are named whose intervals leave what a model tolerates.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import copy
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from itertools import pairwise
+import io
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
-from scipy import linalg, ndimage, optimize, signal, stats
+from scipy import linalg, signal
 
-from loose_env.errors import InvalidData
-from loose_env.gap import Gap, GapResult, NamedEffect, read_result
-from loose_env.recording import JointSensors, Recording, Run, read_recording
+from loose_env.recording import Recording, Run, read_recording
 from loose_env.typing import Array
 
-NO_GAP = 1.25
-"""Held-out residual up to which nothing is missing [noise sd]: filtering and interpolation leave up
-to a quarter beside the noise."""
-EXPLAINED = 0.5
-"""Least share of the held-out mean square above the noise that effects have to explain: less than
-half says that the main cause is another one."""
-CONFIDENCE = 0.95
-"""Of intervals."""
-SEED = 0
-"""Seed of the noise replica by which the noise of the residual is measured."""
+TOLERANCE = 0.1
+"""Share of a nominal figure up to which a change of it is no effect."""
 
 
-def write_finding(
-    folder: Path, method: str, residuals: tuple[float, float], held_out: str,
-    effects: Sequence[NamedEffect], tolerance: float,
-) -> None:  # fmt: skip
-    """Write what was found as ``result.json``, with the held-out residuals before and after."""
-    before, after = residuals
-    explained = (before**2 - after**2) / max(before**2 - 1.0, 1e-9)
-    named = bool(effects) and explained >= EXPLAINED
-    verdict = "named" if named else "unexplained" if before > NO_GAP else "no_gap"
-    result = GapResult(
-        verdict=verdict,  # type: ignore[arg-type]
-        gap=Gap(before=before, after=after),
-        effects=tuple(effects) if named else (),
-        doubtful=() if named else tuple(effects),
-        held_out_runs=(held_out,),
-        model=None,
-        settings={"method": method, "tolerance": tolerance, "seed": SEED},
-    )
-    read_result(result.write(folder / "result.json"))
+def result_of(verdict: str, effects: list[dict[str, Any]]) -> dict[str, Any]:
+    """A result as `loose gap` writes it, as far as it is graded."""
+    return {"format": "loose-gap/1", "verdict": verdict, "effects": effects}
 
 
-# ------------------------------------------------------------------- joint motions and torques
+def _effect(kind: str, where: str, values: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
+    """An effect from values and their standard deviations."""
+    return {
+        "kind": kind, "where": where,
+        "parameters": {name: float(value) for name, (value, _) in values.items()},
+        "interval_95": {
+            name: [float(value - 1.96 * sd), float(value + 1.96 * sd)]
+            for name, (value, sd) in values.items() if np.isfinite(sd)
+        },
+    }  # fmt: skip
 
-SIGNAL_OVER_FLOOR = 10.0
-"""Power density of a velocity over its noise floor down to which it counts as motion."""
-FLOOR_ABOVE = 350.0
-"""Frequency above which a velocity is noise alone [Hz]; 0.35 of the rate if that is lower."""
-CUTOFFS = (15.0, 100.0)
-"""Least and largest cut-off frequency [Hz]: friction at reversals needs a few harmonics of the
-motion; higher up differentiated noise hides the inertial torque."""
-ORDER = 4
-"""Order of the Butterworth filter, which is run forwards and backwards."""
-RATE_OVER_CUTOFF = 2.5
-"""Rate of the decimated samples over the cut-off: just above Nyquist, so that the noise of
-neighbouring samples is nearly independent."""
-MARGIN = 0.15
-"""Time cut off at both ends of a run, where the filter has no past or future [s]."""
+
+# ------------------------------------------------------------------------ motion and torque
 
 
 @dataclass(frozen=True, kw_only=True)
-class LowPass:
-    """One low-pass and decimation for all signals of a recording."""
+class Moved:
+    """One run, low-passed and thinned; arrays of shape (t, n)."""
 
-    rate: float
-    """Rate of the samples [Hz]."""
-    cutoff: float
-    """Cut-off frequency [Hz]."""
-
-    def smooth(self, values: Array) -> Array:
-        """Low-passed values at the full rate, along the first axis."""
-        if self.cutoff >= 0.45 * self.rate:
-            return values
-        sos = signal.butter(ORDER, self.cutoff, fs=self.rate, output="sos")
-        return np.asarray(signal.sosfiltfilt(sos, values, axis=0))
-
-    @property
-    def stride(self) -> int:
-        """Samples from one decimated sample to the next."""
-        return max(1, int(self.rate / (RATE_OVER_CUTOFF * self.cutoff)))
-
-    def kept(self, values: Array) -> Array:
-        """Decimated values without the ends."""
-        margin = min(round(MARGIN * self.rate), len(values) // 4)
-        return values[margin : len(values) - margin : self.stride]
-
-    def reduced(self, values: Array) -> Array:
-        """Low-passed and decimated values."""
-        return self.kept(self.smooth(values))
-
-    def derivative(self, values: Array) -> Array:
-        """Derivative by time of the low-passed values, by differences of the sixth order."""
-        weights = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) * self.rate / 60.0
-        return np.asarray(ndimage.correlate1d(self.smooth(values), weights, axis=0, mode="nearest"))
-
-
-@dataclass(frozen=True, kw_only=True)
-class JointRun:
-    """One run at the full rate; joints in the model's order, torques at the joints, (T, n)."""
-
-    name: str
-    comparison: str
-    """``forward``: torques of the commands, ``inverse``: measured ones; else there are none."""
-    low_pass: LowPass
-    position: Array
-    """As read [rad or m]."""
-    velocity: Array
-    """As read [rad/s or m/s]."""
+    q: Array
+    v: Array
+    a: Array
     torque: Array
-    """Torque at the joints [N m or N]."""
-    proportional: Array
-    """Torque of the actuators from command and position [N m or N]."""
-    command_slope: Array
-    """Derivative of `proportional` by the time of the command [N m/s]."""
-    derivative_gain: Array
-    """Torque of the actuators over velocity, zero where a drive is saturated."""
-
-    def motion(self) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration, low-passed and decimated, each of shape (t, n)."""
-        own = self.low_pass
-        acceleration = own.kept(own.derivative(self.velocity))
-        return own.reduced(self.position), own.reduced(self.velocity), acceleration
+    """Of the log, or what the nominal drives give; zero in a free swing."""
+    command: Array
+    """Force over the velocity of the command: what a delay takes away."""
 
 
-def joint_runs(recording: Recording, replica: np.random.Generator | None = None) -> list[JointRun]:
-    """Runs of a recording as joint motions and torques.
+def _columns(run: Run, names: list[str], part: Mapping[str, Array]) -> Array:
+    """Columns of a run, missing samples interpolated and missing columns zero."""
+    found = []
+    for name in names:
+        values = np.asarray(part.get(name, np.zeros(run.samples)), dtype=float)
+        good = np.flatnonzero(np.isfinite(values))
+        found.append(np.interp(np.arange(len(values)), good, values[good]))
+    return np.stack(found, axis=1)
 
-    With a generator as much sensor noise is added once more, through the same filter.
-    """
+
+def moved(recording: Recording, run: Run) -> Moved:
+    """Motion and torque of a run at the joints."""
     model, sensors = recording.model(), recording.joint_sensors()
-    if (model.actuator_trntype != int(mujoco.mjtTrn.mjTRN_JOINT)).any() or model.na:
-        raise InvalidData("only actuators at joints without a state of their own are read")
-    for run in recording.runs:
-        if not all(own.position and own.position[0] in run.sensors for own in sensors.values()):
-            raise InvalidData(f"{run.name}: every joint needs a position sensor")
-    rate = 1.0 / float(np.median(np.diff(recording.runs[0].time)))
-    motions = [_motion(run, sensors.values()) for run in recording.runs]
-    low_pass = LowPass(rate=rate, cutoff=_cutoff([speed for _, speed in motions], rate))
-    return [
-        _joint_run(model, list(sensors), run, low_pass, motion, replica)
-        for run, motion in zip(recording.runs, motions, strict=True)
-    ]
-
-
-def _motion(run: Run, sensors: Iterable[JointSensors]) -> tuple[Array, Array]:
-    """Position and velocity of the joints as read, differences where no sensor gives velocity."""
     step = float(np.median(np.diff(run.time)))
-    positions, velocities = [], []
-    for own in sensors:
-        positions.append(_whole(run.sensors[own.position[0]]))
-        read = own.velocity and own.velocity[0] in run.sensors
-        velocities.append(
-            _whole(run.sensors[own.velocity[0]]) if read else np.gradient(positions[-1], step)
-        )
-    return np.stack(positions, axis=1), np.stack(velocities, axis=1)
+    band = min(15.0, 0.15 / step)
+    low = signal.butter(4, band, fs=1 / step, output="sos")
+    q = _columns(run, [own.position[0] for own in sensors.values()], run.sensors)
+    q = signal.sosfiltfilt(low, q, axis=0)
+    v = np.gradient(q, step, axis=0)
+    torque, command = np.zeros_like(q), np.zeros_like(q)
+    if run.controls:
+        names = [model.actuator(i).name for i in range(model.nu)]
+        given = _columns(run, names, run.controls)
+        held = signal.sosfiltfilt(low, 0.5 * (given + np.vstack((given[:1], given[:-1]))), axis=0)
+        joint = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+        gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
+        force = gain * held + bias[:, 0] + bias[:, 1] * q[:, joint] + bias[:, 2] * v[:, joint]
+        torque[:, joint] = np.clip(force, *model.actuator_forcerange.T)
+        command[:, joint] = gain * np.gradient(held, step, axis=0)
+    elif run.torques:
+        torque = signal.sosfiltfilt(low, _columns(run, list(sensors), run.torques), axis=0)
+    thin = max(1, int(0.4 / (band * step)))
+    kept = slice(2 * thin, -2 * thin, thin)
+    a = np.gradient(v, step, axis=0)
+    return Moved(q=q[kept], v=v[kept], a=a[kept], torque=torque[kept], command=command[kept])
 
 
-def _whole(values: Array) -> Array:
-    """Values with missing samples interpolated."""
-    good = np.flatnonzero(np.isfinite(values))
-    return np.interp(np.arange(len(values)), good, values[good])
-
-
-def _cutoff(velocities: Sequence[Array], rate: float) -> float:
-    """Highest frequency at which some joint moves clearly above its noise [Hz]."""
-    highest = CUTOFFS[0]
-    for velocity in velocities:
-        frequency, power = signal.welch(velocity, rate, nperseg=min(1024, len(velocity)), axis=0)
-        floor = np.median(power[frequency > min(FLOOR_ABOVE, 0.35 * rate)], axis=0)
-        moving = (power > SIGNAL_OVER_FLOOR * floor).any(axis=1)
-        highest = max(highest, float(frequency[moving].max(initial=0.0)))
-    return min(highest, CUTOFFS[1], 0.4 * rate)
-
-
-def _joint_run(
-    model: mujoco.MjModel, joints: Sequence[str], run: Run, low_pass: LowPass,
-    motion: tuple[Array, Array], replica: np.random.Generator | None,
-) -> JointRun:  # fmt: skip
-    def noisy(values: Array) -> Array:
-        if replica is None:
-            return values
-        # white noise of smooth signals, by fifth differences: their squared binomials sum to 252
-        differences = np.diff(values, 5, axis=0) / np.sqrt(252.0)
-        noise = 1.4826 * np.median(np.abs(differences), axis=0)
-        return np.asarray(values + noise * replica.normal(size=values.shape))
-
-    def columns(values: Mapping[str, Array], names: Sequence[str]) -> Array:
-        zero = np.zeros(run.samples)
-        return np.stack([_whole(values.get(name, zero)) for name in names], axis=1)
-
-    position, velocity = map(noisy, motion)
-    torque, proportional, slope, damping = (np.zeros_like(position) for _ in range(4))
-    if run.comparison == "inverse":
-        torque = noisy(columns(run.torques, joints))
-    elif run.comparison == "forward":
-        command = columns(run.controls, [model.actuator(i).name for i in range(model.nu)])
-        # mean around each sample of a command that is held from sample to sample
-        wide = np.vstack((command[:1], command[:1], command, command[-1:]))
-        held = (13.0 * (wide[2:-1] + wide[1:-2]) - (wide[3:] + wide[:-3])) / 24.0
-        dofs, gear = _dofs(model), model.actuator_gear[:, 0]
-        gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm.T
-        low, high = np.where(
-            model.actuator_forcelimited, model.actuator_forcerange.T, [[-np.inf], [np.inf]]
-        )
-        p = gain * held + bias[0] + bias[1] * gear * position[:, dofs]
-        d = bias[2] * gear * velocity[:, dofs]
-        free = (p + d > low) & (p + d < high)
-        at_joints = gear[:, None] * (dofs[:, None] == np.arange(model.nv))
-        # a saturated drive gives its limit, whatever its gains are
-        proportional = np.where(free, p, np.clip(p + d, low, high)) @ at_joints
-        torque = proportional + np.where(free, d, 0.0) @ at_joints
-        damping = np.where(free, bias[2] * gear, 0.0) @ at_joints
-        slope = np.where(free, gain * low_pass.derivative(held), 0.0) @ at_joints
-    return JointRun(
-        name=run.name, comparison=run.comparison, low_pass=low_pass, position=position,
-        velocity=velocity, torque=torque, proportional=proportional, command_slope=slope,
-        derivative_gain=damping,
-    )  # fmt: skip
-
-
-def _dofs(model: mujoco.MjModel) -> Array:
-    """Degree of freedom of each actuator."""
-    return np.asarray(model.jnt_dofadr[model.actuator_trnid[:, 0]])
-
-
-# ------------------------------------------------------------------------- regressor
-
-_ANGLE = 1e-4
-"""Step of angles [rad]: its square is far below the noise, its rounding error too."""
-_LENGTH = 1e-3
-"""Step of centres of mass [m]; torques are quadratic in them, with a small square."""
-STRIBECK_SPEEDS = (0.03, 0.07, 0.15, 0.3)
-"""Stribeck speeds that are tried [rad/s]."""
-RIPPLE_ORDERS = range(4, 29)
-"""Periods of torque ripple in a turn that are tried."""
-SMOOTH_SPEED = 2e-3
-"""Speed within which friction turns round [rad/s]: that of a tachometer's noise."""
-SLIDE_METRES = 0.2
-"""Metres of a slide that count like a radian of a hinge."""
-CLOCK_SAMPLES = 0.25
-"""Samples up to which a delay is the clock of the recording."""
-LARGEST_ANGLE, LARGEST_SHIFT = 0.3, 0.5
-"""Largest angle for which a torque is linear in it [rad], largest shift of a centre of mass [m]."""
-
-Read = Callable[[Array], dict[str, float]]
-"""Parameters of an effect from its coefficients."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Group:
-    """Columns of one effect at one location."""
-
-    kind: str
-    where: str
-    columns: Array
-    """Of one run, of shape (t, n, width)."""
-    read: Read
-    """Parameters of the effect from its coefficients."""
-    grid: bool = False
-    """Whether it is one value of a grid."""
-    positive: bool = False
-    """Whether the first coefficient cannot be negative: friction brakes, rotors add inertia."""
-    nominal: float = 0.0
-    """Nominal value in the unit of the first coefficient: within the tolerance of it an effect
-    does not count."""
-    least: float = 0.0
-    """Value of the first coefficient beyond that up to which an effect does not count."""
-    largest: float = np.inf
-    """Largest coefficient for which the columns, which are derivatives, hold."""
-
-    def possible(self, values: Array) -> bool:
-        """Whether coefficients have the right sign and a size for which the columns hold."""
-        right_sign = not self.positive or values[0] > 0.0
-        return bool(right_sign and np.all(np.abs(values) <= self.largest))
-
-
-def _torque(model: mujoco.MjModel, motion: tuple[Array, Array, Array]) -> Array:
-    """Inverse dynamics of a model along a motion, of shape (t, n)."""
-    data, out = mujoco.MjData(model), np.empty_like(motion[0])
-    for k, (q, v, a) in enumerate(zip(*motion, strict=True)):
+def _inverse(model: mujoco.MjModel, run: Moved) -> Array:
+    """Torque that a model needs for a motion, of shape (t, n)."""
+    data, out = mujoco.MjData(model), np.empty_like(run.q)
+    for k, (q, v, a) in enumerate(zip(run.q, run.v, run.a, strict=True)):
         data.qpos, data.qvel, data.qacc = q, v, a
         mujoco.mj_inverse(model, data)
         out[k] = data.qfrc_inverse
     return out
 
 
-def _changed(model: mujoco.MjModel, **changes: Array) -> mujoco.MjModel:
-    """Copy of a model with something added to arrays of it."""
-    model = copy.copy(model)
-    for name, change in changes.items():
-        getattr(model, name)[:] += change
-    return model
-
-
-def columns_of(recording: Recording, run: JointRun) -> tuple[list[Group], Array, Array]:
-    """Groups of a run, columns of the nominal parameters (t, n, p), and the torque unexplained."""
-    model, motion = recording.model(), run.motion()
-    base = _torque(model, motion)
-    mass_columns, inertia_columns = {}, {}
-    for b in range(1, model.nbody):
-        if model.body_mass[b] > 0 and model.body_dofnum[b]:
-            own = np.arange(model.nbody) == b
-            more = own[:, None] * model.body_inertia
-            twice = _changed(model, body_mass=own * model.body_mass, body_inertia=more)
-            mass_columns[b] = _torque(twice, motion) - base
-            inertia_columns[b] = _torque(_changed(model, body_inertia=more), motion) - base
-    groups = [
-        *_joint_groups(model, run, motion, base),
-        *_drive_groups(model, run, base),
-        *_body_groups(recording, motion, base, mass_columns),
-    ]
-    # relative changes of the nominal parameters; mass and inertia have an error of their own
-    columns = [
-        part
-        for b, mass in mass_columns.items()
-        for part in (mass - inertia_columns[b], inertia_columns[b])
-    ]
-    # none of these columns has the noise by which the actuators' torque is computed
-    rate = run.low_pass.derivative(run.position)
-    derivative = run.low_pass.reduced(run.derivative_gain * rate)
-    driven = run.comparison == "forward" and bool(np.any(run.proportional))
-    per_joint = (model.dof_armature * motion[2], model.dof_damping * run.low_pass.reduced(rate),
-                 (derivative - base) * driven, -derivative)  # fmt: skip
-    for j in range(model.njnt):
-        columns += [_at(j, model.njnt, each[:, j])[..., 0] for each in per_joint]
-    target = run.low_pass.reduced(run.torque) - base
-    return groups, np.stack(columns, axis=-1), target
-
-
-def _plain(*names: str) -> Read:
-    return lambda values: dict(zip(names, map(float, values), strict=True))
-
-
-def _scaled(name: str, unit: float) -> Read:
-    return lambda values: {name: unit * float(values[0])}
-
-
-def _at(joint: int, joints: int, *columns: Array) -> Array:
-    """Columns that act on one joint alone, of shape (t, n, width)."""
-    whole = np.zeros((len(columns[0]), joints, len(columns)))
-    whole[:, joint] = np.stack(columns, axis=-1)
-    return whole
-
-
-def _is_slide(model: mujoco.MjModel, joint: int) -> bool:
-    return bool(model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE))
-
-
-def _stribeck(speed: float) -> Read:
-    return lambda values: {
-        "torque": float(values[0]),
-        "static_ratio": 1.0 + float(values[1] / values[0]),
-        "speed": speed,
-    }
-
-
-def _spring(values: Array) -> dict[str, float]:
-    return {"stiffness": float(values[0]), "reference": -float(values[1] / values[0])}
-
-
-def _ripple(order: int) -> Read:
-    return lambda values: {"amplitude": float(np.hypot(*values)), "periods": float(order)}
-
-
-def _joint_groups(
-    model: mujoco.MjModel, run: JointRun, motion: tuple[Array, Array, Array], base: Array
-) -> Iterator[Group]:
-    smooth, reduced = run.low_pass.smooth, run.low_pass.reduced
-    speed, load = smooth(run.velocity), np.abs(smooth(run.torque))
-    rate = reduced(run.low_pass.derivative(run.position))
-    for j in range(model.njnt):
-        v, unit = speed[:, j], SLIDE_METRES if _is_slide(model, j) else 1.0
-        side = np.tanh(v / (SMOOTH_SPEED * unit))
-        q, coulomb = motion[0][:, j], reduced(side)
-
-        def group(kind: str, read: Read, *columns: Array, j: int = j, **more: Any) -> Group:
-            whole = _at(j, model.njnt, *columns)
-            return Group(kind=kind, where=model.joint(j).name, columns=whole, read=read, **more)
-
-        friction = partial(group, positive=True)
-        yield friction("coulomb_friction", _plain("torque"), coulomb)
-        yield friction("viscous_friction", _plain("damping"), rate[:, j],
-                       nominal=float(model.dof_damping[j]))  # fmt: skip
-        yield friction("quadratic_drag", _plain("drag"), reduced(v * np.abs(v)))
-        yield friction("asymmetric_friction", _plain("forward", "backward"),
-                       reduced(np.maximum(side, 0.0)), reduced(np.minimum(side, 0.0)))  # fmt: skip
-        if load.any():
-            yield friction("load_friction", _plain("share"), reduced(load[:, j] * side))
-        for at in STRIBECK_SPEEDS:
-            bump = reduced(side * np.exp(-((v / (at * unit)) ** 2)))
-            yield friction("stribeck_friction", _stribeck(at * unit), coulomb, bump, grid=True)
-        yield group("rotor_inertia", _plain("inertia"), motion[2][:, j], positive=True,
-                    nominal=float(model.dof_armature[j]))  # fmt: skip
-        yield group("joint_spring", _spring, q, np.ones_like(q))
-        if run.comparison == "inverse":
-            yield group("torque_constant", lambda values: {"factor": 1.0 + float(values[0])},
-                        base[:, j], nominal=1.0)  # fmt: skip
-        if not _is_slide(model, j):
-            ahead = (motion[0] + _ANGLE * np.eye(model.nv)[j], *motion[1:])
-            yield Group(
-                kind="encoder_offset", where=model.joint(j).name, read=_plain("offset"),
-                columns=(base - _torque(model, ahead))[..., None] / _ANGLE, largest=LARGEST_ANGLE,
-            )  # fmt: skip
-            for order in RIPPLE_ORDERS:
-                sine, cosine = np.sin(order * q), np.cos(order * q)
-                yield group("torque_ripple", _ripple(order), sine, cosine, grid=True)
-
-
-def _drive_groups(model: mujoco.MjModel, run: JointRun, base: Array) -> Iterator[Group]:
-    joints, low_pass = model.njnt, run.low_pass
-    if not np.any(run.command_slope):
-        return
-    slope = low_pass.reduced(run.command_slope)
-    clock = CLOCK_SAMPLES / low_pass.rate
-    rate = low_pass.kept(low_pass.derivative(run.torque))
-    for i, j in enumerate(_dofs(model)):
-        name, gain = model.actuator(i).name, model.actuator_gainprm[i, 0]
-        # a drive without torque inside its dead zone loses that much of its error outside
-        zone = low_pass.reduced(gain * np.tanh(run.proportional[:, j] / (1e-4 * gain)))
-        # by the torque of the model, which has no noise of the torque that is explained
-        yield Group(
-            kind="actuator_gain", where=name, nominal=1.0, columns=_at(j, joints, base[:, j]),
-            # nominal torque = model's torque / gain
-            read=lambda values: {"gain": 1.0 / max(1.0 + float(values[0]), 1e-3)},
-        )  # fmt: skip
-        for kind, parameter, least, column in (
-            ("command_delay", "delay", clock, slope[:, j]),
-            ("actuator_lag", "time_constant", clock, rate[:, j]),
-            ("dead_zone", "width", 0.0, zone),
-        ):
-            yield Group(
-                kind=kind, where=name, columns=_at(j, joints, column), read=_plain(parameter),
-                positive=True, least=least,
-            )  # fmt: skip
-    yield Group(
-        kind="command_delay", where="all", columns=slope[..., None], read=_plain("delay"),
-        positive=True, least=clock,
-    )  # fmt: skip
-
-
-def _body_groups(
-    recording: Recording, motion: tuple[Array, Array, Array], base: Array,
-    masses: Mapping[int, Array],
-) -> Iterator[Group]:  # fmt: skip
-    model = recording.model()
-
-    def slope(changed: mujoco.MjModel, step: float) -> Array:
-        return (_torque(changed, motion) - base) / step
-
-    # the model needs more torque, so the actuators give more than the nominal model asks for
-    still = (motion[0], np.zeros_like(base), np.zeros_like(base))
-    weightless = _torque(model, still)
-    for b, column in masses.items():
-        name, own = model.body(b).name, (np.arange(model.nbody) == b)[:, None]
-        yield Group(
-            kind="link_mass", where=name, columns=column[..., None], nominal=1.0,
-            read=_scaled("mass", float(model.body_mass[b])),
-        )  # fmt: skip
-        moves = [slope(_changed(model, body_ipos=_LENGTH * own * x), _LENGTH) for x in np.eye(3)]
-        yield Group(
-            kind="link_com", where=name, columns=np.stack(moves, axis=-1), read=_plain(*"xyz"),
-            largest=LARGEST_SHIFT,
-        )  # fmt: skip
-        heavier = _changed(
-            model, body_mass=own[:, 0] * model.body_mass, body_inertia=own * model.body_inertia
-        )
-        weight = weightless - _torque(heavier, still)
-        yield Group(
-            kind="gravity_compensation", where=name, columns=weight[..., None],
-            read=_plain("share"),
-        )  # fmt: skip
-    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tool") >= 0:
-        at, *moved = (
-            slope(_loaded(recording, x), 1.0) for x in (np.zeros(3), *_LENGTH * np.eye(3))
-        )
-        yield Group(
-            kind="payload", where="tool", positive=True,
-            columns=np.stack([at, *((each - at) / _LENGTH for each in moved)], axis=-1),
-            read=lambda v: {"mass": float(v[0]), **_plain(*"xyz")(v[1:] / v[0])},
-        )  # fmt: skip
-    tilts = []
-    for axis in np.eye(3)[:2]:
-        leaning = copy.copy(model)
-        # the base turns, so gravity turns back in its frame
-        leaning.opt.gravity[:] += np.cross(-_ANGLE * axis, model.opt.gravity)
-        tilts.append(slope(leaning, _ANGLE))
-    yield Group(
-        kind="base_tilt", where="base", columns=np.stack(tilts, axis=-1),
-        read=_plain("tilt_x", "tilt_y"), largest=LARGEST_ANGLE,
-    )  # fmt: skip
-
-
-def _loaded(recording: Recording, shift: Array) -> mujoco.MjModel:
-    """The model with a point mass of a kilogram at its tool, shifted in the frame of its link."""
-    spec = recording.spec()
-    site = spec.site("tool")
-    place = np.asarray(site.pos) + shift
-    site.parent.add_body(
-        pos=place, mass=1.0, inertia=np.full(3, 1e-12), explicitinertial=True, ipos=np.zeros(3)
-    )
-    return spec.compile()
-
-
-# ------------------------------------------------------------------- stepwise least squares
-
-_RIDGE = 1e-10
-"""Ridge relative to the diagonal of the normal equations: it only keeps them solvable."""
-_RANK = 1e-7
-"""Share of a column that has to be left by the others, squared, for it to be a direction."""
-LONGEST_LAG = 0.3
-"""Longest lag at which autocorrelation of the residual counts [s]."""
-LEAST_DROP = 10.0
-"""Least drop of the criterion by a group: above 10 the evidence is very strong (Kass and Raftery,
-JASA 1995)."""
-MOST_GROUPS = 15
-"""Groups after which selection ends: as many as a whole machine may have."""
-
-
-class Fit(NamedTuple):
-    """A fit of some groups."""
-
-    chosen: tuple[int, ...]
-    """Numbers of the groups."""
-    coefficients: Array
-    """Of nuisances, then of the chosen groups in their order."""
-    covariance: Array
-    """Of the coefficients, with the autocorrelation of the residual in it."""
-    bound: list[int]
-    """Numbers of the nominal parameters that are on the bound of their tolerance."""
-    objective: float
-    """Weighted sum of squares, with that of the prior."""
+# ------------------------------------------------------------------------------ stepwise BIC
 
 
 @dataclass(frozen=True, kw_only=True)
-class Regression:
-    """Rows of all runs, the last one held out; columns are nuisances, groups, target."""
+class Group:
+    """Columns of one effect at one place."""
 
-    tolerance: float
-    groups: tuple[Group, ...]
-    nuisances: int
-    """Number of nuisance columns, which come first."""
-    weights: Array
-    """Standard deviation of a row of each joint for the fit, of shape (n,) [N m or N]."""
-    noise: Array
-    """What of that is the sensors' noise, of shape (n,)."""
-    rows: tuple[Array, ...]
-    """For each run, of shape (t, n, columns) [N m or N]."""
-    inflation: float = 1.0
-    """Rows for each independent one."""
-
-    @property
-    def training(self) -> tuple[Array, ...]:
-        """Rows of the runs that are fitted."""
-        return self.rows[: max(1, len(self.rows) - 1)]
-
-    @cached_property
-    def gram(self) -> Array:
-        """Normal equations of the training runs, with the prior of a uniform error."""
-        total = np.zeros((self.rows[0].shape[-1],) * 2)
-        for rows in self.training:
-            flat = (rows / self.weights[:, None]).reshape(-1, total.shape[0])
-            total += flat.T @ flat
-        own = np.arange(self.nuisances)
-        total[own, own] += 3.0 / self.tolerance**2
-        return total
-
-    @cached_property
-    def spans(self) -> list[slice]:
-        """Columns of each group."""
-        ends = self.nuisances + np.cumsum([0, *(g.columns.shape[-1] for g in self.groups)])
-        return [slice(a, b) for a, b in pairwise(ends)]
-
-    def columns(self, chosen: Sequence[int]) -> Array:
-        """Numbers of the nuisance columns and those of the chosen groups."""
-        every = np.arange(self.rows[0].shape[-1])
-        return np.concatenate([every[: self.nuisances], *(every[self.spans[g]] for g in chosen)])
-
-    def fit(self, chosen: Sequence[int]) -> Fit:
-        """Fit some groups beside the nominal parameters, which stay within the tolerance."""
-        at = self.columns(chosen)
-        inner, right = self.gram[np.ix_(at, at)], self.gram[at, -1]
-        scale = np.sqrt(np.diag(inner))
-        scale[scale == 0] = 1.0
-        factor = linalg.cholesky(inner / np.outer(scale, scale) + _RIDGE * np.eye(len(at)))
-        limits = np.where(np.arange(len(at)) < self.nuisances, self.tolerance * scale, np.inf)
-        wanted = linalg.solve_triangular(factor, right / scale, trans="T")
-        solved = optimize.lsq_linear(factor, wanted, (-limits, limits), method="bvls")
-        free = np.ix_(*[np.flatnonzero(solved.active_mask == 0)] * 2)
-        covariance = np.zeros_like(inner)
-        covariance[free] = linalg.inv((factor.T @ factor)[free])
-        covariance *= self.inflation / np.outer(scale, scale)
-        values = solved.x / scale
-        objective = float(self.gram[-1, -1] - 2 * right @ values + values @ inner @ values)
-        bound = np.flatnonzero(solved.active_mask).tolist()
-        return Fit(tuple(chosen), values, covariance, bound, objective)
-
-    def gains(self, fit: Fit) -> Array:
-        """What each group takes off the objective when it joins a fit, of shape (groups,)."""
-        gram, at = self.gram, self.columns(fit.chosen)
-        fixed, own = at[fit.bound], np.delete(at, fit.bound)
-        target = gram[:, -1] - gram[:, fixed] @ fit.coefficients[fit.bound]
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        inner = gram[np.ix_(own, own)] / np.outer(scale[own], scale[own])
-        factor = linalg.cho_factor(inner + _RIDGE * np.eye(len(own)))
-        cross = gram[own] / scale[own][:, None]
-        solved = linalg.cho_solve(factor, np.column_stack((cross, target[own] / scale[own])))
-        left = target - cross.T @ solved[:, -1]
-        gains = np.zeros(len(self.groups))
-        for g in set(range(len(self.groups))) - set(fit.chosen):
-            span = self.spans[g]
-            size = scale[span]
-            schur = gram[span, span] - cross[:, span].T @ solved[:, span]
-            inverse = linalg.pinvh(schur / np.outer(size, size), rtol=_RANK, atol=_RANK)
-            values = inverse @ (left[span] / size)
-            if self.groups[g].possible(values / size):
-                gains[g] = (left[span] / size) @ values
-        return gains
-
-    def within(self, fit: Fit, group: int) -> slice:
-        """Coefficients of a chosen group."""
-        before = self.columns(fit.chosen[: fit.chosen.index(group)])
-        return slice(len(before), len(before) + self.groups[group].columns.shape[-1])
-
-    def counts(self, fit: Fit, group: int) -> bool:
-        """Whether an effect is possible and beyond what the tolerance of the model allows."""
-        own, about = fit.coefficients[self.within(fit, group)], self.groups[group]
-        beyond = abs(own[0]) > self.tolerance * about.nominal + about.least
-        return about.possible(own) and bool(beyond)
-
-    def residual(self, fit: Fit, rows: Array) -> Array:
-        """Residual torque of a run, of shape (t, n) [N m or N]."""
-        return np.asarray(rows[..., -1] - rows[..., self.columns(fit.chosen)] @ fit.coefficients)
-
-    def held_out(self, fit: Fit) -> float:
-        """Root mean square of the held-out run's residual [noise sd]."""
-        return float(np.sqrt(np.mean((self.residual(fit, self.rows[-1]) / self.noise) ** 2)))
-
-    def effect(self, fit: Fit, group: int) -> NamedEffect:
-        """Effect of a chosen group; intervals by the delta method."""
-        own, at = self.groups[group], self.within(fit, group)
-        values, covariance = fit.coefficients[at], fit.covariance[at, at]
-        parameters, z = own.read(values), float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
-        steps = np.diag(1e-3 * np.sqrt(np.diag(covariance)) + 1e-12)
-        ends = [(own.read(values + step), own.read(values - step)) for step in steps]
-        intervals = {}
-        for name, value in parameters.items():
-            slope = np.array([up[name] - down[name] for up, down in ends]) / (2 * np.diag(steps))
-            if half := z * float(np.sqrt(slope @ covariance @ slope)):
-                intervals[name] = (value - half, value + half)
-        return NamedEffect(
-            kind=own.kind, where=own.where, parameters=parameters, interval_95=intervals,
-            in_model=False,
-        )  # fmt: skip
+    kind: str
+    where: str
+    columns: Array
+    """Of shape (t n, p)."""
+    names: tuple[str, ...]
+    least: float = 0.0
+    """Size up to which the first coefficient is no effect."""
+    positive: bool = False
+    """Whether the first coefficient cannot be negative."""
 
 
-def run_stepwise_bic(recording: Path, folder: Path, tolerance: float) -> None:
-    """Select effects of a recording stepwise by the BIC and write the result."""
-    read = read_recording(recording)
-    regression = regression_of(read, tolerance)
-    fit = selected(regression)
-    residuals = regression.held_out(regression.fit([])), regression.held_out(fit)
-    effects = [regression.effect(fit, group) for group in fit.chosen]
-    write_finding(folder, "stepwise_bic", residuals, read.runs[-1].name, effects, tolerance)
+def _at_joint(j: int, *columns: Array, n: int) -> Array:
+    out = np.zeros((len(columns[0]), n, len(columns)))
+    out[:, j] = np.stack(columns, axis=1)
+    return out.reshape(-1, len(columns))
 
 
-def regression_of(recording: Recording, tolerance: float) -> Regression:
-    """Regression of a recording, weighted by what a first fit of all groups leaves."""
-    model, runs = recording.model(), joint_runs(recording)
-    found = [columns_of(recording, run) for run in runs]
-    replicas = joint_runs(recording, np.random.default_rng(SEED))
-    changes = [
-        own.low_pass.reduced(own.torque) - _torque(model, own.motion()) - target
-        for (_, _, target), own in zip(found, replicas, strict=True)
-    ]
-    noise = np.asarray(np.sqrt(np.mean(np.concatenate(changes) ** 2, axis=0)))
-    groups, nuisance, _ = found[0]
-    first = Regression(
-        tolerance=tolerance,
-        groups=tuple(groups),
-        nuisances=nuisance.shape[-1],
-        weights=noise,
-        noise=noise,
-        rows=tuple(
-            np.concatenate((columns, *(g.columns for g in own), target[..., None]), axis=-1)
-            for own, columns, target in found
-        ),
-    )
-    driven = any(run.torque.any() for run in runs)
-    # without torques the whole regressor would fit any motion by an arm of no inertia
-    fit = first.fit([i for i, g in enumerate(groups) if not g.grid] * driven)
-    residuals = [first.residual(fit, each) for each in first.training]
-    left = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
-    weights = np.maximum(noise, left) if driven else noise
-    residuals = [each / weights for each in residuals]
-    # rows for each independent one: 1 + 2 sum of autocorrelations up to the first below zero
-    own = runs[0].low_pass
-    total, inflation = sum(float(np.sum(r * r)) for r in residuals), 1.0
-    for lag in range(1, round(LONGEST_LAG * own.rate / own.stride) + 1):
-        share = sum(float(np.sum(r[lag:] * r[:-lag])) for r in residuals) / total
-        if share <= 0.0:
-            break
-        inflation += 2.0 * share
-    return replace(first, weights=weights, inflation=inflation)
+def groups_of(recording: Recording, run: Moved, form: str) -> tuple[list[Group], Array]:
+    """Columns of the catalogue along a motion, and the torque that is unexplained, (t n,)."""
+    model, joints = recording.model(), list(recording.joint_sensors())
+    base, n = _inverse(model, run), run.q.shape[1]
+    found: list[Group] = []
 
+    def add(kind: str, where: str, columns: Array, *names: str, **rest: Any) -> None:
+        found.append(Group(kind=kind, where=where, columns=columns, names=names, **rest))
 
-def selected(regression: Regression) -> Fit:
-    """Fit of the groups that forward steps with deletions choose."""
-    inflation, groups = regression.inflation, regression.groups
-    independent = sum(r.shape[0] * r.shape[1] for r in regression.training) / inflation
-    widths = np.array([group.columns.shape[-1] for group in groups])
-    prices = widths * np.log(independent) + 2.0 * np.log(len(groups))
-    fit = regression.fit([])
-    while len(fit.chosen) < MOST_GROUPS:
-        drops = regression.gains(fit) / inflation - prices
-        best = int(np.argmax(drops))
-        if drops[best] < LEAST_DROP:
-            break
-        larger = regression.fit([*fit.chosen, best])
-        drop = (fit.objective - larger.objective) / inflation - prices[best]
-        if drop < LEAST_DROP or not regression.counts(larger, best):
-            prices[best] = np.inf  # nominal parameters inside the tolerance explain it
+    for j, name in enumerate(joints):
+        q, v, a, needed = run.q[:, j], run.v[:, j], run.a[:, j], base[:, j]
+        turning = np.tanh(v / (0.02 * np.abs(v).max() + 1e-9))
+        dof = int(model.joint(name).dofadr[0])
+        slack = TOLERANCE * float(model.dof_damping[dof])
+        add("viscous_friction", name, _at_joint(j, v, n=n), "damping", positive=True, least=slack)
+        add("coulomb_friction", name, _at_joint(j, turning, n=n), "torque", positive=True)
+        add("quadratic_drag", name, _at_joint(j, v * np.abs(v), n=n), "drag", positive=True)
+        add("rotor_inertia", name, _at_joint(j, a, n=n), "inertia", positive=True,
+            least=2 * TOLERANCE * float(model.dof_armature[dof]))  # fmt: skip
+        add("joint_spring", name, _at_joint(j, q, np.ones_like(q), n=n), "stiffness", "offset",
+            positive=True)  # fmt: skip
+        if form == "torque":
+            add("torque_offset", name, _at_joint(j, np.ones_like(q), n=n), "torque")
+            add("torque_constant", name, _at_joint(j, needed, n=n), "factor",
+                least=TOLERANCE)  # fmt: skip
+        if form == "servo":
+            motor = model.actuator(j).name
+            add("actuator_gain", motor, _at_joint(j, needed, n=n), "gain",
+                least=TOLERANCE)  # fmt: skip
+            add("command_delay", motor, _at_joint(j, run.command[:, j], n=n), "delay",
+                positive=True, least=1e-3)  # fmt: skip
+    for b in range(1, model.nbody):
+        if model.body_mass[b] <= 0:
             continue
-        fit = larger
-        while len(fit.chosen) > 1:  # drop what the newest has made superfluous, the least first
-            smaller = {
-                g: regression.fit([other for other in fit.chosen if other != g])
-                for g in fit.chosen[:-1]
-            }
-            worth = {
-                g: (own.objective - fit.objective) / inflation - prices[g]
-                for g, own in smaller.items()
-            }
-            idle = min(worth, key=worth.__getitem__)
-            if worth[idle] >= LEAST_DROP:
-                break
-            fit = smaller[idle]
-    return fit
+        own = np.arange(model.nbody) == b
+        name, mass = model.body(b).name, float(model.body_mass[b])
+        heavier = copy.copy(model)
+        heavier.body_mass[:] += 1e-2 * own
+        heavier.body_inertia[:] += 1e-2 / mass * own[:, None] * model.body_inertia
+        weight = (_inverse(heavier, run) - base).reshape(-1, 1) / 1e-2
+        add("link_mass", name, weight, "mass", least=TOLERANCE * mass)
+        shifts = []
+        for axis in range(3):
+            shifted = copy.copy(model)
+            shifted.body_ipos[b, axis] += 1e-3
+            shifts.append((_inverse(shifted, run) - base).ravel() / 1e-3)
+        add("link_com", name, np.stack(shifts, axis=1), "x", "y", "z")
+    tilts = []
+    for push in ([0.0, -1.0, 0.0], [1.0, 0.0, 0.0]):  # a base turned about x, about y
+        tilted = copy.copy(model)
+        tilted.opt.gravity[:] += 1e-3 * 9.81 * np.array(push)
+        tilts.append((_inverse(tilted, run) - base).ravel() / 1e-3)
+    add("base_tilt", "base", np.stack(tilts, axis=1), "tilt_x", "tilt_y")
+    alive = [g for g in found if np.linalg.norm(g.columns, axis=0).min() > 1e-9]
+    return alive, (run.torque - base).ravel()
+
+
+def stepwise(folder: Path) -> dict[str, Any]:
+    """Forward selection by BIC of a regression of joint torques."""
+    recording = read_recording(folder)
+    form = "servo" if recording.runs[0].controls else "torque"
+    form = form if recording.runs[0].torques or form == "servo" else "free"
+    parts = [groups_of(recording, moved(recording, run), form) for run in recording.runs]
+    keys = [(g.kind, g.where) for g in parts[0][0]]
+    stacked = {
+        key: [g for groups, _ in parts for g in groups if (g.kind, g.where) == key] for key in keys
+    }
+    groups = {
+        key: Group(**{**vars(own[0]), "columns": np.vstack([g.columns for g in own])})
+        for key, own in stacked.items()
+        if len(own) == len(parts)
+    }
+    y, n = np.concatenate([rest for _, rest in parts]), recording.model().nv
+    whole = np.hstack([g.columns for g in groups.values()])
+    left = y - whole @ linalg.lstsq(whole, y)[0]
+    scale = np.tile(left.reshape(-1, n).std(axis=0) + 1e-9, len(y) // n)
+    y = y / scale
+    columns = {key: g.columns / scale[:, None] for key, g in groups.items()}
+    chosen: list[tuple[str, str]] = []
+
+    def bic(keys: list[tuple[str, str]]) -> tuple[float, Array]:
+        if not keys:
+            return len(y) * float(np.log(y @ y)), np.zeros(0)
+        x = np.hstack([columns[key] for key in keys])
+        beta = linalg.lstsq(x, y)[0]
+        rest = y - x @ beta
+        return float(len(y) * np.log(rest @ rest) + x.shape[1] * np.log(len(y))), beta
+
+    now = bic([])[0]
+    while len(chosen) < 12:
+        tried = [(bic([*chosen, key]), key) for key in groups if key not in chosen]
+        allowed = [
+            (score, key)
+            for (score, beta), key in tried
+            if _possible([groups[each] for each in (*chosen, key)], beta)
+        ]
+        if not allowed or min(allowed)[0] >= now - 10.0:
+            break
+        now, key = min(allowed)
+        chosen.append(key)
+    beta = bic(chosen)[1]
+    x = np.hstack([columns[key] for key in chosen]) if chosen else np.zeros((len(y), 0))
+    rest = (y - x @ beta).reshape(-1, n)
+    # neighbours that agree are fewer observations, and say that something is left
+    agree = np.clip((rest[1:] * rest[:-1]).sum(axis=0) / (rest**2).sum(axis=0), 0.0, 0.95)
+    widen = np.sqrt((1 + agree.max()) / (1 - agree.max()) * rest.var())
+    sd = widen * np.sqrt(np.diag(np.linalg.pinv(x.T @ x)))
+    effects, at = [], 0
+    for key in chosen:
+        group, width = groups[key], columns[key].shape[1]
+        b, s = beta[at : at + width], sd[at : at + width]
+        at += width
+        if width == 1 and abs(b[0]) - 2 * s[0] < group.least:
+            continue
+        values = dict(zip(group.names, zip(b, s, strict=True), strict=True))
+        if group.kind == "torque_constant":
+            values = {"factor": (1 + b[0], s[0])}
+        if group.kind == "actuator_gain":  # what is needed is the gain times what was asked for
+            values = {"gain": (1 / (1 + b[0]), s[0])}
+        if group.kind == "joint_spring":
+            values = {"stiffness": values["stiffness"]}
+        effects.append(_effect(group.kind, group.where, values))
+    before = float(np.mean(y**2))
+    explained = 1 - float(np.mean(rest**2)) / before
+    if effects:
+        return result_of("named" if explained > 0.5 else "unexplained", effects)
+    return result_of("no_gap" if before < 4.0 else "unexplained", [])
+
+
+def _possible(groups: list[Group], beta: Array) -> bool:
+    """Whether friction brakes and rotors add inertia."""
+    firsts = np.cumsum([0, *(group.columns.shape[1] for group in groups[:-1])])
+    return all(beta[k] > 0 or not group.positive for k, group in zip(firsts, groups, strict=True))
+
+
+# ----------------------------------------------------------------------------- mujoco.sysid
+
+WINDOWS, WINDOW = 3, 0.4
+"""Windows of each run, and their length [s]: several time constants of a servo."""
+ITERATIONS = 6
+"""Iterations of the optimiser."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that is fitted, and the effect that a change of it is."""
+
+    kind: str
+    where: str
+    name: str
+    nominal: float
+    neutral: float
+    """Value of the effect's parameter at the nominal one."""
+
+
+def _package() -> Any:
+    # it ships types of its own that are no part of MuJoCo's
+    return import_module("mujoco.sysid")
+
+
+def _write(part: str, name: str, field: str) -> Callable[[mujoco.MjSpec, Any], None]:
+    def modifier(spec: mujoco.MjSpec, own: Any) -> None:
+        value = float(own.value[0])
+        element = getattr(spec, part)(name)
+        if field == "gain":
+            element.gainprm[0] *= value
+            element.biasprm[1:3] *= value
+        elif field == "ipos":
+            element.ipos = element.ipos + np.array([value, 0.0, 0.0])
+        else:
+            # newer versions have a polynomial in the place of damping
+            setattr(element, field, [value, 0.0, 0.0] if field == "damping" else value)
+
+    return modifier
+
+
+def _parameters(model: mujoco.MjModel) -> Iterator[tuple[Free, Any]]:
+    """All parameters that are free, and what the package wants of each."""
+    make, most = _package().Parameter, np.abs(model.body_mass.sum() * 9.81 * 0.1)
+    for j in range(model.njnt):
+        name, dof = model.joint(j).name, int(model.jnt_dofadr[j])
+        damping, armature = float(model.dof_damping[dof]), float(model.dof_armature[dof])
+        for kind, field, value, high in (
+            ("viscous_friction", "damping", damping, 10 * damping + 0.1 * most),
+            ("coulomb_friction", "frictionloss", 1e-3 * most, most),
+            ("rotor_inertia", "armature", armature, 4 * armature + 1e-6),
+        ):
+            said = {"frictionloss": "torque", "armature": "inertia"}.get(field, field)
+            own = make(f"{name}_{field}", value, 0.0, high, modifier=_write("joint", name, field))
+            yield Free(kind, name, said, value, 0.0), own
+    for i in range(model.nu if model.actuator_biasprm.any() else 0):
+        name = model.actuator(i).name
+        own = make(f"{name}_gain", 1.0, 0.2, 4.0, modifier=_write("actuator", name, "gain"))
+        yield Free("actuator_gain", name, "gain", 1.0, 1.0), own
+    for b in range(1, model.nbody):
+        name, mass = model.body(b).name, float(model.body_mass[b])
+        own = make(
+            f"{name}_mass", mass, 0.3 * mass, 4 * mass, modifier=_write("body", name, "mass")
+        )
+        yield Free("link_mass", name, "mass", mass, 0.0), own
+        own = make(f"{name}_x", 0.0, -0.15, 0.15, modifier=_write("body", name, "ipos"))
+        yield Free("link_com", name, "x", 0.0, 0.0), own
+
+
+def sysid(folder: Path) -> dict[str, Any]:
+    """Fit all parameters of `mujoco.sysid` on windows; name what leaves the tolerance."""
+    recording, package = read_recording(folder), _package()
+    spec, sensors = recording.spec(), recording.joint_sensors()
+    names, drives = list(sensors), bool(recording.runs[0].controls)
+    if not drives:
+        for actuator in list(spec.actuators):
+            spec.delete(actuator)
+        for name in names:
+            motor = spec.add_actuator(name=f"on_{name}", target=name,
+                                      trntype=mujoco.mjtTrn.mjTRN_JOINT)  # fmt: skip
+            motor.set_to_motor()
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
+    for name in names:
+        spec.add_sensor(name=f"{name}_q", type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+                        objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name)  # fmt: skip
+    step = float(np.median(np.diff(recording.runs[0].time)))
+    inside = max(1, int(np.ceil(step / 1e-3)))
+    spec.option.timestep = step / inside
+    model = spec.compile()
+    controls = [model.actuator(i).name for i in range(model.nu)]
+    length, labels, states, inputs, readings, noise = round(WINDOW / step), [], [], [], [], []
+    low = signal.butter(4, min(40.0, 0.3 / step), fs=1 / step, output="sos")
+    for run in recording.runs:
+        q = _columns(run, [own.position[0] for own in sensors.values()], run.sensors)
+        given = run.controls if drives else {f"on_{k}": v for k, v in run.torques.items()}
+        u = _columns(run, controls, given)
+        smooth = signal.sosfiltfilt(low, q, axis=0)
+        v = np.gradient(smooth, step, axis=0)
+        noise.append((q - smooth).std(axis=0))
+        for k, start in enumerate(np.linspace(5, len(q) - length - 5, WINDOWS).astype(int)):
+            part = slice(start, start + length)
+            # the model steps inside a sample, and inputs are held there
+            fine = np.arange((length - 1) * inside + 1) * step / inside
+            held = u[part][np.minimum(np.arange(len(fine)) // inside, length - 1)]
+            labels.append(f"{run.name}-{k}")
+            states.append(package.create_initial_state(model, smooth[start], v[start]))
+            inputs.append(package.TimeSeries.from_control_names(fine, held, model))
+            read = np.stack([np.interp(fine, np.arange(length) * step, c) for c in q[part].T], 1)
+            readings.append(package.TimeSeries.from_names(fine, read, model))
+    sd, n = np.mean(noise, axis=0) + 1e-6, model.nv
+
+    def difference(_: Any, __: Any, measured: Any, ___: Any, ____: bool, state: Array) -> Any:
+        off = (measured.data[1:] - state[:, 1 : 1 + n]) / sd
+        return off[:: 5 * inside], measured, measured
+
+    sequences = package.ModelSequences("arm", spec, labels, states, inputs, readings)
+    residual = package.build_residual_fn(
+        models_sequences=[sequences], modify_residual=difference, n_threads=1, resample_true=False
+    )
+    parameters, free = package.ParameterDict(), []
+    for effect, own in _parameters(model):
+        parameters.add(own)
+        free.append(effect)
+    with contextlib.redirect_stdout(io.StringIO()):  # it reports every iteration
+        fitted, outcome = package.optimize(
+            parameters.copy().move_off_bounds(fraction=0.02), residual,
+            optimizer="scipy_parallel_fd", verbose=False, max_iters=ITERATIONS, x_scale="jac",
+            diff_step=1e-5,
+        )  # fmt: skip
+    rest = np.concatenate([np.ravel(part) for part in residual(fitted.as_vector(), fitted)[0]])
+    jacobian = np.asarray(outcome.jac)
+    information = jacobian.T @ jacobian
+    spread = np.sqrt(np.diag(np.linalg.pinv(information, rcond=1e-10)) * np.mean(rest**2))
+    effects = []
+    for own, value, width in zip(free, fitted.as_vector(), spread, strict=True):
+        change = float(value) - own.nominal
+        least = TOLERANCE * (0.1 if own.kind == "link_com" else abs(own.nominal))
+        if own.kind in ("viscous_friction", "coulomb_friction", "rotor_inertia") and change < 0:
+            continue
+        if abs(change) - 1.96 * width > least:
+            effects.append(_effect(own.kind, own.where, {own.name: (own.neutral + change, width)}))
+    loud = float(np.sqrt(np.mean(rest**2)))
+    verdict = "named" if effects else "no_gap" if loud < 1.5 else "unexplained"
+    return result_of(verdict, effects)

@@ -14,7 +14,6 @@ import pytest
 pytest.importorskip("numba")
 
 from loose_env.recording import Run, read_recording, write_recording
-from scripts.suites import machines as command
 from scripts.suites.diagnosis import __main__ as suite
 from scripts.suites.diagnosis.cases import KINDS, draw, random_motion, taken
 from scripts.suites.diagnosis.machines import (
@@ -122,17 +121,17 @@ def test_a_case_is_diagnosed_and_a_finished_one_is_kept(
 ) -> None:
     file = tmp_path / "rows.jsonl"
     words = ["--cases", "1", "--first", "8", "--seed", "1", "--runs", "2", "--seconds", "0.5",
-             "--only", "none", "--out", str(file)]  # fmt: skip
-    command.main(words)
+             "--only", "none", "--form", "machines", "--out", str(file)]  # fmt: skip
+    suite.main(words)
     first = capsys.readouterr().out
     assert "1/1 8" in first and "| sure false alarms, without reference |" in first
     with file.open("a", encoding="utf-8") as rows:
         rows.write('{"case": 9, "se')  # cut off
-    command.main(words)
+    suite.main(words)
     assert "1/1" not in capsys.readouterr().out
     assert len(kept(file)) == 1 and kept(file)[0]["disturbances"] == {}
     with pytest.raises(SystemExit, match="rows of another seed or --only"):
-        command.main([*words, "--only", "cables"])
+        suite.main([*words, "--only", "cables"])
 
 
 # ---------------------------------------------------------------------------------- tables

@@ -12,37 +12,35 @@ import pytest
 pytest.importorskip("numba")
 pytest.importorskip("pyarrow")
 
+from loose_env.errors import InvalidSetting
 from loose_env.recording import read_recording
-from scripts.suites.gap import dynamics as of
-from scripts.suites.gap.arms import ARMS, model_xml, planar3, spatial3
+from scripts.suites.gap.arms import MACHINES, model_xml, planar3, spatial3
 from scripts.suites.gap.cases import (
+    FIRST_JUDGED,
+    TOLERANCES,
+    VISIBLE,
     draw_case,
     is_written,
+    role_of,
     runs_of,
+    seed_of,
     truth_of,
+    world_of,
     write_case,
 )
-from scripts.suites.gap.dynamics import (
-    Factors,
-    System,
-    build,
-    simulate,
-)
-from scripts.suites.gap.effects import CATALOGUE, KINDS, OUTSIDE, Effect
-from scripts.suites.gap.machine import (
-    Motion,
-    TrueArm,
-)
+from scripts.suites.gap.dynamics import Factors, build, simulate
+from scripts.suites.gap.effects import CATALOGUE, KINDS, OUTSIDE, Effect, Spot, drawn
+from scripts.suites.gap.machine import Motion, TrueArm
 
 pytestmark = pytest.mark.slow
 
-NAMES = list(ARMS)
+NAMES = list(MACHINES)
 
 
 def swing(figures, seconds: float = 0.8) -> np.ndarray:
     """Commands that move every joint."""
     time = np.arange(round(seconds * 1000)) * 1e-3
-    rates = np.array([0.9, 1.3, 1.9, 2.4])[: figures.joints]
+    rates = np.linspace(0.9, 2.4, 7)[: figures.joints]
     wave = np.sin(2 * np.pi * rates * time[:, None]) * np.minimum(time / 0.3, 1.0)[:, None] ** 2
     return figures.home + 0.3 * figures.reach * wave
 
@@ -51,27 +49,9 @@ def exact(figures, *effects: Effect) -> TrueArm:
     return TrueArm(figures=figures, factors=Factors.ones(figures.joints), effects=effects)
 
 
-def some_effect(name: str, figures, *, at: float = 0.7, place: int = 0) -> Effect:
-    """An effect of a size inside its range (0: least, 1: largest)."""
-    kind = KINDS[name]
-    where = kind.places(figures)[place]
-    drawn = kind.draw(np.random.default_rng(3), figures, where)
-    low, high = kind.bounds(figures, where)
-    parameters = kind.size(low ** (1 - at) * high**at, drawn, figures, where)
-    return Effect(kind=name, place=where, parameters=parameters)
-
-
-def unpowered(figures) -> System:
-    """The arm without drives, damping and friction."""
-    system = build(figures, Factors.ones(figures.joints))
-    system.laws[:] = 0.0
-    system.drives[:, 1:3] = 0.0
-    return system
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_the_nominal_arm_moves_as_mujoco_moves_its_model(name):
-    figures = ARMS[name]()
+    figures = MACHINES[name]()
     commands = swing(figures)
     trace = simulate(build(figures, Factors.ones(figures.joints)), commands)
     model = mujoco.MjModel.from_xml_string(model_xml(figures))
@@ -90,26 +70,12 @@ def test_the_nominal_arm_moves_as_mujoco_moves_its_model(name):
         mujoco.mj_step(model, data, inside)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_an_arm_keeps_its_energy_and_friction_only_takes_some(name):
-    figures = ARMS[name]()
-    start = (figures.home + 0.2, np.full(figures.joints, 1.5))
-    trace = simulate(unpowered(figures), swing(figures), start=start, settle=0.0)
-    assert np.ptp(trace.position, axis=0).min() > 0.1
-    assert np.ptp(trace.energy) < 1e-7 * np.abs(trace.energy).max()
-    system = unpowered(figures)
-    system.laws[1, [of.FRICTION, of.STRIBECK_SPEED, of.SMOOTH_SPEED]] = 0.5, 0.1, 0.01
-    energy = simulate(system, swing(figures), start=start, settle=0.0).energy
-    assert energy[-1] < energy[0] - 1e-3 and np.diff(energy).max() < 1e-9
-
-
 @pytest.mark.parametrize("name", [*CATALOGUE, *OUTSIDE])
 def test_every_kind_changes_the_readings(name):
     kind = KINDS[name]
-    arms = [make() for make in (planar3, spatial3)]
-    figures = next(arm for arm in arms if kind.places(arm))
+    figures = next(arm for arm in (planar3(), spatial3()) if kind.places(arm))
     motion = Motion(commands=swing(figures))
-    effect = some_effect(name, figures, at=0.9, place=-1)
+    effect = drawn(name, Spot(figures, kind.places(figures)[-1], np.random.default_rng(3)), 0.9)
     with_it, without = exact(figures, effect).run(motion), exact(figures).run(motion)
     changes = [
         np.abs(getattr(with_it, field.name) - getattr(without, field.name)).max()
@@ -119,20 +85,57 @@ def test_every_kind_changes_the_readings(name):
     assert max(changes) > 1e-3
 
 
-def test_a_case_is_drawn_by_its_number_alone():
-    one, again, other = draw_case(3), draw_case(3), draw_case(4)
+def test_a_coupled_motor_shares_its_torque_and_a_sampled_servo_still_follows():
+    figures = MACHINES["elbow4"]()
+    motion = Motion(commands=swing(figures))
+    free = exact(figures).run(motion)
+    sampled = dataclasses.replace(exact(figures), servo=(2000.0, 1.0, 0.5)).run(motion)
+    assert 0 < np.abs(sampled.position - free.position).max() < 5e-3
+    coupled = dataclasses.replace(exact(figures), coupling=(1.0, 0.0, 0.0)).run(motion)
+    np.testing.assert_allclose(
+        coupled.torque[:, 2] + coupled.torque[:, 3], free.torque[:, 2], atol=1e-9
+    )
+
+
+def test_friction_behind_slack_gives_nothing_inside_it_and_slides_at_its_bound():
+    figures = MACHINES["turntable1"]()
+    at = KINDS["friction_behind_slack"].places(figures)[0]
+    law = {"torque": 4.0, "slack": 0.2, "elastic": 0.02}
+    motion = Motion(commands=np.linspace(0.0, 1.0, 3000)[:, None])
+    with_it, without = (
+        exact(figures, *effects).run(motion).torque[:, 0]
+        for effects in ([Effect(kind="friction_behind_slack", place=at, parameters=law)], [])
+    )
+    more = with_it - without
+    assert np.abs(more[:200]).max() < 1e-6 and more[-1] == pytest.approx(4.0, abs=0.05)
+
+
+def test_a_case_is_drawn_by_its_number_alone_and_a_judged_one_by_its_phrase():
+    one, again, other = draw_case(3), draw_case(3), draw_case(9)
     assert truth_of(one) == truth_of(again)
     assert truth_of(one)["factors"] != truth_of(other)["factors"]
     first, second = runs_of(one)[0], runs_of(again)[0]
     for sensor in first.sensors:
         np.testing.assert_array_equal(first.sensors[sensor], second.sensors[sensor])
+    assert seed_of(FIRST_JUDGED, "a") != seed_of(FIRST_JUDGED, "b")
+    with pytest.raises(InvalidSetting, match="--phrase"):
+        seed_of(FIRST_JUDGED)
+    assert len({(world_of(n), role_of(n)) for n in range(60)}) == 30
 
 
-def test_a_recording_reads_and_tells_nothing(tmp_path):
-    recordings, truth, case = tmp_path / "recordings", tmp_path / "truth", draw_case(1264)
+@pytest.mark.parametrize("number", range(6))
+def test_a_recording_of_each_world_reads_and_tells_nothing(number, tmp_path):
+    recordings, truth, case = tmp_path / "recordings", tmp_path / "truth", draw_case(number)
     folder = write_case(case, recordings=recordings, truth=truth)
-    assert read_recording(folder).runs[0].comparison == case.form
-    (effect,) = json.loads((truth / f"{case.name}.json").read_text())["effects"]
+    found = read_recording(folder)
+    assert len(found.runs) == 4 and found.model().nv == case.arm.figures.joints
+    sealed = json.loads((truth / f"{case.name}.json").read_text())
+    (effect,) = sealed["effects"]
     said = "".join(path.read_text() for path in folder.glob("*.[jx]*"))
-    assert not any(word in said for word in (effect["kind"], "friction", "gap", "single"))
+    assert not any(word in said for word in (effect["kind"], "friction", "gap", sealed["world"]))
     assert is_written(case.name, recordings=recordings, truth=truth)
+    assert effect["visible"] >= VISIBLE
+    assert [effect["kind"], effect["where"]] == effect["accept"][0][0]
+    if sealed["world"] in ("servo", "torque", "free"):
+        off = np.array(sealed["factors"]["mass"]) - 1
+        assert np.abs(off).max() <= TOLERANCES["mass"]
