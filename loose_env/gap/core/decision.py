@@ -104,14 +104,14 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
     for names, weight in zip(near, weights, strict=True):
         for name in names:
             chances[name] = chances.get(name, 0.0) + float(weight)
-    spreads = _spreads(selection, fit)
+    covariance = _covariance(selection, fit)
     place = {k: i for i, k in enumerate(fit.numbers)}
     findings = []
     for number, term in enumerate(fit.terms):
         own = [place[k] for k in selection.evidence.columns_of(term)]
-        x, sd = fit.values[own], spreads[own]
+        x, sd = fit.values[own], np.sqrt(np.diag(covariance)[own])
         values = term.values(x)
-        ends = np.stack([term.values(x + side * _Z * sd) for side in (-1, 1)])
+        ends = _ends(term, x, covariance[np.ix_(own, own)])
         if exact:
             # the values of the simulation, as uncertain as there or as the cells disagree
             parameters = term.effect.parameters
@@ -231,13 +231,26 @@ def _confusable(
     }
 
 
-def _spreads(selection: Selection, fit: SetFit) -> Array:
-    """Standard deviations of the coefficients: Laplace's, or the jackknife's if that is larger.
+def _ends(term: Term, x: Array, covariance: Array) -> Array:
+    """Ends of the 95 % intervals of an effect's parameters (2, P), by the delta method."""
+    sd = np.sqrt(np.diag(covariance))
+    if len(x) == 1:
+        return np.stack([term.values(x + side * _Z * sd) for side in (-1, 1)])
+    values, steps = term.values(x), np.diag(sd)
+    slopes = (
+        np.stack([(term.values(x + row) - term.values(x - row)) / 2 for row in steps]) / sd[:, None]
+    )
+    half = _Z * np.sqrt(np.einsum("kp,kl,lp->p", slopes, covariance, slopes))
+    return np.stack([values - half, values + half])
+
+
+def _covariance(selection: Selection, fit: SetFit) -> Array:
+    """Covariance of the coefficients: Laplace's, wider where the jackknife's deviations are.
 
     A discrepancy that repeats makes stretches disagree by more than their noise does (Efron and
     Stein, Annals of Statistics 9, 1981).
     """
-    laplace = np.sqrt(np.diag(np.linalg.inv(fit.normal)))
+    laplace = np.linalg.inv(fit.normal)
     channels = selection.evidence.channels
     stretches = sorted({int(s) for c in channels for s in c.stretch})
     if len(stretches) < 3:
@@ -250,7 +263,8 @@ def _spreads(selection: Selection, fit: SetFit) -> Array:
     )
     count = len(stretches)
     jackknife = np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean(axis=0)) ** 2, 0))
-    return np.asarray(np.maximum(laplace, jackknife))
+    wider = np.maximum(jackknife / np.sqrt(np.diag(laplace)), 1.0)
+    return np.asarray(laplace * np.outer(wider, wider))
 
 
 def _verdicts(

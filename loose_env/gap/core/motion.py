@@ -168,7 +168,10 @@ class _Log:
                 "joint is needed to say which force was missing along it"
             )
         rows = np.clip(np.searchsorted(run.time, grid + 1e-9, "right") - 1, 0, run.samples - 1)
-        held = [run.controls[a][rows] if a in run.controls else 0 * grid for a in machine.actuators]
+        held = [
+            _last(run.controls[a])[rows] if a in run.controls else 0 * grid
+            for a in machine.actuators
+        ]
         return cls(
             run=run,
             step=step,
@@ -337,6 +340,15 @@ def _agrees(v: Array, derived: Array, noise: Array, band: float, step: float) ->
     off = float(np.std((derived - own)[20:-20]))
     expected = float(np.hypot(noise[1], noise[0] * 2 * np.pi * band))
     return off <= max(3 * expected, 0.02 * float(np.std(own)))
+
+
+def _last(column: Array) -> Array:
+    """Commands with each missing one as the last before it: a drive keeps its set point."""
+    known = np.flatnonzero(np.isfinite(column))
+    if not len(known):
+        return np.zeros_like(column)
+    at = np.clip(np.searchsorted(known, np.arange(len(column)), "right") - 1, 0, None)
+    return np.asarray(column[known[at]])
 
 
 def _without_jumps(q: Array) -> Array:
