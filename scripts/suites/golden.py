@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import hashlib
 import html
 import io
@@ -690,6 +691,11 @@ def differences(
     return [f"{place}: {before} before, {now} now"]
 
 
+CARRIED = ("environments", "agents")
+"""Parts that are compared whole on processors that round alike: contact carries rounding on."""
+
+
+@functools.cache
 def rounds_alike() -> bool:
     """Whether this processor rounds as the one on which the figures were kept.
 
@@ -730,7 +736,7 @@ def compare(part: str, now: Mapping[str, Any], *, exact: bool = False) -> list[s
     need not give (`comparable`).
     """
     before = kept(part)["found"]
-    if not exact and part in ("environments", "agents") and not rounds_alike():
+    if not exact and part in CARRIED and not rounds_alike():
         before, now = comparable(part, before), comparable(part, now)
     if part == "gap":
         before = {name: each for name, each in before.items() if name in now}
@@ -742,6 +748,7 @@ def compare(part: str, now: Mapping[str, Any], *, exact: bool = False) -> list[s
 def write(part: str, now: Mapping[str, Any], because: str) -> None:
     """Keep the figures of a part from now on."""
     from loose_env.errors import InvalidSetting
+    from loose_env.io import write_text
 
     file = FOLDER / f"{part}.json"
     fresh = json.loads(json.dumps(now))
@@ -762,10 +769,7 @@ def write(part: str, now: Mapping[str, Any], because: str) -> None:
         for name, each in fresh.items()
     ]
     text = f'{{"because":{json.dumps(because)},\n"found":{{\n' + ",\n".join(lines) + "\n}}\n"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    beside = file.with_suffix(".part")
-    beside.write_text(text, encoding="utf-8")
-    beside.replace(file)
+    write_text(file, text)
 
 
 def _check_said(because: str, changelog: str) -> None:
@@ -816,7 +820,10 @@ def main(words: Sequence[str] | None = None) -> int:
             continue
         found = compare(part, now, exact=options.exact)
         differ |= bool(found)
-        print(f"{part}: {f'{len(found)} differences' if found else 'same'} ({seconds:.0f} CPU s)")
+        part_of = part in CARRIED and not options.exact and not rounds_alike()
+        limited = ", as far as a processor that rounds otherwise can say" if part_of else ""
+        print(f"{part}: {f'{len(found)} differences' if found else 'same'}{limited} "
+              f"({seconds:.0f} CPU s)")  # fmt: skip
         print("".join(f"  {line}\n" for line in found[:20]), end="", flush=True)
     return int(differ)
 

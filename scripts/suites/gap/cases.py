@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from scipy import signal
 from scipy.optimize import lsq_linear
 
 from loose_env.errors import InvalidSetting
+from loose_env.io import write_text
 from loose_env.recording import Run, write_recording
 from loose_env.typing import Array
 from scripts.suites.gap.arms import ARMS, MACHINES, Figures, model_xml, varied
@@ -842,11 +842,7 @@ def write_case(case: Case, *, recordings: Path, truth: Path) -> Path:
         plain=setup.world not in ("exact", "shaken"),
     )
     write_recording(folder, model_xml=model, runs=runs_of(case), overwrite=True)
-    truth.mkdir(parents=True, exist_ok=True)
-    path = truth / f"{case.name}.json"
-    beside = path.with_suffix(f".{os.getpid()}.part")
-    beside.write_text(json.dumps(truth_of(case), indent=1) + "\n", encoding="utf-8")
-    beside.rename(path)
+    write_text(truth / f"{case.name}.json", json.dumps(truth_of(case), indent=1) + "\n")
     return folder
 
 

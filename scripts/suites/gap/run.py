@@ -61,12 +61,9 @@ LONGEST = 1800.0
 
 def loose_gap(recording: Path) -> Mapping[str, Any]:
     """The tool under test, as a user calls it."""
-    found = loose_env.explain_gap(recording, ignore_doctor=True, say=_to_stderr, threads=1)
+    say = functools.partial(print, file=sys.stderr, flush=True)
+    found = loose_env.explain_gap(recording, ignore_doctor=True, say=say, threads=1)
     return json.loads(found.result.to_json())  # type: ignore[no-any-return]
-
-
-def _to_stderr(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 def answered(answers: Path, name: str) -> Mapping[str, Any]:
@@ -74,18 +71,19 @@ def answered(answers: Path, name: str) -> Mapping[str, Any]:
     path = answers / f"{name}.json"
     try:
         answer = json.loads(path.read_text(encoding="utf-8"))
-        wrong = answer["verdict"] not in VERDICTS
+        if answer["verdict"] not in VERDICTS:
+            raise ValueError(f"{answer['verdict']!r}; a verdict is one of {VERDICTS}")
         for effect in answer.get("effects", ()):
-            wrong |= not isinstance(effect["where"], str) or effect["kind"] not in KINDS
-            spans = (effect.get("interval_95") or {}).values()
-            numbers = [*(effect.get("parameters") or {}).values(), *(x for s in spans for x in s)]
-            wrong |= not all(math.isfinite(float(x)) for x in numbers)
+            if effect["kind"] not in KINDS or not isinstance(effect["where"], str):
+                raise ValueError(f"{effect['kind']!r} at {effect['where']!r}; no such kind")
+            spans = [(low, high) for low, high in (effect.get("interval_95") or {}).values()]
+            for x in (*(effect.get("parameters") or {}).values(), *(x for s in spans for x in s)):
+                if not math.isfinite(float(x)):
+                    raise ValueError(f"{effect['kind']!r} has the number {x}; it has to be finite")
     except OSError as error:
         raise InvalidData(f"{path}: no answer; every case needs one") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InvalidData(f"{path}: {type(error).__name__} {error}; see protocol.json") from error
-    if wrong:
-        raise InvalidData(f"{path}: a verdict is one of {VERDICTS}, a kind one of protocol.json")
     return answer  # type: ignore[no-any-return]
 
 
@@ -94,7 +92,10 @@ def tool_of(name: str) -> Tool:
     module, colon, function = TOOLS.get(name, name).partition(":")
     if not colon:
         raise InvalidSetting(f"no tool {name!r}; give {', '.join(TOOLS)} or module:function")
-    return getattr(importlib.import_module(module), function)  # type: ignore[no-any-return]
+    try:
+        return getattr(importlib.import_module(module), function)  # type: ignore[no-any-return]
+    except AttributeError as error:
+        raise InvalidSetting(f"no tool {name!r}: {module} has no {function!r}") from error
 
 
 def ask(tool: str, recording: Path, folder: Path) -> None:
@@ -114,8 +115,8 @@ def run_case(
 ) -> Row:
     """Make a case, let the tool answer it in a process of its own, and grade the answer.
 
-    The truth is opened only after the tool has left its whole result. Whatever goes wrong becomes
-    the row, with the message.
+    The truth is opened only after the tool has left its whole result. Whatever goes wrong in the
+    tool becomes the row, with the message.
     """
     begun, name = time.perf_counter(), made(number, phrase, blind)
     row: Row = {"number": number, "phrase": phrase, "code": code, "error": ""}
@@ -246,6 +247,8 @@ def run(given: RunSettings) -> None:
     if given.show:
         names = {name_of(number, given.phrase) for number in numbers}
         rows = [row for row in kept(file) if row["case"] in names]
+        if not rows:
+            raise InvalidSetting(f"{file} has no rows of these cases; run them first")
     else:
         blind = (given.blind or OUT / "blind").resolve()
         work = functools.partial(
@@ -258,7 +261,8 @@ def run(given: RunSettings) -> None:
             code=code,
         )
         rows = run_cases(numbers, work, file, workers=given.workers, say=line_of)
-    printed = f"{len(rows)} cases of {len(numbers)}, tool {given.tool}.\n\n{table(rows)}\n"
+    who = f"tool {given.tool}" if given.answers is None else f"answers in {given.answers}"
+    printed = f"{len(rows)} cases of {len(numbers)}, {who}.\n\n{table(rows)}\n"
     print(f"\n{printed}")
     write_text(file.with_name("summary.md"), printed)
 
