@@ -364,7 +364,7 @@ def _advice(
         return ""
     channel = answer.selection.evidence.channels[number]
     runs = answer.selection.evidence.balance.motion.runs
-    excess = answer.decision.fit.powers[number] - channel.count
+    excess = answer.decision.fit.left[number] - channel.count
     by_run: dict[str, float] = defaultdict(float)
     by_band: dict[float, float] = defaultdict(float)
     for run, turn, each in zip(channel.run, channel.turn, excess, strict=True):

@@ -17,6 +17,7 @@ import numpy as np
 from loose_env.gap.core.balance import CONTACTS, USUAL, Balance
 from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.drives.limits import DriveLimit
 from loose_env.typing import Array
 
 _MOVING = 20.0
@@ -181,6 +182,10 @@ def _starts(balance: Balance, effect: Effect) -> Sequence[tuple[float, ...]]:
         if effect.needs_data_starts:
             return proposed
         return (*effect.starts, *proposed)
+    if isinstance(effect, DriveLimit):
+        joint = balance.machine.joint_number(balance.machine.actuated_joint[effect.where])
+        asked, needed = balance.given[:, joint], balance.needed[:, joint]
+        return (*effect.starts, *effect.propose_limit(balance.speed[:, joint], asked, needed))
     return effect.starts
 
 

@@ -181,8 +181,7 @@ def _held_out(
     tolerances = slice(0, selection.evidence.tolerances)
     for held in folds:
         fit = selection.on([~h for h in held]).fit(terms, powers, 3)
-        judge = selection.on(held)
-        total += sum(judge.score(k, power) for k, power in enumerate(fit.powers))
+        total += selection.on(held).score(fit)
         total += float(fit.values[tolerances] @ fit.values[tolerances]) / len(folds)
     return total
 
@@ -309,7 +308,7 @@ def held_out_rms(selection: Selection, fit: SetFit) -> Array:
     total, count = np.zeros(len(channels)), np.zeros(len(channels))
     for held in folds_of(selection)[0]:
         own = selection.on([~h for h in held]).fit(fit.terms, fit.powers, 3)
-        for k, (channel, power) in enumerate(zip(channels, own.powers, strict=True)):
+        for k, (channel, power) in enumerate(zip(channels, own.left, strict=True)):
             total[k] += power[held[k]].sum()
             count[k] += channel.count[held[k]].sum()
     return np.asarray(np.sqrt(total / count))

@@ -25,6 +25,7 @@ class TorqueOffset(JointEffect):
     """Constant torque at a joint: the zero of a torque sensor, or a preload."""
 
     kind = "torque_offset"
+    exact_law: ClassVar[bool] = True
     null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @property

@@ -99,8 +99,12 @@ class Evidence:
     """Smallest coefficients (K,)."""
     high: Array
     """Largest coefficients (K,)."""
+    inexact: Array
+    """Part of its force that the law of each column misses (K,)."""
     operators: Array
     """Change of the operator by each column (K, 3, joints, joints)."""
+    law: float
+    """What the law of an effect of a joint or a drive misses, as a share of its force."""
     tolerances: int
     """How many of the columns, the first ones, are combinations of tolerances."""
     mixed: Array
@@ -113,7 +117,9 @@ class Evidence:
         return self.places[id(term)]
 
 
-def whiten(balance: Balance, terms: Sequence[Term], tolerances: Sequence[Nuisance]) -> Evidence:
+def whiten(
+    balance: Balance, terms: Sequence[Term], tolerances: Sequence[Nuisance], *, law: float = 0.0
+) -> Evidence:
     """Whiten the residual, the columns of all terms and the tolerances into cells."""
     columns = [column for term in terms for column in term.columns]
     starts = np.cumsum([0, *(len(term.columns) for term in terms)])
@@ -148,11 +154,19 @@ def whiten(balance: Balance, terms: Sequence[Term], tolerances: Sequence[Nuisanc
         precision=priors("spread", 1.0) ** -2,
         low=priors("low", -np.inf),
         high=priors("high", np.inf),
+        inexact=np.concatenate([np.zeros(kept), *(_inexact(term, law) for term in terms)]),
         operators=operators,
+        law=law,
         tolerances=kept,
         mixed=mixed,
         nuisances=tuple(tolerances),
     )
+
+
+def _inexact(term: Term, law: float) -> Array:
+    """What the law of each column of a term misses; rigid bodies and sensors are as they are."""
+    exact = term.effect.exact_law or term.effect.part not in ("joint", "actuator")
+    return np.full(len(term.columns), 0.0 if exact else law)
 
 
 def _padded(balance: Balance, change: Array) -> Array:
@@ -190,6 +204,7 @@ def append(evidence: Evidence, term: Term) -> None:
         setattr(evidence, name, np.concatenate([getattr(evidence, name), grown]))
     spreads = np.array([c.spread for c in term.columns])
     evidence.precision = np.concatenate([evidence.precision, spreads**-2])
+    evidence.inexact = np.concatenate([evidence.inexact, _inexact(term, evidence.law)])
     changes = np.stack([c.operator for c in term.columns])
     evidence.operators = np.concatenate([evidence.operators, changes])
 

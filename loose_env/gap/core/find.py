@@ -109,7 +109,7 @@ def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Select
     tolerances = nuisances(balance, settings.tolerances)
     places = len({term.name for term in terms})
     say(f"evidence: {places} effects in {len(terms)} shapes, {len(tolerances)} tolerances")
-    evidence = whiten(balance, terms, tolerances)
+    evidence = whiten(balance, terms, tolerances, law=settings.tolerances.law)
     if not evidence.channels:
         raise InvalidData(
             "no joint moves by more than its noise, so that no force can be missing along the "

@@ -47,6 +47,8 @@ _SETTLED, _SECANTS = 4, 4
 """Sets of a step that are relinearised, and how often."""
 _BENT = 4.0
 """Noise variances, two standard deviations, by which an effect may differ from its columns."""
+_MISSED = (0.0, 0.06, 0.25, 1.0)
+"""Squared shares of the tolerance of laws that are tried: a factor of two apart."""
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)
 """Relative steps in which shapes are refined."""
 
@@ -64,7 +66,11 @@ class SetFit:
     values: Array
     """Their coefficients."""
     powers: tuple[Array, ...]
-    """Residual sum of squares of each cell, channel by channel, in units of its noise."""
+    """Noise, discrepancy and what laws miss in each cell, channel by channel, as weights see it."""
+    left: tuple[Array, ...]
+    """Residual sum of squares of each cell, in units of its noise."""
+    costs: tuple[Array, ...]
+    """Minus twice the log likelihood of each cell."""
     normal: Array
     """Precision of the coefficients."""
     cost: float
@@ -131,14 +137,12 @@ class Selection:
         own = sorted({k for term in terms for k in self.evidence.columns_of(term)})
         return np.array([*range(self.evidence.tolerances), *own], dtype=int)
 
-    def score(self, channel: int, power: Array) -> float:
-        """Minus twice the log likelihood of a channel's cells, up to a constant."""
-        excess = np.maximum(power - self.evidence.channels[channel].count, 0)
-        values = self.values[channel]
-        return float(np.sum((values * np.log1p(excess / values))[self.used[channel]]))
+    def score(self, fit: SetFit) -> float:
+        """Minus twice the log likelihood of the cells that are used, up to a constant."""
+        return float(sum(c[used].sum() for c, used in zip(fit.costs, self.used, strict=True)))
 
     def weights(self, channel: int, power: Array) -> Array:
-        """Weights of a channel's cells at some residual."""
+        """Weights of a channel's cells at some power."""
         excess = np.maximum(power - self.evidence.channels[channel].count, 0)
         values = self.values[channel]
         return np.asarray(values / (values + excess) * self.used[channel])
@@ -166,7 +170,7 @@ class Selection:
         """Fit a set by reweighted least squares."""
         evidence, numbers = self.evidence, self.columns(terms)
         precision, centre = evidence.precision[numbers], evidence.centre[numbers]
-        parts = [_part(channel, numbers) for channel in evidence.channels]
+        parts = [_part(channel, numbers, evidence.inexact) for channel in evidence.channels]
         powers = [c.power for c in evidence.channels] if start is None else list(start)
         best, stale, found = np.inf, 0, np.zeros(len(numbers))
         shrunk = [np.zeros(len(c.count), bool) for c in evidence.channels]
@@ -192,12 +196,12 @@ class Selection:
                 normal[part.grid] += own
             scale = 1 / np.sqrt(np.diag(normal))
             found = np.linalg.solve(normal * np.outer(scale, scale), slope * scale) * scale
-            left = self._powers(parts, numbers, found)
-            value = sum(self.score(k, p) for k, p in enumerate(left))
-            value += float(precision @ (found - centre) ** 2)
-            powers, stale = left, stale + 1
-            if value < best - 0.05:
-                best, values, leave, curvature, stale = value, found, left, normal, 0
+            now = self._levels(parts, numbers, found)
+            costs = sum(c[used].sum() for c, used in zip(now[2], self.used, strict=True))
+            value = float(costs + precision @ (found - centre) ** 2)
+            powers, stale = list(now[0]), stale + 1
+            if value < best - 0.05 or value == best == np.inf:
+                best, values, levels, curvature, stale = value, found, now, normal, 0
             if stale > 1:
                 break
         cost = best + log_determinant(curvature) - float(np.log(precision).sum())
@@ -206,32 +210,57 @@ class Selection:
         slack = 1e-3 * np.maximum(np.abs(low), 1e-9)
         allowed = bool(np.all((values[own] >= low - slack) & (values[own] <= high)))
         return SetFit(
-            terms, numbers, values, tuple(leave), curvature, cost, cost + self.prior(terms), allowed
+            terms, numbers, values, *levels, curvature, cost, cost + self.prior(terms), allowed
         )
 
-    def _powers(
+    def _levels(
         self, parts: Sequence[_Part], numbers: NDArray[np.intp], values: Array
-    ) -> list[Array]:
-        """Noise, and excess over what noise the fitted operator makes, as motion of the joint.
+    ) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
+        """Powers, residuals and costs of all cells, in units of the noise of the fitted operator.
 
         A balance whose every term shrinks makes less noise, too, and gains nothing; nor does a
-        drive that holds less, whose discrepancy stays the same motion.
+        drive that holds less, whose discrepancy stays the same motion. What the laws of effects
+        miss is no discrepancy, down to what chance leaves.
         """
         evidence = self.evidence
         operator = evidence.balance.operator + np.tensordot(values, evidence.operators[numbers], 1)
         found = []
         for k, (channel, part) in enumerate(zip(evidence.channels, parts, strict=True)):
-            own = values[part.at]
-            products = np.outer(own, own).ravel()
-            power = channel.power - 2 * part.slope @ own + part.gram @ products
+            own, count = values[part.at], channel.count
+            missed = part.missed * own
+            power, lawless = np.stack([np.outer(x, x).ravel() for x in (own, missed)]) @ part.gram.T
+            power += channel.power - 2 * part.slope @ own
+            # the turn of a friction differs in any band
+            among = np.bincount(channel.stretch, lawless) / np.bincount(channel.stretch, count)
+            lawless = np.maximum(lawless, count * among[channel.stretch])
             bands, at = self._bands[k]
             now = evidence.balance.noise(channel.joint, bands, operator, floor=False)[at]
             ratio = (now / self.usual[k]) ** 2
             held = max(1.0 + float(part.held @ own), 0.0) ** 2
-            excess = power - channel.count * ratio
             scale = np.clip(np.minimum(ratio, held), 1e-300, 1.0)
-            found.append(np.maximum(channel.count + excess / scale, 0.0))
-        return found
+            excess = np.maximum((power - count * ratio) / scale, -count)
+            beyond, wide, costs = self._explained(k, excess, lawless)
+            seen = count + np.where(excess < 0, excess, beyond + wide * self.values[k])
+            found.append((seen, count + excess, costs))
+        powers, left, costs_ = zip(*found, strict=True)
+        return powers, left, costs_
+
+    def _explained(self, channel: int, excess: Array, lawless: Array) -> tuple[Array, Array, Array]:
+        """Discrepancy of each cell beyond what laws miss, what they miss over noise, and costs.
+
+        How far laws are missed is one number of a channel, from nothing to the tolerance.
+        """
+        count, values, used = (
+            self.evidence.channels[channel].count, self.values[channel], self.used[channel],
+        )  # fmt: skip
+        chance = np.minimum(np.maximum(excess, 0.0), np.sqrt(2 * count))
+        tried = []
+        for share in _MISSED if np.any(lawless) else _MISSED[:1]:
+            wide = share * lawless
+            beyond = np.maximum(excess - wide, chance)
+            costs = values * np.log1p(beyond / values) + few(count) * np.log1p(wide / count)
+            tried.append((beyond, wide / count, costs))
+        return min(tried, key=lambda one: float(one[2][used].sum()))
 
     # ---- many sets at fixed weights
 
@@ -324,7 +353,7 @@ class Selection:
             if not term.law and not term.effect.drives and term.contact in ("", USUAL):
                 pool.setdefault(term.name, term)
         start = [channel.count for channel in self.evidence.channels]
-        return self.fit(tuple(pool.values()), start).powers
+        return self.fit(tuple(pool.values()), start).left
 
     def best(self) -> SetFit:
         """Best set of searches from several starts, with the shapes of its laws refined."""
@@ -565,13 +594,18 @@ def neighbours(machine: NominalModel, where: str) -> set[str]:
     return found
 
 
+def few(count: Array) -> Array:
+    """Values of a discrepancy that repeats the motion, of so many values of cells."""
+    return np.asarray(np.minimum(LEAST_VALUES, count / 2) + SHARE_VALUES * count)
+
+
 def _values(channel: Channel, noisy: float) -> Array:
     """Values of each cell's discrepancy, by the share of noise in what hardly any set explains.
 
     Half of all values where there is nothing but noise, which then says what chi-square does; few
     where a discrepancy repeats the motion.
     """
-    least = np.minimum(LEAST_VALUES, channel.count / 2) + SHARE_VALUES * channel.count
+    least = few(channel.count)
     most = np.maximum(channel.count / 2, least)
     return np.asarray(least + min(noisy, 1.0) * (most - least))
 
@@ -603,9 +637,10 @@ class _Part:
     slope: Array
     growth: Array
     held: Array
+    missed: Array
 
 
-def _part(channel: Channel, numbers: NDArray[np.intp]) -> _Part:
+def _part(channel: Channel, numbers: NDArray[np.intp], inexact: Array) -> _Part:
     """Products of some columns in a channel, the matrix of each cell in one row."""
     lookup = np.full(max(int(numbers.max(initial=0)), int(channel.columns.max(initial=0))) + 1, -1)
     lookup[channel.columns] = np.arange(len(channel.columns))
@@ -622,6 +657,7 @@ def _part(channel: Channel, numbers: NDArray[np.intp]) -> _Part:
         channel.slope[:, local],
         channel.growth[:, local],
         channel.held[local],
+        inexact[numbers[at]],
     )
 
 

@@ -55,6 +55,9 @@ class Tolerances:
     shift_samples: float = 0.4
     """Shift of commands or torques against the motion [intervals of the log], of either sign:
     held or interpolated commands, and the order of a logger's cycle."""
+    law: float = 0.05
+    """Force of an effect of a joint or a drive that its law misses [share of it]: oil thins with
+    speed, springs stiffen, friction warms."""
     sensor: float = 0.005
     """Gain of a velocity or inertial sensor [share], and each angle of its axes [rad]."""
     sensor_bias: float = 0.01

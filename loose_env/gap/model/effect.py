@@ -91,6 +91,9 @@ class Effect(StartsFromData):
     """Whether the edit adds a degree of freedom, which is invisible in an inverse comparison."""
     needs_fine_steps: ClassVar[bool] = False
     """Whether it needs finer steps than a smooth model: a stiff spring, a joint with stiction."""
+    exact_law: ClassVar[bool] = False
+    """Whether it is what it is called to the last digit, as an inertia, where a friction has a law
+    that a machine obeys within some per cent."""
     has_stops: ClassVar[bool] = False
     """Whether it has parts with stops: after an impact no simulation is reproducible. Parameters
     named `gap`, `stiffness` and `damping_ratio`, if any, are those of the stops."""

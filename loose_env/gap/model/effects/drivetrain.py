@@ -27,6 +27,7 @@ class RotorInertia(JointEffect):
     """Rotor inertia added to that of the model; negative down to a total of zero."""
 
     kind = "rotor_inertia"
+    exact_law: ClassVar[bool] = True
     null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @property

@@ -310,6 +310,7 @@ class EncoderOffset(JointEffect):
     """
 
     kind = "encoder_offset"
+    exact_law: ClassVar[bool] = True
     null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
 
     @property

@@ -28,7 +28,7 @@ _SPEEDS = (1.5, 4.0)
 """No-load speeds from which fits start, over the typical speed."""
 
 
-class _Limit(Effect):
+class DriveLimit(Effect):
     """A limit of the drive of one joint, its force linear in command, position and speed."""
 
     acts_on: ClassVar[str] = "actuator"
@@ -114,7 +114,7 @@ class _Limit(Effect):
         return actuator
 
 
-class TorqueLimit(_Limit):
+class TorqueLimit(DriveLimit):
     """Limit of a drive's torque, below that of the model: saturation of its current."""
 
     kind = "torque_limit"
@@ -133,7 +133,7 @@ class TorqueLimit(_Limit):
         self._set(spec, float(values[0]))
 
 
-class VoltageLimit(_Limit):
+class VoltageLimit(DriveLimit):
     """Limit of a drive's voltage: its largest torque falls with speed, by the back-EMF.
 
     At standstill the force is at most ``stall_torque``, at speed v at most
