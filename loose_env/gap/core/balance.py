@@ -18,7 +18,7 @@ from mujoco.batch import Batch
 from scipy.optimize import minimize
 
 from loose_env.gap.core.effects import CommandInterpolation
-from loose_env.gap.core.motion import Motion
+from loose_env.gap.core.motion import FINER, Motion, RunMotion, finer, rates
 from loose_env.gap.core.readings import Readings
 from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
@@ -142,7 +142,7 @@ class Balance:
         elif own.command is not Effect.command:
             commands = np.concatenate(
                 [
-                    effect.command(run.time, run.commands, values)
+                    _commanded(effect, run, values)
                     if run.form == "forward"
                     else run.commands
                     for run in self.motion.runs
@@ -268,6 +268,16 @@ class Balance:
     def given_by(self, commands: Array) -> Array:
         """Forces of the nominal actuators for other commands (T, joints)."""
         return self._forces(compiled(self.machine.fresh()), commands)[1]
+
+    def late(self, actuator: int, order: int) -> Array:
+        """Derivative of the balance by the time at which one actuator's commands act (T, joints).
+
+        The first, or the second without its sign.
+        """
+        changed = self.commands.copy()
+        slopes = [rates(r.commands[:, actuator], r.step, order) for r in self.motion.runs]
+        changed[:, actuator] -= self.motion.step**order * np.concatenate(slopes)
+        return (self.given - self.given_by(changed)) / self.motion.step**order
 
     def stepped_acceleration(self) -> Array:
         """Acceleration at the samples beyond its mean, right after held commands step (T, joints).
@@ -481,6 +491,13 @@ class _Hidden:
     """Its mean inertia, damping and stiffness (3,)."""
     coupled: Array
     """Change of the other joints' forces by its acceleration, speed and position (3, joints)."""
+
+
+def _commanded(effect: Effect, run: RunMotion, values: Array) -> Array:
+    """Commands of a run with an effect on them, as on a fine grid (T, actuators)."""
+    commands = finer(run.commands)
+    time = np.arange(len(commands)) * run.step / FINER
+    return effect.command(time, commands, values)[::FINER]
 
 
 def _states(

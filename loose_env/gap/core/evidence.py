@@ -26,6 +26,9 @@ _SHORTEST_S = 4.0
 """Shortest stretch [s]."""
 KNOCK = 16.0
 """Mean square residual over its local median beyond which a stretch is a knock, not motion."""
+_NOISE = 1.1
+"""Noise that is believed over its estimate, which takes it for white: filters and rounding colour
+it by some per cent."""
 _REST = 0.01
 """Speed over the typical one below which a joint is at rest, or four times its noise."""
 _REST_S = 0.12
@@ -276,7 +279,9 @@ def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
         window = _taper(rows.stop - rows.start, len(motion.runs[run].position)) * weight[run][rows]
         values = motion.split(stacked)[run][rows]
         frequency = np.fft.rfftfreq(len(window), motion.step)
-        scale = 1 / np.sqrt((window**2).sum() / 2 + 1e-12) / balance.noise(joint, frequency)
+        scale = 1 / np.sqrt((window**2).sum() / 2 + 1e-12) / (
+            _NOISE * balance.noise(joint, frequency)
+        )
         scale[0] /= np.sqrt(2)
         spectrum = np.fft.rfft(values * window[:, None], axis=0) * scale[:, None]
         for band in range(BANDS):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from scipy.signal import resample
 
 from loose_env.errors import InvalidData
 from loose_env.gap.model.nominal_model import NominalModel
@@ -311,6 +312,25 @@ def low_passed(
         whole = np.fft.irfft(shape, len(ends)) + line - 0.5 * held * slope
         found[:, k] = whole[pad : pad + len(column)]
     return found
+
+
+FINER = 4
+"""Points between samples on which delays and lags act."""
+
+
+def finer(values: Array) -> Array:
+    """Band-limited columns (T, K) on `FINER` times as many points (FINER T, K)."""
+    mirrored = np.concatenate([values, values[::-1]])
+    return np.asarray(resample(mirrored, FINER * len(mirrored))[: FINER * len(values)])
+
+
+def rates(values: Array, step: float, order: int = 1) -> Array:
+    """Derivative of band-limited columns (T, K) or of one (T,)."""
+    mirrored = np.concatenate([values, values[::-1]])
+    turn = 2j * np.pi * np.fft.rfftfreq(len(mirrored), step)
+    shape = (turn**order).reshape(-1, *[1] * (values.ndim - 1))
+    found = np.fft.irfft(shape * np.fft.rfft(mirrored, axis=0), len(mirrored), axis=0)
+    return np.asarray(found[: len(values)])
 
 
 def _reflected(values: Array, band: float, step: float) -> tuple[Array, int]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from loose_env.gap.core.motion import Motion
+from loose_env.gap.core.motion import FINER, Motion, finer
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.effects.sensors import delayed
@@ -60,8 +60,12 @@ class Readings:
         if effect is not None and type(effect).read is not Effect.read:
             parts = zip(self.motion.runs, self.motion.split(found), strict=True)
             found = np.concatenate(
-                [self._read(run.time, own, effect, values) for run, own in parts]
-            )
+                [
+                    self._read(np.arange(FINER * len(own)) * run.step / FINER, finer(own), effect,
+                               values)[::FINER]
+                    for run, own in parts
+                ]
+            )  # fmt: skip
         return found - self.foretold
 
     def accelerated(self, more: Array) -> Array:
