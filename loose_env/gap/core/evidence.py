@@ -359,16 +359,19 @@ def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Arra
 
 
 def weight_of(balance: Balance, joint: int) -> Array:
-    """Weight of each sample (T,): none at rest, and none in knocks.
+    """Weight of each sample (T,): none at rest, in knocks, or where a drive is at its limit.
 
     At rest dry friction takes any value within its bound, so a balance says nothing. Knocks are
-    short stretches in which everything at once leaves many times the usual residual.
+    short stretches in which everything at once leaves many times the usual residual. A limit cuts
+    what is faster than the band.
     """
     if joint >= len(balance.machine.joints):
         return np.ones(len(balance.residual))
     cache = balance.__dict__.setdefault("_quiet", {})
     if joint not in cache:
-        cache[joint] = _knocks(balance, joint) * _sliding(balance, joint)
+        cache[joint] = (
+            _knocks(balance, joint) * _sliding(balance, joint) * _within(balance, joint)
+        )
     return np.asarray(cache[joint])
 
 
@@ -420,6 +423,20 @@ def _sliding(balance: Balance, joint: int) -> Array:
         else:
             found.append(1 - np.clip(np.convolve(still, kernel, "same"), 0, 1))
     return np.concatenate(found)
+
+
+def _within(balance: Balance, joint: int) -> Array:
+    """Weight of samples, none within one and a half periods of the band from the nominal limit of a drive."""
+    motion = balance.motion
+    width = max(int(1.5 / motion.band / motion.step), 1)
+    kernel = np.hanning(2 * width + 3)
+    kernel /= kernel.sum()
+    found = []
+    for run in motion.runs:
+        at_limit = np.convolve(run.limited[:, joint], np.ones(2 * width + 1), "same") > 0
+        found.append(1 - np.clip(np.convolve(at_limit, kernel, "same"), 0, 1))
+    weight = np.concatenate(found)
+    return weight if weight.mean() > 0.2 else np.ones_like(weight)
 
 
 def _felt(channels: list[Channel], free: int) -> Array:

@@ -63,6 +63,8 @@ class RunMotion:
     """Commands along straight lines from sample to sample (T, actuators)."""
     torques: Array
     """Measured joint torques, NaN of joints without (T, joints)."""
+    limited: Array
+    """Share of a sample in which the nominal drive is at its limit (T, joints)."""
     log_step: float
     """Interval of the log [s]."""
 
@@ -121,7 +123,7 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
     ends = [_band_end(log, noise) for log in logs]
     band = float(np.clip(max(ends), LOWEST_HZ, min(0.35 / step, HIGHEST_HZ)))
     thin = max(1, int(1 / (step * max(_PER_CYCLE * band, _LEAST_RATE))))
-    runs = tuple(_run_motion(log, noise, band, thin) for log in logs)
+    runs = tuple(_run_motion(log, noise, band, thin, machine) for log in logs)
     seen = [[noise_floor(c) for c in log.readings.T] for log in logs]
     return Motion(
         runs=runs, band=band, noise=noise / np.sqrt(thin), sensors=sensors,
@@ -229,7 +231,9 @@ def _band_end(log: _Log, noise: Array) -> float:
     return max(found, default=LOWEST_HZ)
 
 
-def _run_motion(log: _Log, noise: Array, band: float, thin: int) -> RunMotion:
+def _run_motion(
+    log: _Log, noise: Array, band: float, thin: int, machine: NominalModel
+) -> RunMotion:
     """Smooth one log and thin it to block means."""
     parts, derived = [], []
     for joint in range(log.position.shape[1]):
@@ -262,8 +266,24 @@ def _run_motion(log: _Log, noise: Array, band: float, thin: int) -> RunMotion:
         sampled=blocks(low_passed(log.commands, band, log.step)),
         straight=blocks(low_passed(log.commands, band, log.step, drawn=log.step)),
         torques=blocks(low_passed(log.torque, band, log.step)),
+        limited=blocks(_limited(log.commands, whole[0], whole[1], machine)),
         log_step=log.step,
     )
+
+
+def _limited(commands: Array, position: Array, speed: Array, machine: NominalModel) -> Array:
+    """Samples in which the nominal drive of a joint is at its limit, 1 or 0 (T, joints)."""
+    model, found = machine.model, np.zeros_like(position)
+    for k, name in enumerate(machine.actuators):
+        if not (machine.affine_actuators[k] and model.actuator_forcelimited[k]):
+            continue
+        joint = machine.joint_number(machine.actuated_joint[name])
+        gear, bias = model.actuator_gear[k, 0], model.actuator_biasprm[k]
+        asked = model.actuator_gainprm[k, 0] * commands[:, k] + bias[0]
+        asked = asked + gear * (bias[1] * position[:, joint] + bias[2] * speed[:, joint])
+        low, high = model.actuator_forcerange[k]
+        found[:, joint] = np.maximum(found[:, joint], (asked < low) | (asked > high))
+    return found
 
 
 def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float) -> Array:
