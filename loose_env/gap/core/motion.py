@@ -35,6 +35,10 @@ _ORDER = 16
 """its order: flat to 1 % at the end of the band."""
 
 
+_NEAR = 0.5
+"""Length of a record's end in which its motion is a parabola [periods of the end of the band]."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunMotion:
     """Motion of one run on its thinned, even grid."""
@@ -67,6 +71,11 @@ class RunMotion:
     """Share of a sample in which the nominal drive is at its limit (T, joints)."""
     log_step: float
     """Interval of the log [s]."""
+
+    @property
+    def begin(self) -> float:
+        """Time of the first sample after the log's first one [s]."""
+        return (round(self.step / self.log_step) - 1) // 2 * self.log_step
 
     @property
     def time(self) -> Array:
@@ -234,7 +243,7 @@ def _band_end(log: _Log, noise: Array) -> float:
 def _run_motion(
     log: _Log, noise: Array, band: float, thin: int, machine: NominalModel
 ) -> RunMotion:
-    """Smooth one log and thin it to block means."""
+    """Smooth one log and thin it."""
     parts, derived = [], []
     for joint in range(log.position.shape[1]):
         q, v = log.position[:, joint], log.speed[:, joint]
@@ -248,27 +257,33 @@ def _run_motion(
     whole = np.stack(parts, axis=2)
     count = len(log.position) // thin
 
-    def blocks(values: Array) -> Array:
-        cut = values[: count * thin].reshape(count, thin, *values.shape[1:]).mean(axis=1)
-        return np.ascontiguousarray(cut)
+    def kept(values: Array) -> Array:
+        # samples, not means: the force along a mean motion is not the mean force
+        return np.ascontiguousarray(values[(thin - 1) // 2 :: thin][:count])
 
     return RunMotion(
         name=log.run.name,
         form=log.run.comparison,
         step=log.step * thin,
-        position=blocks(whole[0]),
-        speed=blocks(whole[1]),
-        acceleration=blocks(whole[2]),
-        derived=blocks(np.stack(derived, axis=1)),
-        readings=blocks(low_passed(log.readings, band, log.step)),
+        position=kept(whole[0]),
+        speed=kept(whole[1]),
+        acceleration=kept(whole[2]),
+        derived=kept(np.stack(derived, axis=1)),
+        readings=kept(low_passed(log.readings, band, log.step)),
         # through the same filter: a stiff servo acts on a small difference of large signals
-        commands=blocks(low_passed(log.commands, band, log.step, held=log.step)),
-        sampled=blocks(low_passed(log.commands, band, log.step)),
-        straight=blocks(low_passed(log.commands, band, log.step, drawn=log.step)),
-        torques=blocks(low_passed(log.torque, band, log.step)),
-        limited=blocks(_limited(log.commands, whole[0], whole[1], machine)),
+        commands=kept(low_passed(log.commands, band, log.step, held=log.step)),
+        sampled=kept(low_passed(log.commands, band, log.step)),
+        straight=kept(low_passed(log.commands, band, log.step, drawn=log.step)),
+        torques=kept(low_passed(log.torque, band, log.step)),
+        limited=_blocks(_limited(log.commands, whole[0], whole[1], machine), thin),
         log_step=log.step,
     )
+
+
+def _blocks(values: Array, thin: int) -> Array:
+    """Means of blocks of samples."""
+    count = len(values) // thin
+    return np.asarray(values[: count * thin].reshape(count, thin, -1).mean(axis=1))
 
 
 def _limited(commands: Array, position: Array, speed: Array, machine: NominalModel) -> Array:
@@ -289,15 +304,18 @@ def _limited(commands: Array, position: Array, speed: Array, machine: NominalMod
 def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float) -> Array:
     """Position, speed and acceleration that fit the readings, smooth above a band (3, T).
 
-    Weighted by the noise of both readings, with odd reflections at the ends.
+    Weighted by the noise of both readings. Beyond the ends the motion goes on with the acceleration
+    it has there: a swing begins with its largest.
     """
-    ends, pad = _reflected(q, band, step)
+    ends, pad = _continued(q, band, step)
     line = np.linspace(ends[0], ends[-1], len(ends))
     slope = (ends[-1] - ends[0]) / ((len(ends) - 1) * step)
     turn = 2 * np.pi * np.fft.rfftfreq(len(ends), step)
     shape = np.fft.rfft(ends - line)
     if v is not None:
-        rates = np.concatenate([v[pad:0:-1], v, v[-2 : -pad - 2 : -1]]) - slope
+        rates = np.gradient(ends, step)
+        rates[pad : pad + len(v)] = v
+        rates -= slope
         precise = 1 / noise[0] ** 2 + turn**2 / noise[1] ** 2
         shape = (shape / noise[0] ** 2 - 1j * turn * np.fft.rfft(rates) / noise[1] ** 2) / precise
     shape = shape * _passed(turn, band)
@@ -351,6 +369,21 @@ def rates(values: Array, step: float, order: int = 1) -> Array:
     shape = (turn**order).reshape(-1, *[1] * (values.ndim - 1))
     found = np.fft.irfft(shape * np.fft.rfft(mirrored, axis=0), len(mirrored), axis=0)
     return np.asarray(found[: len(values)])
+
+
+def _continued(q: Array, band: float, step: float) -> tuple[Array, int]:
+    """Record with parabolas at its ends, which lead into lines, and their length."""
+    pad = min(len(q) - 2, int(3 / band / step) + 20)
+    near = int(np.clip(_NEAR / band / step, 6, len(q)))
+    ahead, parts = np.arange(1, pad + 1), []
+    # the acceleration fades out over half the way, so that both ends meet in a line
+    fade = np.clip(2 - 2 * ahead / pad, 0.0, 1.0)
+    for own in (q[near - 1 :: -1] if near < len(q) else q[::-1], q[-near:]):
+        at = np.arange(1 - near, 1)
+        bend, rise, level = np.polyfit(at, own, 2)
+        speed = rise + 2 * bend * np.cumsum(fade)
+        parts.append(own[-1] + np.cumsum(speed))
+    return np.concatenate([parts[0][::-1], q, parts[1]]), pad
 
 
 def _reflected(values: Array, band: float, step: float) -> tuple[Array, int]:
