@@ -121,13 +121,17 @@ class Selection:
     def prior(self, terms: Iterable[Term]) -> float:
         """Minus twice the log prior of a set: its kinds, how many and which places, shapes.
 
-        Neighbouring shapes share the evidence: of k shapes about the root of k differ.
+        A kind that extends another one is a form of it. Neighbouring shapes share the evidence: of k shapes about the root of k differ.
         """
         own = tuple(terms)
         cost = 0.0
-        for kind, count in Counter(t.effect.kind for t in own).items():
-            places = self._places[kind]
+        kinds = {t.effect.kind: t.effect.extends or t.effect.kind for t in own}
+        for simple, count in Counter(kinds[t.effect.kind] for t in own).items():
+            places = self._places.get(simple, count)
             cost += KIND + 2 * log(places) + 2 * _log_choose(places, min(count, places)) + count
+            # forms of one kind: which of them each place has
+            forms = sum(each == simple for each in kinds.values())
+            cost += 2 * log(forms) * count
         return cost + sum(log(self._shapes[t.name]) for t in own)
 
     # ---- fits of a set

@@ -188,11 +188,11 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
                 change=tolerances.torque * gain,
                 operator=tolerances.torque * balance.operator * one[:, None],
             )
-            log_step, parts = balance.motion.runs[0].log_step, balance.motion.split(balance.drive)
-            for order, what in ((1, "shift"), (2, "smear")):
-                rate = np.concatenate(
-                    [rates(run[:, joint], balance.motion.step, order) for run in parts]
-                )
+            log_step = balance.motion.runs[0].log_step
+            # of the smear not of the reading: its noise would be smeared as well
+            for order, what, force in ((1, "shift", balance.drive), (2, "smear", balance.needed)):
+                parts = balance.motion.split(force[:, joint])
+                rate = np.concatenate([rates(own, balance.motion.step, order) for own in parts])
                 width = (tolerances.shift_samples * log_step) ** order / order
                 change = np.where(inverse, np.nan_to_num(rate), 0.0)[:, None] * one
                 yield Nuisance(
