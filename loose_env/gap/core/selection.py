@@ -400,11 +400,7 @@ class Selection:
     def refined(self, state: SetFit) -> SetFit:
         """Shapes of the members by shrinking steps, beside the others."""
         for term in state.terms:
-            shaped = [
-                k for k, p in enumerate(term.effect.parameters) if k != term.effect.proportional
-            ]
-            if _is_linear(term):
-                continue
+            shaped = self.shaped(term)
             for step in _STEPS:
                 for k in shaped:
                     for sign in (1.0, -1.0):
@@ -414,6 +410,13 @@ class Selection:
                             state, term = own, new
                             break
         return state
+
+    @staticmethod
+    def shaped(term: Term) -> list[int]:
+        """Parameters that shape a law, which its coefficient does not say."""
+        if _is_linear(term):
+            return []
+        return [k for k in range(len(term.effect.parameters)) if k != term.effect.proportional]
 
     def reshaped(self, state: SetFit, term: Term, parameter: int, step: float) -> SetFit | None:
         """Fit with one shape parameter of a member changed; None if that is out of bounds."""
