@@ -64,6 +64,10 @@ class Channel:
     """Relative change of each cell's noise by a coefficient of one of each column (C, K)."""
     held: Array
     """Relative change of the stiffness by which the drive holds the joint, by each column (K,)."""
+    gain: Array
+    """Share of the foretold reading that each column is (K,); 0 of a joint."""
+    noisy: Array
+    """Part of each cell's noise that is that of the foretold reading (C,)."""
     blanked: float
     """Share of the time that is left out: rest, and knocks."""
     gram: Array = field(init=False)
@@ -199,8 +203,11 @@ def append(evidence: Evidence, term: Term) -> None:
             channel.columns = np.concatenate([channel.columns, [numbers[k] for k in own]])
             _grow(channel, rows[:, :-1])
             more = np.stack([term.columns[k].operator for k in own])
+            gain = _gains(evidence.balance, channel.joint, wide)
             growth = _growth(evidence.balance, channel.joint, channel.turn, more)
+            growth += np.outer(channel.noisy, gain)
             channel.growth = np.hstack([channel.growth, growth])
+            channel.gain = np.append(channel.gain, gain)
             channel.held = np.append(channel.held, _held(evidence.balance, channel.joint, more))
     for name in ("centre", "low", "high"):
         grown = [getattr(c, name) for c in term.columns]
@@ -251,6 +258,7 @@ def _channel(
     felt = [k for k, change in enumerate(wide) if k < free or np.any(change[:, joint])]
     found = _rows(balance, joint, [wide[k] for k in felt])
     weight = weight_of(balance, joint)
+    gain, noisy = _gains(balance, joint, [wide[k] for k in felt]), _noisy(balance, joint, found.turn)
     return Channel(
         joint=joint,
         columns=np.array(felt),
@@ -261,8 +269,10 @@ def _channel(
         stretch=found.stretch,
         run=found.run,
         turn=found.turn,
-        growth=_growth(balance, joint, found.turn, operators[felt]),
+        growth=_growth(balance, joint, found.turn, operators[felt]) + np.outer(noisy, gain),
         held=_held(balance, joint, operators[felt]),
+        gain=gain,
+        noisy=noisy,
         blanked=float(np.mean(weight < 0.5)),
     )
 
@@ -343,6 +353,25 @@ def _held(balance: Balance, joint: int, operators: Array) -> Array:
     stiffness = balance.operator[2, joint, joint]
     driven = abs(balance.stiffness[joint]) > 0.5 * abs(stiffness)
     return operators[:, 2, joint, joint] / stiffness if driven else np.zeros(len(operators))
+
+
+def _gains(balance: Balance, channel: int, wide: Sequence[Array]) -> Array:
+    """Share of the foretold reading that is in each column (K,); 0 of a joint."""
+    number = channel - len(balance.machine.joints)
+    if number < 0:
+        return np.zeros(len(wide))
+    foretold = balance.readings.foretold[:, number]
+    whole = float(foretold @ foretold) + 1e-300
+    return np.array([float(foretold @ column[:, channel]) for column in wide]) / whole
+
+
+def _noisy(balance: Balance, channel: int, turn: Array) -> Array:
+    """Part of a reading's noise that is that of the foretold one (C,); 0 of a joint."""
+    number = channel - len(balance.machine.joints)
+    if number < 0:
+        return np.zeros(len(turn))
+    foretold = balance.readings.foretold_variance(number, turn / (2 * np.pi))
+    return np.asarray(foretold / balance.noise(channel, turn / (2 * np.pi)) ** 2)
 
 
 def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Array:
@@ -462,6 +491,7 @@ def _combine(channel: Channel, mixed: Array, free: int) -> None:
     channel.growth = np.hstack(
         [channel.growth[:, own] @ mixed[channel.columns[own]], channel.growth[:, ~own]]
     )
+    channel.gain = np.append(channel.gain[own] @ mixed[channel.columns[own]], channel.gain[~own])
     channel.held = np.append(channel.held[own] @ mixed[channel.columns[own]], channel.held[~own])
     channel.columns = np.concatenate([np.arange(kept), others - free + kept])
     channel.__post_init__()

@@ -250,7 +250,7 @@ def _run_motion(
         own = _smoothed(q, None, noise[:, joint], band, log.step)
         derived.append(own[1])
         if np.isfinite(v).all():
-            v = _calibrated(v, own, band, log.step)
+            v = _calibrated(v, own, noise[:, joint], band, log.step)
             if _agrees(v, own[1], noise[:, joint], band, log.step):
                 own = _smoothed(q, v, noise[:, joint], band, log.step)
         parts.append(own)
@@ -399,11 +399,20 @@ def _passed(turn: Array, band: float) -> Array:
     return np.asarray(1 / (1 + (turn / (2 * np.pi * _FLAT * band)) ** _ORDER))
 
 
-def _calibrated(v: Array, own: Array, band: float, step: float) -> Array:
-    """Velocity reading with the zero, gain and delay that it has against the position."""
+def _calibrated(v: Array, own: Array, noise: Array, band: float, step: float) -> Array:
+    """Velocity reading with the zero, gain and delay that it has against the position.
+
+    The noisier of both is the one that is explained: noise of the other attenuates the gain.
+    """
     shown = low_passed(v[:, None], band, step)[:, 0]
-    terms = np.stack([np.ones_like(v), own[1], own[2]], axis=1)[20:-20]
-    zero, gain, delay = np.linalg.lstsq(terms, shown[20:-20], rcond=None)[0]
+    inner = slice(20, -20)
+    if noise[1] < noise[0] * 2 * np.pi * band / np.sqrt(3):
+        slope = rates(shown, step)
+        terms = np.stack([np.ones_like(v), shown, slope], axis=1)
+        zero, gain, ahead = np.linalg.lstsq(terms[inner], own[1][inner], rcond=None)[0]
+        return np.asarray(zero + gain * v + ahead * slope) if 0.5 < gain < 2 else v
+    terms = np.stack([np.ones_like(v), own[1], own[2]], axis=1)
+    zero, gain, delay = np.linalg.lstsq(terms[inner], shown[inner], rcond=None)[0]
     return np.asarray((v - zero - delay * own[2]) / gain) if gain > 0.5 else v
 
 

@@ -79,11 +79,15 @@ class Readings:
 
     def noise(self, reading: int, frequency: Array) -> Array:
         """Standard deviation of a reading less the foretold one (F,)."""
+        own = self.motion.sensor_noise[reading] ** 2
+        return np.asarray(np.sqrt(own + self.foretold_variance(reading, frequency)))
+
+    def foretold_variance(self, reading: int, frequency: Array) -> Array:
+        """Variance of a foretold reading by the noise of the positions (F,)."""
         turn = 2 * np.pi * frequency[:, None]
         moved = self._gains[0, reading] ** 2 + (turn * self._gains[1, reading]) ** 2
         moved = moved + (turn**2 * self._gains[2, reading]) ** 2
-        own = self.motion.sensor_noise[reading] ** 2
-        return np.asarray(np.sqrt(own + moved @ self.motion.noise[0] ** 2))
+        return np.asarray(moved @ self.motion.noise[0] ** 2)
 
     def _moved(self, model: mujoco.MjModel) -> bool:
         """Whether an edit moves or tilts anything that a sensor stands on."""
