@@ -43,7 +43,7 @@ _MOST = 40
 """Steps of a search."""
 _LEVELS, _KEPT, _STARTS = 3, 4, 3
 """Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
-_SETTLED, _SECANTS = 4, 4
+_SETTLED, _SECANTS = 2, 4
 """Sets of a step that are relinearised, and how often."""
 _BENT = 4.0
 """Noise variances, two standard deviations, by which an effect may differ from its columns."""
@@ -277,12 +277,14 @@ class Selection:
         evidence = self.evidence
         normal = np.diag(evidence.precision)
         slope = evidence.precision * evidence.centre
-        growths, holds, guards, noises = [], [], [], []
+        growths, holds, noises = [], [], []
         for k, channel in enumerate(evidence.channels):
             weight = self.weights(k, powers[k])
             at = channel.columns
             known = len(at)
-            normal[np.ix_(at, at)] += np.tensordot(weight, channel.gram[:, :known, :known], 1)
+            cells, room = channel.gram.shape[:2]  # with room to grow: a slice of it would be copied
+            whole = (weight @ channel.gram.reshape(cells, -1)).reshape(room, room)
+            normal[np.ix_(at, at)] += whole[:known, :known]
             slope[at] += weight @ channel.slope[:, :known]
             growth = np.zeros((len(weight), len(slope)))
             growth[:, at] = channel.growth
@@ -290,9 +292,9 @@ class Selection:
             held = np.zeros(len(slope))
             held[at] = channel.held
             holds.append(np.tile(held, (len(weight), 1)))
-            guards.append(weight * powers[k])
+            # what a candidate explains leaves noise to be guarded
             noises.append(weight * np.minimum(channel.count, powers[k]))
-        form = _Form(normal, slope, *map(np.concatenate, (growths, holds, guards, noises)))
+        form = _Form(normal, slope, *map(np.concatenate, (growths, holds, noises)))
         if fit is None:
             return form
         more, along = _of_operator(form, fit.numbers, fit.values, slice(None))
@@ -625,7 +627,6 @@ class _Form:
     slope: Array
     growth: Array
     held: Array
-    guard: Array
     noise: Array
     around: tuple[Array, Array] | None = None
 
@@ -635,7 +636,7 @@ def _of_operator(
 ) -> tuple[Array, Array]:
     """What the noise of a fitted operator adds to some columns of a form: normal and slope."""
     moved, held = form.growth[:, at] @ values, form.held[:, at] @ values
-    guard = form.guard * (np.minimum(moved, held) < -1e-12)
+    guard = form.noise * (np.minimum(moved, held) < -1e-12)
     scale = np.where((held < np.minimum(moved, 0.0))[:, None], form.held[:, among],
                      form.growth[:, among])  # fmt: skip
     noisy = form.noise * np.where((moved > 0) & (guard == 0), 1 + moved, 0.0)
