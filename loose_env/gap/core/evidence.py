@@ -269,13 +269,14 @@ def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
     motion = balance.motion
     stacked = np.stack([*(c[:, joint] for c in wide), balance.residual[:, joint]], axis=1)
     weight = motion.split(weight_of(balance, joint))
-    parts, cells, keys = [], [], {}
+    parts, cells = [], []
+    keys: dict[tuple[int, int], int] = {}
     counts: dict[tuple[int, int], float] = {}
     edges = _edges(balance)
     for piece, (run, rows) in enumerate(stretches_of(balance)):
         window = _taper(rows.stop - rows.start, len(motion.runs[run].position)) * weight[run][rows]
         values = motion.split(stacked)[run][rows]
-        frequency = np.fft.rfftfreq(len(window), motion.step)
+        frequency = np.asarray(np.fft.rfftfreq(len(window), motion.step), float)
         scale = 1 / np.sqrt((window**2).sum() / 2 + 1e-12) / balance.noise(joint, frequency)
         scale[0] /= np.sqrt(2)
         spectrum = np.fft.rfft(values * window[:, None], axis=0) * scale[:, None]
@@ -303,7 +304,7 @@ def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
 def cell_powers(balance: Balance, channel: int, change: Array) -> Array:
     """Power of a change of the balance in each cell of a channel, in noise variances (C,)."""
     found = _rows(balance, channel, [change])
-    return np.bincount(found.cell, found.whitened[:, 0] ** 2, len(found.count))
+    return np.bincount(found.cell, found.whitened[:, 0] ** 2, len(found.count)).astype(float)
 
 
 def stretches_of(balance: Balance) -> list[tuple[int, slice]]:

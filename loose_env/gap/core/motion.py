@@ -68,7 +68,7 @@ class RunMotion:
     @property
     def time(self) -> Array:
         """Times of the samples [s], from 0 (T,)."""
-        return np.arange(len(self.position)) * self.step
+        return np.arange(len(self.position), dtype=float) * self.step
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -200,7 +200,7 @@ def _spectrum(values: Array, step: float) -> tuple[Array, Array]:
     window = np.hanning(len(values))
     free = values - np.linspace(values[0], values[-1], len(values))
     power = np.abs(np.fft.rfft(free * window)) ** 2 / (window @ window)
-    return np.fft.rfftfreq(len(values), step), power
+    return np.asarray(np.fft.rfftfreq(len(values), step), float), np.asarray(power, float)
 
 
 def _band_end(log: _Log, noise: Array) -> float:
@@ -273,7 +273,7 @@ def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float)
     ends, pad = _reflected(q, band, step)
     line = np.linspace(ends[0], ends[-1], len(ends))
     slope = (ends[-1] - ends[0]) / ((len(ends) - 1) * step)
-    turn = 2 * np.pi * np.fft.rfftfreq(len(ends), step)
+    turn: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(ends), step), float)
     shape = np.fft.rfft(ends - line)
     if v is not None:
         rates = np.concatenate([v[pad:0:-1], v, v[-2 : -pad - 2 : -1]]) - slope
@@ -303,7 +303,7 @@ def low_passed(
             continue
         ends, pad = _reflected(column, band, step)
         line = np.linspace(ends[0], ends[-1], len(ends))
-        turn = 2 * np.pi * np.fft.rfftfreq(len(ends), step)
+        turn: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(ends), step), float)
         hold = np.sinc(turn * held / (2 * np.pi)) * np.exp(-0.5j * turn * held)
         hold = hold * np.sinc(turn * drawn / (2 * np.pi)) ** 2
         shape = np.fft.rfft(ends - line) * _passed(turn, band) * hold

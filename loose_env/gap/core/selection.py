@@ -205,10 +205,10 @@ class Selection:
             if stale > 1:
                 break
         cost = best + log_determinant(curvature) - float(np.log(precision).sum())
-        own = slice(evidence.tolerances, None)
-        low, high = evidence.low[numbers][own], evidence.high[numbers][own]
+        effects = slice(evidence.tolerances, None)
+        low, high = evidence.low[numbers][effects], evidence.high[numbers][effects]
         slack = 1e-3 * np.maximum(np.abs(low), 1e-9)
-        allowed = bool(np.all((values[own] >= low - slack) & (values[own] <= high)))
+        allowed = bool(np.all((values[effects] >= low - slack) & (values[effects] <= high)))
         return SetFit(
             terms, numbers, values, *levels, curvature, cost, cost + self.prior(terms), allowed
         )
@@ -325,7 +325,7 @@ class Selection:
         near = _near_bounds(left / own, evidence, slice(None))
         known, found = set(at.tolist()), []
         for term in pool:
-            new = [k for k in evidence.columns_of(term) if k not in known]
+            new = np.array([k for k in evidence.columns_of(term) if k not in known], int)
             if len(new) == 1 and near[new[0]]:
                 gain = float(gains[new[0]])
             elif len(new) > 1:
@@ -514,8 +514,8 @@ class Selection:
         chosen: dict[int, Sequence[Array]] = {}
         for powers in weightings:
             form = self.whole(powers)
-            order = sorted((self.predicted(form, s), k) for k, s in enumerate(sets))[:most]
-            for total, k in order:
+            likely = sorted((self.predicted(form, s), k) for k, s in enumerate(sets))[:most]
+            for total, k in likely:
                 if np.isfinite(total):
                     chosen.setdefault(k, powers)
         found = (self.solve(sets[k], powers) for k, powers in chosen.items())
@@ -662,7 +662,7 @@ def _part(channel: Channel, numbers: NDArray[np.intp], inexact: Array) -> _Part:
 
 
 def _near_bounds(
-    values: Array, evidence: Evidence, at: NDArray[np.intp] | list[int] | slice
+    values: Array, evidence: Evidence, at: NDArray[np.intp] | slice
 ) -> NDArray[np.bool_]:
     """Which coefficients lie within bounds, with room for other weights."""
     low, high, law = evidence.low[at], evidence.high[at], evidence.centre[at] > 0
