@@ -20,7 +20,7 @@ from loose_env.statistics import noise_floor, resolution_of
 from loose_env.typing import Array
 
 HIGHEST_HZ = 60.0
-"""Highest band of rigid motion [Hz]: above lie structural modes of any arm (science.md, 5)."""
+"""Highest band of rigid motion [Hz]: above lie structural modes of any arm."""
 LOWEST_HZ = 1.5
 """Lowest band [Hz]."""
 _PER_CYCLE = 6
