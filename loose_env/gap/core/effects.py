@@ -1,4 +1,4 @@
-"""Effects that real logs ask for beyond the old catalogue.
+"""Effects that logs of real machines ask for.
 
 They are beside `loose_env.gap.model.effects.catalogue`, for they have no simulation of their own.
 """
