@@ -18,7 +18,7 @@ from mujoco.batch import Batch
 from scipy.optimize import minimize
 
 from loose_env.gap.core.effects import CommandInterpolation
-from loose_env.gap.core.motion import Motion
+from loose_env.gap.core.motion import FINER, Motion, RunMotion, finer, low_passed, rates
 from loose_env.gap.core.readings import Readings
 from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
@@ -52,6 +52,7 @@ _SIZES = (
 """Sizes that models share in one batch."""
 
 CONTACTS: dict[str, tuple[str, float]] = {
+    "sliding 0.2%": ("speed", 0.002),
     "sliding 1%": ("speed", 0.01),
     "sliding 4%": ("speed", 0.04),
     "sliding 12%": ("speed", 0.12),
@@ -98,10 +99,8 @@ class Balance:
         span = np.ptp(self.position, axis=0)
         usual = np.maximum(np.percentile(np.abs(self.speed), 95, axis=0), 1e-9)
         self.directions = {
-            name: np.tanh(self.speed / (share * usual))
-            if kind == "speed"
-            else np.concatenate([_dahl(r.position, share * span) for r in motion.runs])
-            for name, (kind, share) in CONTACTS.items()
+            name: np.concatenate([_direction(motion, r, law, usual, span) for r in motion.runs])
+            for name, law in CONTACTS.items()
         }
         model = compiled(machine.fresh())
         self.needed, self.given = self._forces(model, self.commands)
@@ -142,9 +141,7 @@ class Balance:
         elif own.command is not Effect.command:
             commands = np.concatenate(
                 [
-                    effect.command(run.time, run.commands, values)
-                    if run.form == "forward"
-                    else run.commands
+                    _commanded(effect, run, values) if run.form == "forward" else run.commands
                     for run in self.motion.runs
                 ]
             )
@@ -268,6 +265,16 @@ class Balance:
     def given_by(self, commands: Array) -> Array:
         """Forces of the nominal actuators for other commands (T, joints)."""
         return self._forces(compiled(self.machine.fresh()), commands)[1]
+
+    def late(self, actuator: int, order: int) -> Array:
+        """Derivative of the balance by the time at which one actuator's commands act (T, joints).
+
+        The first, or the second without its sign.
+        """
+        changed = self.commands.copy()
+        slopes = [rates(r.commands[:, actuator], r.step, order) for r in self.motion.runs]
+        changed[:, actuator] -= self.motion.step**order * np.concatenate(slopes)
+        return (self.given - self.given_by(changed)) / self.motion.step**order
 
     def stepped_acceleration(self) -> Array:
         """Acceleration at the samples beyond its mean, right after held commands step (T, joints).
@@ -483,6 +490,13 @@ class _Hidden:
     """Change of the other joints' forces by its acceleration, speed and position (3, joints)."""
 
 
+def _commanded(effect: Effect, run: RunMotion, values: Array) -> Array:
+    """Commands of a run with an effect on them, as on a fine grid (T, actuators)."""
+    commands = finer(run.commands)
+    time = np.arange(len(commands)) * run.step / FINER
+    return effect.command(time, commands, values)[::FINER]
+
+
 def _states(
     measured: tuple[Array, Array, Array], seen: Array, number: int, *moved: Array
 ) -> tuple[Array, Array, Array]:
@@ -528,6 +542,21 @@ def _times(model: mujoco.MjModel, mass: Array, acceleration: Array) -> Array:
         if row != column:
             found[:, column] += mass[:, k] * acceleration[:, row]
     return found
+
+
+def _direction(
+    motion: Motion, run: RunMotion, law: tuple[str, float], usual: Array, span: Array
+) -> Array:
+    """Direction of sliding of a run, in the band of everything else (T, joints).
+
+    At a reversal it turns faster than the band, so it is made on a finer grid.
+    """
+    kind, share = law
+    if kind == "speed":
+        fine = np.tanh(finer(run.speed) / (share * usual))
+    else:
+        fine = _dahl(finer(run.position), share * span)
+    return low_passed(fine, motion.band, run.step / FINER)[::FINER]
 
 
 def _dahl(position: Array, distance: Array) -> Array:

@@ -32,6 +32,8 @@ _RIVAL = 0.05
 """Probability from which another effect is a rival."""
 _Z = 1.96
 """Half width of a 95 % interval in standard deviations."""
+_ASIDE = 0.25
+"""Relative step of a shape over which the fall of its evidence is read."""
 _NOISE = 1.6
 """Held-out residual up to which nothing more is needed [noise standard deviations]."""
 _LARGE = 3.0
@@ -112,6 +114,7 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
         x, sd = fit.values[own], np.sqrt(np.diag(covariance)[own])
         values = term.values(x)
         ends = _ends(term, x, covariance[np.ix_(own, own)])
+        ends = _with_shapes(selection, fit, term, ends)
         if exact:
             # the values of the simulation, as uncertain as there or as the cells disagree
             parameters = term.effect.parameters
@@ -201,7 +204,7 @@ def _gains(selection: Selection, terms: Set, powers: Sequence[Array]) -> tuple[A
 
 def _near(selection: Selection, fit: SetFit) -> tuple[list[set[tuple[str, str]]], Array]:
     """Effects and probability of the sets near the answer."""
-    form = selection.whole(fit.powers)
+    form = selection.whole(fit.powers, fit)
     names = {t.name for t in fit.terms}
     pool = [t for t in selection.evidence.terms if t.name not in names]
     for _, term in selection.screened(form, fit.terms, pool)[:12]:
@@ -243,6 +246,23 @@ def _ends(term: Term, x: Array, covariance: Array) -> Array:
     return np.stack([values - half, values + half])
 
 
+def _with_shapes(selection: Selection, fit: SetFit, term: Term, ends: Array) -> Array:
+    """Ends with those of the parameters that shape a law: where the evidence falls off."""
+    found = ends.copy()
+    if len(term.effect.parameters) == 1:
+        return found  # its coefficient says it
+    for k in selection.shaped(term):
+        aside = (selection.reshaped(fit, term, k, side * _ASIDE) for side in (-1, 1))
+        rises = [max(other.total - fit.total, 0.0) for other in aside if other is not None]
+        fall = float(np.mean(rises)) if rises else 0.0
+        half = _Z * min(_ASIDE / np.sqrt(max(fall, 1e-6)), 1.0)
+        value, own = term.axes[0][k], term.effect.parameters[k]
+        sides = np.array([-half, half])
+        moved = value * np.exp(sides) if value > 0 else value + sides * own.scale
+        found[:, k] = [own.clipped(float(v)) for v in moved]
+    return found
+
+
 def _covariance(selection: Selection, fit: SetFit) -> Array:
     """Covariance of the coefficients: Laplace's, wider where the jackknife's deviations are.
 
@@ -263,7 +283,9 @@ def _covariance(selection: Selection, fit: SetFit) -> Array:
     count = len(stretches)
     jackknife = np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean(axis=0)) ** 2, 0))
     wider = np.maximum(jackknife / np.sqrt(np.diag(laplace)), 1.0)
-    return np.asarray(laplace * np.outer(wider, wider))
+    # of what a law misses about half looks like more or less of it
+    missed = 0.5 * selection.evidence.inexact[fit.numbers] * fit.values
+    return np.asarray(laplace * np.outer(wider, wider) + np.diag(missed**2))
 
 
 def _verdicts(

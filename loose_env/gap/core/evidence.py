@@ -26,6 +26,9 @@ _SHORTEST_S = 4.0
 """Shortest stretch [s]."""
 KNOCK = 16.0
 """Mean square residual over its local median beyond which a stretch is a knock, not motion."""
+_NOISE = 1.1
+"""Noise that is believed over its estimate, which takes it for white: filters and rounding colour
+it by some per cent."""
 _REST = 0.01
 """Speed over the typical one below which a joint is at rest, or four times its noise."""
 _REST_S = 0.12
@@ -61,6 +64,10 @@ class Channel:
     """Relative change of each cell's noise by a coefficient of one of each column (C, K)."""
     held: Array
     """Relative change of the stiffness by which the drive holds the joint, by each column (K,)."""
+    gain: Array
+    """Share of the foretold reading that each column is (K,); 0 of a joint."""
+    noisy: Array
+    """Part of each cell's noise that is that of the foretold reading (C,)."""
     blanked: float
     """Share of the time that is left out: rest, and knocks."""
     gram: Array = field(init=False)
@@ -196,8 +203,11 @@ def append(evidence: Evidence, term: Term) -> None:
             channel.columns = np.concatenate([channel.columns, [numbers[k] for k in own]])
             _grow(channel, rows[:, :-1])
             more = np.stack([term.columns[k].operator for k in own])
+            gain = _gains(evidence.balance, channel.joint, wide)
             growth = _growth(evidence.balance, channel.joint, channel.turn, more)
+            growth += np.outer(channel.noisy, gain)
             channel.growth = np.hstack([channel.growth, growth])
+            channel.gain = np.append(channel.gain, gain)
             channel.held = np.append(channel.held, _held(evidence.balance, channel.joint, more))
     for name in ("centre", "low", "high"):
         grown = [getattr(c, name) for c in term.columns]
@@ -248,6 +258,10 @@ def _channel(
     felt = [k for k, change in enumerate(wide) if k < free or np.any(change[:, joint])]
     found = _rows(balance, joint, [wide[k] for k in felt])
     weight = weight_of(balance, joint)
+    gain, noisy = (
+        _gains(balance, joint, [wide[k] for k in felt]),
+        _noisy(balance, joint, found.turn),
+    )
     return Channel(
         joint=joint,
         columns=np.array(felt),
@@ -258,8 +272,10 @@ def _channel(
         stretch=found.stretch,
         run=found.run,
         turn=found.turn,
-        growth=_growth(balance, joint, found.turn, operators[felt]),
+        growth=_growth(balance, joint, found.turn, operators[felt]) + np.outer(noisy, gain),
         held=_held(balance, joint, operators[felt]),
+        gain=gain,
+        noisy=noisy,
         blanked=float(np.mean(weight < 0.5)),
     )
 
@@ -277,7 +293,9 @@ def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
         window = _taper(rows.stop - rows.start, len(motion.runs[run].position)) * weight[run][rows]
         values = motion.split(stacked)[run][rows]
         frequency = np.asarray(np.fft.rfftfreq(len(window), motion.step), float)
-        scale = 1 / np.sqrt((window**2).sum() / 2 + 1e-12) / balance.noise(joint, frequency)
+        scale = (
+            1 / np.sqrt((window**2).sum() / 2 + 1e-12) / (_NOISE * balance.noise(joint, frequency))
+        )
         scale[0] /= np.sqrt(2)
         spectrum = np.fft.rfft(values * window[:, None], axis=0) * scale[:, None]
         for band in range(BANDS):
@@ -341,6 +359,25 @@ def _held(balance: Balance, joint: int, operators: Array) -> Array:
     return operators[:, 2, joint, joint] / stiffness if driven else np.zeros(len(operators))
 
 
+def _gains(balance: Balance, channel: int, wide: Sequence[Array]) -> Array:
+    """Share of the foretold reading that is in each column (K,); 0 of a joint."""
+    number = channel - len(balance.machine.joints)
+    if number < 0:
+        return np.zeros(len(wide))
+    foretold = balance.readings.foretold[:, number]
+    whole = float(foretold @ foretold) + 1e-300
+    return np.array([float(foretold @ column[:, channel]) for column in wide]) / whole
+
+
+def _noisy(balance: Balance, channel: int, turn: Array) -> Array:
+    """Part of a reading's noise that is that of the foretold one (C,); 0 of a joint."""
+    number = channel - len(balance.machine.joints)
+    if number < 0:
+        return np.zeros(len(turn))
+    foretold = balance.readings.foretold_variance(number, turn / (2 * np.pi))
+    return np.asarray(foretold / balance.noise(channel, turn / (2 * np.pi)) ** 2)
+
+
 def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Array:
     """Relative change of a channel's noise with each column's coefficient (C, K)."""
     if joint >= len(balance.machine.joints):
@@ -355,16 +392,17 @@ def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Arra
 
 
 def weight_of(balance: Balance, joint: int) -> Array:
-    """Weight of each sample (T,): none at rest, and none in knocks.
+    """Weight of each sample (T,): none at rest, in knocks, or where a drive is at its limit.
 
     At rest dry friction takes any value within its bound, so a balance says nothing. Knocks are
-    short stretches in which everything at once leaves many times the usual residual.
+    short stretches in which everything at once leaves many times the usual residual. A limit cuts
+    what is faster than the band.
     """
     if joint >= len(balance.machine.joints):
         return np.ones(len(balance.residual))
     cache = balance.__dict__.setdefault("_quiet", {})
     if joint not in cache:
-        cache[joint] = _knocks(balance, joint) * _sliding(balance, joint)
+        cache[joint] = _knocks(balance, joint) * _sliding(balance, joint) * _within(balance, joint)
     return np.asarray(cache[joint])
 
 
@@ -418,6 +456,20 @@ def _sliding(balance: Balance, joint: int) -> Array:
     return np.concatenate(found)
 
 
+def _within(balance: Balance, joint: int) -> Array:
+    """Weight of samples, none within one and a half periods of the band from the nominal limit of a drive."""
+    motion = balance.motion
+    width = max(int(1.5 / motion.band / motion.step), 1)
+    kernel = np.hanning(2 * width + 3)
+    kernel /= kernel.sum()
+    found = []
+    for run in motion.runs:
+        at_limit = np.convolve(run.limited[:, joint], np.ones(2 * width + 1), "same") > 0
+        found.append(1 - np.clip(np.convolve(at_limit, kernel, "same"), 0, 1))
+    weight = np.concatenate(found)
+    return weight if weight.mean() > 0.2 else np.ones_like(weight)
+
+
 def _felt(channels: list[Channel], free: int) -> Array:
     """Combinations of tolerances that the data feel, of unit prior width (tolerances, kept)."""
     total = np.zeros((free, free))
@@ -441,6 +493,7 @@ def _combine(channel: Channel, mixed: Array, free: int) -> None:
     channel.growth = np.hstack(
         [channel.growth[:, own] @ mixed[channel.columns[own]], channel.growth[:, ~own]]
     )
+    channel.gain = np.append(channel.gain[own] @ mixed[channel.columns[own]], channel.gain[~own])
     channel.held = np.append(channel.held[own] @ mixed[channel.columns[own]], channel.held[~own])
     channel.columns = np.concatenate([np.arange(kept), others - free + kept])
     channel.__post_init__()

@@ -217,7 +217,7 @@ def _windows(trial: Trial, balance: Balance, trials: int, *, between: bool) -> l
         last = int(np.searchsorted(trial.time, start + WINDOW_S))
         part = trial.between(first, max(last, first + 8))
         at = trial.time[first]
-        middles = run.time + 0.5 * (run.step - run.log_step)
+        middles = run.time + run.begin
         state = [
             np.array([np.interp(at, middles, column) for column in values.T])
             for values in (run.position, run.speed)

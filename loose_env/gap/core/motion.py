@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from scipy.signal import resample
 
 from loose_env.errors import InvalidData
 from loose_env.gap.model.nominal_model import NominalModel
@@ -32,6 +33,10 @@ _FLAT = 1.35
 """Half-amplitude frequency of the low-pass over the end of the band, and:"""
 _ORDER = 16
 """its order: flat to 1 % at the end of the band."""
+
+
+_NEAR = 0.5
+"""Length of a record's end in which its motion is a parabola [periods of the end of the band]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,8 +67,15 @@ class RunMotion:
     """Commands along straight lines from sample to sample (T, actuators)."""
     torques: Array
     """Measured joint torques, NaN of joints without (T, joints)."""
+    limited: Array
+    """Share of a sample in which the nominal drive is at its limit (T, joints)."""
     log_step: float
     """Interval of the log [s]."""
+
+    @property
+    def begin(self) -> float:
+        """Time of the first sample after the log's first one [s]."""
+        return (round(self.step / self.log_step) - 1) // 2 * self.log_step
 
     @property
     def time(self) -> Array:
@@ -120,7 +132,7 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
     ends = [_band_end(log, noise) for log in logs]
     band = float(np.clip(max(ends), LOWEST_HZ, min(0.35 / step, HIGHEST_HZ)))
     thin = max(1, int(1 / (step * max(_PER_CYCLE * band, _LEAST_RATE))))
-    runs = tuple(_run_motion(log, noise, band, thin) for log in logs)
+    runs = tuple(_run_motion(log, noise, band, thin, machine) for log in logs)
     seen = [[noise_floor(c) for c in log.readings.T] for log in logs]
     return Motion(
         runs=runs, band=band, noise=noise / np.sqrt(thin), sensors=sensors,
@@ -228,55 +240,82 @@ def _band_end(log: _Log, noise: Array) -> float:
     return max(found, default=LOWEST_HZ)
 
 
-def _run_motion(log: _Log, noise: Array, band: float, thin: int) -> RunMotion:
-    """Smooth one log and thin it to block means."""
+def _run_motion(
+    log: _Log, noise: Array, band: float, thin: int, machine: NominalModel
+) -> RunMotion:
+    """Smooth one log and thin it."""
     parts, derived = [], []
     for joint in range(log.position.shape[1]):
         q, v = log.position[:, joint], log.speed[:, joint]
         own = _smoothed(q, None, noise[:, joint], band, log.step)
         derived.append(own[1])
         if np.isfinite(v).all():
-            v = _calibrated(v, own, band, log.step)
+            v = _calibrated(v, own, noise[:, joint], band, log.step)
             if _agrees(v, own[1], noise[:, joint], band, log.step):
                 own = _smoothed(q, v, noise[:, joint], band, log.step)
         parts.append(own)
     whole = np.stack(parts, axis=2)
     count = len(log.position) // thin
 
-    def blocks(values: Array) -> Array:
-        cut = values[: count * thin].reshape(count, thin, *values.shape[1:]).mean(axis=1)
-        return np.ascontiguousarray(cut)
+    def kept(values: Array) -> Array:
+        # samples, not means: the force along a mean motion is not the mean force
+        return np.ascontiguousarray(values[(thin - 1) // 2 :: thin][:count])
 
     return RunMotion(
         name=log.run.name,
         form=log.run.comparison,
         step=log.step * thin,
-        position=blocks(whole[0]),
-        speed=blocks(whole[1]),
-        acceleration=blocks(whole[2]),
-        derived=blocks(np.stack(derived, axis=1)),
-        readings=blocks(low_passed(log.readings, band, log.step)),
+        position=kept(whole[0]),
+        speed=kept(whole[1]),
+        acceleration=kept(whole[2]),
+        derived=kept(np.stack(derived, axis=1)),
+        readings=kept(low_passed(log.readings, band, log.step)),
         # through the same filter: a stiff servo acts on a small difference of large signals
-        commands=blocks(low_passed(log.commands, band, log.step, held=log.step)),
-        sampled=blocks(low_passed(log.commands, band, log.step)),
-        straight=blocks(low_passed(log.commands, band, log.step, drawn=log.step)),
-        torques=blocks(low_passed(log.torque, band, log.step)),
+        commands=kept(low_passed(log.commands, band, log.step, held=log.step)),
+        sampled=kept(low_passed(log.commands, band, log.step)),
+        straight=kept(low_passed(log.commands, band, log.step, drawn=log.step)),
+        torques=kept(low_passed(log.torque, band, log.step)),
+        limited=_blocks(_limited(log.commands, whole[0], whole[1], machine), thin),
         log_step=log.step,
     )
+
+
+def _blocks(values: Array, thin: int) -> Array:
+    """Means of blocks of samples."""
+    count = len(values) // thin
+    return np.asarray(values[: count * thin].reshape(count, thin, -1).mean(axis=1))
+
+
+def _limited(commands: Array, position: Array, speed: Array, machine: NominalModel) -> Array:
+    """Samples in which the nominal drive of a joint is at its limit, 1 or 0 (T, joints)."""
+    model, found = machine.model, np.zeros_like(position)
+    for k, name in enumerate(machine.actuators):
+        if not (machine.affine_actuators[k] and model.actuator_forcelimited[k]):
+            continue
+        joint = machine.joint_number(machine.actuated_joint[name])
+        gear, bias = model.actuator_gear[k, 0], model.actuator_biasprm[k]
+        asked = model.actuator_gainprm[k, 0] * commands[:, k] + bias[0]
+        asked = asked + gear * (bias[1] * position[:, joint] + bias[2] * speed[:, joint])
+        low, high = model.actuator_forcerange[k]
+        found[:, joint] = np.maximum(found[:, joint], (asked < low) | (asked > high))
+    return found
 
 
 def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float) -> Array:
     """Position, speed and acceleration that fit the readings, smooth above a band (3, T).
 
-    Weighted by the noise of both readings, with odd reflections at the ends.
+    Weighted by the noise of both readings. Beyond the ends the motion goes on with the acceleration
+    it has there: a swing begins with its largest.
     """
-    ends, pad = _reflected(q, band, step)
+    ends, pad = _continued(q, band, step)
     line = np.linspace(ends[0], ends[-1], len(ends))
     slope = (ends[-1] - ends[0]) / ((len(ends) - 1) * step)
     turn: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(ends), step), float)
     shape = np.fft.rfft(ends - line)
     if v is not None:
-        rates = np.concatenate([v[pad:0:-1], v, v[-2 : -pad - 2 : -1]]) - slope
+        rates = np.gradient(ends, step)
+        rates[pad : pad + len(v)] = v
+        rates -= slope
         precise = 1 / noise[0] ** 2 + turn**2 / noise[1] ** 2
         shape = (shape / noise[0] ** 2 - 1j * turn * np.fft.rfft(rates) / noise[1] ** 2) / precise
     shape = shape * _passed(turn, band)
@@ -313,6 +352,40 @@ def low_passed(
     return found
 
 
+FINER = 4
+"""Points between samples on which delays and lags act."""
+
+
+def finer(values: Array) -> Array:
+    """Band-limited columns (T, K) on `FINER` times as many points (FINER T, K)."""
+    mirrored = np.concatenate([values, values[::-1]])
+    return np.asarray(resample(mirrored, FINER * len(mirrored))[: FINER * len(values)])
+
+
+def rates(values: Array, step: float, order: int = 1) -> Array:
+    """Derivative of band-limited columns (T, K) or of one (T,)."""
+    mirrored = np.concatenate([values, values[::-1]])
+    turn = 2j * np.pi * np.fft.rfftfreq(len(mirrored), step)
+    shape = (turn**order).reshape(-1, *[1] * (values.ndim - 1))
+    found = np.fft.irfft(shape * np.fft.rfft(mirrored, axis=0), len(mirrored), axis=0)
+    return np.asarray(found[: len(values)])
+
+
+def _continued(q: Array, band: float, step: float) -> tuple[Array, int]:
+    """Record with parabolas at its ends, which lead into lines, and their length."""
+    pad = min(len(q) - 2, int(3 / band / step) + 20)
+    near = int(np.clip(_NEAR / band / step, 6, len(q)))
+    ahead, parts = np.arange(1, pad + 1), []
+    # the acceleration fades out over half the way, so that both ends meet in a line
+    fade = np.clip(2 - 2 * ahead / pad, 0.0, 1.0)
+    for own in (q[near - 1 :: -1] if near < len(q) else q[::-1], q[-near:]):
+        at = np.arange(1 - near, 1)
+        bend, rise, level = np.polyfit(at, own, 2)
+        speed = rise + 2 * bend * np.cumsum(fade)
+        parts.append(own[-1] + np.cumsum(speed))
+    return np.concatenate([parts[0][::-1], q, parts[1]]), pad
+
+
 def _reflected(values: Array, band: float, step: float) -> tuple[Array, int]:
     """Record with odd reflections at its ends, and their length."""
     pad = min(len(values) - 2, int(3 / band / step) + 20)
@@ -326,11 +399,20 @@ def _passed(turn: Array, band: float) -> Array:
     return np.asarray(1 / (1 + (turn / (2 * np.pi * _FLAT * band)) ** _ORDER))
 
 
-def _calibrated(v: Array, own: Array, band: float, step: float) -> Array:
-    """Velocity reading with the zero, gain and delay that it has against the position."""
+def _calibrated(v: Array, own: Array, noise: Array, band: float, step: float) -> Array:
+    """Velocity reading with the zero, gain and delay that it has against the position.
+
+    The noisier of both is the one that is explained: noise of the other attenuates the gain.
+    """
     shown = low_passed(v[:, None], band, step)[:, 0]
-    terms = np.stack([np.ones_like(v), own[1], own[2]], axis=1)[20:-20]
-    zero, gain, delay = np.linalg.lstsq(terms, shown[20:-20], rcond=None)[0]
+    inner = slice(20, -20)
+    if noise[1] < noise[0] * 2 * np.pi * band / np.sqrt(3):
+        slope = rates(shown, step)
+        terms = np.stack([np.ones_like(v), shown, slope], axis=1)
+        zero, gain, ahead = np.linalg.lstsq(terms[inner], own[1][inner], rcond=None)[0]
+        return np.asarray(zero + gain * v + ahead * slope) if 0.5 < gain < 2 else v
+    terms = np.stack([np.ones_like(v), own[1], own[2]], axis=1)
+    zero, gain, delay = np.linalg.lstsq(terms[inner], shown[inner], rcond=None)[0]
     return np.asarray((v - zero - delay * own[2]) / gain) if gain > 0.5 else v
 
 

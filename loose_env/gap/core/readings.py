@@ -10,7 +10,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from loose_env.gap.core.motion import Motion
+from loose_env.gap.core.motion import FINER, Motion, finer
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.effects.sensors import delayed
@@ -60,8 +60,12 @@ class Readings:
         if effect is not None and type(effect).read is not Effect.read:
             parts = zip(self.motion.runs, self.motion.split(found), strict=True)
             found = np.concatenate(
-                [self._read(run.time, own, effect, values) for run, own in parts]
-            )
+                [
+                    self._read(np.arange(FINER * len(own)) * run.step / FINER, finer(own), effect,
+                               values)[::FINER]
+                    for run, own in parts
+                ]
+            )  # fmt: skip
         return found - self.foretold
 
     def accelerated(self, more: Array) -> Array:
@@ -75,11 +79,15 @@ class Readings:
 
     def noise(self, reading: int, frequency: Array) -> Array:
         """Standard deviation of a reading less the foretold one (F,)."""
+        own = self.motion.sensor_noise[reading] ** 2
+        return np.asarray(np.sqrt(own + self.foretold_variance(reading, frequency)))
+
+    def foretold_variance(self, reading: int, frequency: Array) -> Array:
+        """Variance of a foretold reading by the noise of the positions (F,)."""
         turn = 2 * np.pi * frequency[:, None]
         moved = self._gains[0, reading] ** 2 + (turn * self._gains[1, reading]) ** 2
         moved = moved + (turn**2 * self._gains[2, reading]) ** 2
-        own = self.motion.sensor_noise[reading] ** 2
-        return np.asarray(np.sqrt(own + moved @ self.motion.noise[0] ** 2))
+        return np.asarray(moved @ self.motion.noise[0] ** 2)
 
     def _moved(self, model: mujoco.MjModel) -> bool:
         """Whether an edit moves or tilts anything that a sensor stands on."""

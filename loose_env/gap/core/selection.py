@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import lgamma, log
 
@@ -121,13 +121,17 @@ class Selection:
     def prior(self, terms: Iterable[Term]) -> float:
         """Minus twice the log prior of a set: its kinds, how many and which places, shapes.
 
-        Neighbouring shapes share the evidence: of k shapes about the root of k differ.
+        A kind that extends another one is a form of it. Neighbouring shapes share the evidence: of k shapes about the root of k differ.
         """
         own = tuple(terms)
         cost = 0.0
-        for kind, count in Counter(t.effect.kind for t in own).items():
-            places = self._places[kind]
+        kinds = {t.effect.kind: t.effect.extends or t.effect.kind for t in own}
+        for simple, count in Counter(kinds[t.effect.kind] for t in own).items():
+            places = self._places.get(simple, count)
             cost += KIND + 2 * log(places) + 2 * _log_choose(places, min(count, places)) + count
+            # forms of one kind: which of them each place has
+            forms = sum(each == simple for each in kinds.values())
+            cost += 2 * log(forms) * count
         return cost + sum(log(self._shapes[t.name]) for t in own)
 
     # ---- fits of a set
@@ -236,6 +240,7 @@ class Selection:
             bands, at = self._bands[k]
             now = evidence.balance.noise(channel.joint, bands, operator, floor=False)[at]
             ratio = (now / self.usual[k]) ** 2
+            ratio += channel.noisy * ((1 + float(part.gain @ own)) ** 2 - 1)
             held = max(1.0 + float(part.held @ own), 0.0) ** 2
             scale = np.clip(np.minimum(ratio, held), 1e-300, 1.0)
             excess = np.maximum((power - count * ratio) / scale, -count)
@@ -264,8 +269,11 @@ class Selection:
 
     # ---- many sets at fixed weights
 
-    def whole(self, powers: Sequence[Array]) -> _Form:
-        """The quadratic form of all columns at the weights of given residuals."""
+    def whole(self, powers: Sequence[Array], fit: SetFit | None = None) -> _Form:
+        """The quadratic form of all columns at the weights of given residuals.
+
+        Around a fitted set its noise is that of the set's operator.
+        """
         evidence = self.evidence
         normal = np.diag(evidence.precision)
         slope = evidence.precision * evidence.centre
@@ -284,7 +292,11 @@ class Selection:
             holds.append(np.tile(held, (len(weight), 1)))
             guards.append(weight * powers[k])
             noises.append(weight * np.minimum(channel.count, powers[k]))
-        return _Form(normal, slope, *map(np.concatenate, (growths, holds, guards, noises)))
+        form = _Form(normal, slope, *map(np.concatenate, (growths, holds, guards, noises)))
+        if fit is None:
+            return form
+        more, along = _of_operator(form, fit.numbers, fit.values, slice(None))
+        return replace(form, around=(normal + more, slope + along))
 
     def predicted(self, form: _Form, terms: Sequence[Term]) -> float:
         """Total of a set at fixed weights; infinite where a coefficient is out of bounds."""
@@ -292,15 +304,9 @@ class Selection:
         normal, slope = form.normal[np.ix_(at, at)], form.slope[at]
         try:
             half, values, determinant = _solved(normal, slope)
-            growth, holds = form.growth[:, at], form.held[:, at]
-            moved, held = growth @ values, holds @ values
-            if np.any(moved) or np.any(held):
-                guard = form.guard * (np.minimum(moved, held) < 0)
-                scale = np.where((held < np.minimum(moved, 0.0))[:, None], holds, growth)
-                noisy = form.noise * np.where((moved > 0) & (guard == 0), 1 + moved, 0.0)
-                half, values, determinant = _solved(
-                    normal + (scale.T * guard) @ scale, slope + guard @ scale + noisy @ growth
-                )
+            more, along = _of_operator(form, at, values, at)
+            if np.any(more) or np.any(along):
+                half, values, determinant = _solved(normal + more, slope + along)
         except np.linalg.LinAlgError:
             return np.inf
         own = slice(evidence.tolerances, None)
@@ -314,7 +320,7 @@ class Selection:
         self, form: _Form, terms: Sequence[Term], pool: Iterable[Term]
     ) -> list[tuple[float, Term]]:
         """Gain of each candidate beside a set at fixed weights, the largest first."""
-        normal, slope = form.normal, form.slope
+        normal, slope = form.around or (form.normal, form.slope)
         evidence, at = self.evidence, self.columns(terms)
         inverse = np.linalg.inv(normal[np.ix_(at, at)])
         spread = inverse @ normal[at]
@@ -395,11 +401,7 @@ class Selection:
     def refined(self, state: SetFit) -> SetFit:
         """Shapes of the members by shrinking steps, beside the others."""
         for term in state.terms:
-            shaped = [
-                k for k, p in enumerate(term.effect.parameters) if k != term.effect.proportional
-            ]
-            if _is_linear(term):
-                continue
+            shaped = self.shaped(term)
             for step in _STEPS:
                 for k in shaped:
                     for sign in (1.0, -1.0):
@@ -409,6 +411,13 @@ class Selection:
                             state, term = own, new
                             break
         return state
+
+    @staticmethod
+    def shaped(term: Term) -> list[int]:
+        """Parameters that shape a law, which its coefficient does not say."""
+        if _is_linear(term):
+            return []
+        return [k for k in range(len(term.effect.parameters)) if k != term.effect.proportional]
 
     def reshaped(self, state: SetFit, term: Term, parameter: int, step: float) -> SetFit | None:
         """Fit with one shape parameter of a member changed; None if that is out of bounds."""
@@ -490,7 +499,7 @@ class Selection:
         for powers in weightings:
             seen: Counter[tuple[str, str]] = Counter()
             kinds: dict[str, dict[str, Term]] = {}
-            for _, term in self.screened(self.whole(powers), state.terms, pool):
+            for _, term in self.screened(self.whole(powers, state), state.terms, pool):
                 if seen[term.name] < 2 and len(seen) < _SCREENED:
                     seen[term.name] += 1
                     sets[frozenset([id(term)])] = (term,)
@@ -555,7 +564,7 @@ class Selection:
 
     def _exchanges(self, state: SetFit) -> list[Set]:
         """Sets with a member removed, reshaped or exchanged, or a kind exchanged everywhere."""
-        form, found = self.whole(state.powers), []
+        form, found = self.whole(state.powers, state), []
         everything = self.evidence.terms
         for term in state.terms:
             rest = tuple(t for t in state.terms if t is not term)
@@ -618,6 +627,19 @@ class _Form:
     held: Array
     guard: Array
     noise: Array
+    around: tuple[Array, Array] | None = None
+
+
+def _of_operator(
+    form: _Form, at: NDArray[np.intp], values: Array, among: NDArray[np.intp] | slice
+) -> tuple[Array, Array]:
+    """What the noise of a fitted operator adds to some columns of a form: normal and slope."""
+    moved, held = form.growth[:, at] @ values, form.held[:, at] @ values
+    guard = form.guard * (np.minimum(moved, held) < -1e-12)
+    scale = np.where((held < np.minimum(moved, 0.0))[:, None], form.held[:, among],
+                     form.growth[:, among])  # fmt: skip
+    noisy = form.noise * np.where((moved > 0) & (guard == 0), 1 + moved, 0.0)
+    return (scale.T * guard) @ scale, guard @ scale + noisy @ form.growth[:, among]
 
 
 def _solved(normal: Array, slope: Array) -> tuple[Array, Array, float]:
@@ -637,6 +659,7 @@ class _Part:
     slope: Array
     growth: Array
     held: Array
+    gain: Array
     missed: Array
 
 
@@ -657,6 +680,7 @@ def _part(channel: Channel, numbers: NDArray[np.intp], inexact: Array) -> _Part:
         channel.slope[:, local],
         channel.growth[:, local],
         channel.held[local],
+        channel.gain[local],
         inexact[numbers[at]],
     )
 

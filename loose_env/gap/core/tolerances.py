@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.core.balance import USUAL, Balance
+from loose_env.gap.core.motion import rates
 from loose_env.gap.model.effects.link_inertia import LinkMass, links_with_mass
 from loose_env.gap.model.effects.mjcf.geometry import link_ends
 from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial
@@ -187,16 +188,17 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
                 change=tolerances.torque * gain,
                 operator=tolerances.torque * balance.operator * one[:, None],
             )
-            rates = [
-                np.gradient(run, balance.motion.step)
-                for run in balance.motion.split(balance.drive[:, joint])
-            ]
-            rate = np.where(inverse, np.concatenate(rates), 0.0)[:, None] * one
-            yield Nuisance(
-                name=f"shift of the torque of {name}",
-                change=tolerances.shift_samples * balance.motion.runs[0].log_step * rate,
-                operator=nothing,
-            )
+            log_step = balance.motion.runs[0].log_step
+            # of the smear not of the reading: its noise would be smeared as well
+            for order, what, force in ((1, "shift", balance.drive), (2, "smear", balance.needed)):
+                parts = balance.motion.split(force[:, joint])
+                rate = np.concatenate([rates(own, balance.motion.step, order) for own in parts])
+                width = (tolerances.shift_samples * log_step) ** order / order
+                change = np.where(inverse, np.nan_to_num(rate), 0.0)[:, None] * one
+                yield Nuisance(
+                    name=f"{what} of the torque of {name}", change=width * change,
+                    operator=nothing,
+                )  # fmt: skip
 
 
 def _limit(machine: NominalModel, joint: str) -> float:
@@ -267,21 +269,18 @@ def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
             if machine.model.actuator_biasprm[number, 2] != 0:
                 rate = _scaled_drive(name, tolerances.velocity_gain, velocity=True)
                 yield _edited(f"velocity gain of {name}", rate, balance)
+        width = tolerances.shift_samples * balance.motion.runs[0].log_step
         yield Nuisance(
             name=f"shift of the commands of {name}",
-            change=tolerances.shift_samples * shifted(balance, [number]),
+            change=width * balance.late(number, 1),
             operator=np.zeros_like(balance.operator),
-            late=(number, tolerances.shift_samples * balance.motion.runs[0].log_step),
+            late=(number, width),
         )
-
-
-def shifted(balance: Balance, actuators: list[int]) -> Array:
-    """Change of the balance by commands one interval of the log later (T, joints)."""
-    motion, late = balance.motion, balance.commands.copy()
-    for number in actuators:
-        rates = [np.gradient(run, motion.step) for run in motion.split(balance.commands[:, number])]
-        late[:, number] -= motion.runs[0].log_step * np.concatenate(rates)
-    return balance.given - balance.given_by(late)
+        yield Nuisance(
+            name=f"smear of the commands of {name}",
+            change=-(width**2) / 2 * balance.late(number, 2),
+            operator=np.zeros_like(balance.operator),
+        )
 
 
 def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
@@ -304,9 +303,9 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     for name in dict.fromkeys(name for name, _ in motion.sensors):
         at = [k for k, (own, _) in enumerate(motion.sensors) if own == name]
         change = np.zeros((len(foretold), joints + len(motion.sensors)))
-        rates = [np.gradient(run, motion.step, axis=0) for run in motion.split(foretold[:, at])]
+        slopes = [rates(run, motion.step) for run in motion.split(foretold[:, at])]
         width = tolerances.sensor_samples * motion.runs[0].log_step
-        change[:, joints + np.array(at)] = -width * np.concatenate(rates)
+        change[:, joints + np.array(at)] = -width * np.concatenate(slopes)
         yield Nuisance(name=f"timing of {name}", change=change, operator=nothing)
         change = np.zeros_like(change)
         change[:, joints + np.array(at)] = tolerances.sensor * foretold[:, at]

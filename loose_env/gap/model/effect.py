@@ -91,6 +91,8 @@ class Effect(StartsFromData):
     """Whether the edit adds a degree of freedom, which is invisible in an inverse comparison."""
     needs_fine_steps: ClassVar[bool] = False
     """Whether it needs finer steps than a smooth model: a stiff spring, a joint with stiction."""
+    extends: ClassVar[str] = ""
+    """Kind that it is, with more parameters: dry friction is asymmetric, or falls with speed."""
     exact_law: ClassVar[bool] = False
     """Whether it is what it is called to the last digit, as an inertia, where a friction has a law
     that a machine obeys within some per cent."""

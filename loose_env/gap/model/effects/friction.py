@@ -151,6 +151,7 @@ class AsymmetricFriction(JointEffect):
     """
 
     kind = "asymmetric_friction"
+    extends: ClassVar[str] = "coulomb_friction"
     needs_fine_steps: ClassVar[bool] = True
     null_values: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
 
@@ -223,6 +224,7 @@ class StribeckFriction(JointEffect):
     """
 
     kind = "stribeck_friction"
+    extends: ClassVar[str] = "coulomb_friction"
     needs_fine_steps: ClassVar[bool] = True
 
     proportional: ClassVar[int | None] = 0
