@@ -457,7 +457,7 @@ def _sliding(balance: Balance, joint: int) -> Array:
 
 
 def _within(balance: Balance, joint: int) -> Array:
-    """Weight of samples, none within one and a half periods of the band from the nominal limit of a drive."""
+    """Weight of samples, none within one and a half periods of the band from a drive's limit."""
     motion = balance.motion
     width = max(int(1.5 / motion.band / motion.step), 1)
     kernel = np.hanning(2 * width + 3)

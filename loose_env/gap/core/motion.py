@@ -380,7 +380,7 @@ def _continued(q: Array, band: float, step: float) -> tuple[Array, int]:
     fade = np.clip(2 - 2 * ahead / pad, 0.0, 1.0)
     for own in (q[near - 1 :: -1] if near < len(q) else q[::-1], q[-near:]):
         at = np.arange(1 - near, 1)
-        bend, rise, level = np.polyfit(at, own, 2)
+        bend, rise, _ = np.polyfit(at, own, 2)
         speed = rise + 2 * bend * np.cumsum(fade)
         parts.append(own[-1] + np.cumsum(speed))
     return np.concatenate([parts[0][::-1], q, parts[1]]), pad

@@ -121,7 +121,8 @@ class Selection:
     def prior(self, terms: Iterable[Term]) -> float:
         """Minus twice the log prior of a set: its kinds, how many and which places, shapes.
 
-        A kind that extends another one is a form of it. Neighbouring shapes share the evidence: of k shapes about the root of k differ.
+        A kind that extends another one is a form of it. Neighbouring shapes share the evidence: of
+        k shapes about the root of k differ.
         """
         own = tuple(terms)
         cost = 0.0
@@ -292,7 +293,8 @@ class Selection:
             holds.append(np.tile(held, (len(weight), 1)))
             guards.append(weight * powers[k])
             noises.append(weight * np.minimum(channel.count, powers[k]))
-        form = _Form(normal, slope, *map(np.concatenate, (growths, holds, guards, noises)))
+        growth, hold, guard, noise = map(np.concatenate, (growths, holds, guards, noises))
+        form = _Form(normal, slope, growth, hold, guard, noise)
         if fit is None:
             return form
         more, along = _of_operator(form, fit.numbers, fit.values, slice(None))
