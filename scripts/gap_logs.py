@@ -1,4 +1,4 @@
-"""Print what the new core of `loose gap` finds in recordings, one after the other."""
+"""Print what `loose gap` finds in recordings, one after the other, with verdicts and CPU time."""
 
 from __future__ import annotations
 

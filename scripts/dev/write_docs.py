@@ -1,8 +1,8 @@
-"""Write the generated parts of docs/environments.md: tables of arms, difficulties, spaces, ids.
+"""Write the generated parts of docs/environments.md (arms, difficulties, spaces, ids) and gap.md.
 
 Usage: python scripts/dev/write_docs.py [--check]
 
-With --check nothing is written; the exit status says whether the page is up to date.
+With --check nothing is written; the exit status says whether the pages are up to date.
 """
 
 from __future__ import annotations
@@ -22,11 +22,14 @@ from loose_env.arms import Arm
 from loose_env.cli.command import command
 from loose_env.envs import DIFFICULTIES, DiagnosisEnv
 from loose_env.errors import InvalidData
+from loose_env.gap import Tolerances
 from loose_env.io import write_text
 from loose_env.registration import IDS, TIERS
 from scripts.study import between
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "environments.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGE = DOCS / "environments.md"
+GAP = DOCS / "gap.md"
 COLUMNS = 100
 """Width of prose."""
 LEFT_OUT = ("Version History",)
@@ -97,6 +100,22 @@ def environments() -> str:
     for name, lines in parts.items():
         text = between(text, "\n".join(lines), name, PAGE)
     return text
+
+
+def gap() -> str:
+    """Text of the page on model errors, its table of tolerances as the code has it now."""
+    text = GAP.read_text(encoding="utf-8")
+    return between(text, "\n".join(tolerance_table()), "tolerances", GAP)
+
+
+def tolerance_table() -> list[str]:
+    """Tolerances of a nominal model, from their dataclass."""
+    source = inspect.getsource(Tolerances)
+    rows = re.findall(
+        r'^    (\w+): float = (\S+)\n    """(.+?)"""', source, re.MULTILINE | re.DOTALL
+    )
+    lines = [f"| `{name}` | {sd} | {' '.join(of.split()).rstrip('.')} |" for name, sd, of in rows]
+    return ["| `--tolerances.` | standard deviation | of |", "|---|---|---|", *lines]
 
 
 def made(env_id: str) -> DiagnosisEnv:
@@ -250,16 +269,16 @@ class Options:
     """What is done."""
 
     check: bool = False
-    """Write nothing: fail where the page is out of date."""
+    """Write nothing: fail where a page is out of date."""
 
 
 def write(options: Options) -> None:
-    """Write the page, or check it."""
-    text = environments()
-    if not options.check:
-        print(f"wrote {write_text(PAGE, text)}")
-    elif PAGE.read_text(encoding="utf-8") != text:
-        raise InvalidData(f"{PAGE.name} is out of date: run python scripts/dev/write_docs.py")
+    """Write the pages, or check them."""
+    for page, text in ((PAGE, environments()), (GAP, gap())):
+        if not options.check:
+            print(f"wrote {write_text(page, text)}")
+        elif page.read_text(encoding="utf-8") != text:
+            raise InvalidData(f"{page.name} is out of date: run python scripts/dev/write_docs.py")
 
 
 if __name__ == "__main__":

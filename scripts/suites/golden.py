@@ -448,8 +448,8 @@ def _gap_figures(result: Mapping[str, Any]) -> dict[str, Any]:
         ],
         "before": _digits(result["gap"]["before"]),
         "after": _digits(result["gap"]["after"]),
-        "ranking": [[e["kind"], e["where"], _digits(e["held_out"])] for e in result["ranking"]],
-        "nominal": _digits(result["nominal_parameters"]),
+        "channels": {each["channel"]: each["verdict"] for each in result["channels"]},
+        "pulled": {each["name"]: _digits(each["deviations"]) for each in result["pulled"]},
     }
 
 

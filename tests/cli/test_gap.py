@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -129,6 +130,51 @@ def test_mistakes_end_in_one_line_and_write_nothing(
     both = ["gap", first, str(tmp_path / "heavier"), "--out", str(tmp_path / "next")]
     line = refused(capsys, both)
     assert "models of" in line and "--model" in line
+
+
+TRUNK = '<body name="trunk"><freejoint/><geom size="0.1" mass="5"/><body name="upper">'
+FALLING = (('<body name="upper">', TRUNK), ("</worldbody>", "</body></worldbody>"))
+ANOTHER = (("encoder", "gauge"),)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "model", "reason"),
+    [
+        (lambda rows: [rows[0], *rows[1:2] * (len(rows) - 1)], (), "time"),
+        (lambda rows: [rows[0], *(_with(r, 1, "0.3") for r in rows[1:])], (), "no joint moves"),
+        (lambda rows: [rows[0], *(_with(r, 1, "nan") for r in rows[1:])], (), "100.0% of 800"),
+        (lambda rows: rows[:2], (), "the run has 1 samples; it needs at least 10"),
+        (lambda rows: rows, FALLING, "'trunk' is no hinge and no slide; fix that body"),
+        (lambda rows: rows, ANOTHER, "names nothing in the model; allowed are"),
+    ],
+    ids=["time stands", "no motion", "NaN", "one sample", "falls", "another machine"],
+)
+def test_a_recording_that_cannot_be_analysed_ends_in_one_line(
+    spoil: Callable[[list[list[str]]], list[list[str]]],
+    model: tuple[tuple[str, str], ...],
+    reason: str,
+    recording: Recording,
+    tmp_path: Path,
+    capsys: Capture,
+) -> None:
+    folder = tmp_path / "spoilt"
+    shutil.copytree(recording.folder, folder)
+    for file in folder.glob("run-*.csv"):
+        rows = spoil([line.split(",") for line in file.read_text().splitlines()])
+        file.write_text("\n".join(",".join(row) for row in rows) + "\n")
+    text = recording.model_path.read_text()
+    for old, new in model:
+        assert old in text
+        text = text.replace(old, new)
+    folder.joinpath(recording.model_path.name).write_text(text)
+    for more in (["--out", str(tmp_path / "out")], ["--check"]):
+        assert reason in refused(capsys, ["gap", str(folder), *more, *FEW])
+    assert not (tmp_path / "out").exists()
+
+
+def _with(row: list[str], first: int, value: str) -> list[str]:
+    """A row with one value from some column on."""
+    return [*row[:first], *[value] * (len(row) - first)]
 
 
 def test_runs_of_all_recordings_are_analysed_together(

@@ -228,7 +228,7 @@ def test_the_command_considers_them(tmp_path: Path, capsys: pytest.CaptureFixtur
     file = tmp_path / "creep.py"
     file.write_text(CREEP.format(version=1))
     words = ["gap", str(recording.folder), "--out", str(tmp_path / "out"), "--threads", "1"]
-    words += ["--kinds", "creep", "--quiet"]
+    words += ["--kinds", "creep", "--quiet", "--no-simulate"]
     assert main(words) == 1
     assert "creep" in capsys.readouterr().err
     assert main([*words, "--effects", str(file)]) == 0

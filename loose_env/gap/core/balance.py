@@ -26,7 +26,7 @@ from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import compiled
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import joint_sensors
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray
 
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 _DRIVES = 29
@@ -141,9 +141,7 @@ class Balance:
         elif own.command is not Effect.command:
             commands = np.concatenate(
                 [
-                    _commanded(effect, run, values)
-                    if run.form == "forward"
-                    else run.commands
+                    _commanded(effect, run, values) if run.form == "forward" else run.commands
                     for run in self.motion.runs
                 ]
             )
@@ -380,11 +378,11 @@ class Balance:
             own=every[:, number], coupled=every[:, seen],
         )  # fmt: skip
 
-    def _spectra(self, values: Array) -> Iterator[tuple[Array, Array]]:
+    def _spectra(self, values: Array) -> Iterator[tuple[Array, ComplexArray]]:
         """Frequencies [rad/s] and spectra (F, K) of each run, mirrored, so that it has no ends."""
         for own in self.motion.split(values):
             mirrored = np.concatenate([own, own[::-1]])
-            turn = 2 * np.pi * np.fft.rfftfreq(len(mirrored), self.motion.step)
+            turn = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(mirrored), self.motion.step), float)
             yield turn, np.fft.rfft(mirrored, axis=0)
 
     def resonances(self, effect: Effect) -> list[tuple[float, ...]]:

@@ -1,4 +1,4 @@
-"""Effects that real logs ask for beyond the old catalogue.
+"""Effects that logs of real machines ask for.
 
 They are beside `loose_env.gap.model.effects.catalogue`, for they have no simulation of their own.
 """
@@ -147,7 +147,7 @@ class CommandInterpolation(Effect):
         steps = np.flatnonzero(np.any(np.diff(controls, axis=0) != 0, axis=1)) + 1
         at = np.concatenate([[0], steps, [len(time) - 1]])
         lines = np.array([np.interp(time, time[at], column[at]) for column in controls.T]).T
-        return controls + values[0] * (lines - controls)
+        return np.asarray(controls + values[0] * (lines - controls))
 
 
 def behind_slack(position: Array, slack: float, elastic: float) -> Array:

@@ -258,7 +258,10 @@ def _channel(
     felt = [k for k, change in enumerate(wide) if k < free or np.any(change[:, joint])]
     found = _rows(balance, joint, [wide[k] for k in felt])
     weight = weight_of(balance, joint)
-    gain, noisy = _gains(balance, joint, [wide[k] for k in felt]), _noisy(balance, joint, found.turn)
+    gain, noisy = (
+        _gains(balance, joint, [wide[k] for k in felt]),
+        _noisy(balance, joint, found.turn),
+    )
     return Channel(
         joint=joint,
         columns=np.array(felt),
@@ -282,15 +285,16 @@ def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
     motion = balance.motion
     stacked = np.stack([*(c[:, joint] for c in wide), balance.residual[:, joint]], axis=1)
     weight = motion.split(weight_of(balance, joint))
-    parts, cells, keys = [], [], {}
+    parts, cells = [], []
+    keys: dict[tuple[int, int], int] = {}
     counts: dict[tuple[int, int], float] = {}
     edges = _edges(balance)
     for piece, (run, rows) in enumerate(stretches_of(balance)):
         window = _taper(rows.stop - rows.start, len(motion.runs[run].position)) * weight[run][rows]
         values = motion.split(stacked)[run][rows]
-        frequency = np.fft.rfftfreq(len(window), motion.step)
-        scale = 1 / np.sqrt((window**2).sum() / 2 + 1e-12) / (
-            _NOISE * balance.noise(joint, frequency)
+        frequency = np.asarray(np.fft.rfftfreq(len(window), motion.step), float)
+        scale = (
+            1 / np.sqrt((window**2).sum() / 2 + 1e-12) / (_NOISE * balance.noise(joint, frequency))
         )
         scale[0] /= np.sqrt(2)
         spectrum = np.fft.rfft(values * window[:, None], axis=0) * scale[:, None]
@@ -318,7 +322,7 @@ def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
 def cell_powers(balance: Balance, channel: int, change: Array) -> Array:
     """Power of a change of the balance in each cell of a channel, in noise variances (C,)."""
     found = _rows(balance, channel, [change])
-    return np.bincount(found.cell, found.whitened[:, 0] ** 2, len(found.count))
+    return np.bincount(found.cell, found.whitened[:, 0] ** 2, len(found.count)).astype(float)
 
 
 def stretches_of(balance: Balance) -> list[tuple[int, slice]]:
@@ -398,9 +402,7 @@ def weight_of(balance: Balance, joint: int) -> Array:
         return np.ones(len(balance.residual))
     cache = balance.__dict__.setdefault("_quiet", {})
     if joint not in cache:
-        cache[joint] = (
-            _knocks(balance, joint) * _sliding(balance, joint) * _within(balance, joint)
-        )
+        cache[joint] = _knocks(balance, joint) * _sliding(balance, joint) * _within(balance, joint)
     return np.asarray(cache[joint])
 
 
@@ -455,7 +457,7 @@ def _sliding(balance: Balance, joint: int) -> Array:
 
 
 def _within(balance: Balance, joint: int) -> Array:
-    """Weight of samples, none within one and a half periods of the band from the nominal limit of a drive."""
+    """Weight of samples, none within one and a half periods of the band from a drive's limit."""
     motion = balance.motion
     width = max(int(1.5 / motion.band / motion.step), 1)
     kernel = np.hanning(2 * width + 3)

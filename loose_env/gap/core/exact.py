@@ -25,7 +25,7 @@ from loose_env.gap.runs import Trial, align_run, channels_of, measured_runs
 from loose_env.gap.simulator import Simulator
 from loose_env.recording import Recording
 from loose_env.statistics import noise_floor
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 WINDOW_S = 1.0
 """Length of a window [s]: a few periods of a joint's motion."""
@@ -159,7 +159,7 @@ class Exact:
             total=self._score(rows, channel) + selection.prior(terms),
         )
 
-    def _residuals(self, hypotheses: Sequence[Hypothesis]) -> list[tuple[Array, Array]]:
+    def _residuals(self, hypotheses: Sequence[Hypothesis]) -> list[tuple[Array, IndexArray]]:
         """Residuals in noise standard deviations with their channels, one row a reading."""
         found = []
         for predicted in self.simulator.predict(hypotheses):
@@ -172,7 +172,7 @@ class Exact:
             found.append((np.concatenate(rows), np.concatenate(channels)))
         return found
 
-    def _score(self, rows: Array, channel: Array) -> float:
+    def _score(self, rows: Array, channel: IndexArray) -> float:
         """Minus twice the log likelihood with a discrepancy in each channel."""
         windows, total = len(self.simulator.trials), 0.0
         for k in np.unique(channel):
@@ -182,7 +182,7 @@ class Exact:
         return float(total)
 
 
-def _by_channel(rows: Array, channel: Array) -> Array:
+def _by_channel(rows: Array, channel: IndexArray) -> Array:
     """Root mean square of each channel (C,)."""
     power = np.bincount(channel, rows**2) / np.maximum(np.bincount(channel), 1)
     return np.asarray(np.sqrt(power))

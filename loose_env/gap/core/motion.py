@@ -21,7 +21,7 @@ from loose_env.statistics import noise_floor, resolution_of
 from loose_env.typing import Array
 
 HIGHEST_HZ = 60.0
-"""Highest band of rigid motion [Hz]: above lie structural modes of any arm (science.md, 5)."""
+"""Highest band of rigid motion [Hz]: above lie structural modes of any arm."""
 LOWEST_HZ = 1.5
 """Lowest band [Hz]."""
 _PER_CYCLE = 6
@@ -80,7 +80,7 @@ class RunMotion:
     @property
     def time(self) -> Array:
         """Times of the samples [s], from 0 (T,)."""
-        return np.arange(len(self.position)) * self.step
+        return np.arange(len(self.position), dtype=float) * self.step
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -212,7 +212,7 @@ def _spectrum(values: Array, step: float) -> tuple[Array, Array]:
     window = np.hanning(len(values))
     free = values - np.linspace(values[0], values[-1], len(values))
     power = np.abs(np.fft.rfft(free * window)) ** 2 / (window @ window)
-    return np.fft.rfftfreq(len(values), step), power
+    return np.asarray(np.fft.rfftfreq(len(values), step), float), np.asarray(power, float)
 
 
 def _band_end(log: _Log, noise: Array) -> float:
@@ -310,7 +310,7 @@ def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float)
     ends, pad = _continued(q, band, step)
     line = np.linspace(ends[0], ends[-1], len(ends))
     slope = (ends[-1] - ends[0]) / ((len(ends) - 1) * step)
-    turn = 2 * np.pi * np.fft.rfftfreq(len(ends), step)
+    turn: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(ends), step), float)
     shape = np.fft.rfft(ends - line)
     if v is not None:
         rates = np.gradient(ends, step)
@@ -342,7 +342,7 @@ def low_passed(
             continue
         ends, pad = _reflected(column, band, step)
         line = np.linspace(ends[0], ends[-1], len(ends))
-        turn = 2 * np.pi * np.fft.rfftfreq(len(ends), step)
+        turn: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(ends), step), float)
         hold = np.sinc(turn * held / (2 * np.pi)) * np.exp(-0.5j * turn * held)
         hold = hold * np.sinc(turn * drawn / (2 * np.pi)) ** 2
         shape = np.fft.rfft(ends - line) * _passed(turn, band) * hold
@@ -380,7 +380,7 @@ def _continued(q: Array, band: float, step: float) -> tuple[Array, int]:
     fade = np.clip(2 - 2 * ahead / pad, 0.0, 1.0)
     for own in (q[near - 1 :: -1] if near < len(q) else q[::-1], q[-near:]):
         at = np.arange(1 - near, 1)
-        bend, rise, level = np.polyfit(at, own, 2)
+        bend, rise, _ = np.polyfit(at, own, 2)
         speed = rise + 2 * bend * np.cumsum(fade)
         parts.append(own[-1] + np.cumsum(speed))
     return np.concatenate([parts[0][::-1], q, parts[1]]), pad

@@ -1,4 +1,4 @@
-"""The generated parts of the page on environments are those of the code."""
+"""The generated parts of pages are those of the code."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ def elements() -> str:
     return text.split("<!-- elements: begin -->")[1].split("<!-- elements: end -->")[0]
 
 
-def test_the_page_is_up_to_date() -> None:
+def test_the_pages_are_up_to_date() -> None:
     assert PAGE.read_text(encoding="utf-8") == write_docs.environments()
+    assert PAGE.with_name("gap.md").read_text(encoding="utf-8") == write_docs.gap()
 
 
 @pytest.mark.parametrize("env_id", IDS)
