@@ -22,6 +22,7 @@ from loose_env.gap.core.motion import FINER, Motion, RunMotion, finer, low_passe
 from loose_env.gap.core.readings import Readings
 from loose_env.gap.model.driven_effect import DrivenEffect
 from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.drives.limits import DriveLimit
 from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
 from loose_env.gap.model.hypothesis import compiled
 from loose_env.gap.model.nominal_model import NominalModel
@@ -205,7 +206,9 @@ class Balance:
         if model is not None:
             dry += model.dof_frictionloss[self._dofs(model)] - self.dry
         operator = np.zeros_like(self.operator)
-        if given is not self.given and model is not None and model.nv == self.needed.shape[1]:
+        # a limit changes nothing but where it is reached
+        steady = given is not self.given and not isinstance(effect, DriveLimit)
+        if steady and model is not None and model.nv == self.needed.shape[1]:
             operator = self._operator(model) - self.operator
         elif model is not None and model.nv > self.needed.shape[1] and (self.forms == "free").all():
             # what a hidden joint leaves of the forces that the motion takes
