@@ -31,6 +31,8 @@ _LADDER = 1.7
 """Ratio of neighbouring sizes of a law: about two widths of its coefficient."""
 _LOOKED_AT = 1000
 """Samples in which an effect looks for its starts."""
+_REACHED = 0.7
+"""Lowest limit of a drive over the force that the motion took by the nominal model."""
 _ALIKE = 1e-3
 """Part of a column that the columns before it lack, over the whole, for it to be told from them."""
 _LINEAR = 0.05
@@ -235,6 +237,8 @@ def terms_of(
     contacts: Iterable[str] = tuple(CONTACTS),
 ) -> list[Term]:
     """Terms of an effect of one shape: one for each contact where it has dry friction."""
+    if isinstance(effect, DriveLimit) and axes[0][0] < _reached(balance, effect):
+        return []
     forces = [balance.forces(effect, np.array(values)) for values in axes]
     if not all(np.isfinite(f.smooth).all() for f in forces):
         return []
@@ -252,6 +256,14 @@ def terms_of(
         if columns:
             found.append(Term(effect, own_axes, contact, law, columns))
     return found
+
+
+def _reached(balance: Balance, effect: DriveLimit) -> float:
+    """Force of an actuator that the motion took: its limit cannot be far below."""
+    machine = balance.machine
+    joint = machine.joint_number(machine.actuated_joint[effect.where])
+    gear = abs(float(machine.model.actuator_gear[machine.actuators.index(effect.where), 0])) or 1.0
+    return _REACHED * float(np.percentile(np.abs(balance.needed[:, joint]), 99)) / gear
 
 
 def _independent(columns: Sequence[Column]) -> list[int]:

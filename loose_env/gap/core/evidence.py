@@ -1,7 +1,7 @@
 """Evidence: residual and columns whitened into cells of channel, band and stretch.
 
-A cell holds the Gram matrix of its columns in noise standard deviations. Every set of effects,
-every held-out part and every question of identifiability is then a small linear problem.
+A cell holds rows of its columns in noise standard deviations. Every set of effects, every held-out
+part and every question of identifiability is then a small linear problem in their Gram matrices.
 """
 
 from __future__ import annotations
@@ -70,20 +70,31 @@ class Channel:
     """Part of each cell's noise that is that of the foretold reading (C,)."""
     blanked: float
     """Share of the time that is left out: rest, and knocks."""
-    gram: Array = field(init=False)
-    """Gram matrices (C, K, K)."""
+    first: NDArray[np.intp] = field(init=False)
+    """First row of each cell (C,)."""
     slope: Array = field(init=False)
     """Products with the residual (C, K)."""
+    square: Array = field(init=False)
+    """Products of each column with itself (C, K)."""
     power: Array = field(init=False)
     """Residual sums of squares (C,)."""
 
     def __post_init__(self) -> None:
         """Sum products over each cell."""
-        cells = range(len(self.count))
-        parts = [(self.rows[self.cell == c], self.residual[self.cell == c]) for c in cells]
-        self.gram = np.stack([x.T @ x for x, _ in parts])
-        self.slope = np.stack([x.T @ y for x, y in parts])
-        self.power = np.array([y @ y for _, y in parts])
+        self.first = np.searchsorted(self.cell, np.arange(len(self.count)))
+        self.slope = self.by_cell(self.rows * self.residual[:, None])
+        self.square = self.by_cell(self.rows**2)
+        self.power = self.by_cell(self.residual**2)
+
+    def by_cell(self, values: Array) -> Array:
+        """Sums of rows over each cell."""
+        return np.asarray(np.add.reduceat(values, self.first, axis=0))
+
+    def products(self, weight: Array, left: NDArray[np.intp], right: NDArray[np.intp]) -> Array:
+        """Weighted products of some columns of its own with others, summed over cells."""
+        own = self.rows[:, left] * weight[self.cell][:, None]
+        return np.asarray(own.T @ (self.rows if len(right) == len(self.columns) else
+                                   self.rows[:, right]))  # fmt: skip
 
 
 @dataclass(eq=False, kw_only=True)
@@ -201,7 +212,11 @@ def append(evidence: Evidence, term: Term) -> None:
             wide = [term.columns[k].change for k in own]
             rows = _rows(evidence.balance, channel.joint, wide).whitened
             channel.columns = np.concatenate([channel.columns, [numbers[k] for k in own]])
-            _grow(channel, rows[:, :-1])
+            new = rows[:, :-1]
+            slope = channel.by_cell(new * channel.residual[:, None])
+            channel.rows = _widened(channel.rows, new)
+            channel.slope = _widened(channel.slope, slope)
+            channel.square = _widened(channel.square, channel.by_cell(new**2))
             more = np.stack([term.columns[k].operator for k in own])
             gain = _gains(evidence.balance, channel.joint, wide)
             growth = _growth(evidence.balance, channel.joint, channel.turn, more)
@@ -219,26 +234,18 @@ def append(evidence: Evidence, term: Term) -> None:
     evidence.operators = np.concatenate([evidence.operators, changes])
 
 
-def _grow(channel: Channel, more: Array) -> None:
-    """Add the products of the last columns, into room for more than are there."""
-    cells, room = channel.gram.shape[:2]
-    whole = len(channel.columns)
-    known = whole - more.shape[1]
-    if whole > room:
-        size = int(1.3 * whole) + 32
-        gram, slope = np.zeros((cells, size, size)), np.zeros((cells, size))
-        gram[:, :known, :known] = channel.gram[:, :known, :known]
-        slope[:, :known] = channel.slope[:, :known]
-        rows = np.zeros((len(channel.rows), size))
-        rows[:, :known] = channel.rows[:, :known]
-        channel.gram, channel.slope, channel.rows = gram, slope, rows
-    channel.rows[:, known:whole] = more
-    for c in range(cells):
-        own = channel.cell == c
-        cross = channel.rows[own, :whole].T @ more[own]
-        channel.gram[c, :whole, known:whole] = cross
-        channel.gram[c, known:whole, :whole] = cross.T
-        channel.slope[c, known:whole] = more[own].T @ channel.residual[own]
+def _widened(known: Array, more: Array) -> Array:
+    """Append columns, into spare room behind an array where it has some."""
+    rows, width = known.shape
+    whole = width + more.shape[1]
+    base = known.base
+    spare = base is not None and base.ndim == 2 and base.shape[1] >= whole and base.shape[0] == rows
+    if not spare:
+        base = np.empty((rows, int(1.2 * whole) + 32))
+        base[:, :width] = known
+    assert base is not None
+    base[:, width:whole] = more
+    return np.asarray(base[:, :whole])
 
 
 @dataclass(frozen=True, eq=False)
@@ -476,9 +483,9 @@ def _felt(channels: list[Channel], free: int) -> Array:
     for channel in channels:
         excess = np.maximum(channel.power - channel.count, 0) / (2 + 0.02 * channel.count)
         weight = 1 / (1 + 0.02 * excess)
-        own = channel.columns < free
+        own = np.flatnonzero(channel.columns < free)
         at = channel.columns[own]
-        total[np.ix_(at, at)] += np.tensordot(weight, channel.gram[:, own][:, :, own], 1)
+        total[np.ix_(at, at)] += channel.products(weight, own, own)
     values, vectors = np.linalg.eigh(total)
     return np.asarray(vectors[:, values > _FELT])
 
