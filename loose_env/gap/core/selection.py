@@ -49,8 +49,8 @@ _SETTLED, _SECANTS = 2, 4
 """Sets of a step that are relinearised, and how often."""
 _BENT = 4.0
 """Noise variances, two standard deviations, by which an effect may differ from its columns."""
-_MISSED = (0.0, 0.06, 0.25, 1.0)
-"""Squared shares of the tolerance of laws that are tried: a factor of two apart."""
+_MISSED = (0.0, *(2.0**-k for k in range(7, -1, -1)))
+"""Squared shares of the tolerance of laws that are tried."""
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)
 """Relative steps in which shapes are refined."""
 
