@@ -90,6 +90,7 @@ class Balance:
 
     def __init__(self, machine: NominalModel, motion: Motion) -> None:
         self.motion, self.machine = motion, machine
+        self._sensed: dict[tuple[str, str, str], list[Array]] = {}
         self._batches: dict[tuple[object, ...], tuple[Batch, list[Array]]] = {}
         self.position, self.speed = motion.stacked("position"), motion.stacked("speed")
         self.acceleration = motion.stacked("acceleration")
@@ -192,6 +193,7 @@ class Balance:
     def _change(
         self, model: mujoco.MjModel | None, commands: Array, effect: Effect | None, values: Array
     ) -> Forces:
+        felt = self.readings.nothing
         if model is None and commands is self.commands:
             needed, given = self.needed.copy(), self.given
         elif model is None:
@@ -199,7 +201,7 @@ class Balance:
         elif commands is self.commands and _same_forces(model, self._nominal):
             needed, given = self.needed.copy(), self.given
         elif model.nv > self.needed.shape[1]:
-            needed, given = self._with_hidden_joint(model, commands)
+            needed, given, felt = self._with_hidden_joint(model, commands, effect)
         else:
             needed, given = self._forces(model, commands)
         dry = np.zeros_like(needed)
@@ -233,7 +235,7 @@ class Balance:
         return Forces(
             smooth=needed - (self.needed - self.given),
             dry=dry,
-            readings=self.readings.change(model, effect, values),
+            readings=self.readings.change(model, effect, values) + felt,
             operator=operator,
         )
 
@@ -338,8 +340,10 @@ class Balance:
                 found[order, :, joint] = change.mean(axis=0) / (1.0 if order == 0 else _NUDGE)
         return found
 
-    def _with_hidden_joint(self, model: mujoco.MjModel, commands: Array) -> tuple[Array, Array]:
-        """Forces of a model with one more joint, which moves as its spring lets it.
+    def _with_hidden_joint(
+        self, model: mujoco.MjModel, commands: Array, effect: Effect | None
+    ) -> tuple[Array, Array, Array]:
+        """Forces and readings of a model with one more joint, which moves as its spring lets it.
 
         The joint's own motion is the response of its mean inertia, damping and stiffness to the
         force that the measured motion puts on it, run by run in the frequency domain.
@@ -358,7 +362,26 @@ class Balance:
             for k in range(3)
         ]
         needed, given = self._forces(model, commands, hidden.states(*moved_))
-        return needed[:, hidden.seen].copy(), given[:, hidden.seen].copy()
+        seen = self._hidden_readings(model, effect, hidden, moved_)
+        return needed[:, hidden.seen].copy(), given[:, hidden.seen].copy(), seen
+
+    def _hidden_readings(
+        self, model: mujoco.MjModel, effect: Effect | None, hidden: _Hidden, moved: list[Array]
+    ) -> Array:
+        """Change of inertial readings by the motion of a hidden joint, to first order (T, R)."""
+        if effect is None or not any(axis >= 0 for _, axis in self.motion.sensors):
+            return self.readings.nothing
+        key = (effect.kind, effect.where, effect.variant)
+        if key not in self._sensed:
+            zero, one = np.zeros(len(self.position)), np.ones(len(self.position))
+            still = self.readings.of(model, *hidden.states(zero, zero, zero))
+            sides = ((_NUDGE * one, zero, zero), (zero, _NUDGE * one, zero), (zero, zero, one))
+            self._sensed[key] = [
+                (self.readings.of(model, *hidden.states(*side)) - still) / size
+                for side, size in zip(sides, (_NUDGE, _NUDGE, 1.0), strict=True)
+            ]
+        found = zip(self._sensed[key], moved, strict=True)
+        return np.asarray(sum(slope * part[:, None] for slope, part in found))
 
     def _hidden(self, model: mujoco.MjModel, commands: Array) -> _Hidden:
         """Force on the one more joint of a model, and how its own motion changes all forces."""

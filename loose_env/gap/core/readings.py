@@ -73,6 +73,10 @@ class Readings:
         position, speed, acceleration = self._states
         return self._along(self.model, position, speed, acceleration + more) - self.foretold
 
+    def of(self, model: mujoco.MjModel, q: Array, v: Array, a: Array) -> Array:
+        """Readings of a model along a motion of all its joints (T, R)."""
+        return self._along(model, q, v, a)
+
     def moved(self, q: Array, v: Array, a: Array) -> Array:
         """Change of the readings by another motion (T, R)."""
         return self._along(self.model, q, v, a) - self.foretold if self.names else self.nothing
