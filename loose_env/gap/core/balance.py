@@ -171,18 +171,18 @@ class Balance:
                 off = own - effect.read(run.time, {column: own}, values)[column]
                 wave = np.fft.rfft(np.concatenate([off, off[::-1]]))
             parts.append([np.fft.irfft((1j * turn) ** k * wave)[: len(own)] for k in range(3)])
+        moved = [np.concatenate([part[k] for part in parts]) for k in range(3)]
         states = []
-        for k, known in enumerate((self.position, self.speed, self.acceleration)):
-            moved = known.copy()
-            moved[:, joint] += np.concatenate([part[k] for part in parts])
-            states.append(moved)
+        for known, more in zip((self.position, self.speed, self.acceleration), moved, strict=True):
+            states.append(known.copy())
+            states[-1][:, joint] += more
         needed, given = self._forces(
             self._nominal, self.commands, (states[0], states[1], states[2])
         )
         return Forces(
             smooth=needed - given - (self.needed - self.given),
             dry=np.zeros_like(needed),
-            readings=self.readings.moved(*states),
+            readings=self.readings.turned(joint, moved),
             operator=np.zeros_like(self.operator),
         )
 

@@ -130,9 +130,25 @@ class Evidence:
     nuisances: tuple[Nuisance, ...]
     """The tolerances."""
 
+    _products: dict[tuple[int, ...], list[tuple[NDArray[np.intp], Array]]] = field(
+        default_factory=dict, init=False
+    )
+
     def columns_of(self, term: Term) -> tuple[int, ...]:
         """Columns of a term."""
         return self.places[id(term)]
+
+    def products_of(self, columns: tuple[int, ...]) -> list[tuple[NDArray[np.intp], Array]]:
+        """Products of a term's columns in each channel: which it has, and their cells' sums."""
+        if columns not in self._products:
+            found = []
+            for channel in self.channels:
+                at = [np.flatnonzero(channel.columns == k) for k in columns]
+                place = np.array([i for i, own in enumerate(at) if len(own)], dtype=int)
+                rows = channel.rows[:, [int(own[0]) for own in at if len(own)]]
+                found.append((place, channel.by_cell(rows[:, :, None] * rows[:, None, :])))
+            self._products[columns] = found
+        return self._products[columns]
 
 
 def whiten(

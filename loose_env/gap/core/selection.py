@@ -318,7 +318,7 @@ class Selection:
             if len(new) == 1 and near[new[0]]:
                 gain = float(gains[new[0]])
             elif len(new) > 1:
-                several = form.around(np.array(new)) - beside[:, new].T @ spread[:, new]
+                several = form.around(new) - beside[:, new].T @ spread[:, new]
                 values = np.linalg.solve(several, left[new])
                 if not np.all(_near_bounds(values, evidence, new)):
                     continue
@@ -507,6 +507,7 @@ class Selection:
         chosen: dict[int, Sequence[Array]] = {}
         for powers in weightings:
             form = self.whole(powers)
+            form.cover(k for own in sets for k in self.columns(own))
             likely = sorted((self.predicted(form, s), k) for k, s in enumerate(sets))[:most]
             for total, k in likely:
                 if np.isfinite(total):
@@ -672,10 +673,16 @@ class _Form:
             slope = slope + self._fit_noise.along(slice(None))
         return normal, slope
 
-    def around(self, at: NDArray[np.intp]) -> Array:
-        """Normal matrix of a few columns around the fitted set."""
-        own = self._between(at, at)
-        return own if self._fit_noise is None else own + self._fit_noise.between(at, at)
+    def around(self, at: Sequence[int]) -> Array:
+        """Normal matrix of the columns of a term around the fitted set."""
+        columns = np.array(at)
+        found = np.diag(self._evidence.precision[columns])
+        parts = zip(self._evidence.products_of(tuple(at)), self._weights, strict=True)
+        for (place, products), weight in parts:
+            found[np.ix_(place, place)] += np.tensordot(weight, products, 1)
+        return (
+            found if self._fit_noise is None else found + self._fit_noise.between(columns, columns)
+        )
 
     def cover(self, columns: Iterable[int]) -> None:
         """Make the matrix of columns that are asked for soon."""
