@@ -483,19 +483,24 @@ class Balance:
         joints = len(self.machine.joints)
         if joint >= joints:
             return self.readings.noise(joint - joints, frequency)
-        own = self.operator if operator is None else operator
-        turn = 2 * np.pi * frequency
-        position, speed, torque = self.motion.noise
-        known = 1 / position**2 + (turn[:, None] / speed) ** 2
-        # not the difference of stiffness and inertia, which vanishes where a pendulum swings
-        gain = own[2, joint] ** 2 + (own[0, joint] * turn[:, None] ** 2) ** 2
-        gain = gain + (own[1, joint] * turn[:, None]) ** 2
-        total = np.sum(gain / known, axis=1) + 1e-300
+        torque = self.motion.noise[2]
+        total = np.sum(self.noise_of(joint, frequency, operator), axis=1) + 1e-300
         if floor:
             total = total + (_MODEL * self.machine.load_scales[joint]) ** 2
         if np.isfinite(torque[joint]):
             total = total + torque[joint] ** 2
         return np.asarray(np.sqrt(total))
+
+    def noise_of(self, joint: int, frequency: Array, operator: Array | None = None) -> Array:
+        """Variance of a joint's balance by the noise of each joint's motion (F, joints)."""
+        own = self.operator if operator is None else operator
+        turn = 2 * np.pi * frequency
+        position, speed, _ = self.motion.noise
+        known = 1 / position**2 + (turn[:, None] / speed) ** 2
+        # not the difference of stiffness and inertia, which vanishes where a pendulum swings
+        gain = own[2, joint] ** 2 + (own[0, joint] * turn[:, None] ** 2) ** 2
+        gain = gain + (own[1, joint] * turn[:, None]) ** 2
+        return np.asarray(gain / known)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -39,6 +39,10 @@ _LINEAR = 0.05
 """Largest relative deviation of a column over a range of sizes, for an effect to be linear."""
 
 
+Late = tuple[int, float] | None
+"""Joint and delay, or none."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Column:
     """One column of the balance with the prior of its coefficient."""
@@ -55,6 +59,8 @@ class Column:
     """Smallest coefficient."""
     high: float
     """Largest coefficient."""
+    late: Late = None
+    """Joint whose positions are read late, and by how much [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,10 +298,11 @@ def _column(
 ) -> Column:
     """Column with the prior and the bounds of its coefficient."""
     if law:
-        width = LAW_WIDTH
+        width, joint = LAW_WIDTH, balance.encoders.get(effect.where)
+        late = (joint, values[0]) if effect.is_time_shift and joint is not None else None
         return Column(
-            change=change, operator=operator, centre=1.0, spread=width, low=1 - 2.3 * width,
-            high=1 + 2.3 * width,
+            late=late, change=change, operator=operator, centre=1.0, spread=width,
+            low=1 - 2.3 * width, high=1 + 2.3 * width,
         )  # fmt: skip
     readings = np.sqrt(np.mean(balance.readings.foretold**2, axis=0))
     typical = np.maximum(np.concatenate([balance.machine.load_scales, readings]), 1e-9)

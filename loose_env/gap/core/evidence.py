@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.core.balance import USUAL, Balance
-from loose_env.gap.core.catalogue import Term, moves_at
+from loose_env.gap.core.catalogue import Late, Term, moves_at
 from loose_env.gap.core.tolerances import Nuisance
 from loose_env.typing import Array
 
@@ -64,10 +64,8 @@ class Channel:
     """Relative change of each cell's noise by a coefficient of one of each column (C, K)."""
     held: Array
     """Relative change of the stiffness by which the drive holds the joint, by each column (K,)."""
-    gain: Array
-    """Share of the foretold reading that each column is (K,); 0 of a joint."""
-    noisy: Array
-    """Part of each cell's noise that is that of the foretold reading (C,)."""
+    beside: Array
+    """Part of `growth` that no operator has: of foretold readings, and of late positions (C, K)."""
     blanked: float
     """Share of the time that is left out: rest, and knocks."""
     first: NDArray[np.intp] = field(init=False)
@@ -161,8 +159,9 @@ def whiten(
     wide = [n.change for n in tolerances] + [c.change for c in columns]
     wide = [_padded(balance, change) for change in wide]
     operators = np.stack([n.operator for n in tolerances] + [c.operator for c in columns])
+    late = [None] * free + [c.late for c in columns]
     channels = [
-        _channel(balance, joint, wide, free, operators)
+        _channel(balance, joint, wide, free, operators, late)
         for joint in range(len(balance.channels))
         if _compared(balance, joint)
     ]
@@ -234,11 +233,11 @@ def append(evidence: Evidence, term: Term) -> None:
             channel.slope = _widened(channel.slope, slope)
             channel.square = _widened(channel.square, channel.by_cell(new**2))
             more = np.stack([term.columns[k].operator for k in own])
-            gain = _gains(evidence.balance, channel.joint, wide)
-            growth = _growth(evidence.balance, channel.joint, channel.turn, more)
-            growth += np.outer(channel.noisy, gain)
+            late = [term.columns[k].late for k in own]
+            beside = _beside(evidence.balance, channel.joint, channel.turn, wide, late)
+            growth = _growth(evidence.balance, channel.joint, channel.turn, more) + beside
             channel.growth = np.hstack([channel.growth, growth])
-            channel.gain = np.append(channel.gain, gain)
+            channel.beside = np.hstack([channel.beside, beside])
             channel.held = np.append(channel.held, _held(evidence.balance, channel.joint, more))
     for name in ("centre", "low", "high"):
         grown = [getattr(c, name) for c in term.columns]
@@ -275,16 +274,13 @@ class _Rows:
 
 
 def _channel(
-    balance: Balance, joint: int, wide: list[Array], free: int, operators: Array
+    balance: Balance, joint: int, wide: list[Array], free: int, operators: Array, late: list[Late]
 ) -> Channel:
     """Whiten one joint's balance."""
     felt = [k for k, change in enumerate(wide) if k < free or np.any(change[:, joint])]
     found = _rows(balance, joint, [wide[k] for k in felt])
     weight = weight_of(balance, joint)
-    gain, noisy = (
-        _gains(balance, joint, [wide[k] for k in felt]),
-        _noisy(balance, joint, found.turn),
-    )
+    beside = _beside(balance, joint, found.turn, [wide[k] for k in felt], [late[k] for k in felt])
     return Channel(
         joint=joint,
         columns=np.array(felt),
@@ -295,10 +291,9 @@ def _channel(
         stretch=found.stretch,
         run=found.run,
         turn=found.turn,
-        growth=_growth(balance, joint, found.turn, operators[felt]) + np.outer(noisy, gain),
+        growth=_growth(balance, joint, found.turn, operators[felt]) + beside,
         held=_held(balance, joint, operators[felt]),
-        gain=gain,
-        noisy=noisy,
+        beside=beside,
         blanked=float(np.mean(weight < 0.5)),
     )
 
@@ -392,13 +387,25 @@ def _gains(balance: Balance, channel: int, wide: Sequence[Array]) -> Array:
     return np.array([float(foretold @ column[:, channel]) for column in wide]) / whole
 
 
-def _noisy(balance: Balance, channel: int, turn: Array) -> Array:
-    """Part of a reading's noise that is that of the foretold one (C,); 0 of a joint."""
-    number = channel - len(balance.machine.joints)
-    if number < 0:
-        return np.zeros(len(turn))
-    foretold = balance.readings.foretold_variance(number, turn / (2 * np.pi))
-    return np.asarray(foretold / balance.noise(channel, turn / (2 * np.pi)) ** 2)
+def _beside(
+    balance: Balance, channel: int, turn: Array, wide: Sequence[Array], late: Sequence[Late]
+) -> Array:
+    """Relative change of a channel's noise by what no operator has (C, K).
+
+    Of a reading, the noise of the foretold one; of a joint whose positions are late, the part of
+    the shift that is in phase.
+    """
+    number, found = channel - len(balance.machine.joints), np.zeros((len(turn), len(wide)))
+    if number >= 0:
+        foretold = balance.readings.foretold_variance(number, turn / (2 * np.pi))
+        noisy = foretold / balance.noise(channel, turn / (2 * np.pi)) ** 2
+        return np.outer(noisy, _gains(balance, channel, wide))
+    for k, own in enumerate(late):
+        if own is not None:
+            of_joint = balance.noise_of(channel, turn / (2 * np.pi))[:, own[0]]
+            share = of_joint / balance.noise(channel, turn / (2 * np.pi), floor=False) ** 2
+            found[:, k] = share * (np.cos(turn * own[1]) - 1)
+    return found
 
 
 def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Array:
@@ -516,7 +523,9 @@ def _combine(channel: Channel, mixed: Array, free: int) -> None:
     channel.growth = np.hstack(
         [channel.growth[:, own] @ mixed[channel.columns[own]], channel.growth[:, ~own]]
     )
-    channel.gain = np.append(channel.gain[own] @ mixed[channel.columns[own]], channel.gain[~own])
+    channel.beside = np.hstack(
+        [channel.beside[:, own] @ mixed[channel.columns[own]], channel.beside[:, ~own]]
+    )
     channel.held = np.append(channel.held[own] @ mixed[channel.columns[own]], channel.held[~own])
     channel.columns = np.concatenate([np.arange(kept), others - free + kept])
     channel.__post_init__()

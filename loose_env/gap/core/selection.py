@@ -241,7 +241,7 @@ class Selection:
             bands, at = self._bands[k]
             now = evidence.balance.noise(channel.joint, bands, operator, floor=False)[at]
             ratio = (now / self.usual[k]) ** 2
-            ratio += channel.noisy * ((1 + float(part.gain @ own)) ** 2 - 1)
+            ratio += (1 + part.beside @ own) ** 2 - 1
             held = max(1.0 + float(part.held @ own), 0.0) ** 2
             scale = np.clip(np.minimum(ratio, held), 1e-300, 1.0)
             excess = np.maximum((power - count * ratio) / scale, -count)
@@ -729,7 +729,7 @@ class _Part:
     slope: Array
     growth: Array
     held: Array
-    gain: Array
+    beside: Array
     missed: Array
 
 
@@ -752,7 +752,7 @@ def _part(channel: Channel, numbers: NDArray[np.intp], inexact: Array) -> _Part:
         channel.slope[:, local],
         channel.growth[:, local],
         channel.held[local],
-        channel.gain[local],
+        channel.beside[:, local],
         inexact[numbers[at]],
     )
 
