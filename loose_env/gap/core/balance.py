@@ -278,8 +278,10 @@ class Balance:
         """
         changed = self.commands.copy()
         slopes = [rates(r.commands[:, actuator], r.step, order) for r in self.motion.runs]
-        changed[:, actuator] -= self.motion.step**order * np.concatenate(slopes)
-        return (self.given - self.given_by(changed)) / self.motion.step**order
+        # small, so that no limit is reached by it
+        size = (_NUDGE * self.motion.step) ** order
+        changed[:, actuator] -= size * np.concatenate(slopes)
+        return (self.given - self.given_by(changed)) / size
 
     def stepped_acceleration(self) -> Array:
         """Acceleration at the samples beyond its mean, right after held commands step (T, joints).

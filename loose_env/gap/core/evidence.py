@@ -198,7 +198,8 @@ def whiten(
 
 def _inexact(term: Term, law: float) -> Array:
     """What the law of each column of a term misses; rigid bodies and sensors are as they are."""
-    exact = term.effect.exact_law or term.effect.part not in ("joint", "actuator")
+    effect = term.effect
+    exact = effect.exact_law or effect.is_time_shift or effect.part not in ("joint", "actuator")
     return np.full(len(term.columns), 0.0 if exact else law)
 
 

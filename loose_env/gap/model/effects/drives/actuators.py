@@ -24,6 +24,7 @@ class ActuatorGain(Effect):
     """
 
     kind = "actuator_gain"
+    exact_law: ClassVar[bool] = True
     acts_on: ClassVar[str] = "actuator"
     variants: ClassVar[tuple[str, ...]] = ("", "command", "servo")
     null_values: ClassVar[tuple[float, ...] | None] = (1.0,)

@@ -14,6 +14,7 @@ class TorqueConstant(JointEffect):
     """Factor of a joint's measured torque: the drive's current times a wrong constant."""
 
     kind = "torque_constant"
+    exact_law: ClassVar[bool] = True
     in_model: ClassVar[bool] = False
     null_values: ClassVar[tuple[float, ...] | None] = (1.0,)
 
