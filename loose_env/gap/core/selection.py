@@ -260,14 +260,11 @@ class Selection:
             self.evidence.channels[channel].count, self.values[channel], self.used[channel],
         )  # fmt: skip
         chance = np.minimum(np.maximum(excess, 0.0), np.sqrt(2 * count))
-        # a law is missed in the same way in every stretch
-        repeats = len(np.unique(self.evidence.channels[channel].stretch))
         tried = []
         for share in _MISSED if np.any(lawless) else _MISSED[:1]:
             wide = share * lawless
             beyond = np.maximum(excess - wide, chance)
-            costs = values * np.log1p(beyond / values)
-            costs += few(count) * np.log1p(wide / count) / repeats
+            costs = values * np.log1p(beyond / values) + few(count) * np.log1p(wide / count)
             tried.append((beyond, wide / count, costs))
         return min(tried, key=lambda one: float(one[2][used].sum()))
 
