@@ -53,8 +53,8 @@ _NARROWED = 0.7
 """Share of an interval above which a motion tells no more than the same runs once more."""
 _SHAPES = 3
 """Shapes in which a rival is tried."""
-_ALONE = 3
-"""Motions that are compared each for itself, the best of those compared together."""
+_STANDS = 0.05
+"""Speed of a joint in a run over that in the fastest one, below which it stands."""
 _MEMORY = 40_000_000
 """Numbers of columns that are held at a time, 320 MB."""
 _REPEATS = 2
@@ -186,7 +186,7 @@ def open_pairs(answer: Answer) -> tuple[OpenPair, ...]:
     """List what the runs do not tell apart, the closest first.
 
     An effect and those that explain the data nearly as well in its place; an effect that is not
-    named and nothing; an effect that may be beside the answer.
+    named, or not by much, and nothing; an effect that may be beside the answer.
     """
     selection, decision = answer.selection, answer.decision
     fit = decision.fit
@@ -202,8 +202,8 @@ def open_pairs(answer: Answer) -> tuple[OpenPair, ...]:
             if rival is not None:
                 nats = 0.5 * (rival[1].total - fit.total)
                 found.append(OpenPair(sides[own.term], rival[0], rests[own.term], nats))
-        if not own.named:
-            nats = 0.5 * (fit.total - selection.solve(rests[own.term], fit.powers).total)
+        nats = 0.5 * (fit.total - selection.solve(rests[own.term], fit.powers).total)
+        if not own.named or nats > -DECIDED:
             found.append(OpenPair(None, sides[own.term], rests[own.term], nats))
     for name in sorted(beside):
         more = _fitted(selection, form, fit.terms, name, fit)
@@ -305,7 +305,7 @@ class Questions:
             among = np.flatnonzero(np.isin(at, own))
             missed = evidence.inexact[at[among]] ** 2 * channel.gram[:, among, among]
             weight = weight * channel.count / (channel.count + missed.sum(axis=1))
-            for run in np.unique(channel.run):
+            for run in _moving(evidence.balance, channel):
                 cells = channel.run == run
                 found[run][np.ix_(at, at)] += np.tensordot(weight[cells], channel.gram[cells], 1)
         return found
@@ -337,6 +337,17 @@ class Questions:
                 )
             )  # fmt: skip
         return Gains(pairs=tuple(found))
+
+
+def _moving(balance: Balance, channel: Channel) -> list[int]:
+    """Runs of a channel in which its joint moves: at rest its dry friction takes any value."""
+    if channel.joint >= len(balance.machine.joints):
+        return sorted({int(run) for run in channel.run})
+    speeds = np.array([
+        np.percentile(np.abs(own[:, channel.joint]), 95)
+        for own in balance.motion.split(balance.speed)
+    ])  # fmt: skip
+    return [int(run) for run in np.flatnonzero(speeds > _STANDS * speeds.max())]
 
 
 def _again(balance: Balance, term: Term) -> Term | None:
@@ -467,15 +478,13 @@ def choose_next(
 def _best(
     questions: Questions, planned: Sequence[PlannedMotion], settings: NextMotionSettings
 ) -> tuple[int, Gains]:
-    """Motion of the largest gain per time, those that lead each for itself."""
-
-    def rate(number: int, gains: Gains) -> float:
-        return gains.value / (planned[number].seconds + settings.next_setup_s)
-
-    found = list(enumerate(questions.gains(planned)))
-    found = sorted(found, key=lambda pair: -rate(*pair))[:_ALONE]
-    alone = [(k, questions.gains([planned[k]])[0]) for k, _ in found]
-    return max(alone, key=lambda pair: rate(*pair))
+    """Motion of the largest gain per time, with its gains if it alone is recorded."""
+    rates = [
+        gains.value / (motion.seconds + settings.next_setup_s)
+        for motion, gains in zip(planned, questions.gains(planned), strict=True)
+    ]
+    best = int(np.argmax(rates))
+    return best, questions.gains([planned[best]])[0]
 
 
 def _played(
