@@ -10,7 +10,7 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from loose_env.arms import files_of
-from loose_env.cli.command import one_of, refuse
+from loose_env.cli.command import kept, one_of, refuse, settled
 from loose_env.cli.console import KEPT, Console, OnRecording, Outcome, Output, OutputFolder
 from loose_env.cli.recordings import check_first
 from loose_env.errors import InvalidData, InvalidSetting
@@ -97,7 +97,7 @@ class Gap(GapSettings, OnRecording):
     existing file is replaced."""
     next: bool = False
     """Also write the motion that best separates what these runs do not tell apart."""
-    next_motion: OmitArgPrefixes[NextMotionSettings]
+    next_motion: OmitArgPrefixes[Annotated[NextMotionSettings, kept(NextMotionSettings)]]
     """Next motion (--next)."""
 
     def run(self, console: Console) -> Outcome:
@@ -107,6 +107,7 @@ class Gap(GapSettings, OnRecording):
         if self.out is None:
             refuse("loose gap", "--out DIR must be given, or --check")
         _check_rerun(self.rerun)
+        wanted = settled(self.next_motion)
         folder = OutputFolder(self.out, "gap", reads=self.model)
         sources = [
             read_source(path, KEPT, model=self.model) for path in self._recordings(folder.path)
@@ -117,7 +118,9 @@ class Gap(GapSettings, OnRecording):
             for file in self.effects:
                 read_effects(file)
             found = solve_gap(recording, self._settings, preflight=preflight, say=console.say)
-            found, motion, planned = self._next(found, console) if self.next else (found, None, [])
+            motion, planned = None, list[str]()
+            if self.next:
+                found, motion, planned = _next(found, wanted, console)
             note_source(place, recording, self.model)
         # Known as this command's own even if it is cut short while it copies.
         home = recording.model_path.parent
@@ -135,20 +138,6 @@ class Gap(GapSettings, OnRecording):
         result = found.result
         lines = [gap_text(result, warnings=False), *planned, f"written: {', '.join(shown)}"]
         return Outcome(text="\n".join(lines), json=result.to_json, warnings=result.warnings)
-
-    def _next(
-        self, found: GapSolution, console: Console
-    ) -> tuple[GapSolution, NextMotion | None, list[str]]:
-        """Choose the next motion, and say why there is none; the result does not depend on it."""
-        try:
-            motion = choose_next(found.answer, found.corrected, self.next_motion, say=console.say)
-        except InvalidData as error:
-            words = (*found.result.warnings, f"no next motion: {error}")
-            found = replace(found, result=replace(found.result, warnings=words))
-            return found, None, ["next motion: none, for the reason in the warnings"]
-        if motion is None:
-            return found, None, ["next motion: none; nothing is left that a motion would tell"]
-        return found, motion, next_motion_lines(summary_of(motion))
 
     @property
     def _settings(self) -> GapSettings:
@@ -188,6 +177,21 @@ class Gap(GapSettings, OnRecording):
                     f"{path}"
                 )
         return paths
+
+
+def _next(
+    found: GapSolution, settings: NextMotionSettings, console: Console
+) -> tuple[GapSolution, NextMotion | None, list[str]]:
+    """Choose the next motion, and say why there is none; the result does not depend on it."""
+    try:
+        motion = choose_next(found.answer, found.corrected, settings, say=console.say)
+    except InvalidData as error:
+        words = (*found.result.warnings, f"no next motion: {error}")
+        found = replace(found, result=replace(found.result, warnings=words))
+        return found, None, ["next motion: none, for the reason in the warnings"]
+    if motion is None:
+        return found, None, ["next motion: none; nothing is left that a motion would tell"]
+    return found, motion, next_motion_lines(summary_of(motion))
 
 
 def _check_rerun(file: Path | None) -> None:

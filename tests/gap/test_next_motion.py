@@ -75,7 +75,7 @@ LIBRARY = (
 def way(seconds: float, moves: float, to: Array) -> Array:
     """Commands from home to a pose and to rest (T, 2)."""
     s = np.clip((np.arange(round(seconds * RATE)) / RATE - 0.3) / moves, 0, 1)[:, None]
-    return HOME + s**3 * (10 - 15 * s + 6 * s**2) * (to - HOME)
+    return np.asarray(HOME + s**3 * (10 - 15 * s + 6 * s**2) * (to - HOME))
 
 
 def recorded(name: str, commands: Array) -> Run:
